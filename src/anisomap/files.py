@@ -9,7 +9,9 @@ import stat
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from typing import TypeAlias
 
 from anisomap.errors import FileError
 
@@ -99,6 +101,40 @@ def _real(path: str | os.PathLike[str]) -> Path:
         raise FileError(f"cannot find {path}: {error.strerror or error}") from error
 
 
+_Moves: TypeAlias = dict[Path, tuple[Path, Path]]
+_moves: ContextVar[_Moves | None] = ContextVar("moves of files that are written together")
+
+
+@contextmanager
+def together() -> Iterator[_Moves]:
+    """Replace the files that are written in the block all at its end, if there is no error.
+
+    Yields the temporary files, each with its place and the path that was given.
+    """
+    if (outer := _moves.get(None)) is not None:
+        yield outer
+        return
+    moves: _Moves = {}
+    token = _moves.set(moves)
+    try:
+        yield moves
+        for temporary, (place, target) in moves.items():
+            with _named_errors(target):
+                temporary.replace(place)
+    finally:
+        _moves.reset(token)
+        for temporary in moves:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named_errors(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
+
+
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Provide a temporary file that replaces `path` if the block ends without an error."""
@@ -107,14 +143,15 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     mark = os.urandom(_MARK_BYTES).hex()
     place = _real(target)
     temporary = place.with_name(f".{target.stem[:_STEM]}-{mark}{target.suffix}")
-    try:
-        temporary.touch(exist_ok=False)
-        yield temporary
-        temporary.replace(place)
-    except OSError as error:
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    with together() as moves, _named_errors(target):
+        moves[temporary] = place, target
+        try:
+            temporary.touch(exist_ok=False)
+            yield temporary
+        except BaseException:
+            del moves[temporary]
+            temporary.unlink(missing_ok=True)
+            raise
 
 
 @contextmanager

@@ -18,6 +18,7 @@ import anisomap
 from anisomap.cli import main
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, FileError
+from anisomap.files import together
 from skins import flat_skin
 
 if sys.platform == "win32":
@@ -153,6 +154,42 @@ def test_a_signal_while_writing_leaves_nothing_half_written(folder, number, even
     assert errors_in(said) == ([REPORT] if number == signal.SIGINT else [])
     assert number == signal.SIGKILL or not temporary(folder)
     assert (folder / "m.urdf").read_text() == OLD
+
+
+@pytest.mark.parametrize("event", [r"\d+ open (.*/)?\.m-3-[^/]*", COMPLETE])
+def test_a_signal_while_writing_leaves_all_outputs_old(folder, event):
+    points = np.random.default_rng(0).random((12, 3))
+    pieces = anisomap.SensorMap(points, component=np.repeat(range(3), 4))
+    anisomap.write(pieces, folder / "pieces.csv")
+    outputs = [folder / f"m-{i}.csv" for i in (1, 2, 3)]
+    for path in outputs:
+        path.write_text(OLD)
+    command = ["convert", "pieces.csv", "m.csv", "--split-components"]
+    assert at_event(folder, command, signal.SIGINT, event)[0] == 130
+    assert [path.read_text() for path in outputs] == [OLD] * 3
+    assert not temporary(folder)
+    assert at_event(folder, command, COUNT, "none")[0] == 0
+    assert [anisomap.read_map(path).n_sensors for path in outputs] == [4] * 3
+
+
+def test_an_output_that_cannot_be_written_leaves_all_old(folder):
+    """The second of two files is too long for the limit of the process."""
+    (folder / "n.json").write_text(OLD)
+    anisomap.write(anisomap.SensorMap(np.random.default_rng(0).random((20, 3))), folder / "a.csv")
+
+    def both():
+        with together():
+            anisomap.write(anisomap.read_map(folder / "a.csv"), folder / "m.csv")
+            anisomap.write(anisomap.read_map(folder / "map.json"), folder / "n.json")
+
+    def write():
+        limited()
+        with pytest.raises(anisomap.errors.FileError, match="cannot write"):
+            both()
+
+    assert in_a_child(write) == 0
+    assert (folder / "m.csv").read_text() == (folder / "n.json").read_text() == OLD
+    assert not temporary(folder)
 
 
 def test_interruptions_are_handled_before_anything_is_imported(tmp_path):

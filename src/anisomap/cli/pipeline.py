@@ -18,7 +18,7 @@ from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import Dimensions
 from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
-from anisomap.files import check_distinct, check_target
+from anisomap.files import check_distinct, check_target, together
 from anisomap.health import (
     Finding,
     RecordingSummary,
@@ -100,7 +100,7 @@ class Outputs:
     ) -> list[tuple[str, Path]]:
         """Write the maps and the picture; return the files, each with its content."""
         written: list[tuple[str, Path]] = []
-        with progress("writing"):
+        with progress("writing"), together():
             for path in self.maps:
                 if self.placing is None:
                     io.write(sensor_map, path)
@@ -251,15 +251,21 @@ def finish(
     judge: Judge | None = None,
     exclude: Sequence[str] = (),
     written: Sequence[tuple[str, Path]] = (),
+    write_others: Callable[[], None] | None = None,
     truth: SensorMap | None = None,
 ) -> SensorMap:
     """Write and print a map; then judge it, score it if the truth is known, and write all files.
 
     If it is interrupted from the verdict on, the map is written without one.
+
+    write_others: Writes the last of `written` together with the map; the others are written.
     """
     placed = (outputs.placing or DEFAULT_PLACING).applied
     coverage = touch_coverage(sensor_map, examined.runs) if examined.runs else None
-    files = outputs.write(placed(sensor_map))
+    with together():
+        if write_others is not None:
+            write_others()
+        files = outputs.write(placed(sensor_map))
     printing.print_health(printer, examined.health)
     printing.print_touches(printer, coverage, sensor_map.names)
     printing.print_map(printer, placed(sensor_map))
@@ -330,19 +336,20 @@ def write_outputs(
     from anisomap.drawing import figures, report
 
     figure = figures.map_figure(sensor_map, result)
-    written = outputs.write(sensor_map, draw or (lambda: figure))
-    if outputs.report:
-        with progress("writing"):
-            report.write_report(
-                outputs.report,
-                sensor_map,
-                score=result,
-                health=examined.health if examined else (),
-                summary=examined.summary if examined else None,
-                figure_png=figures.figure_bytes(figure),
-                touches=_touches(sensor_map, examined, coverage),
-            )
-        written.append(("report", outputs.report))
+    with together():
+        written = outputs.write(sensor_map, draw or (lambda: figure))
+        if outputs.report:
+            with progress("writing"):
+                report.write_report(
+                    outputs.report,
+                    sensor_map,
+                    score=result,
+                    health=examined.health if examined else (),
+                    summary=examined.summary if examined else None,
+                    figure_png=figures.figure_bytes(figure),
+                    touches=_touches(sensor_map, examined, coverage),
+                )
+            written.append(("report", outputs.report))
     return written
 
 

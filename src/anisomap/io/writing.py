@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_distinct, check_target
+from anisomap.files import atomic_write, check_distinct, check_target, together
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.registry import FORMATS
 from anisomap.recording import Recording
@@ -92,8 +92,9 @@ def write_components(
     stem, suffix = template.name[:-length], template.name[-length:]
     files = tuple(template.with_name(f"{stem}-{i + 1}{suffix}") for i in range(len(components)))
     check_distinct(files, inputs)
-    for component, file in zip(components, files, strict=True):
-        write(component, file)
+    with together():
+        for component, file in zip(components, files, strict=True):
+            write(component, file)
     return files
 
 

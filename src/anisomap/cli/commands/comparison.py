@@ -17,7 +17,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli.console import print_warning, progress
 from anisomap.defaults import MIN_TOUCHES, PERMUTATIONS
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_distinct, check_target
+from anisomap.files import atomic_write, check_distinct, check_target, together
 from anisomap.wording import printable
 
 if TYPE_CHECKING:
@@ -215,10 +215,11 @@ def compare(
             comparisons.append(found)
     if not comparisons:
         raise InputError(f"no recording with true positions in {recordings[0]}")
-    for path in outputs:
-        with atomic_write(path) as aside:
-            text = _WRITERS[path.suffix.lower()](comparisons)
-            aside.write_text(text, encoding="utf-8")
+    with together():
+        for path in outputs:
+            with atomic_write(path) as aside:
+                text = _WRITERS[path.suffix.lower()](comparisons)
+                aside.write_text(text, encoding="utf-8")
     with reporting.printer() as printer:
         columns = [*_FACTS, "method", "Mantel r", "spacings"]
         rows = [row for comparison in comparisons for row in _rows(comparison)]

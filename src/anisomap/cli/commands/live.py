@@ -19,7 +19,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number, percent, print_warning, progress
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.files import check_target
+from anisomap.files import check_target, together
 
 if TYPE_CHECKING:
     from anisomap.live import LiveSession
@@ -300,7 +300,7 @@ def _finish(
         final = session.finish()
     written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
-        with progress("writing"):
+        with progress("writing"), together():
             written += [("map", save_map(final, path, spacing=spacing)) for path in maps]
             if report:
                 written.append(("report", save_report(final, report)))

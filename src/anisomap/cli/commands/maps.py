@@ -15,6 +15,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, progress
 from anisomap.defaults import LEVEL
 from anisomap.errors import InputError
+from anisomap.files import together
 
 if TYPE_CHECKING:
     from anisomap.evaluation import Difference
@@ -227,9 +228,10 @@ def update(
         found = update_map(sensor_map, evidence, runs, drop=dropped)
     provenance = {**found.map.provenance, "updated_by": joined.source}
     updated = replace(found.map, provenance=provenance)
-    io.write_statistics(found.evidence, new_statistics)
     title = f"{map_file.name} and its update"
-    written = outputs.write(updated, lambda: figures.difference_figure(found.difference, title))
+    with together():
+        io.write_statistics(found.evidence, new_statistics)
+        written = outputs.write(updated, lambda: figures.difference_figure(found.difference, title))
     with reporting.printer() as printer:
         _print_update(printer, found, map_file.name)
         printing.print_files(printer, [("statistics", new_statistics), *written])

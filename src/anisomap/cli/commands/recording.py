@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -346,13 +347,13 @@ def map_recording(
         if done := dict.fromkeys(one.kind for one in mended if one.mendable):
             provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
             sensor_map = replace(sensor_map, provenance=provenance)
-        written = []
+        written, write_statistics = [], None
         if statistics is not None:
             with progress("collecting statistics"):
                 evidence = gather_evidence(
                     examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
                 )
-            io.write_statistics(evidence, statistics)
+            write_statistics = partial(io.write_statistics, evidence, statistics)
             written.append(("statistics", statistics))
         judged = pipeline.finish(
             printer,
@@ -364,6 +365,7 @@ def map_recording(
             judge=judge if verdict else None,
             exclude=left_out,
             written=written,
+            write_others=write_statistics,
             truth=reference,
         )
     return 0 if not min_quality or pipeline.reaches(judged.verdict, min_quality) else 1

@@ -13,6 +13,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.errors import InputError
+from anisomap.files import together
 from anisomap.live.saving import EXPORTS, save_map, save_report
 from anisomap.live.session import LiveSession
 from anisomap.placement import Anchors, parse_anchor
@@ -89,8 +90,9 @@ def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
 def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
     recording, spacing = _recording(session), str(request.get("spacing") or "")
     target = recording.with_suffix(".map.csv")
-    files = [save_map(session.maps.checked, target, spacing=spacing, anchors=session.anchors)]
-    files.append(save_report(session.maps.checked, recording.with_suffix(".report.html")))
+    with together():
+        files = [save_map(session.maps.checked, target, spacing=spacing, anchors=session.anchors)]
+        files.append(save_report(session.maps.checked, recording.with_suffix(".report.html")))
     return Done(_written(files), tuple(files))
 
 
