@@ -266,6 +266,19 @@ def _images(path: Path) -> None:
     pages[0].save(path, save_all=True, append_images=pages[1:], compression=None)
 
 
+def _fif(path: Path) -> None:
+    """Electrodes on a line, beside a trigger channel."""
+    mne = pytest.importorskip("mne")
+    names = [f"E{k}" for k in range(N_SENSORS)]
+    info = mne.create_info([*names, "STI"], 50.0, ["eeg"] * N_SENSORS + ["stim"])
+    raw = mne.io.RawArray(np.vstack([_readings().T, np.zeros(N_FRAMES)]), info, verbose="ERROR")
+    places = {name: np.array([k, 0.0, 0.0]) / 10 for k, name in enumerate(names)}
+    raw.set_montage(mne.channels.make_dig_montage(places, coord_frame="head"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        raw.save(path, fmt="double", overwrite=True, verbose="ERROR")
+
+
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "skin.npz": ("npz", None),
     "numpy.npz": ("npz", _archive),
@@ -291,6 +304,7 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
     "hand.txt": ("cyskin", _cyskin),
     "gesture.txt": ("cyskin", _cyskin_of_driver),
     "lists.csv": ("text", _lists),
+    "skin_raw.fif": ("mne", _fif),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),

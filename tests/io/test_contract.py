@@ -16,7 +16,13 @@ from anisomap.errors import FileError, InputError
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
-TIMELESS = {"mat.asf": 50, "film.tif": None, "skin.npy": None, "touch.mat": None}
+TIMELESS = {
+    "mat.asf": 50,
+    "film.tif": None,
+    "skin.npy": None,
+    "touch.mat": None,
+    "skin_raw.fif": 50,
+}
 """Files without times, and their rates."""
 
 

@@ -20,6 +20,7 @@ from anisomap.io.maps import (
     json,
     launch,
     mjcf,
+    montages,
     point_clouds,
     urdf,
     xml_files,
@@ -29,6 +30,7 @@ from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, with_grid
 from anisomap.io.recordings import (
     arrow,
+    biosignals,
     contact_json,
     contact_text,
     cyskin,
@@ -228,6 +230,11 @@ FORMATS = (
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
            bags.open_recording, contents=bags.contents, extra=repair.EXTRA,
            magics=tuple(bag_files.MAGICS)),
+    Format("mne", (".edf", ".bdf", ".fif", ".vhdr"), "EDF, BDF, FIF, BrainVision", None,
+           biosignals.open_recording, contents=biosignals.contents, extra=biosignals.EXTRA,
+           magics=biosignals.MAGICS),
+    Format("elc", (".elc",), "electrodes (ASA)", write_map=montages.write_elc, in_metres=True),
+    Format("sfp", (".sfp",), "electrodes (BESA)", write_map=montages.write_sfp, in_metres=True),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            pressure_mats.recognises, pressure_mats.open_recording),
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
@@ -431,7 +438,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                     f"leave out --select {options.select}"
                 )
             stream = stack.enter_context(chosen.open_recording(file, options))
-            budget = Budget(file)
+            budget = Budget(stream.path)  # of several files, the one with the readings
             budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")
             if options.bin_s is not None and not stream.silent_are_zero:
                 raise FileError(

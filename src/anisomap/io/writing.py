@@ -25,8 +25,9 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     data : SensorMap or Recording
     path : path-like
         Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
-        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``. Recordings:
-        ``.csv``, ``.tsv``, ``.npz``. An existing file is replaced after writing has succeeded.
+        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``, ``.elc``,
+        ``.sfp``. Recordings: ``.csv``, ``.tsv``, ``.npz``. An existing file is replaced after
+        writing has succeeded.
 
     Raises
     ------

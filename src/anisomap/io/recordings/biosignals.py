@@ -1,0 +1,118 @@
+"""EDF, BDF, FIF and BrainVision recordings, which the library mne reads.
+
+The channels of one type are a recording; triggers and annotations are not sensors. Positions are
+those that the file holds, in metres.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anisomap.errors import FileError, import_extra
+from anisomap.io.parsing.source import is_gzipped, library_errors, read_head
+from anisomap.io.stream import (
+    BLOCK_BYTES,
+    Block,
+    Content,
+    ReadOptions,
+    Stream,
+    choose,
+    to_float32_if_exact,
+)
+from anisomap.memory import Budget
+
+EXTRA = "mne"
+
+_SENSORS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
+_FIF = bytes((0, 0, 0, 100, 0, 0, 0, 31))  # kind and type of the first tag, the id of the file
+_BRAINVISION = (b"Brain Vision Data Exchange Header", b"BrainVision Data Exchange Header")
+_MARKS = {_FIF: (".fif", "fif"), b"\xffBIOSEMI": (".bdf", "bdf"), b"0       ": (".edf", "edf")}
+_MARKS |= dict.fromkeys(_BRAINVISION, (".vhdr", "brainvision"))
+MAGICS = tuple(_MARKS)
+"""First bytes of the files."""
+
+_N_LOC = 3  # of the numbers about the place of a channel, the first are its position
+
+
+def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the types of channels."""
+    with _open(path) as raw:
+        return _contents(raw)
+
+
+@contextmanager
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open the channels of type `options.select`, or of the only type of sensors."""
+    with _open(path) as raw:
+        chosen = choose(path, _contents(raw), options.select, "type of channels").name
+        with library_errors(path):
+            kinds = raw.get_channel_types()
+            picked = [i for i, kind in enumerate(kinds) if kind == chosen]
+            places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
+            data = Path(raw.filenames[0] or path)
+        # A header of text may announce any number of samples; the data file tells.
+        n_frames = int(raw.n_times)
+        Budget(data).check_readings(n_frames, len(picked), np.dtype(np.float64).itemsize, "it")
+        known = np.isfinite(places).all(axis=1) & places.any(axis=1)
+        yield Stream(
+            data,
+            len(picked),
+            _blocks(path, raw, picked, n_frames),
+            names=tuple(raw.ch_names[i] for i in picked),
+            rate_hz=float(raw.info["sfreq"]),
+            positions=np.where(known[:, None], places, np.nan) if known.any() else None,
+            units="m" if known.any() else "",
+            source=path.name,
+            metadata={"format": "mne", "channels": chosen},
+        )
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[Any]:
+    """Open a file, by a link with the suffix that mne requires if it has another one."""
+    head = read_head(path)
+    suffix, kind = next(
+        (found for mark, found in _MARKS.items() if head.startswith(mark)), ("", "")
+    )
+    if not suffix:
+        raise FileError(f"{path} is not EDF, BDF, FIF or BrainVision, whatever its suffix")
+    io = import_extra("mne.io", "reading EDF, BDF, FIF and BrainVision", EXTRA)
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of names that are not those of MNE, and of old files
+        named = path
+        suffix += ".gz" if is_gzipped(path) else ""
+        if not path.name.lower().endswith(suffix):
+            named = Path(folder) / f"recording_raw{suffix}"
+            named.symlink_to(path.resolve())
+        with library_errors(path):
+            raw = getattr(io, f"read_raw_{kind}")(os.fspath(named), preload=False, verbose="ERROR")
+        try:
+            yield raw
+        finally:
+            raw.close()
+
+
+def _contents(raw: Any) -> tuple[Content, ...]:
+    counts = Counter(raw.get_channel_types())
+    return tuple(
+        Content(kind, f"{count} channels x {raw.n_times} samples", usable=kind in _SENSORS)
+        for kind, count in counts.items()
+    )
+
+
+def _blocks(path: Path, raw: Any, picked: list[int], n_frames: int) -> Iterator[Block]:
+    step = max(1, BLOCK_BYTES // (8 * len(picked)))
+    for start in range(0, n_frames, step):
+        stop = min(start + step, n_frames)
+        with library_errors(path):
+            readings = raw.get_data(picks=picked, start=start, stop=stop, verbose="ERROR").T
+        yield Block(to_float32_if_exact(np.ascontiguousarray(readings)), stop / n_frames)
