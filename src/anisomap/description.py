@@ -12,7 +12,7 @@ from anisomap._version import __version__
 from anisomap.methods import find_method
 from anisomap.options import MethodOptions
 from anisomap.recording import Scalar
-from anisomap.sensor_map import UNPLACED
+from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import join_items, noun_and_items
 
 
@@ -61,3 +61,19 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
         if getattr(options, name) != getattr(defaults, name):
             facts[name] = getattr(options, name)
     return facts | asdict(options.smacof)
+
+
+_WEIGHT = "weight_of_"  # of a step, in the provenance of a map
+
+
+def steps_of(sensor_map: SensorMap) -> list[str]:
+    """Name the steps that refined a map, each with its share of the map that it gave."""
+    weights = {
+        name.removeprefix(_WEIGHT): float(weight)
+        for name, weight in sensor_map.provenance.items()
+        if name.startswith(_WEIGHT)
+    }
+    return [
+        name if weight == 1 else f"{name} ({weight:.2f})".replace("(0.", "(.")
+        for name, weight in weights.items()
+    ]

@@ -75,6 +75,13 @@ class Verdict:
             return self.level
         return f"{self.level}, expected error {self.expected_error:.2f} spacings"
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """How far the map can be used, what that means, and the reasons: one sentence each."""
+        meaning = LEVELS.get(self.level, "the map was not judged")
+        told = (f"verdict: {self.summary}", meaning, *self.reasons)
+        return tuple(f"{text[:1].upper()}{text[1:]}." for text in told)
+
     def is_at_least(self, level: str) -> bool:
         """Return whether a level of `LEVELS` is reached; an unknown verdict reaches none.
 

@@ -1,10 +1,13 @@
 """Journeys through the other commands: summaries, scores, comparisons, lists and help."""
 
 import csv
+import hashlib
 import re
+import shlex
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +17,7 @@ import anisomap
 from anisomap.cli.app import app
 from anisomap.evidence import SIMILARITIES
 from anisomap.methods import METHODS
-from command_line import write_layout
+from command_line import call, write_layout
 from skins import flat_skin
 
 
@@ -242,3 +245,16 @@ def test_ports_in_use_are_errors_before_anything_is_recorded(run, skin_csv, tmp_
     assert f"cannot show the page on 127.0.0.1:{port}" in page.err
     assert f"cannot listen on 127.0.0.1:{port}" in source.err
     assert [path.name for path in tmp_path.iterdir()] == ["skin.csv"]
+
+
+def test_a_report_states_where_it_comes_from(tmp_path):
+    skin = flat_skin(n_frames=300)
+    anisomap.write(replace(skin, positions=skin.positions / 1000, units="m"), tmp_path / "skin.npz")
+    words = ("map", "skin.npz", "-d", 2, "--no-verdict", "--permutations", 9, "--report", "r.html")
+    assert call(tmp_path, *words).code == 0
+    page = (tmp_path / "r.html").read_text()
+    digest = hashlib.sha256((tmp_path / "skin.npz").read_bytes()).hexdigest()
+    for stated in (shlex.join(["anisomap", *map(str, words)]), digest, anisomap.__version__):
+        assert stated in page
+    assert "x (mm)" in page
+    assert "x (m)" not in page

@@ -94,7 +94,7 @@ def run(arguments: list[str] | None, received: Sequence[int] = ()) -> int:
     """Run a command, report any error as one sentence, and return the exit code."""
     prepare_streams()
     given = sys.argv[1:] if arguments is None else arguments
-    errors.as_json = "--json" in given
+    errors.as_json, console.arguments = "--json" in given, given
     try:
         return _run(given)
     except KeyboardInterrupt as interrupted:

@@ -43,9 +43,11 @@ class _Terminal(Console):
     """A standard stream; if its reader closes the pipe, the command continues without it.
 
     as_json: Whether errors are printed as JSON.
+    arguments: Those of the process, which reports state.
     """
 
     as_json = False
+    arguments: Sequence[str] = ()
 
     def __exit__(self, *raised: Any) -> None:
         """Write what was printed; what cannot be, as on a full disk, is dropped."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +14,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.cli import printing
-from anisomap.cli.console import Printer, print_warning, progress
+from anisomap.cli.console import Printer, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import Dimensions
@@ -34,6 +36,7 @@ from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
 from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.memory import check_pair_memory
 from anisomap.options import MethodOptions
+from anisomap.placement.frames import in_millimetres
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import MissingPolicy, Recording, as_runs, join_runs
 from anisomap.sensor_map import SensorMap
@@ -297,11 +300,14 @@ def score_with_progress(
     *,
     exclude: Sequence[str] = (),
 ) -> Score:
-    """Score a map against the positions of a recording or of another map, with progress."""
+    """Score a map against the positions of a recording or of another map, in millimetres."""
+    if isinstance(truth, Recording):
+        truth = SensorMap(np.asarray(truth.positions), names=truth.names, units=truth.units)
+    truth = in_millimetres(truth)
     with progress(f"computing {permutations} permutations") as report_progress:
         return score(
             sensor_map,
-            truth if isinstance(truth, SensorMap) else np.asarray(truth.positions),
+            truth,
             exclude=exclude,
             units=truth.units,
             permutations=permutations,
@@ -335,26 +341,41 @@ def write_outputs(
         return outputs.write(sensor_map)
     from anisomap.drawing import figures, report
 
-    figure = figures.map_figure(sensor_map, result)
+    shown = in_millimetres(sensor_map)
+    figure = figures.map_figure(shown, result)
     with together():
         written = outputs.write(sensor_map, draw or (lambda: figure))
         if outputs.report:
             with progress("writing"):
                 report.write_report(
                     outputs.report,
-                    sensor_map,
+                    shown,
                     score=result,
                     health=examined.health if examined else (),
                     summary=examined.summary if examined else None,
                     figure_png=figures.figure_bytes(figure),
-                    touches=_touches(sensor_map, examined, coverage),
+                    touches=_touches(shown, result, examined, coverage),
+                    origin=_origin(outputs.inputs),
                 )
             written.append(("report", outputs.report))
     return written
 
 
+def _origin(inputs: Sequence[Path | None]) -> dict[str, str]:
+    """Return the command of this process, and a digest of every input."""
+    found = {"command": shlex.join(["anisomap", *console.arguments])}
+    for path in filter(None, inputs):
+        if path.is_file():
+            with path.open("rb") as file:
+                found[f"SHA-256 of {path.name}"] = hashlib.file_digest(file, "sha256").hexdigest()
+    return found
+
+
 def _touches(
-    sensor_map: SensorMap, examined: Examined | None, coverage: TouchCoverage | None
+    sensor_map: SensorMap,
+    result: Score | None,
+    examined: Examined | None,
+    coverage: TouchCoverage | None,
 ) -> report.Touches | None:
     """Return the section of a report on contacts and doubted sensors; None without contacts."""
     if examined is None or coverage is None:
@@ -365,6 +386,6 @@ def _touches(
     series = figures.series_figure(examined.recording, doubted) if doubted else None
     return report.Touches(
         printing.touch_facts(coverage, sensor_map.names),
-        figures.figure_bytes(figures.touch_figure(sensor_map, coverage)),
+        figures.figure_bytes(figures.touch_figure(sensor_map, coverage, result)),
         None if series is None else figures.figure_bytes(series),
     )

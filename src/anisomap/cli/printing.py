@@ -12,6 +12,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.cli.console import Columns, Printer, number, percent
+from anisomap.description import steps_of
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
@@ -21,7 +22,6 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
 
-_WEIGHT = "weight_of_"  # of a step, in the provenance of a map
 _MAX_SHOWN = 12  # faulty sensors; anisomap info --all shows all
 
 
@@ -122,7 +122,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
     approximate = ", approximate" if sensor_map.approximate else ""
     because = sensor_map.provenance.get("dimensions_because")
-    steps = _refinements(sensor_map)
+    steps = steps_of(sensor_map)
     printer.facts(
         f"Map by {sensor_map.method}{approximate}",
         {
@@ -146,10 +146,10 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
 
 def print_verdict(printer: Printer, sensor_map: SensorMap) -> None:
     """Print how far a map can be used, and why; record the map with its verdict."""
-    verdict = sensor_map.verdict
-    printer.facts(f"Verdict: {verdict.summary}", {})
-    for reason in verdict.reasons:
-        printer.line(f"  {reason}")
+    headline, *others = sensor_map.verdict.sentences
+    printer.facts(headline, {})
+    for sentence in others:
+        printer.line(f"  {sentence}")
     record_map(printer, sensor_map)
 
 
@@ -170,19 +170,6 @@ def record_map(printer: Printer, sensor_map: SensorMap) -> None:
         },
         verdict=asdict(sensor_map.verdict),
     )
-
-
-def _refinements(sensor_map: SensorMap) -> list[str]:
-    """Name the steps that refined a map, each with its share of the map that it gave."""
-    weights = {
-        name.removeprefix(_WEIGHT): float(weight)
-        for name, weight in sensor_map.provenance.items()
-        if name.startswith(_WEIGHT)
-    }
-    return [
-        name if weight == 1 else f"{name} ({weight:.2f})".replace("(0.", "(.")
-        for name, weight in weights.items()
-    ]
 
 
 def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:

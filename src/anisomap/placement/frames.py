@@ -94,6 +94,13 @@ def rescaled(sensor_map: SensorMap, factor: float, units: str) -> SensorMap:
     )
 
 
+def in_millimetres(sensor_map: SensorMap) -> SensorMap:
+    """Convert a map with a unit of length to millimetres, in which lengths are shown."""
+    if sensor_map.units not in METRES:
+        return sensor_map
+    return rescaled(sensor_map, METRES[sensor_map.units] / METRES["mm"], "mm")
+
+
 def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> SensorMap:
     """Scale a map so that neighbouring sensors have a given spacing.
 

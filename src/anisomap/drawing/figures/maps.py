@@ -106,7 +106,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
             row, column = divmod(i, _COLUMNS)
             cells = _cells(figure, main_row + row * _SMALL_ROW, _SMALL_ROW, (1.0,) * _COLUMNS)
             axes = add_axes(figure, component.dimensions, cells[0, column])
-            draw_configuration(axes, _panel(sensor_map, component))
+            draw_configuration(axes, prepare_panel(sensor_map, component))
             count = len(component.points)
             set_title(axes, f"Component {component.number}: {count} sensors, own coordinate frame")
         write_title(figure, _title(sensor_map, score), x=0.28, y=0.2)
@@ -177,7 +177,7 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | No
     drawn = drawn_components(sensor_map, score)
     if not drawn:
         raise InputError("every component of the map has a single sensor; there is nothing to draw")
-    return plot_component(_panel(sensor_map, drawn[0]), ax=ax)
+    return plot_component(prepare_panel(sensor_map, drawn[0]), ax=ax)
 
 
 @panel(lambda shown: shown.points.shape[1])
@@ -226,7 +226,7 @@ def _draw_comparison(
     how = "rotated, scaled and reflected" if alignment.reflected else "rotated and scaled"
     error = f"{score.rms:.3g} {printable(score.units, 24)}".strip()
     spacings = f" = {score.rms_in_spacings:.2g} sensor spacings" if score.spacing > 0 else ""
-    shown = _panel(sensor_map, component)
+    shown = prepare_panel(sensor_map, component)
     n_compared = len(component.truth)
     truth = replace(
         shown,
@@ -255,11 +255,12 @@ def _draw_alone(
         sides = tuple(zip(("From the front", "From the right", "From above"), VIEWS, strict=True))
     for column, (title, view) in enumerate(sides):
         axes = add_axes(figure, component.dimensions, cells[0, column])
-        draw_configuration(axes, _panel(sensor_map, component, view))
+        draw_configuration(axes, prepare_panel(sensor_map, component, view))
         set_title(axes, title)
 
 
-def _panel(sensor_map: SensorMap, component: Component, view: View | None = None) -> Panel:
+def prepare_panel(sensor_map: SensorMap, component: Component, view: View | None = None) -> Panel:
+    """Prepare a component of a map for drawing, with the names of distant sensors."""
     reference = component.truth if len(component.truth) else component.points
     labelled = _sensors_to_label(reference, component.view)
     view = view or component.view

@@ -109,10 +109,7 @@ def draw_configuration(axes: Axes, shown: Panel, limits: NDArray[np.float64] | N
     if shown.outlines is not None and len(shown.outlines):
         axes.plot(*shown.outlines.T, color=_OUTLINE, linewidth=0.6, alpha=0.7, zorder=0.5)
     _draw_layers(axes, shown, np.clip(nearness, 0, 1))
-    rightwards = view_axes(shown.view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
-    for i, name in shown.labels.items():
-        right_half = bool((points[i] - limits.mean(axis=1)) @ rightwards > 0)
-        write_label(axes, points[i], name, right_half)
+    write_labels(axes, shown, points)
 
 
 def draw_distances(
@@ -248,11 +245,19 @@ def _draw_layers(axes: Axes, shown: Panel, nearness: NDArray[np.float64]) -> Non
                 )
 
 
+def write_labels(axes: Axes, shown: Panel, points: NDArray[np.float64]) -> None:
+    """Write the names of a panel towards its middle. points (n, k)."""
+    rightwards = view_axes(shown.view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
+    middle = box_around(points).mean(axis=1)
+    for i, name in shown.labels.items():
+        write_label(axes, points[i], name, bool((points[i] - middle) @ rightwards > 0))
+
+
 def write_label(axes: Axes, point: NDArray[np.float64], name: str, leftwards: bool) -> None:
     """Write a name to the left or right of a point, legible above everything else."""
     axes.text(
         *point,
-        f"{name} " if leftwards else f" {name}",
+        f"{name}  " if leftwards else f"  {name}",
         ha="right" if leftwards else "left",
         fontsize=7.5,
         color=INK,

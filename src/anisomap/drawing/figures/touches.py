@@ -19,8 +19,11 @@ from anisomap.drawing.figures.backend import (
     panel_figure,
     set_title,
 )
-from anisomap.drawing.view import axis_title, printable
+from anisomap.drawing.figures.maps import prepare_panel
+from anisomap.drawing.figures.panels import set_up_axes, write_labels
+from anisomap.drawing.view import box_around, drawn_components, printable, segments
 from anisomap.errors import InputError
+from anisomap.evaluation import Score
 from anisomap.health import SensorHealth, TouchCoverage
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
@@ -39,14 +42,16 @@ _CLASSES = (
     f"{ENOUGH_CONTACTS} or more",
 )
 _SHADES = ("#ffffff", "#cde2f2", "#5aa5d6", "#00426b")  # from light to dark, also in greyscale
-_LACKING = "#c0392b"
+_LACKING, _LINES = "#c0392b", "#c4c9ce"
 _COLUMNS, _MAX_SERIES = 3, 12
 _INSTANTS = 600  # of a thumbnail; the range of the readings in each is drawn
 
 
-def touch_figure(sensor_map: SensorMap, coverage: TouchCoverage) -> Figure:
+def touch_figure(
+    sensor_map: SensorMap, coverage: TouchCoverage, score: Score | None = None
+) -> Figure:
     """Draw the panel of `plot_touches`; the arguments are the same."""
-    return panel_figure(plot_touches, sensor_map, coverage, size=(7.0, 5.6))
+    return panel_figure(plot_touches, sensor_map, coverage, score, size=(8.0, 5.6))
 
 
 def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
@@ -81,8 +86,14 @@ def plot_series(
     ax.set_ylabel("reading")
 
 
-@panel(lambda sensor_map: min(3, sensor_map.dimensions))
-def plot_touches(sensor_map: SensorMap, coverage: TouchCoverage, *, ax: Axes = None) -> None:
+@panel(lambda sensor_map: 3 if sensor_map.dimensions > 2 else 2)
+def plot_touches(
+    sensor_map: SensorMap,
+    coverage: TouchCoverage,
+    score: Score | None = None,
+    *,
+    ax: Axes = None,
+) -> None:
     """Plot contacts by place on the map, neighbours never touched together, and where to touch.
 
     Sensors are darker the more contacts they had. Red lines join neighbours that were never
@@ -94,33 +105,37 @@ def plot_touches(sensor_map: SensorMap, coverage: TouchCoverage, *, ax: Axes = N
         Its largest component is drawn, in its first two or three coordinates.
     coverage : TouchCoverage
         From `anisomap.health.touch_coverage`, of the same map.
+    score : Score, optional
+        Score of this map: the map is aligned with the truth.
     """
-    dimensions = min(3, sensor_map.dimensions)
-    drawn = np.flatnonzero(sensor_map.component == 0)
-    points = sensor_map.positions[:, :dimensions]
-    if dimensions == 1:
-        points, dimensions = np.column_stack([points, np.zeros(len(points))]), 2
-    apart = coverage.never_together[np.isin(coverage.never_together, drawn).all(axis=1)]
-    for pair in apart.tolist():
-        ax.plot(*points[pair].T, color=_LACKING, linewidth=1.0, zorder=1)
-    contacts = coverage.contacts[drawn]
-    classes = np.digitize(contacts, (1, MIN_CONTACTS, ENOUGH_CONTACTS))
+    drawn = drawn_components(sensor_map, score)
+    if not drawn:
+        raise InputError("every component of the map has a single sensor; there is nothing to draw")
+    shown = prepare_panel(sensor_map, drawn[0])
+    points = shown.points[:, : 3 if sensor_map.dimensions > 2 else 2]
+    row = {int(sensor): i for i, sensor in enumerate(drawn[0].sensors)}
+    set_up_axes(ax, box_around(points), shown.view, shown.units)
+    ax.plot(*segments(points, shown.pairs).T, color=_LINES, linewidth=0.6, zorder=1)
+    apart = [[row[i], row[j]] for i, j in coverage.never_together.tolist() if {i, j} <= row.keys()]
+    if apart:
+        ax.plot(*segments(points, np.array(apart)).T, color=_LACKING, linewidth=1.2, zorder=2)
+    classes = np.digitize(coverage.contacts[drawn[0].sensors], (1, MIN_CONTACTS, ENOUGH_CONTACTS))
     for i, label in enumerate(_CLASSES):
-        some = points[drawn[classes == i]]
+        some = points[classes == i]
         if len(some):
             ax.scatter(
                 *some.T, color=_SHADES[i], edgecolors=INK, linewidths=0.6, s=_DOT_AREA,
-                marker=MARKERS[i], label=label, zorder=2,
+                marker=MARKERS[i], label=label, zorder=3,
             )  # fmt: skip
-    ax.legend(frameon=False, fontsize=8, title="contacts")
+    write_labels(ax, shown, points)
     for rank, place in enumerate(coverage.places, start=1):
         if place.component == 0:
-            where = points[list(place.sensors)].mean(axis=0)
+            where = points[[row[i] for i in place.sensors]].mean(axis=0)
             ax.text(
                 *where, str(rank), fontsize=12, fontweight="bold", color=_LACKING, ha="center",
-                va="center", zorder=3,
+                va="center", zorder=101,
             )  # fmt: skip
-    ax.set_aspect("equal")
-    for name in "xyz"[:dimensions]:
-        getattr(ax, f"set_{name}label")(axis_title(name, sensor_map.units), parse_math=False)
+    ax.legend(
+        frameon=False, fontsize=8, title="contacts", loc="upper left", bbox_to_anchor=(1.02, 1)
+    )
     set_title(ax, "Contacts, and where to touch next (1: first)")

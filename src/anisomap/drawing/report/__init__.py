@@ -16,6 +16,7 @@ from anisomap.drawing.report.contents import (
     caveats,
     facts,
     headlines,
+    method_sentences,
     provenance,
     recording_facts,
     sensor_statuses,
@@ -89,6 +90,7 @@ def write_report(
     summary: RecordingSummary | None = None,
     figure_png: bytes | None = None,
     touches: Touches | None = None,
+    origin: Mapping[str, str] | None = None,
     title: str = TITLE,
 ) -> None:
     """Write a report with an interactive view of the map, for any browser.
@@ -98,7 +100,7 @@ def write_report(
     path : path-like
         File name ending in .html or .htm. An existing file is replaced only when the new one is
         complete.
-    sensor_map, score, health, summary, figure_png, touches, title
+    sensor_map, score, health, summary, figure_png, touches, origin, title
         See `render_report`.
 
     Raises
@@ -116,6 +118,7 @@ def write_report(
         summary=summary,
         figure_png=figure_png,
         touches=touches,
+        origin=origin,
         title=title,
     )
     with atomic_write(path) as temporary:
@@ -131,9 +134,12 @@ def render_report(
     summary: RecordingSummary | None = None,
     figure_png: bytes | None = None,
     touches: Touches | None = None,
+    origin: Mapping[str, str] | None = None,
     title: str = TITLE,
 ) -> str:
     """Return a report as text; the same input gives the same text.
+
+    origin: How the map came about, by name, such as the command and digests of its inputs.
 
     Names and notes are escaped. The page runs no scripts but its own and sends no requests.
     """
@@ -159,7 +165,8 @@ def render_report(
             compared=score is not None,
             table=sensor_table(sensor_map, score, health),
             recording=recording_facts(summary),
-            provenance=provenance(sensor_map, score),
+            method=method_sentences(sensor_map),
+            provenance=provenance(sensor_map, score, origin or {}),
             picture=_encoded(figure_png),
             touches=None if touches is None else _printable(touches.facts),
             touch_picture=_encoded(None if touches is None else touches.map_png),

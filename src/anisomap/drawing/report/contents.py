@@ -10,12 +10,13 @@ from functools import partial
 import numpy as np
 
 from anisomap.covariance_ellipses import ellipses
+from anisomap.description import steps_of
 from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
 from anisomap.evaluation import Score
+from anisomap.evidence import SIMILARITIES
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
 from anisomap.sensor_map import UNSCALED, SensorMap, is_faulty
-from anisomap.usability import LEVELS
 from anisomap.wording import join_items
 
 UNKNOWN = "\N{EN DASH}"
@@ -23,11 +24,8 @@ UNKNOWN = "\N{EN DASH}"
 MAX_ROWS = 2000
 """Largest number of sensors in the table; browsers lay out longer tables slowly."""
 
-# Smallest Mantel r for each description, chosen by hand.
-_AGREEMENT = ((0.98, "very closely"), (0.9, "closely"), (0.6, "roughly"), (-1.0, "only weakly"))
-
 _N_WORST = 5  # sensors named first
-_COARSE = 1.0  # RMS error in sensor spacings from which neighbours may be exchanged
+_MAX_PRINTED = 8  # rows of the table in print; figures and facts fill the rest of two pages
 
 
 @dataclass(frozen=True)
@@ -63,12 +61,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """A sensor in the table."""
+    """A sensor in the table; `printed` if it is listed on paper as well."""
 
     name: str
     status: str
     reason: str
     cells: tuple[Cell, ...]
+    printed: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,9 +87,9 @@ class SensorTable:
     n_sensors: int
 
     @property
-    def n_problems(self) -> int:
-        """Number of listed sensors whose status is not ok."""
-        return sum(is_faulty(row.status) for row in self.rows)
+    def n_printed(self) -> int:
+        """Number of sensors that are listed on paper."""
+        return sum(row.printed for row in self.rows)
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
@@ -107,62 +106,49 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
 
 
 def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
-    """Summarise the quality of the map; the first sentence is the headline."""
-    sentences = _unscored(sensor_map) if score is None else _scored(sensor_map, score)
-    sentences.insert(1, f"Verdict: {printable(str(sensor_map.verdict))}.")
+    """Tell the verdict and what is known of the errors; the first sentence is the headline."""
+    sentences = [printable(sentence) for sentence in sensor_map.verdict.sentences]
+    if score is not None:
+        sentences += _compared(sensor_map, score)
+    sizes = sensor_map.component_sizes
+    if len(sizes) > 1:
+        sentences.append(
+            f"Only {sizes[0]} sensors are placed relative to one another: the others are in "
+            f"{len(sizes) - 1} separate components."
+        )
     if sensor_map.approximate:
         sentences.append("This map is approximate: only some pairs of sensors were compared.")
-    return sentences
+    fitted = "" if score is None else ", which were fitted to the true positions"
+    return [*sentences, f"The map is known up to {sensor_map.known_up_to}{fitted}."]
 
 
-def _unscored(sensor_map: SensorMap) -> list[str]:
-    placed = int(sensor_map.placed.sum())
-    sizes = sensor_map.component_sizes
-    apart = (
-        f", but only {sizes[0]} relative to one another: the others are in {len(sizes) - 1} "
-        "separate components"
-        if len(sizes) > 1
-        else ""
-    )
-    return [
-        f"{placed} of {sensor_map.n_sensors} sensors have a position{apart}.",
-        f"The map is known up to {sensor_map.known_up_to}.",
-    ]
-
-
-def _scored(sensor_map: SensorMap, score: Score) -> list[str]:
-    r, n_permutations = score.mantel.r, len(score.mantel.null)
+def _compared(sensor_map: SensorMap, score: Score) -> list[str]:
+    sentences = []
     null = score.mantel.quantiles().get(0.95)
-    if null is not None and r <= null:
-        headline = (
-            f"The map does not agree with the truth better than random permutations: "
-            f"Mantel r {r:.3f}, null 95 % quantile {null:.3f}."
-        )
-    else:
-        how = next(word for least, word in _AGREEMENT if r >= least)
-        headline = f"Distances on the map agree {how} with the true ones: Mantel r {r:.3f}."
-    if score.rms_in_spacings > _COARSE:
-        headline += " Neighbourhoods are unreliable."
-    names = [sensor_map.names[i] for i in score.sensors[score.worst(_N_WORST)]]
-    errors = score.alignment.errors[score.worst(_N_WORST)]
-    worst = [
-        f"{printable(name)} ({number(float(error), unit=score.units)})"
-        for name, error in zip(names, errors, strict=True)
-    ]
-    sentences = [headline, f"Farthest from their true positions: {join_items(worst)}."]
-    if null is not None and r > null:
+    if null is not None and score.mantel.r <= null:
         sentences.append(
-            f"For comparison: 95 % of {n_permutations} random permutations of the sensors have a "
-            f"Mantel r below {null:.3f}."
+            "The map agrees with the true positions no better than random permutations of the "
+            "sensors."
         )
-    reflection = "with" if score.alignment.reflected else "without"
-    return [
-        *sentences,
-        f"The RMS error of the positions is {number(score.rms, unit=score.units)}, or "
-        f"{number(score.rms_in_spacings, 2)} times the median distance between neighbours.",
-        f"The map is known up to {sensor_map.known_up_to}. These were fitted to the truth; the "
-        f"best fit is {reflection} reflection.",
+    worst = score.worst(_N_WORST)
+    named = zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
+    farthest = [
+        f"{printable(sensor_map.names[i])} ({number(float(error), unit=score.units)})"
+        for i, error in named
     ]
+    return [*sentences, f"Farthest from their true positions: {join_items(farthest)}."]
+
+
+def method_sentences(sensor_map: SensorMap) -> list[str]:
+    """Describe the method that made the map."""
+    told = []
+    if sensor_map.method in METHODS:
+        told.append(f"{sensor_map.method}: {METHODS[sensor_map.method].summary}")
+    if sensor_map.similarity in SIMILARITIES:
+        told.append(f"similarity of readings: {SIMILARITIES[sensor_map.similarity].summary}")
+    if steps := steps_of(sensor_map):
+        told.append(f"steps, with the share of the map that each gave: {join_items(steps)}")
+    return [f"{text[:1].upper()}{text[1:]}." for text in told]
 
 
 def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
@@ -181,12 +167,8 @@ def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
             Fact(
                 "RMS error",
                 number(score.rms, unit=score.units),
-                "after the best rotation, translation, scale and reflection",
-            ),
-            Fact(
-                "RMS error, spacings",
-                number(score.rms_in_spacings, 2),
-                f"in units of the median sensor spacing, {number(score.spacing, unit=score.units)}",
+                f"or {number(score.rms_in_spacings, 2)} times the median spacing, "
+                f"{number(score.spacing, unit=score.units)}",
             ),
             Fact(
                 "Neighbours kept",
@@ -195,17 +177,6 @@ def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
             ),
         ]
     found += [
-        Fact(
-            "Verdict",
-            sensor_map.verdict.level,
-            LEVELS.get(sensor_map.verdict.level, "the map was not judged"),
-        ),
-        Fact(
-            "Expected error, spacings",
-            number(sensor_map.verdict.expected_error, 2),
-            f"{number(sensor_map.verdict.repeatability, 2)} by chance, "
-            f"{number(sensor_map.verdict.systematic, 2)} systematic",
-        ),
         Fact("Placed", f"{placed} of {sensor_map.n_sensors}", "sensors with a position on the map"),
         Fact(
             "Stress-1",
@@ -250,11 +221,6 @@ def caveats(
         notes.append(f"sensors without a position: {join_items(unplaced, 12)}")
     if score is not None:
         notes += score.notes
-        if score.rms_in_spacings > _COARSE:
-            notes.append(
-                f"the RMS error is {number(score.rms_in_spacings, 2)} sensor spacings: the map "
-                "shows the overall shape, but not which sensors are neighbours"
-            )
     notes += summary.warnings if summary is not None else ()
     return list(dict.fromkeys(printable(note[:1].upper() + note[1:]) for note in notes))
 
@@ -282,8 +248,12 @@ def sensor_table(
         fact = Fact(f"Error{unit}", "", "distance from the true position")
         columns.append((fact, lambda i: _numeric(errors.get(i))))
     if sensor_map.covariances is not None:
-        unit = "" if sensor_map.units in UNSCALED else f" ({printable(sensor_map.units)})"
-        radii = ellipses(sensor_map.covariances)[0].max(axis=1)
+        units, scale = sensor_map.units, np.ones(len(statuses))
+        if score is not None:  # in the frame and unit of the errors beside them
+            units = score.units
+            scale = np.where(sensor_map.component == 0, score.alignment.scale, np.nan)
+        unit = "" if units in UNSCALED else f" ({printable(units)})"
+        radii = scale * ellipses(sensor_map.covariances)[0].max(axis=1)
         fact = Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
         columns.append((fact, lambda i: _numeric(float(radii[i]))))
     if health:
@@ -294,11 +264,12 @@ def sensor_table(
         range(len(statuses)), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0))
     )
     rows = []
+    printed = set(listed[:_MAX_PRINTED])
     for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0)):
         name = sensor_map.names[i]
         reason = printable(assessed[name].reason) if name in assessed else ""
         cells = tuple(cell(i) for _, cell in columns)
-        rows.append(Row(printable(name), statuses[i], reason, cells))
+        rows.append(Row(printable(name), statuses[i], reason, cells, i in printed))
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
     return SensorTable(tuple(fact for fact, _ in columns), tuple(rows), counts, len(statuses))
 
@@ -325,12 +296,11 @@ def recording_facts(summary: RecordingSummary | None) -> list[Fact]:
     ]
 
 
-def provenance(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
+def provenance(sensor_map: SensorMap, score: Score | None, origin: Mapping[str, str]) -> list[Fact]:
     """List the information needed to reproduce the map."""
-    method = sensor_map.method or "not recorded"
-    summary = METHODS[method].summary if method in METHODS else ""
     found = [
-        Fact("method", printable(method), summary),
+        *(Fact(printable(name), printable(value)) for name, value in origin.items()),
+        Fact("method", printable(sensor_map.method or "not recorded")),
         Fact("dimensions", str(sensor_map.dimensions)),
         Fact("units of the map", printable(sensor_map.units)),
     ]

@@ -79,6 +79,12 @@
     giveUp();
     return;
   }
+  // The camera is at a distance at which the height of the view shows the whole box.
+  const narrow = Math.max(1, view.clientHeight / view.clientWidth);
+  for (const { layout } of components) {
+    const eye = layout.scene ? layout.scene.camera.eye : {};
+    for (const axis of Object.keys(eye)) eye[axis] *= narrow;
+  }
   controls.addEventListener("change", draw);
   controls.addEventListener("submit", (event) => event.preventDefault());
   draw().catch(giveUp);
