@@ -277,7 +277,7 @@ def test_sensors_are_assessed_in_the_run_with_most_contacts():
     silent = np.array(NAMED.readings[:1500])
     silent[:, 5] = 0
     runs = [Recording(silent[:, :40], names=NAMED.names[:40]), frames(1500, 3000)]
-    assert assess(runs[0])[5].status == "dead"
+    assert assess(runs[0])[5].status == "silent"
     health = assess(runs)
     assert [sensor.name for sensor in health] == list(NAMED.names)
     assert health[5].status == "ok"

@@ -201,7 +201,7 @@ def test_sensors_that_the_recording_lacks_stay():
     rows = found.map.indices(found.silent)
     assert found.difference.distance[rows].max() < found.difference.spacing
     assert not found.moved
-    assert found.map.health[7] == "dead"  # in the new recording
+    assert found.map.health[7] == "silent"  # in the new recording
 
 
 @pytest.mark.parametrize("seed", [61, 62])

@@ -234,7 +234,7 @@ class Recording:
         missing : {"error", "drop-frames", "interpolate"}
             Raise; remove every frame with a missing reading; or interpolate each sensor linearly
             in time (its ends with the nearest reading). A sensor without any finite reading
-            becomes constant zero, which is assessed as dead.
+            becomes constant zero, which is assessed as silent.
 
         Returns
         -------

@@ -26,6 +26,13 @@ MAX_COORDINATE = 1e100
 """Greatest coordinate of sensors that are aligned or placed: sums of squares are finite."""
 
 UNASSESSED = "unassessed"
+
+SILENT = "silent"
+"""Status of a sensor that is constant at rest: never touched, or dead."""
+
+FEW_CONTACTS = "few contacts"
+"""Status of a sensor with too few contacts to tell more."""
+
 """Health of a sensor before `anisomap.diagnose`."""
 
 DEFAULT_FRAME = "skin"
@@ -392,4 +399,4 @@ def check_coordinates(points: NDArray[np.float64], names: Sequence[str], what: s
 
 def is_faulty(status: str) -> bool:
     """Return whether a status in `SensorMap.health` is that of a faulty sensor."""
-    return status not in ("ok", UNASSESSED)
+    return status not in ("ok", UNASSESSED, SILENT, FEW_CONTACTS)

@@ -6,12 +6,9 @@ import pytest
 import anisomap
 from anisomap import Recording, mantel, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.health import Matches
-from anisomap.health import sensors as behaviour
 from anisomap.large import reconstruct_approximately
 from anisomap.large.approximation import build_similarity_graph
 from anisomap.large.sketch import ApproximateOptions
-from anisomap.numerics.signals import Signals
 from skins import lattice, rubbed
 
 PLACES = lattice(15, 16)
@@ -86,7 +83,7 @@ def test_dead_and_dropped_sensors_are_unplaced_and_broken_wires_separate(monkeyp
     names = [f"pad {i}" for i in range(len(PLACES))]
     skin = made(readings, names=names, drop=["pad 9"])
     np.testing.assert_array_equal(np.flatnonzero(~skin.placed), [7, 9])
-    assert skin.health[7] == "dead"
+    assert skin.health[7] == "silent"
     assert skin.health[50] == "isolated"
     assert skin.component[50] == 1
     assert len(skin.component_sizes) == 2
@@ -127,31 +124,21 @@ def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):
     np.testing.assert_array_equal(*np.array(contacts)[:, at_rest])
 
 
-def test_behaviour_of_many_sensors_is_that_of_few(monkeypatch):
+def test_the_health_of_many_sensors_is_that_of_few(monkeypatch):
     readings = READINGS[:, :40].astype(float)
     readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
-    whole = behaviour.observe(Signals(readings))
-    monkeypatch.setattr(behaviour, "MAX_ALL_PAIRS", 39)
-    many = behaviour.observe(Signals(readings))
-    for name in ("active", "contacts", "at_ceiling", "unexplained", "lag_correlation"):
-        np.testing.assert_allclose(getattr(many, name), getattr(whole, name), rtol=1e-12)
-    np.testing.assert_allclose(many.best_match, whole.best_match, atol=1e-5)
-    assert many.shifted_match[5] >= many.best_match[5]
+    whole = anisomap.assess(Recording(readings))
+    monkeypatch.setattr("anisomap.health.sensors.MAX_ALL_PAIRS", 39)
+    many = anisomap.assess(Recording(readings))
+    assert [sensor.status for sensor in many] == [sensor.status for sensor in whole]
+    best = [[sensor.best_match for sensor in health] for health in (many, whole)]
+    np.testing.assert_allclose(*best, atol=1e-5)
 
 
-def test_known_matches_are_used():
-    readings = READINGS[:, :6].astype(float)
-    kin = np.array([[1, -1]] * 5 + [[-1, -1]])
-    known = behaviour.observe(Signals(readings), Matches(kin, np.full(6, 0.4)))
-    np.testing.assert_array_equal(known.best_match, 0.4)
-    np.testing.assert_array_equal(known.shifted_match, -1)
-    active = readings > 0
-    expected = (active & ~active[:, [1]]).sum(axis=0) / active.sum(axis=0)
-    expected[5] = 0  # the sensor has no match
-    np.testing.assert_allclose(known.unexplained, expected)
-    among = Matches(kin, np.full(6, 0.4)).among(np.array([True, False, True, True, False, False]))
-    np.testing.assert_array_equal(among.nearest, np.full((3, 2), -1))
-    np.testing.assert_array_equal(Matches(kin, kin[:, 0]).among(np.arange(6) < 2).nearest[:, 0], 1)
+def test_a_known_best_match_is_used():
+    known = np.linspace(0.4, 0.9, 6)
+    found = anisomap.assess(Recording(READINGS[:, :6].astype(float)), best_match=known)
+    assert [sensor.best_match for sensor in found] == known.tolist()
 
 
 def test_mantel_r_of_very_many_sensors_uses_a_sample(found, monkeypatch):

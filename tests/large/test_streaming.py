@@ -269,7 +269,7 @@ def test_health_is_assessed_from_an_excerpt_of_bounded_size(monkeypatch):
     with pytest.warns(AnisomapWarning, match=r"assessed from \d+ of 1500 frames"):
         found = reconstruct_chunks(lambda: np.split(late, 10), "r-anisomap", 2)
     assert found.placed[7]
-    assert found.health[7] != "dead"
+    assert found.health[7] != "silent"
 
 
 def test_long_doubles_are_read_as_doubles():

@@ -67,7 +67,7 @@ def print_recording(printer: Printer, recording: Recording, summary: RecordingSu
 def print_health(
     printer: Printer, health: Sequence[SensorHealth], *, all_sensors: bool = False
 ) -> None:
-    """Print the health of faulty sensors, or of all, and the number of sensors of each status."""
+    """Print the health of sensors that are not ok, or of all, and the number of each status."""
     faulty = [sensor for sensor in health if sensor.status != "ok"]
     shown = faulty if all_sensors else faulty[:_MAX_SHOWN]
     healthy = [sensor for sensor in health if sensor.status == "ok"]
@@ -95,8 +95,7 @@ def print_health(
         printer.line(f"  {sensor.name}: {sensor.reason}")
     if len(faulty) > len(shown):
         printer.line(
-            f"  ... and {len(faulty) - len(shown)} more faulty sensors: "
-            "anisomap info --all lists them"
+            f"  ... and {len(faulty) - len(shown)} more sensors: anisomap info --all lists them"
         )
 
 

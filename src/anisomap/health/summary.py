@@ -7,12 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap.health.sensors import MIN_CONTACTS, SensorHealth, assess
+from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.recording import Recording
+from anisomap.sensor_map import FEW_CONTACTS, SILENT, is_faulty
 from anisomap.wording import join_items
 
 MIN_FRAMES = 500
 """Frames below which a recording is short: about half of the paper's shortest run (1,054)."""
+
+
+_CLEAR_R = 0.6  # median of the highest correlations, above which none is due to chance; by hand
+_FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
+_MEANINGS: dict[str, tuple[str, ...]] = {
+    "never varied, so they are dead or were never touched; touch them": (SILENT,),
+    f"had fewer than {MIN_CONTACTS} contacts, so their positions are unreliable; touch them again":
+    (FEW_CONTACTS,),
+    "are stuck and carry no information": ("stuck",),
+    "look faulty, so their positions are unreliable": _FAULTY,
+}  # fmt: skip
+"""What follows from each status but "ok"."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,23 @@ def summarise(
     )
 
 
+def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str]:
+    """Say if most sensors correlate with no other more than by chance."""
+    best = np.array([sensor.best_match for sensor in health])
+    varying = recording.indices([s.name for s in health if np.isfinite(s.best_match)])
+    best = best[np.isfinite(best)]
+    if not best.size or np.median(best) >= _CLEAR_R:
+        return []
+    readings = recording.complete("interpolate").readings[:, varying]
+    share = exceeded_by_chance(readings, np.arange(best.size), best).mean()
+    if share <= 0.5:
+        return []
+    return [
+        f"do not trust a map of this recording: {share:.0%} of the sensors have no significant "
+        "correlation with another; record more contacts"
+    ]
+
+
 def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[str, ...]:
     """List reasons why a map of a recording may be unreliable."""
     found = []
@@ -93,29 +123,13 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
             f"only {recording.n_frames} frames: statistics are unreliable; record {MIN_FRAMES} or "
             "more"
         )
-    groups = {
-        "never vary and carry no information": ("dead", "stuck"),
-        "look faulty and may distort the whole map; drop them": (
-            "saturating",
-            "intermittent",
-            "noisy",
-        ),
-        "have no significant correlation with another sensor, so their positions are arbitrary": (
-            "isolated",
-        ),
-    }
-    for fault, statuses in groups.items():
+    n_told = sum(is_faulty(sensor.status) for sensor in health)
+    caution = "do not trust a map of this recording: " if 2 * n_told > len(health) else ""
+    found += _unrelated(recording, health)
+    for meaning, statuses in _MEANINGS.items():
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
-            caution = (
-                "do not trust a map of this recording: " if 2 * len(names) > len(health) else ""
-            )
-            listed = join_items(names)
-            found.append(f"{caution}{len(names)} of {len(health)} sensors {fault}: {listed}")
-    rare = [s.name for s in health if 0 < s.contacts < MIN_CONTACTS and s.status == "ok"]
-    if rare:
-        found.append(
-            f"{len(rare)} of {len(health)} sensors were touched fewer than {MIN_CONTACTS} "
-            f"times: {join_items(rare)}"
-        )
+            before = caution if all(map(is_faulty, statuses)) else ""
+            of = f"{len(names)} of {len(health)}"
+            found.append(f"{before}{of} sensors {meaning}: {join_items(names)}")
     return tuple(found)

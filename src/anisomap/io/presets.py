@@ -68,7 +68,7 @@ def _without_empty_cells(recording: Recording) -> Recording:
         return recording
     warnings.warn(
         f"{recording.source}: {np.count_nonzero(empty)} of {recording.n_sensors} cells of the grid "
-        "have no reading; they are taken as dead",
+        "have no reading; they are taken as silent",
         AnisomapWarning,
         stacklevel=2,
     )

@@ -14,7 +14,7 @@ from anisomap._version import __version__
 from anisomap.description import caveats
 from anisomap.dimensions import AUTO, Dimensions, check_dimensions, given_dimensions
 from anisomap.errors import InputError
-from anisomap.health import Matches, SensorHealth, assess
+from anisomap.health import SensorHealth, assess
 from anisomap.large.chunks import (
     CHUNK_READINGS,
     Chunks,
@@ -39,7 +39,7 @@ from anisomap.large.sketch import (
     correlations,
     pairs_of,
 )
-from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.options import MethodOptions
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -52,7 +52,6 @@ APPROXIMATED = "r-anisomap"
 EXCERPT_READINGS = 1 << 27
 """Number of readings from which sensor health is assessed; many sensors require many."""
 
-_N_NEAREST = 4  # most similar sensors, as in `anisomap.health.sensors`
 _UNEXAMINED = (
     "approximate maps do not show whether the skin is flat, so the map has 3 dimensions: for a "
     "flat skin, choose 2 (-d 2)"
@@ -170,7 +169,7 @@ def build_similarity_graph(
         build_graph(links, sketch, chosen.n_neighbours), sketch, small_chunks
     )
     links = links.concatenate(bridging)
-    health = assess(excerpt, matches=_matches(links, len(sketch.mean)))
+    health = assess(excerpt, best_match=_best_matches(links, len(sketch.mean)))
     return SimilarityGraph(
         n_frames=sketch.n_frames,
         varying=sketch.varying,
@@ -266,18 +265,12 @@ def _candidates(
     return sensors[firsts], sensors[seconds]
 
 
-def _matches(links: SensorPairs, n_sensors: int) -> Matches:
-    """Return the most similar sensors of each sensor, and its highest r."""
-    sensors = np.concatenate([links.firsts, links.seconds])
-    others = np.concatenate([links.seconds, links.firsts])
-    r = np.tile(links.r, 2)
-    order = np.lexsort((-r, sensors))
-    begins = np.searchsorted(sensors[order], np.arange(n_sensors + 1))
-    places = begins[:-1, None] + np.arange(_N_NEAREST)
-    exists = places < begins[1:, None]
-    places = np.minimum(places, len(order) - 1)
-    best = np.where(exists[:, 0], r[order][places[:, 0]], np.nan)
-    return Matches(nearest=np.where(exists, others[order][places], NO_SENSOR), best=best)
+def _best_matches(links: SensorPairs, n_sensors: int) -> NDArray[np.float64]:
+    """Return the highest r of each sensor with another, NaN without a link, shape (n,)."""
+    best = np.full(n_sensors, -np.inf)
+    for sensors in (links.firsts, links.seconds):
+        np.maximum.at(best, sensors, links.r)
+    return np.where(np.isfinite(best), best, np.nan)
 
 
 def _extrapolated(

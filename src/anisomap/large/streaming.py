@@ -38,7 +38,7 @@ from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.refinements.chain import MIN_SENSORS
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SILENT, SensorMap
 
 logger = logging.getLogger(__name__)
 
@@ -270,6 +270,6 @@ def _rounding(values: ValueCounts) -> Iterator[str]:
 def _extrapolated(sensor: SensorHealth, varies: bool, ratio: float) -> SensorHealth:
     """Extend an assessment of the excerpt to all frames, `ratio` times as many."""
     revised = replace(sensor, contacts=round(sensor.contacts * ratio))
-    if varies and sensor.status in ("dead", "stuck"):
+    if varies and sensor.status in (SILENT, "stuck"):
         return replace(revised, status="ok", reason="")
     return revised

@@ -23,7 +23,6 @@ MAX_PLACES = 3
 """Number of places that are marked: what a person can follow while touching."""
 
 _MAX_NAMED = 5
-_NEARLY_ALL = 0.9  # of the sensors; chosen by hand: skins have fewer dead sensors than a tenth
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +51,14 @@ class Advice:
         return not (self.places or self.untouched) and self.share_done > 0
 
 
-def confirmed_faults(
-    health: Iterable[SensorHealth], untouched: Collection[str], share_touched: float
-) -> tuple[SensorHealth, ...]:
+def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]:
     """Return the sensors that are faulty, without those that were hardly touched so far."""
-    found = []
-    for sensor in health:
-        if sensor.status == "dead":
-            told = sensor.name in untouched and share_touched >= _NEARLY_ALL
-        else:
-            told = sensor.status == "stuck" or sensor.contacts >= ENOUGH_CONTACTS
-        if is_faulty(sensor.status) and told:
-            found.append(sensor)
-    return tuple(found)
+    return tuple(
+        sensor
+        for sensor in health
+        if is_faulty(sensor.status)
+        and (sensor.status == "stuck" or sensor.contacts >= ENOUGH_CONTACTS)
+    )
 
 
 def advise(

@@ -117,12 +117,11 @@ class SessionMaps:
     @property
     def faults(self) -> tuple[SensorHealth, ...]:
         """The sensors that are faulty; those that were hardly touched so far are left out."""
-        quick = self.quick
-        if self.checked is None or quick is None:
+        if self.checked is None:
             return ()
-        untouched = {quick.names[i] for i in quick.advice.untouched}
-        kept = [one for one in self.checked.health if one.name not in self.options.drop]
-        return confirmed_faults(kept, untouched, self.share_touched)
+        return confirmed_faults(
+            one for one in self.checked.health if one.name not in self.options.drop
+        )
 
     def reached(self, level: str) -> bool:
         """Return whether the last two checked maps have a level, or a better one.

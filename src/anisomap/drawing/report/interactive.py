@@ -23,7 +23,14 @@ from anisomap.drawing.view import (
     view_axes,
 )
 from anisomap.evaluation import Score
-from anisomap.sensor_map import UNASSESSED, UNSCALED, SensorMap, is_faulty
+from anisomap.sensor_map import (
+    FEW_CONTACTS,
+    SILENT,
+    UNASSESSED,
+    UNSCALED,
+    SensorMap,
+    is_faulty,
+)
 
 Trace: TypeAlias = dict[str, Any]
 
@@ -32,10 +39,10 @@ STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
     {
         "ok": "#0072b2",
         UNASSESSED: "#0072b2",
-        "dead": "#000000",
+        SILENT: "#000000",
+        FEW_CONTACTS: "#f0e442",
         "stuck": "#d55e00",
         "saturating": "#e69f00",
-        "intermittent": "#cc79a7",
         "noisy": "#009e73",
         "isolated": "#56b4e9",
     }
