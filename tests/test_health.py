@@ -77,7 +77,7 @@ def test_healthy_real_skins_give_no_false_alarms(recordings_folder, name):
 def test_faults_of_a_simulated_skin_are_found_and_nothing_else(fault):
     # The default noise (0.1 of the range) is a quarter of the variance of these sensors, half of it
     # hidden by the onsets of contacts: too close to the threshold for a reliable detection.
-    strength = {"noisy": {"level": 0.15}}.get(fault, {})
+    strength = {"noisy": {"level": 0.15}, "saturating": {"mean_gap": 40}}.get(fault, {})
     broken = FAULTS_OF_SIMULATION[fault](bombarded_skin(), ["s5", "s17"], rng=1, **strength)
     found = {sensor.name: sensor.status for sensor in assess(broken) if sensor.status != "ok"}
     status = {"dead": "silent"}.get(fault, fault)
