@@ -60,6 +60,8 @@ def test_the_wheel_holds_types_and_templates_but_no_tests(installed):
     templates = {path.name for path in (ROOT / "src").rglob("templates/*")}
     assert "report.html" in templates
     assert templates == {path.name for path in installed.rglob("templates/*")}
+    data = {path.name for path in (ROOT / "src/anisomap/datasets/data").iterdir()}
+    assert data == {path.name for path in (installed / "anisomap/datasets/data").iterdir()}
     assert {path.name.split("-")[0] for path in installed.iterdir()} == {"anisomap"}
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from importlib.resources import as_file, files
+from pathlib import Path
 
 from sklearn.utils import Bunch
 
-from anisomap.io import read_dissimilarities
+from anisomap.io import read, read_dissimilarities
+
+_DATA = Path(__file__).parent / "data"
 
 _EKMAN = """Similarities of 14 colours.
 
@@ -22,6 +24,67 @@ _EURODIST = """Road distances between 21 cities of Europe, in km.
 Known from the documentation of R's ``cmdscale``. Roads wind, and two values are evidently wrong, so
 that they fit no map exactly. From a table in The Cambridge Encyclopaedia. Facts, free to use.
 """
+
+_SIMULATED = """Simulated recording of {n} sensors {where}.
+
+The readings of ``anisomap.simulate({body!r}, {scenario!r}, n_frames={frames}, seed=1)``, rounded to
+8 bits. {touched} The true positions are in metres.
+
+Made by the anisomap developers; BSD-3-Clause, the licence of anisomap.
+"""
+
+
+def load_sphere() -> Bunch:
+    """Load a recording of a sphere that elastic balls hit.
+
+    Returns
+    -------
+    sklearn.utils.Bunch
+        `recording`, a `Recording` of 2,000 frames of 60 sensors with true positions; `DESCR`, how
+        it was made, and the licence.
+
+    Examples
+    --------
+    >>> import anisomap
+    >>> recording = load_sphere().recording
+    >>> sensor_map = anisomap.reconstruct(recording)
+    >>> anisomap.score(sensor_map, recording, permutations=0).mantel.r > 0.99
+    True
+    """
+    return _recording(
+        "sphere", n=60, where="on a sphere", scenario="bombardment", frames=2000,
+        touched="Elastic balls bounce off the sphere, as in the paper.",
+    )  # fmt: skip
+
+
+def load_hexagon() -> Bunch:
+    """Load a recording of a flat patch of six triangles that a palm rubs.
+
+    Returns
+    -------
+    sklearn.utils.Bunch
+        `recording`, a `Recording` of 1,500 frames of 60 sensors with true positions; `DESCR`, how
+        it was made, and the licence.
+    """
+    return _recording(
+        "hexagon", n=60, where="on six triangles around a vertex", scenario="rubbing", frames=1500,
+        touched="A palm rubs the patch along lines and circles.",
+    )  # fmt: skip
+
+
+def load_hand() -> Bunch:
+    """Load a recording of a hand that a palm rubs.
+
+    Returns
+    -------
+    sklearn.utils.Bunch
+        `recording`, a `Recording` of 2,000 frames of 160 sensors with true positions; `DESCR`, how
+        it was made, and the licence.
+    """
+    return _recording(
+        "hand", n=160, where="on a hand with a palm and five fingers", scenario="rubbing",
+        frames=2000, touched="A palm rubs the hand along lines and circles.",
+    )  # fmt: skip
 
 
 def load_ekman() -> Bunch:
@@ -55,6 +118,10 @@ def load_eurodist() -> Bunch:
 
 
 def _dissimilarities(name: str, description: str) -> Bunch:
-    with as_file(files(__package__) / "data" / f"{name}.csv") as path:
-        found = read_dissimilarities(path)
+    found = read_dissimilarities(_DATA / f"{name}.csv")
     return Bunch(dissimilarities=found.values, names=found.names, DESCR=description)
+
+
+def _recording(name: str, **facts: str | int) -> Bunch:
+    description = _SIMULATED.format(body=name, **facts)
+    return Bunch(recording=read(_DATA / f"{name}.npz"), DESCR=description)
