@@ -288,3 +288,20 @@ def test_registries_are_consistent():
     assert used == set(SIMILARITIES)
     for entry in [*METHODS.values(), *SIMILARITIES.values()]:
         assert entry.summary
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("dimensions", [1, 2, 3, "auto"])
+def test_frames_that_cannot_place_sensors_are_said_at_once(method, dimensions):
+    readings = np.random.default_rng(0).random((6, 9))
+    least = 4 if dimensions == "auto" else dimensions + 2
+    with pytest.raises(InputError, match=f"at least {least} frames, got {least - 1}"):
+        anisomap.reconstruct(readings[: least - 1], method, dimensions)
+
+
+def test_so_few_frames_hold_no_more_dimensions():
+    """Correlations of T frames are inner products of points of a sphere of T - 2 dimensions."""
+    for n_frames in (2, 3, 4, 5):
+        readings = np.random.default_rng(n_frames).random((n_frames, 30))
+        rank = np.linalg.matrix_rank(np.corrcoef(readings.T), tol=1e-9)
+        assert rank == n_frames - 1  # of the space that holds the sphere

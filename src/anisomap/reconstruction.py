@@ -150,6 +150,7 @@ def reconstruct_with_stages(
     joined = join_runs(runs)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
     _check_size(mapped, dimensions, recipe, options)
+    _check_frames(joined.n_frames, dimensions)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
     stages = compute_stages(complete, recipe, dimensions, options)
@@ -309,6 +310,20 @@ def _check_size(
     if dimensions != AUTO and dimensions > n_mapped:
         raise InputError(f"{dimensions} dimensions require as many sensors, got {n_mapped}")
     check_pair_memory(int(n_mapped), refined=bool(recipe.refinements))
+
+
+def _check_frames(n_frames: int, dimensions: Dimensions) -> None:
+    """Check that correlations of so many frames can place points.
+
+    Centred and scaled readings of T frames are points of a sphere of T - 2 dimensions.
+    """
+    k = 2 if dimensions == AUTO else dimensions
+    held = max(0, n_frames - 2)
+    if held < k:
+        raise InputError(
+            f"a map in {k} dimensions requires at least {k + 2} frames, got {n_frames}, whose "
+            f"correlations place sensors in at most {held} dimension{'s' * (held != 1)}"
+        )
 
 
 def _check_related(configuration: Configuration, options: MethodOptions) -> None:
