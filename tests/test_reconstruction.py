@@ -188,7 +188,7 @@ def test_components_have_the_same_unit(size):
     assert max(spacings) < 2 * min(spacings)
 
 
-@pytest.mark.parametrize("unit", [1e-200, 1e152])
+@pytest.mark.parametrize("unit", [1e-200, 1e149])
 def test_readings_of_extreme_magnitude_are_mapped(unit):
     usual = flat_map(n_frames=300)
     extreme = quietly(reconstruct, flat_skin(n_frames=300).readings * unit, dimensions=2)

@@ -288,3 +288,17 @@ def test_columns_of_a_data_frame_name_the_sensors():
     assert Recording(frame).names == ("left", "right")
     assert Recording(frame, names=("a", "b")).names == ("a", "b")
     assert Recording(frame).select([1]).names == ("right",)
+
+
+@pytest.mark.parametrize("value", [1e300, -1.7e308, 1e151])
+def test_readings_out_of_range_are_missing(value):
+    readings = np.random.default_rng(0).random((9, 3))
+    usual = Recording(np.where(np.arange(9)[:, None] == 4, np.nan, readings)).complete(
+        "interpolate"
+    )
+    readings[4] = value
+    recording = Recording(readings)
+    with pytest.raises(InputError, match=r"3 readings are NaN, infinite or above 1e\+150.*frame 4"):
+        recording.complete()
+    assert recording.complete("drop-frames").n_frames == 8
+    np.testing.assert_array_equal(recording.complete("interpolate").readings, usual.readings)

@@ -22,8 +22,11 @@ from anisomap.wording import html_table, noun_and_items
 Scalar: TypeAlias = str | int | float | bool
 """Values of metadata and provenance: types that every file format can store."""
 
+MAX_READING = 1e150
+"""Largest magnitude of a reading that is not missing: sums of squares of readings are finite."""
+
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
-"""How to handle readings that are NaN or infinite."""
+"""How to handle missing readings: see `Recording.complete`."""
 
 _Array = TypeVar("_Array", bound=NDArray[np.generic])
 
@@ -227,7 +230,7 @@ class Recording:
         )
 
     def complete(self, missing: MissingPolicy = "error") -> Recording:
-        """Handle readings that are NaN or infinite.
+        """Handle readings that are NaN, infinite or above `MAX_READING`.
 
         Parameters
         ----------
@@ -239,7 +242,8 @@ class Recording:
         Returns
         -------
         Recording
-            All readings are finite; this recording itself if they already were.
+            All readings are finite, and at most `MAX_READING` in magnitude; this recording itself
+            if they already were.
 
         Raises
         ------
@@ -247,13 +251,13 @@ class Recording:
             Under "error" if a reading is missing, naming sensors and frames; under "drop-frames"
             if no frame would be left.
         """
-        if np.isfinite(self.extremes).all():
+        if (np.abs(self.extremes).astype(np.float64) <= MAX_READING).all():
             return self
-        absent = ~np.isfinite(self.readings)
+        absent = ~(np.abs(self.readings).astype(np.float64) <= MAX_READING)
         if missing == "error":
             raise InputError(self._describe_missing(absent))
         if missing == "interpolate":
-            return replace(self, readings=fill_gaps(self.readings))
+            return replace(self, readings=fill_gaps(np.where(absent, np.nan, self.readings)))
         if missing != "drop-frames":
             raise InputError(f"missing must be error, drop-frames or interpolate, got {missing!r}")
         silent = absent.all(axis=0)
@@ -272,7 +276,8 @@ class Recording:
         frames = np.flatnonzero(absent.any(axis=1))
         n_absent = int(absent.sum())
         return (
-            f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN or infinite: "
+            f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN, infinite or above "
+            f"{MAX_READING:g}: "
             f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
             "handle them first, by Recording.complete with drop-frames or interpolate"
         )

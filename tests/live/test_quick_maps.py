@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from anisomap import reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
+from anisomap.live.batches import Batch
 from anisomap.live.coach import advise, confirmed_faults
 from anisomap.live.quick_map import (
     SAMPLE_FRAMES,
@@ -177,3 +178,16 @@ def test_a_sensor_that_was_not_touched_yet_is_not_told_as_faulty():
         health("fine", "ok", 40),
     ]
     assert [sensor.name for sensor in confirmed_faults(sensors)] == ["stuck", "noisy"]
+
+
+@pytest.mark.parametrize("value", [1e308, -1.7e308, 1e39, np.inf])
+def test_readings_out_of_range_are_missing(value):
+    """Warnings are errors in the tests."""
+    readings = np.random.default_rng(0).random((50, 4))
+    readings[7, 2] = value
+    batch = Batch(readings)
+    assert np.argwhere(np.isnan(batch.readings)).tolist() == [[7, 2]]
+    statistics = TouchStatistics(4)
+    statistics.add(batch.readings)
+    assert statistics.n_frames == 50
+    assert np.isfinite(statistics.highest).all()

@@ -19,6 +19,8 @@ from anisomap.sensor_map import SensorMap
 WAIT_S = 0.1
 """Longest time in seconds for which a source waits before it looks whether it must stop."""
 
+_MAX_READING = float(np.finfo(np.float32).max)  # quick maps are of float32
+
 RETRY_S = 1.0
 """Time in seconds between two attempts to connect."""
 
@@ -27,12 +29,16 @@ RETRY_S = 1.0
 class Batch:
     """Consecutive frames of one width.
 
-    readings (t, N): One row per frame; NaN where a reading is missing.
+    readings (t, N): One row per frame; NaN where a reading is missing, or out of range.
     times (t,): Seconds of the clock of the source; by default the time of arrival is recorded.
     """
 
     readings: NDArray[np.float64]
     times: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        in_range = np.abs(self.readings) <= _MAX_READING
+        object.__setattr__(self, "readings", np.where(in_range, self.readings, np.nan))
 
 
 @dataclass(frozen=True)
