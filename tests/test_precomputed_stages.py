@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import anisomap
@@ -167,3 +168,11 @@ def test_values_of_unknown_pairs_are_ignored(method, nonsense):
 def test_a_precomputed_stage_must_be_a_matrix(matrix):
     with pytest.raises(InputError, match="must be a matrix of real numbers"):
         reconstruct_from(similarity=matrix)
+
+
+def test_columns_of_a_data_frame_name_the_sensors():
+    lengths = np.abs(np.subtract.outer(np.arange(4.0), np.arange(4.0)))
+    named = pd.DataFrame(lengths, columns=list("abcd"))
+    assert reconstruct_from(metric=named, method="isomap", dimensions=1).names == tuple("abcd")
+    given = reconstruct_from(metric=named, method="isomap", dimensions=1, names=list("wxyz"))
+    assert given.names == tuple("wxyz")

@@ -49,6 +49,7 @@ from anisomap.recording import (
     Scalar,
     as_runs,
     check_names,
+    column_names,
     default_names,
     join_runs,
     select_sensors,
@@ -212,7 +213,7 @@ def reconstruct_from(
     start : array_like of shape (N, k), optional
         Initial positions of the scaling, with k = `dimensions` if that is a number.
     names : sequence of str, optional
-        Unique names of the sensors; ``s0, s1, ...`` by default.
+        Unique names of the sensors; by default the columns of a DataFrame, or ``s0, s1, ...``.
     statistic : str
         Name of the similarity, if it was computed from readings; noted in the map.
 
@@ -238,7 +239,8 @@ def reconstruct_from(
         {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
     )
     n_sensors = len(matrix)
-    names = tuple(names) or default_names(n_sensors)
+    given = column_names(next(x for x in (similarity, dissimilarity, metric) if x is not None))
+    names = tuple(names) or given or default_names(n_sensors)
     check_names(names, n_sensors)
     mapped = ~sensor_mask(names, drop)
     _check_size(mapped, dimensions, recipe, options)

@@ -79,10 +79,10 @@ class Recording:
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        columns = () if len(self.names) else getattr(self.readings, "columns", ())
+        columns = column_names(self.readings)
         readings = _as_readings(self.readings)
         n_frames, n_sensors = readings.shape
-        names = tuple(map(str, (*self.names, *columns))) or default_names(n_sensors)
+        names = tuple(map(str, self.names)) or columns or default_names(n_sensors)
         check_names(names, n_sensors)
         times, rate_hz = self.times, self.rate_hz
         if times is not None:
@@ -299,6 +299,11 @@ def in_range(recording: Recording) -> tuple[Recording, float]:
 def default_names(n_sensors: int) -> tuple[str, ...]:
     """Return default sensor names: ``s0, s1, ...``."""
     return tuple(f"s{i}" for i in range(n_sensors))
+
+
+def column_names(values: object) -> tuple[str, ...]:
+    """Return the names of the columns of a DataFrame; none for other values."""
+    return tuple(map(str, getattr(values, "columns", ())))
 
 
 def check_names(names: Sequence[str], n_sensors: int) -> None:

@@ -29,7 +29,7 @@ from anisomap.io.registry import read
 from anisomap.memory import Budget
 from anisomap.recording import default_names, match_sensors
 
-Cells = list[list[float | str]]
+Rows = list[list[str]]
 
 _UNKNOWN = ("na", "n/a", ".", "-")  # as R, spreadsheets and statistics programs write them
 _LEAST = 4  # objects of a matrix that is recognised; smaller ones look like many tables
@@ -92,76 +92,45 @@ def read_dissimilarities(path: str | os.PathLike[str]) -> Dissimilarities:
     return Dissimilarities(found, names)
 
 
-def read_pair_weights(path: str | os.PathLike[str], names: Sequence[str]) -> NDArray[np.float64]:
-    """Read weights of the pairs of objects.
+def read_pair_weights(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
+    """Read weights of the pairs of N objects, 1 for those that the file lacks. Returns (N, N).
 
-    Parameters
-    ----------
-    path : path-like
-        As for `read_dissimilarities`. Objects are matched by name, or by order if no name is
-        shared; pairs without a weight have weight 1.
-    names : sequence of str
-        Names of the N objects.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Symmetric; 0 marks a pair to leave out.
-
-    Raises
-    ------
-    FileError
-        As `read_dissimilarities`, or if an object is unknown.
+    Objects are matched by name, or by order if no name is shared.
     """
-    file = Path(path)
-    values, own = _read_pairs(file)
-    with file_errors(file):
+    values, own = _read_pairs(path)
+    with file_errors(path):
         found, _ = match_sensors(own, names, "the weights and the dissimilarities")
     if (found < 0).any():
-        raise FileError(f"{file}: there is no object {own[int(np.argmin(found))]} to weight")
+        raise FileError(f"{path}: there is no object {own[int(np.argmin(found))]} to weight")
     weights = np.ones((len(names), len(names)))
     weights[np.ix_(found, found)] = np.where(np.isnan(values), 1, values)
-    if not (weights >= 0).all() or not np.isfinite(weights).all():
-        raise FileError(f"{file}: weights must be finite and at least 0")
+    if (weights < 0).any():
+        raise FileError(f"{path}: weights must be at least 0")
     return weights
 
 
-def find_dissimilarities(path: str | os.PathLike[str]) -> Dissimilarities | None:
-    """Recognise a file of dissimilarities: a square matrix that no recording would hold.
+def find_dissimilarities(path: Path) -> Dissimilarities | None:
+    """Recognise a square matrix, or a triangle, of dissimilarities; None for anything else.
 
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    Dissimilarities or None
-        None if the file holds something else. The matrix is symmetric, its diagonal is 0, and all
-        other values are positive.
-
-    Raises
-    ------
-    InputError
-        If the matrix is symmetric with a constant diagonal, but may be a recording as well.
+    It is symmetric, its diagonal is 0, and all other values are positive. Raises InputError if the
+    diagonal is only constant, or a value 0, so that it may be a recording as well.
     """
-    file = Path(path)
-    if not _may_be_square(file):
+    if not _may_be_square(path):
         return None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
-            values, _ = _read_pairs(file, lists=False)
+            values, _ = _read_pairs(path, lists=False)
     except InputError:
         return None
-    diagonal = np.diag(values)
+    own = np.diag(values)[~np.isnan(np.diag(values))]
     others = values[~np.eye(len(values), dtype=bool)]
-    constant = len({*diagonal[~np.isnan(diagonal)]}) <= 1
-    if len(values) < _LEAST or np.isnan(others).all() or not constant:
+    if len(values) < _LEAST or np.isnan(others).all() or (own != own[:1]).any():
         return None
-    if not diagonal[~np.isnan(diagonal)].any() and not (others <= 0).any():
-        return read_dissimilarities(file)
+    if not own.any() and not (others <= 0).any():
+        return read_dissimilarities(path)
     raise InputError(
-        f"{file} is a symmetric matrix of {len(values)} x {len(values)}: give --dissimilarities if "
+        f"{path} is a symmetric matrix of {len(values)} x {len(values)}: give --dissimilarities if "
         "it holds the dissimilarities of objects, or --no-dissimilarities if it is a recording of "
         f"{len(values)} frames"
     )
@@ -196,20 +165,13 @@ def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64],
             recording = read(file)
             return _symmetric(file, recording.readings.astype(float), recording.names)
         lines = read_lines(file)
-        delimiter = _delimiter(lines)
-        decimal = "." if delimiter == "," else ","
-        rows: Cells = [
-            [_cell(field, decimal) for field in fields]
-            for _, fields in delimited.records(lines, delimiter)
-        ]
-        Budget(file).check(8 * len(rows) ** 2, "its matrix")
+        found = delimited.records(lines, _delimiter(lines))
+        rows = [[field.strip() for field in fields] for _, fields in found]
         if not rows:
             raise FileError(f"{file} is empty")
-        if lists and _is_list(rows):
-            values, names = _from_list(file, rows)
-        else:
-            body, labels = _split_labels(rows)
-            values, names = _from_table(file, body, labels)
+        Budget(file).check(8 * len(rows) ** 2, "its matrix")
+        read_rows = _from_list if lists and _is_list(rows) else _from_table
+        values, names = read_rows(file, rows)
         return _symmetric(file, values, distinct_names(file, names))
 
 
@@ -219,135 +181,114 @@ def _delimiter(lines: Sequence[str]) -> str | None:
     return next(candidates, None)
 
 
-def _cell(field: str, decimal: str) -> float | str:
-    """Convert a field to a number, NaN if it is unknown, or text."""
-    text = field.strip()
-    if text.lower() in _UNKNOWN:
+def _number(cell: str) -> float | None:
+    """Convert a cell, which may have a decimal comma: NaN if it is unknown, None if it is text."""
+    if cell.lower() in _UNKNOWN:
         return math.nan
     try:
-        return parse_number(text.replace(decimal, "."))
+        return parse_number(cell.replace(",", "."))
     except ValueError:
-        return text
+        return None
 
 
-def _is_list(rows: Cells) -> bool:
+def _is_list(rows: Rows) -> bool:
     """Return whether all rows are two names and a value; three rows of numbers are a matrix."""
-    body = rows[1:] if any(isinstance(cell, str) for cell in rows[0][2:]) else rows
-    if not body or any(len(row) != 3 or isinstance(row[2], str) for row in body):
+    body = _without_header(rows)
+    if not body or any(len(row) != 3 or _number(row[2]) is None for row in body):
         return False
-    named = all(isinstance(cell, str) for row in body for cell in row[:2])
-    return named or (len(body) > 3 and not any(math.isnan(_number(row[1])) for row in body))
+    texts = {_number(cell) is None for row in body for cell in row[:2]}
+    return texts == {True} or (texts == {False} and len(body) > 3)
 
 
-def _number(cell: float | str) -> float:
-    return math.nan if isinstance(cell, str) else cell
+def _without_header(rows: Rows) -> Rows:
+    return rows[len(rows[0]) != 3 or _number(rows[0][2]) is None :]
 
 
-def _name(cell: float | str) -> str:
-    return f"{cell:g}" if isinstance(cell, float) else cell
-
-
-def _from_list(file: Path, rows: Cells) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    body = rows[1:] if isinstance(rows[0][2], str) else rows
-    pairs = [(_name(row[0]), _name(row[1]), _number(row[2])) for row in body]
-    names = tuple(dict.fromkeys(name for first, second, _ in pairs for name in (first, second)))
+def _from_list(file: Path, rows: Rows) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    body = _without_header(rows)
+    names = tuple(dict.fromkeys(name for row in body for name in row[:2]))
     Budget(file).check(8 * len(names) ** 2, "its matrix")
     index = {name: i for i, name in enumerate(names)}
     values = np.full((len(names), len(names)), np.nan)
     np.fill_diagonal(values, 0)
-    for first, second, value in pairs:
-        i, j = index[first], index[second]
-        if value not in (values[i, j], math.nan) and not math.isnan(values[i, j]):
-            raise FileError(
-                f"{file} gives two values for {quote(first)} and {quote(second)}: "
-                f"{values[i, j]:g} and {value:g}"
-            )
-        values[i, j] = value
+    for first, second, cell in body:
+        pair, value = (index[first], index[second]), _number(cell)
+        if value is not None and values[pair] != value:
+            if not math.isnan(values[pair]):
+                raise FileError(
+                    f"{file} gives two values for {quote(first)} and {quote(second)}: "
+                    f"{values[pair]:g} and {value:g}"
+                )
+            values[pair] = value
     return values, names
 
 
-def _split_labels(rows: Cells) -> tuple[list[list[float]], tuple[str, ...]]:
+def _split_labels(rows: Rows) -> tuple[Rows, list[str]]:
     """Separate the names in the first row and the first column from the cells."""
     header: list[str] = []
-    if any(isinstance(cell, str) for cell in rows[0][1:]) or _repeats_labels(rows):
-        header, rows = [_name(cell) for cell in rows[0]], rows[1:]
-    column: list[str] = []
-    labelled = any(row and isinstance(row[0], str) for row in rows)
-    if labelled or (header and max(map(len, rows), default=0) > len(rows)):
-        column, rows = [_name(row[0]) for row in rows], [row[1:] for row in rows]
-        header = header[1:] if len(header) > len(column) else header
-    body = [[_checked_number(cell, i) for cell in row] for i, row in enumerate(rows, 1)]
-    if len(header) == len(column) and header != column and len(body[0]) < len(body[-1]):
-        column = [header[0], *column]  # a triangle as R prints it, without its diagonal
-    return body, tuple(column or header)
+    column = [row[0] for row in rows if row]
+    repeated = column[1:] == rows[0][1:] and len(column) > 2 and math.isnan(_number(column[0]) or 0)
+    if repeated or any(_number(cell) is None for cell in rows[0][1:]):
+        header, rows, column = rows[0], rows[1:], column[1:]
+    wide = header and max(map(len, rows), default=0) > len(rows)
+    if not wide and all(_number(cell) is not None for cell in column):
+        return rows, header
+    header = header[len(header) > len(column) :]
+    rows = [row[1:] for row in rows]
+    if header and header != column and len(rows[0]) < len(rows[-1]):
+        return rows, [header[0], *column]  # a triangle as R prints it, without its diagonal
+    return rows, column
 
 
-def _repeats_labels(rows: Cells) -> bool:
-    """Return whether numbers in the first row and column are labels: they agree."""
-    column = [row[0] for row in rows[1:] if row]
-    width = len(rows[0])
-    return (
-        len(rows) == width > 2
-        and math.isnan(_number(rows[0][0]))
-        and column == rows[0][1:]
-        and any(value != 0 for value in column)
-    )
-
-
-def _checked_number(cell: float | str, row: int) -> float:
-    if isinstance(cell, str):
-        raise InputError(f"row {row} of the matrix: {quote(cell)} is not a number")
-    return cell
-
-
-def _from_table(
-    file: Path, rows: list[list[float]], names: tuple[str, ...]
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def _from_table(file: Path, rows: Rows) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Return a matrix from its rows, or from those of a triangle."""
-    widths = [len(row) for row in rows]
-    n_rows = len(rows)
+    cells, names = _split_labels(rows)
+    body = [[_number(cell) for cell in row] for row in cells]
+    for i, row in enumerate(body):
+        if None in row:
+            wrong = quote(cells[i][row.index(None)])
+            raise FileError(f"{file}, row {i + 1} of the matrix: {wrong} is not a number")
+    widths, n_rows = [len(row) for row in body], len(body)
     if set(widths) == {n_rows}:
-        return np.array(rows), names or default_names(n_rows)
+        return np.array(body, dtype=float), tuple(names) or default_names(n_rows)
     steps = set(np.diff(widths).tolist())
     if steps not in ({1}, {-1}):
         raise FileError(
-            f"{file} has {n_rows} rows of {min(widths)} to {max(widths)} numbers; dissimilarities "
-            "are a square matrix, a triangle, or lines of two names and a value"
+            f"{file} has {n_rows} rows of {min(widths, default=0)} to {max(widths, default=0)} "
+            "numbers; dissimilarities are a square matrix, a triangle, or lines of two names and a "
+            "value"
         )
     if upper := steps == {-1}:
-        rows, names = [row[::-1] for row in rows[::-1]], names[::-1]
-    with_diagonal = len(names) == len(rows[-1]) or (
-        not names and all(row[-1] == 0 for row in rows if row)
-    )
-    n = len(rows[-1]) + (not with_diagonal)
+        body, names = [row[::-1] for row in body[::-1]], names[::-1]
+    ends_at_0 = all(row[-1] == 0 for row in body if row)
+    n = len(body[-1]) + (len(names) != len(body[-1]) and (bool(names) or not ends_at_0))
+    if names and len(names) != n:
+        raise FileError(f"{file} names {len(names)} objects, but its triangle has {n}")
     values = np.full((n, n), np.nan)
-    for i, row in enumerate(rows, start=n - n_rows):
+    for i, row in enumerate(body, start=n - n_rows):
         values[i, : len(row)] = row
     np.fill_diagonal(values, 0)
-    if len(names or rows) not in (n, n_rows):
-        raise FileError(f"{file} names {len(names)} objects, but its triangle has {n}")
     if upper:
         values, names = values[::-1, ::-1], names[::-1]
-    return values, names if len(names) == n else default_names(n)
+    return values, tuple(names) or default_names(n)
 
 
 def _symmetric(
     file: Path, values: NDArray[np.float64], names: tuple[str, ...]
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Fill each triangle from the other; raise unless they agree where both are known."""
-    if values.shape[0] != values.shape[1] or len(names) != len(values):
+    if values.shape != (len(names),) * 2:
         raise FileError(
             f"{file} has {values.shape[0]} rows of {values.shape[1]} numbers and {len(names)} "
             "names; dissimilarities are a square matrix"
         )
     values = np.where(np.isinf(values), np.nan, values)
-    largest = np.nanmax(np.abs(values), initial=0, where=np.isfinite(values))
-    apart = np.abs(values - values.T) > _ROUNDING * largest
+    apart = np.abs(values - values.T) > _ROUNDING * np.nanmax(np.abs(values), initial=0)
     if apart.any():
         i, j = np.argwhere(apart)[0]
         raise FileError(
             f"{file} is not symmetric: {names[i]} to {names[j]} is {values[i, j]:g}, but "
             f"{names[j]} to {names[i]} is {values[j, i]:g}; average both first"
         )
-    both = np.where(np.isnan(values), values.T, (values + np.where(apart, 0, values.T)) / 2)
-    return np.where(np.isnan(both), values, both), names
+    filled = np.where(np.isnan(values), values.T, values)
+    return (filled + filled.T) / 2, names

@@ -51,7 +51,7 @@ _WIDTH, _NARROW, _HEAD, _ROW, _SMALL_ROW, _FOOT, _LINE = 14.0, 8.0, 0.5, 5.4, 4.
 _COLUMNS, _MAX_SMALL_PANELS = 3, 9
 _SIDES = (1.0, 1.0, 1.0)
 _COMPARISON = (1.2, 1.2, 0.02, 0.95)  # the third is a gap for the z axis and its title
-_N_LABELS, _LABEL_ALL, _MAX_LABEL = 8, 12, 14
+_N_LABELS, _LABEL_ALL, _MAX_LABEL = 8, 24, 14
 _CHARACTERS_PER_INCH, _MAX_LINES = 13.5, 10
 
 
