@@ -96,6 +96,10 @@ def test_an_array_is_read_as_well(tmp_path):
     np.save(tmp_path / "d.npy", RECTANGLE)
     np.testing.assert_array_equal(io.read_dissimilarities(tmp_path / "d.npy").values, RECTANGLE)
     assert io.find_dissimilarities(tmp_path / "d.npy") is not None
+    np.save(tmp_path / "d.npy", RECTANGLE[:3])
+    assert io.find_dissimilarities(tmp_path / "d.npy") is None
+    (tmp_path / "d.npy").write_bytes((tmp_path / "d.npy").read_bytes()[:90])
+    assert io.find_dissimilarities(tmp_path / "d.npy") is None
 
 
 @pytest.mark.parametrize(

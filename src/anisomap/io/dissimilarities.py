@@ -22,7 +22,14 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.parsing import delimited
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import file_errors, open_text, quote, read_head, read_lines
+from anisomap.io.parsing.source import (
+    file_errors,
+    library_errors,
+    open_text,
+    quote,
+    read_head,
+    read_lines,
+)
 from anisomap.io.parsing.table import parse_number
 from anisomap.io.recordings import delimited_text, npy
 from anisomap.io.registry import read
@@ -143,7 +150,9 @@ def _may_be_square(file: Path) -> bool:
     with file_errors(file), suppress(FileError):
         head = read_head(file)
         if head.startswith(npy.MAGIC):
-            return True
+            with library_errors(file):  # the map is closed before anything of it is read
+                shape = np.load(file, mmap_mode="r", allow_pickle=False).shape
+            return len(shape) == 2 and shape[0] == shape[1]
         if head.startswith(delimited_text.SIGNATURE) or not delimited_text.recognises(file, head):
             return False
         with open_text(file) as text:
