@@ -21,12 +21,14 @@ from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.layout.chance import (
     ReadingStatistics,
     agreement,
+    agreement_as_a_whole,
     own_agreement,
     reading_statistics,
 )
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.numerics.layout.moves import ModuleShapes
 from anisomap.numerics.layout.search import Search, Verdict
+from anisomap.numerics.recording_faults.copies import find_copies
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
@@ -52,6 +54,11 @@ KINDS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Kinds of findings."""
+
+
+CONSISTENT, NOT_CONSISTENT = "consistent", "not consistent"
+CONTRADICTED, UNKNOWN = "contradicted as a whole", "unknown"
+"""Verdicts on a layout; after the last two, no single sensor is accused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +116,15 @@ class LayoutCheck:
         Module of each sensor, from 0; -1 without one.
     spacing : float
         Median distance between neighbours, in units of the layout.
+    p : float
+        Probability that a layout whose sensors are shuffled agrees with the readings as well.
+    explained : float
+        Agreement of the layout beyond that of shuffled ones, over the highest possible: about 1 for
+        a right layout, 0 for a shuffled one, 0.25 if half of the sensors are shuffled.
+    verdict : str
+        ``"consistent"``, ``"not consistent"``: readings contradict the positions of the sensors in
+        findings; ``"contradicted as a whole"``: those of half of the sensors or more, which makes
+        single sensors uncertain; or ``"unknown"``: the readings say too little.
     notes : tuple of str
         What was not tested, and other caveats.
     """
@@ -120,12 +136,15 @@ class LayoutCheck:
     agreement: NDArray[np.float64]
     module: NDArray[np.intp]
     spacing: float
+    p: float = float("nan")
+    explained: float = float("nan")
+    verdict: str = CONSISTENT
     notes: tuple[str, ...] = ()
 
     @property
     def consistent(self) -> bool:
-        """Whether nothing was found."""
-        return not self.findings
+        """Whether the layout explains the readings, and nothing was found."""
+        return self.verdict == CONSISTENT
 
     @property
     def n_tested(self) -> int:
@@ -147,9 +166,8 @@ class LayoutCheck:
         return tuple(self.layout.names[i] for i in finding.sensors)
 
     def __repr__(self) -> str:
-        verdict = "consistent" if self.consistent else f"{len(self.findings)} findings"
         return (
-            f"<LayoutCheck: {verdict}, {int(self.accused.sum())} sensors in them, "
+            f"<LayoutCheck: {self.verdict}, {int(self.accused.sum())} sensors in them, "
             f"{self.n_tested} of {self.layout.n_sensors} tested>"
         )
 
@@ -157,7 +175,7 @@ class LayoutCheck:
         rows: dict[str, object] = {
             "sensors tested": f"{self.n_tested} of {self.layout.n_sensors}",
             "modules": self.n_modules,
-            "verdict": "consistent" if self.consistent else "not consistent",
+            "verdict": self.verdict,
         }
         rows |= {
             f"{i}: {finding.kind}": finding.explanation
@@ -188,10 +206,12 @@ logger = logging.getLogger(__name__)
 MIN_SENSORS = 4
 """Minimum number of sensors that can be tested."""
 
-_DOUBLED = 0.98  # least similarity of two sensors with equal readings
-_DOUBLED_RATIO = 0.1  # of their dissimilarity to that of the next most similar sensor, at most
 _LEAST_SENSITIVE = 0.05  # quantile of the contacts of sensors, relative to their neighbours
 _MAX_NAMED = 8
+_MAX_P = 0.01  # of a layout that explains the readings better than shuffled ones
+_HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors are shuffled
+_MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
+_MIN_TESTED = 0.5  # share of the sensors that must be tested to contradict a layout as a whole
 
 
 def check_layout(
@@ -236,6 +256,9 @@ def check_layout(
 
     Notes
     -----
+    First, the layout is compared with shuffled ones. If it explains the readings no better, or so
+    little that half of the sensors or more are elsewhere, no single sensor is accused.
+
     The evidence is how the similarity of two sensors falls with their distance on the layout. A
     proposed change of places must raise the log-likelihood of all similarities, also in both
     halves of the recording; and it must raise the agreement of the sensors with those around
@@ -261,13 +284,17 @@ def check_layout(
     logger.info("comparing readings with positions")
     with limited_blas(len(rows)):
         known = statistics or reading_statistics(joined.readings, generator, n_shifts=n_shifts)
+        part = joined.select(columns)
         checked = _Checked(
             stated,
             joined.signals.contacts[columns],
+            constant=~joined.varying()[columns],
+            copies=[one.sensors for one in find_copies(part.readings, *part.extremes)],
             rows=rows,
             spacing=spacing,
             members=members,
             statistics=known.select(columns),
+            rng=generator,
         )
         return checked.result(notes)
 
@@ -280,12 +307,16 @@ class _Checked:
         layout: SensorMap,
         contacts: NDArray[np.intp],
         *,
+        constant: NDArray[np.bool_],
+        copies: Sequence[Sequence[int]],
         rows: NDArray[np.intp],
         spacing: float,
         members: Sequence[NDArray[np.intp]],
         statistics: ReadingStatistics,
+        rng: np.random.Generator,
     ) -> None:
         self._layout = layout
+        self._rng = rng
         self._rows = rows
         self._spacing = spacing
         self._positions = layout.positions[rows]
@@ -301,13 +332,14 @@ class _Checked:
         )
         self._statistics = statistics
         self._contacts = contacts
+        self._constant, self._copies = constant, copies
         self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
         self._findings: list[LayoutFinding] = []
 
     def result(self, notes: tuple[str, ...]) -> LayoutCheck:
         """Carry out all steps."""
         self._find_dead()
-        self._find_doubled()
+        self._find_doubled(self._copies)
         if np.count_nonzero(self._usable) < MIN_SENSORS:
             raise InputError(
                 f"only {np.count_nonzero(self._usable)} of {len(self._rows)} sensors read anything "
@@ -317,10 +349,31 @@ class _Checked:
             self._statistics, self._positions, self._usable, self._spacing, self._modules
         )
         stated_agreement = own_agreement(search.evidence)
+        self._p, self._explained = agreement_as_a_whole(search.evidence, self._rng)
+        if self._p > _MAX_P or self._explained < _HALF_WRONG:
+            return self._as_a_whole(stated_agreement, notes)
         search.run()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
-        return self._summary(proposed, stated_agreement, notes)
+        if not self._findings and self._explained < _MANY_WRONG:
+            return self._as_a_whole(stated_agreement, notes)
+        verdict = NOT_CONSISTENT if self._findings else CONSISTENT
+        return self._summary(proposed, stated_agreement, verdict, notes)
+
+    def _as_a_whole(self, agreement: NDArray[np.float64], notes: tuple[str, ...]) -> LayoutCheck:
+        """Judge a layout that explains too little for accusations of single sensors."""
+        told = np.mean(self._usable) >= _MIN_TESTED
+        self._findings = []
+        self._usable[:] = False
+        text = (
+            f"about {1 - max(0.0, self._explained) ** 0.5:.0%} of the sensors are not where the "
+            "layout states, too many to say which: check that it is of this skin, and the order of "
+            "its sensors"
+            if told
+            else "the recording says too little of the sensors: touch them more, and more evenly"
+        )
+        verdict = CONTRADICTED if told else UNKNOWN
+        return self._summary(self._positions, agreement, verdict, (text, *notes))
 
     def _find_dead(self) -> None:
         """Find constant sensors that should have been touched, as their neighbours were.
@@ -340,29 +393,22 @@ class _Checked:
         if not alive.any():
             return
         least = float(np.quantile(self._contacts[alive] / around[alive], _LEAST_SENSITIVE))
-        for i in np.flatnonzero((self._contacts == 0) & (around * least >= MIN_CONTACTS)).tolist():
+        for i in np.flatnonzero(self._constant & (around * least >= MIN_CONTACTS)).tolist():
             text = (
                 f"{self._names[i]} is constant, although its neighbours were touched "
                 f"{around[i]:.0f} times"
             )
             self._findings.append(LayoutFinding("dead", np.array([i]), text))
 
-    def _find_doubled(self) -> None:
-        """Find pairs with equal readings; the one that fits its place less is the copy."""
-        similarity = np.array(self._statistics.similarity, dtype=np.float64)
-        np.fill_diagonal(similarity, -1)
-        similarity[~self._usable] = similarity[:, ~self._usable] = -1
-        ordered = np.sort(similarity, axis=1)
-        for i, j in np.argwhere(np.triu(similarity >= _DOUBLED)).tolist():
-            following = max(ordered[i, -2], ordered[j, -2]) if len(ordered) > 2 else -1.0
-            # Of three equal sensors, the first two are compared without the third.
-            if 1 - similarity[i, j] > _DOUBLED_RATIO * (1 - following):
-                continue
-            fits = [self._fit_without(k, {i, j}) for k in (i, j)]
-            copy, source = (i, j) if fits[0] < fits[1] else (j, i)
-            text = f"{self._names[copy]} repeats the readings of {self._names[source]}"
-            self._findings.append(LayoutFinding("doubled", np.array([copy]), text))
-            self._usable[copy] = False
+    def _find_doubled(self, copies: Sequence[Sequence[int]]) -> None:
+        """Report those sensors of one wire that fit their places less than another."""
+        for group in copies:
+            fits = {i: self._fit_without(i, set(group)) for i in group if self._usable[i]}
+            source, *others = sorted(fits, key=lambda i: -fits[i]) or [-1]
+            for copy in others:
+                text = f"{self._names[copy]} repeats the readings of {self._names[source]}"
+                self._findings.append(LayoutFinding("doubled", np.array([copy]), text))
+                self._usable[copy] = False
 
     def _fit_without(self, sensor: int, pair: set[int]) -> float:
         """Return the mean similarity of a sensor to its neighbours, without a pair."""
@@ -387,7 +433,11 @@ class _Checked:
             move = Move(group.sensors, proposed[group.sensors])
             before = evidence.moved(Move(group.sensors, self._positions[group.sensors]))
             verdict = search.judge(before, move, group.alternatives, rigid=group.kind == "moved")
-            if not verdict.holds:
+            stated, there = (
+                _mean(agreement(before, group.sensors, places[group.sensors]))
+                for places in (self._positions, proposed)
+            )
+            if not verdict.holds or there <= stated:
                 proposed[group.sensors] = self._positions[group.sensors]
                 continue
             self._findings.append(self._finding(group, before, move, verdict))
@@ -419,6 +469,7 @@ class _Checked:
         self,
         proposed: NDArray[np.float64],
         stated_agreement: NDArray[np.float64],
+        verdict: str,
         notes: tuple[str, ...],
     ) -> LayoutCheck:
         n_sensors = self._layout.n_sensors
@@ -431,7 +482,7 @@ class _Checked:
             for column in finding.sensors:
                 status[self._rows[column]] = finding.kind
         untested = [self._layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
-        if untested:
+        if untested and len(untested) < n_sensors:
             notes += (
                 f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
                 f"nothing of them: {join_items(untested, _MAX_NAMED)}",
@@ -450,6 +501,9 @@ class _Checked:
             values,
             self._label,
             self._spacing,
+            self._p,
+            self._explained,
+            verdict,
             notes,
         )
 

@@ -161,8 +161,8 @@ def _of_modules(
                     text = (
                         f"module {_span(members, names)} is a mirror image of what is stated"
                         if image.reflected
-                        else f"module {_span(members, names)} is turned by {image.angle:.0f} "
-                        "degrees"
+                        else f"module {_span(members, names)} is turned by "
+                        + turn_in_words(stated[members], stated[target[members]], image.angle)
                     )
                     kind = "mirrored" if image.reflected else "turned"
                     turns = turned_moves(stated, members, modules.symmetries[k])
@@ -179,6 +179,27 @@ def _of_modules(
         found.append(Explained("exchanged", np.sort(sensors), text))
         left[sensors] = False
     return found
+
+
+def turn_in_words(before: NDArray[np.float64], after: NDArray[np.float64], angle: float) -> str:
+    """Say by how much, in which direction and about which axis places were turned.
+
+    before, after (m, k). In 3D, the axis points to the side of its largest coordinate.
+    """
+    first, second = (
+        np.pad(p - p.mean(axis=0), ((0, 0), (0, 3 - p.shape[1]))) for p in (before, after)
+    )
+    axis: NDArray[np.float64] = np.cross(first, second).sum(axis=0)
+    length = float(np.linalg.norm(axis))
+    size = f"{angle:.0f} degrees"
+    if length <= _SAME * float((first**2).sum()):
+        return size  # half a turn has no direction
+    if before.shape[1] == 2:
+        return f"{size} {'counterclockwise' if axis[2] > 0 else 'clockwise'}"
+    sign = float(np.sign(axis[np.abs(axis).argmax()]))
+    sense = "+" if sign > 0 else "-"
+    listed = ", ".join(f"{0.0 + round(one, 2):g}" for one in (sign / length * axis).tolist())
+    return f"{sense}{size} about the axis ({listed})"
 
 
 def _shifted_runs(

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding
 
 INCONSISTENT = 1
-"""Exit code if readings of sensors contradict their positions."""
+"""Exit code if readings contradict positions, those of single sensors or of all."""
+
+_EXIT_CODES = {"consistent": 0, "unknown": 2}
 
 _MEASURED = ("displacement", "agreement_stated", "agreement_proposed", "chance", "gain")
 
@@ -49,7 +51,8 @@ def check(
 
     Finds swapped sensors, shifted cables, turned, mirrored and exchanged modules, moved patches,
     and doubled and dead sensors. Sensors without evidence in the recording are not tested. The
-    exit code is 0 if nothing is found, and 1 otherwise.
+    exit code is 0 if nothing is found, 1 if readings contradict positions, those of single sensors
+    or of the layout as a whole, and 2 if the recording says too little.
 
     Parameters
     ----------
@@ -97,7 +100,7 @@ def check(
         _print(printer, found, f"{layout_file.name} against {recording_file.name}")
         if files:
             printing.print_files(printer, files)
-    return 0 if found.consistent else INCONSISTENT
+    return _EXIT_CODES.get(found.verdict, INCONSISTENT)
 
 
 def _are_swapped(layout_file: Path, recording_file: Path, how: ReadOptions) -> bool:
@@ -123,9 +126,11 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
         {
             "sensors tested": f"{found.n_tested} of {layout.n_sensors}",
             "modules": _modules(found),
-            "verdict": "consistent"
-            if found.consistent
-            else f"not consistent: the readings of {accused} sensors "
+            "as a whole": f"{percent(max(0.0, found.explained))} of the possible agreement; "
+            f"shuffled layouts reach it with p = {found.p:.2g}",
+            "verdict": found.verdict
+            if not found.findings
+            else f"{found.verdict}: the readings of {accused} sensors "
             f"({percent(accused / found.n_tested)}) contradict their positions",
         },
     )
@@ -148,6 +153,9 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
     printer.notes(found.notes)
     printer.record(
         consistent=found.consistent,
+        verdict=found.verdict,
+        p=found.p,
+        explained=found.explained,
         sensors=layout.n_sensors,
         tested=found.n_tested,
         modules=found.n_modules,

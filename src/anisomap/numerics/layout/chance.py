@@ -20,6 +20,9 @@ from anisomap.numerics.reliability.split_half import split_blocks
 from anisomap.numerics.similarity.correlation import scale_extremes
 from anisomap.numerics.similarity.rest import ranks_of_depths
 
+N_PERMUTATIONS = 199
+"""Number of shuffled layouts that a layout is compared with."""
+
 MIN_FRAMES = 40
 """Minimum number of frames: 2 in each of the 20 blocks of `split_blocks`."""
 
@@ -147,13 +150,18 @@ class Chance:
         return cls(shifted, np.stack([_free_gains(one, weights, evidence) for one in shifted]))
 
     def of_sensors(self, sensors: NDArray[np.intp]) -> float:
-        """Return the largest mean gain of some sensors that each choose any place."""
-        tested = self.gains[:, sensors]
-        known = np.isfinite(tested)
-        if not known.any():
+        """Return the largest mean gain of some sensors that each choose any place.
+
+        The sensors were chosen, too: it is no less than the mean of as many of the largest gains,
+        the median of the shifts.
+        """
+        known = np.isfinite(self.gains[0])
+        count = int(known[sensors].sum())
+        if not count:
             return 0.0
-        means = np.where(known, tested, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-        return float(means.max())
+        own = self.gains[:, sensors[known[sensors]]].mean(axis=1).max()
+        largest = np.sort(self.gains[:, known], axis=1)[:, -count:].mean(axis=1)
+        return float(max(own, np.median(largest)))
 
     def of_moves(self, evidence: Evidence, moves: Iterable[Move]) -> float:
         """Return the largest gain of alternative moves of the same sensors."""
@@ -201,6 +209,39 @@ def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
     total = np.asarray(weights.sum(axis=1))
     unknown = np.full(len(total), np.nan)
     return np.asarray(np.divide(np.asarray(sums), total, out=unknown, where=total > _MIN_WEIGHT))
+
+
+def agreement_as_a_whole(
+    evidence: Evidence, rng: np.random.Generator, *, n_permutations: int = N_PERMUTATIONS
+) -> tuple[float, float]:
+    """Return how well a layout explains the similarities as a whole: its p, and its share.
+
+    p: Of a layout whose sensors are shuffled.
+    share: Agreement beyond that of shuffled layouts, over that of each sensor with the others that
+        it resembles most, as many as it has neighbours. If a share s of the sensors is shuffled, it
+        is (1 - s)^2 of that of the right layout, since both sensors of a pair must be right.
+    """
+    usable = np.flatnonzero(evidence.usable)
+    weights: Any = _neighbour_weights(evidence)[usable][:, usable]
+    similarity = np.array(evidence.similarity[np.ix_(usable, usable)], dtype=np.float64)
+    np.fill_diagonal(similarity, 0)
+    first, second = weights.nonzero()
+    if not first.size:
+        return 1.0, 0.0
+    values = weights[first, second]
+
+    def total(order: NDArray[np.intp]) -> float:
+        return float(values @ similarity[order[first], order[second]])
+
+    stated = total(np.arange(usable.size))
+    shuffled = np.array([total(rng.permutation(usable.size)) for _ in range(n_permutations)])
+    p = (1 + np.count_nonzero(shuffled >= stated)) / (1 + n_permutations)
+    by_sensor = np.lexsort((-values, first))
+    rank = np.arange(first.size) - np.searchsorted(first[by_sensor], first[by_sensor])
+    highest = -np.sort(-similarity, axis=1)
+    best = float(values[by_sensor] @ highest[first[by_sensor], rank])
+    expected = float(shuffled.mean())
+    return p, (stated - expected) / max(best - expected, 1e-12)
 
 
 def _weighted_sums(
