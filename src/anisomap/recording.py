@@ -276,7 +276,7 @@ class Recording:
         frames = np.flatnonzero(absent.any(axis=1))
         n_absent = int(absent.sum())
         return (
-            f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN, infinite or above "
+            f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN or infinite, or above "
             f"{MAX_READING:g}: "
             f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
             "handle them first, by Recording.complete with drop-frames or interpolate"
