@@ -98,8 +98,9 @@ dimension: $(READY)  ## measure how often the number of dimensions is right, in 
 uncertainty: $(READY)  ## compare ellipses with the differences of maps, in uncertainty/ (RECORDINGS=folders)
 	$(BIN)/python -m benchmarks.uncertainty -o uncertainty $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
-fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--cases 5000 --formats npz")
+fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/, and time growing ones (ARGS="--cases 5000 --formats npz")
 	$(BIN)/python -m fuzzing $(ARGS)
+	$(BIN)/python -m fuzzing.growth
 
 docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

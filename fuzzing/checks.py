@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import traceback
@@ -138,7 +139,7 @@ def check_file(path: Path, found: Findings, rng: Generator) -> None:
         if recording is not None:
             _check_recording(found, recording, rng)
     if use == 5:
-        found.attempt("open_stream", lambda: _streamed(path))
+        found.attempt("open_stream", lambda: _streamed(path, rng if rng.integers(2) else None))
         found.attempt("contents", lambda: io.contents(path))
     if use >= 5:
         sensor_map = _within_memory(found, "read_map", lambda: io.read_map(path))
@@ -261,9 +262,28 @@ def _check_map(found: Findings, sensor_map: SensorMap, rng: Generator) -> None:
     path.unlink()
 
 
-def _streamed(path: Path) -> int:
+def _streamed(path: Path, rng: Generator | None = None) -> int:
+    """Count the frames of a file; change it after the first block, if there is a generator."""
+    n_frames = 0
     with io.open_stream(path, frames=7) as stream:
-        return sum(len(block.readings) for block in stream.blocks)
+        for block in stream.blocks:
+            if rng is not None and not n_frames and path.is_file():
+                _change(path, rng)
+            n_frames += len(block.readings)
+    return n_frames
+
+
+def _change(path: Path, rng: Generator) -> None:
+    content, kind = path.read_bytes(), rng.integers(4)
+    if kind == 0:
+        os.truncate(path, int(rng.integers(len(content) + 1)))
+    elif kind == 1:
+        path.write_bytes(rng.bytes(len(content)))
+    elif kind == 2:
+        with path.open("ab") as stream:
+            stream.write(content)
+    else:
+        path.unlink()
 
 
 def _size(result: Any) -> int:

@@ -203,6 +203,31 @@ def _replace(node: Any, rng: Generator) -> None:
         node[key] = deepcopy(_VALUES[rng.integers(len(_VALUES))])
 
 
+def odd_positions(rng: Generator) -> bytes:
+    """Make a map of sensors whose positions are extreme, equal, on a line or missing."""
+    n_sensors = int(rng.choice([1, 2, 3, 4, 12]))
+    positions = rng.normal(0, 1, (n_sensors, int(rng.choice([1, 2, 3]))))
+    positions *= rng.choice([1e-320, 1e-200, 1e-9, 1, 1e9, 1e160, 1e300])
+    kind = rng.integers(6)
+    if kind == 0:
+        positions[:] = positions[0]
+    elif kind == 1:
+        positions[:, 1:] = 0
+    elif kind == 2:
+        positions[rng.integers(n_sensors)] = rng.choice([1e308, -1e200, 0.0, 1e-308])
+    elif kind == 3:
+        positions[rng.random(n_sensors) < 0.4] = np.nan
+    sensors = [
+        {"name": f"a{i}", "position": row.tolist(), "component": 0}
+        if np.isfinite(row).all()
+        else {"name": f"a{i}", "position": [None] * len(row), "component": -1}
+        for i, row in enumerate(positions)
+    ]
+    return json.dumps(
+        {"format": "anisomap map", "version": 1, "units": "m", "sensors": sensors}
+    ).encode()
+
+
 def bomb_npz(rng: Generator) -> bytes:
     """Compress an array of zeros."""
     stream, header = BytesIO(), BytesIO()
@@ -281,6 +306,7 @@ ODD: Mapping[str, Maker] = MappingProxyType(
         "parquet": odd_table,
         "json": odd_json,
         "checkpoint": odd_npz,
+        "maps": odd_positions,
     }
 )
 BOMBS: Mapping[str, Maker] = MappingProxyType(

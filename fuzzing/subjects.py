@@ -45,6 +45,14 @@ width="4" height="4"/></asset><worldbody><geom type="hfield" hfield="h"/><body><
     """<mujoco><option timestep="0.01"/><worldbody><body>
 <geom type="cylinder" size=".1 .2"/><site pos="0 .1 0"/></body></worldbody></mujoco>""",
 )
+_LINES = (
+    b"time,a,b,c\n" + b"".join(b"%d.5,1,%d,0\n" % (i, i % 7) for i in range(40)),
+    b"".join(b'{"t": %d, "a": 1, "b": [2, %d]}\n' % (i, i) for i in range(20)),
+    b"".join(b"[0, %d, 3, null]\n" % (i % 3) for i in range(20)),
+    b"".join(b"%d 1%d.5 (0 1 2) 3\n" % (i, i) for i in range(20)),
+)
+"""What ports and sockets send: delimited text, objects, lists, and bottles of YARP."""
+
 _MESSAGE = """std_msgs/Header header
 uint8 MODE_A=1
 string<=10 name "x"
@@ -66,7 +74,8 @@ class Subject:
         Name of the format.
     kind : str
         How its files are used: ``"file"`` (recordings and maps), ``"body"``, ``"definition"`` (of
-        messages), ``"checkpoint"`` or ``"statistics"`` (of a map).
+        messages), ``"checkpoint"``, ``"statistics"`` (of a map), ``"maps"`` (with a recording) or
+        ``"source"`` (of live sessions).
     seeds : sequence of Tree
         The file to read comes first; if it is in a folder, the folder is read.
     """
@@ -83,7 +92,8 @@ def subjects() -> list[Subject]:
     -------
     list of Subject
         One per format in `anisomap.io.FORMATS`, one per suffix of meshes and models, and one for
-        definitions of messages, for checkpoints and for statistics of maps.
+        definitions of messages, for checkpoints, for statistics of maps, for maps with a recording,
+        and for sources of live sessions.
     """
     seeds: dict[str, list[Tree]] = {known.name: [] for known in io.FORMATS}
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name, warnings.catch_warnings():
@@ -95,7 +105,8 @@ def subjects() -> list[Subject]:
                 _remove(path)
         found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
         found += _bodies(folder)
-        found += [_checkpoint(folder), _statistics(folder)]
+        found += [_checkpoint(folder), _statistics(folder), _maps(folder)]
+    found.append(Subject("live source", "source", [{"lines": text} for text in _LINES]))
     definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
     return [*found, Subject("message definition", "definition", [definition])]
 
@@ -235,6 +246,23 @@ def _statistics(folder: Path) -> Subject:
     path = folder / "skin.statistics.npz"
     io.write_statistics(gather_evidence(example_recording(), dimensions=2), path)
     return Subject("statistics", "statistics", [_tree(path)])
+
+
+def _maps(folder: Path) -> Subject:
+    """Make two maps, the statistics of one, and a recording of a row of sensors."""
+    rng, places = np.random.default_rng(22), np.arange(12)
+    readings = np.maximum(0, 2 - np.abs(places - rng.uniform(0, 11, (300, 1)))).round(3)
+    skin = Recording(readings, names=tuple(f"a{i}" for i in places))
+    positions = np.column_stack([places, places % 3, 0 * places]) / 100
+    before = SensorMap(positions, names=skin.names, units="m")
+    after = replace(before, positions=positions[:, [1, 0, 2]] + rng.normal(0, 1e-3, (12, 3)))
+    io.write(before, folder / "before.json")
+    io.write(after, folder / "after.json")
+    io.write(skin, folder / "skin.csv")
+    later = replace(skin, readings=skin.readings[::-1])
+    io.write_statistics(gather_evidence(later, dimensions=3), folder / "before.statistics.npz")
+    names = ("before.json", "after.json", "skin.csv", "before.statistics.npz")
+    return Subject("maps", "maps", [{name: (folder / name).read_bytes() for name in names}])
 
 
 def _tree(path: Path) -> Tree:

@@ -24,7 +24,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.random import Generator
 
-from fuzzing import checks, odd
+from fuzzing import checks, odd, uses
 from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, Damage, inside
 from fuzzing.subjects import Subject, Tree, example_recording
@@ -47,6 +47,8 @@ _CHECKS: Mapping[str, tuple[Any, Any]] = {
     "definition": (checks.check_definition, checks.check_definition),
     "checkpoint": (checks.check_checkpoint, checks.check_checkpoint),
     "statistics": (checks.check_statistics, checks.check_statistics),
+    "maps": (uses.check_maps, uses.check_maps_by_command),
+    "source": (uses.check_source, uses.check_source),
 }
 
 

@@ -298,7 +298,9 @@ def test_readings_out_of_range_are_missing(value):
     )
     readings[4] = value
     recording = Recording(readings)
-    with pytest.raises(InputError, match=r"3 readings are NaN or infinite, or above 1e\+150.*frame 4"):
+    with pytest.raises(
+        InputError, match=r"3 readings are NaN or infinite, or above 1e\+150.*frame 4"
+    ):
         recording.complete()
     assert recording.complete("drop-frames").n_frames == 8
     np.testing.assert_array_equal(recording.complete("interpolate").readings, usual.readings)

@@ -303,6 +303,8 @@ def update_map(
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
     sensor_map.check_coordinates("on the map")
+    if not median_spacing(sensor_map.positions[sensor_map.component == 0]) > 0:
+        raise InputError("sensors of the map coincide; give a map with distinct positions")
     evidence = replace(evidence, dimensions=sensor_map.dimensions)
     runs = as_runs(recording)
     joined = join_runs(runs)

@@ -7,6 +7,7 @@ those that the file holds, in metres.
 from __future__ import annotations
 
 import os
+import struct
 import tempfile
 import warnings
 from collections import Counter
@@ -18,7 +19,13 @@ from typing import Any
 import numpy as np
 
 from anisomap.errors import FileError, import_extra
-from anisomap.io.parsing.source import is_gzipped, library_errors, read_head
+from anisomap.io.parsing.source import (
+    DamagedError,
+    is_gzipped,
+    library_errors,
+    open_binary,
+    read_head,
+)
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
@@ -40,6 +47,7 @@ _MARKS |= dict.fromkeys(_BRAINVISION, (".vhdr", "brainvision"))
 MAGICS = tuple(_MARKS)
 """First bytes of the files."""
 
+_TAG = struct.Struct(">8xii")  # the size of a tag of FIF and the place of the next, 0 if behind
 _N_LOC = 3  # of the numbers about the place of a channel, the first are its position
 
 
@@ -93,12 +101,30 @@ def _open(path: Path) -> Iterator[Any]:
         if not path.name.lower().endswith(suffix):
             named = Path(folder) / f"recording_raw{suffix}"
             named.symlink_to(path.resolve())
+        if kind == "fif":
+            _check_order(path)
         with library_errors(path):
             raw = getattr(io, f"read_raw_{kind}")(os.fspath(named), preload=False, verbose="ERROR")
         try:
             yield raw
         finally:
             raw.close()
+
+
+def _check_order(path: Path) -> None:
+    """Check that no tag of a FIF file leads back: mne follows them without end."""
+    at = following = 0
+    with open_binary(path) as stream:
+        while following >= 0:
+            stream.seek(at)
+            tag = stream.read(_TAG.size)
+            if len(tag) < _TAG.size:
+                return
+            size, following = _TAG.unpack(tag)
+            behind = at + _TAG.size + size
+            if 0 < following < behind or size < 0:
+                raise DamagedError(f"{path} is damaged: the tag at byte {at} leads back")
+            at = following or behind
 
 
 def _contents(raw: Any) -> tuple[Content, ...]:

@@ -1,0 +1,96 @@
+"""Hostile maps with recordings, and bytes from sources of live sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from anisomap import io
+from anisomap.evaluation import align, compare_maps
+from anisomap.layout import check_layout
+from anisomap.live.batches import Batch, Names, Notice
+from anisomap.live.quick_map import TouchStatistics
+from anisomap.live.session import read_levels
+from anisomap.live.sources.lines import LineParser
+from anisomap.live.sources.middleware import _yarp_translation
+from anisomap.placement import Anchors, place
+from anisomap.tracking import update_map
+from fuzzing.checks import Findings
+
+BEFORE, AFTER, SKIN, STATISTICS = "before.json", "after.json", "skin.csv", "before.statistics.npz"
+"""Files of a case with two maps and a recording."""
+
+_MAX_SENSORS, _MAX_FRAMES = 60, 400
+
+
+def check_maps(path: Path, found: Findings, rng: Generator) -> None:
+    """Compare, align, place, check and update maps of the folder, by a recording."""
+    del path
+    before, after = (_read(found, io.read_map, name) for name in (BEFORE, AFTER))
+    skin, evidence = _read(found, io.read, SKIN), _read(found, io.read_statistics, STATISTICS)
+    uses: tuple[tuple[str, Sequence[Any], Callable[[], Any]], ...] = (
+        ("compare_maps", (before, after), lambda: compare_maps(before, after)),
+        ("align", (before, after), lambda: align(before.positions, after.positions)),
+        ("place", (before, after), lambda: place(before, _anchors(after, rng))),
+        ("check_layout", (before, skin), lambda: check_layout(before, skin, n_shifts=19, rng=0)),
+        ("update_map", (before, evidence, skin), lambda: update_map(before, evidence, skin)),
+    )
+    name, needed, use = uses[rng.integers(len(uses))]
+    small = skin is None or skin.readings.size <= _MAX_SENSORS * _MAX_FRAMES
+    if small and all(one is not None and len(one.names) <= _MAX_SENSORS for one in needed):
+        found.accepted |= found.attempt(name, use) is not None
+
+
+def check_maps_by_command(path: Path, found: Findings, rng: Generator) -> None:
+    """Do the same by the commands."""
+    folder = path.parent
+    anchors = [word for i in range(3) for word in ("--anchor", f"a{i}={i},{i * i},0")]
+    commands: tuple[tuple[str | Path, ...], ...] = (
+        ("diff", folder / BEFORE, folder / AFTER),
+        ("score", folder / BEFORE, folder / AFTER, "--permutations", "0"),
+        ("place", folder / BEFORE, *anchors, "-o", folder / "output.csv"),
+        ("check", folder / BEFORE, folder / SKIN),
+        ("update", folder / BEFORE, folder / SKIN, "-o", folder / "output.csv"),
+    )
+    found.command(*commands[rng.integers(len(commands))])
+
+
+def _read(found: Findings, reader: Callable[[Path], Any], name: str) -> Any:
+    return found.attempt(f"read {name}", lambda: reader(found.folder / name))
+
+
+def _anchors(sensor_map: Any, rng: Generator) -> Anchors:
+    count = int(rng.integers(1, 9))
+    return Anchors(sensor_map.names[:count], sensor_map.positions[:count])
+
+
+def check_source(path: Path, found: Findings, rng: Generator) -> None:
+    """Parse bytes as they come from a port or socket, in parts, and count their contacts."""
+    content = path.read_bytes()
+    cuts = np.sort(rng.integers(len(content) + 1, size=int(rng.integers(6))))
+    ends = [0, *cuts.tolist(), len(content)]
+    parser = LineParser() if rng.integers(2) else LineParser(_yarp_translation())
+
+    def received() -> list[Any]:
+        items = [
+            item
+            for start, end in pairwise(ends)
+            for item in parser.feed(content[start:end], complete=end == len(content))
+        ]
+        statistics: dict[int, TouchStatistics] = {}
+        for item in items:
+            if not isinstance(item, Batch | Names | Notice):
+                raise TypeError(f"an item is of type {type(item).__name__}")
+            if isinstance(item, Batch) and item.readings.shape[1] <= 2 * _MAX_SENSORS:
+                width = item.readings.shape[1]
+                statistics.setdefault(width, TouchStatistics(width)).add(item.readings)
+                if not np.isfinite(read_levels(item.readings, item.readings[0], None)).all():
+                    raise ValueError("a level is not finite")
+        return items
+
+    found.accepted |= any(isinstance(i, Batch) for i in found.attempt("feed", received) or ())
