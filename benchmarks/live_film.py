@@ -1,7 +1,7 @@
 """Pictures of a session: ``python -m benchmarks.live_film -o film -- --simulate hand --coached``.
 
 A session runs with a headless Chromium as its viewer. Screenshots are taken at the beginning, in
-the middle and at the end, each in two sizes, and a film (GIF) of all of it. Arguments after ``--``
+the middle and at the end, each in two sizes, and a film (WebP) of all of it. Arguments after ``--``
 are those of ``anisomap live``. The command fails if the page reports an error of a script.
 """
 
@@ -21,11 +21,11 @@ from typing import Any
 
 from benchmarks.browser import Page, browser, find_chromium
 
-SIZES = ((1280, 800), (820, 1180))
+SIZES = ((1280, 800), (390, 844))
 MOMENTS = ("beginning", "middle", "end")
 _FILM_SIZE = (720, 450)
-_COLOURS = 48  # the page has few
-_FRAME_MS = 200
+_QUALITY = 40  # of 100
+_FRAME_MS = 250
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             process.send_signal(signal.SIGINT)
             process.communicate()
         errors = page.errors
-    save(images, given.output / "live.gif")
+    save(images, given.output / "live.webp")
     print(f"{len(images)} images, {len(errors)} errors of the page")
     if errors:
         sys.exit("\n".join(errors))
@@ -84,11 +84,9 @@ def film(page: Page, folder: Path, seconds: float, count: int) -> list[Any]:
 
 
 def save(images: Sequence[Any], path: Path) -> None:
-    """Write a GIF with one palette for all images."""
-    palette = images[len(images) // 2].quantize(_COLOURS)
-    reduced = [image.quantize(_COLOURS, palette=palette, dither=0) for image in images]
-    reduced[0].save(
-        path, save_all=True, append_images=reduced[1:], duration=_FRAME_MS, loop=0, optimize=True
+    """Write images as a film that repeats."""
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=_FRAME_MS, loop=0, quality=_QUALITY
     )
 
 

@@ -19,13 +19,13 @@ pytestmark = [
 ]
 SKIN = flat_skin(n_frames=8000)
 EVIL = "<img src=x onerror=\"document.title='evil'\">"
-SIZES = ((1280, 800), (820, 1180))
+SIZES = ((1280, 800), (390, 844))
 
 
 class Rubbed:
     """A skin that is rubbed at 100 Hz, without end."""
 
-    description, names, truth = EVIL, (EVIL, *SKIN.names[1:]), None
+    description, names, truth, can_wait = EVIL, (EVIL, *SKIN.names[1:]), None, False
 
     def items(self, stop):
         yield Names(self.names)
@@ -56,6 +56,12 @@ def test_a_session_in_the_browser(tmp_path, dimensions):
             assert page.screenshot(tmp_path / f"{width}.png").startswith(b"\x89PNG")
         page.press("ArrowRight")
         page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
+        assert not page.evaluate(f"{element('trace')}.hidden")
+        page.press("n")
+        page.wait_for(f"{element('names')}.ariaPressed === 'true'")
+        page.open(server.url)
+        page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
+        page.wait_for(f"{element('names')}.ariaPressed === 'true'")
         page.press("d")
         page.wait_for(f"{element('dropped')}.textContent.includes('<img')")
         assert session.maps.options.drop == (EVIL,)

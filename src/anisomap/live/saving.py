@@ -11,10 +11,13 @@ from anisomap.dimensions import AUTO
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError
 from anisomap.live.examination import Examination, ExaminationOptions
+from anisomap.live.exports import SESSIONS, save_session
 from anisomap.placement import Anchors, parse_length, place, scaled_to_spacing
 from anisomap.sensor_map import SensorMap
 
-EXPORTS = (".csv", ".json", ".ply", ".pcd", ".npz", ".urdf", ".mjcf", ".icub.txt", ".launch.xml")
+EXPORTS = (
+    ".csv", ".json", ".ply", ".pcd", ".npz", ".urdf", ".mjcf", ".icub.txt", ".launch.xml", *SESSIONS
+)  # fmt: skip
 """Suffixes of the exports that the page offers."""
 
 
@@ -22,21 +25,26 @@ def save_map(
     examination: Examination | None,
     path: Path,
     *,
+    recording: Path,
+    preset: str = "",
     spacing: str = "",
     anchors: Anchors | None = None,
 ) -> Path:
-    """Write the checked map of a session."""
+    """Write the checked map of a session, or what a viewer shows of the session."""
     sensor_map = map_of(examination)
     length = parse_length(spacing) if spacing else None
     if anchors is not None:
         sensor_map = place(sensor_map, anchors, spacing=length).map
     elif length is not None:
         sensor_map = scaled_to_spacing(sensor_map, *length)
-    elif io.needs_scale(path):
+    elif path.suffix.lower() not in SESSIONS and io.needs_scale(path):
         raise InputError(
             f"the format of {path.name} is in metres: give the distance between neighbouring "
             "sensors, such as 6.5mm, or anchors"
         )
+    if path.suffix.lower() in SESSIONS:
+        readings = io.read(recording, options=io.ReadOptions(preset=preset))
+        return save_session(sensor_map, readings, path)
     io.write(sensor_map, path)
     return path
 

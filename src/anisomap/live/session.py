@@ -131,6 +131,7 @@ class LiveSession:
         self._stop = threading.Event()
         self._arrivals = Arrivals()
         self._began = time.monotonic()
+        self._ended_at = 0.0  # 0 before
         self._threads: list[threading.Thread] = []
 
     def __enter__(self) -> LiveSession:
@@ -150,8 +151,8 @@ class LiveSession:
 
     @property
     def seconds(self) -> float:
-        """Time since the start in seconds."""
-        return time.monotonic() - self._began
+        """Time since the start in seconds, until the source has ended."""
+        return (self._ended_at or time.monotonic()) - self._began
 
     @property
     def segment(self) -> Segment | None:
@@ -179,7 +180,7 @@ class LiveSession:
         if quick is None:
             return 0.0 if self.recorder.n_frames == 0 else self.seconds
         waiting = self._arrivals.time_of(quick.n_frames)
-        return 0.0 if waiting is None else time.monotonic() - waiting
+        return 0.0 if waiting is None else (self._ended_at or time.monotonic()) - waiting
 
     @property
     def lags(self) -> bool:
@@ -237,7 +238,7 @@ class LiveSession:
             self.recorder.close()
         except AnisomapError as error:
             self.failure = self.failure or error
-        self.ended.set()
+        self._end()
 
     def finish(self, timeout_s: float | None = None) -> Examination | None:
         """End the acquisition and make the final map, of all frames."""
@@ -272,7 +273,11 @@ class LiveSession:
             )
             self.notify(str(self.failure))
         finally:
-            self.ended.set()
+            self._end()
+
+    def _end(self) -> None:
+        self._ended_at = self._ended_at or time.monotonic()
+        self.ended.set()
 
     def _record(self, batch: Batch) -> None:
         self.recorder.put(batch)

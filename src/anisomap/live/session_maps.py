@@ -17,7 +17,7 @@ from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.quick_map import QuickMap
 from anisomap.live.recorder import Segment
 from anisomap.live.workers import Answer, Task, Worker
-from anisomap.usability import UNKNOWN
+from anisomap.usability import LEVELS, UNKNOWN
 
 MAX_CURVE = 500
 """Points of a curve over time; when there are more, every other one is left out."""
@@ -122,6 +122,22 @@ class SessionMaps:
         return confirmed_faults(
             one for one in self.checked.health if one.name not in self.options.drop
         )
+
+    @property
+    def guidance(self) -> tuple[str, bool]:
+        """What to do next, in words, and whether nothing is left to do.
+
+        Where contacts suffice, the verdict decides: more touches would not mend its reasons.
+        """
+        if self.quick is None:
+            return "", False
+        advice, checked = self.quick.advice, self.checked
+        if not advice.enough or checked is None:
+            return advice.text, advice.enough
+        level = checked.verdict.level
+        if level == UNKNOWN:
+            return f"{advice.text}; the verdict is unknown", False
+        return f"enough touches: the map is {level}", level == list(LEVELS)[-1]
 
     def reached(self, level: str) -> bool:
         """Return whether the last two checked maps have a level, or a better one.

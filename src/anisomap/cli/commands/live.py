@@ -6,7 +6,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -20,6 +20,7 @@ from anisomap.cli.console import Printer, number, percent, print_warning, progre
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.files import check_target, together
+from anisomap.usability import Verdict
 
 if TYPE_CHECKING:
     from anisomap.live import LiveSession
@@ -115,8 +116,9 @@ def live(
     recording
         File for the recording, .csv; must not exist. Default: live-DATE-TIME.csv.
     output
-        File for the map; its suffix chooses the format. May be repeated. Default: the name of the
-        recording with .map.csv.
+        File for the map; its suffix chooses the format, or a viewer of the session: .mcap
+        (Foxglove) or .rrd (Rerun). May be repeated. Default: the name of the recording with
+        .map.csv.
     spacing
         Median distance between neighbouring sensors, such as 6.5mm: scales the written maps.
     method
@@ -130,6 +132,7 @@ def live(
     from anisomap.cli import pipeline
     from anisomap.io.presets import check_preset
     from anisomap.live import ExaminationOptions, LiveSession
+    from anisomap.live.exports import SESSIONS
     from anisomap.live.page.server import Server
     from anisomap.live.sources.replay import SimulatedHand
     from anisomap.methods import find_method
@@ -142,8 +145,10 @@ def live(
         raise InputError(f"{target} exists; a live session writes a new recording")
     given = Path(source) if source and Path(source).exists() else None
     maps = output or [target.with_suffix(".map.csv")]
-    pipeline.Outputs(maps=maps, report=report, others=[target], inputs=[given, truth])
-    options.PlacingOptions(spacing=spacing).check(maps)
+    sessions = [path for path in maps if path.suffix.lower() in SESSIONS]
+    written = [path for path in maps if path not in sessions]
+    pipeline.Outputs(maps=written, report=report, others=[target, *sessions], inputs=[given, truth])
+    options.PlacingOptions(spacing=spacing).check(written)
     find_method(method)
     if preset:
         check_preset(preset)
@@ -224,8 +229,11 @@ def _run(
             pass
     asked = over() or session.wanted_end.is_set() or not session.ended.is_set()
     finish()
+    if not asked:
+        printer.line(
+            "The source has ended. The page stays open: Q on it, or Ctrl-C here, closes it."
+        )
     with _until_interrupted():
-        # A replay has ended by itself: its last map stays on the page.
         while not (asked or session.wanted_end.wait(_POLL_S)):
             pass
 
@@ -253,8 +261,8 @@ def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool
 
 
 def _facts(session: LiveSession) -> dict[str, Any]:
-    quick, checked = session.maps.quick, session.maps.checked
-    verdict = None if checked is None else checked.verdict
+    checked = session.maps.checked
+    verdict = Verdict() if checked is None else checked.verdict
     return {
         "seconds": round(session.seconds, 2),
         "frames": session.recorder.n_frames,
@@ -262,12 +270,10 @@ def _facts(session: LiveSession) -> dict[str, Any]:
         "share_touched": session.maps.share_touched,
         "map_age": session.map_age,
         "lags": session.lags,
-        "level": session.maps.level,
-        "expected_error": None if verdict is None else verdict.expected_error,
+        "verdict": asdict(verdict),
         "error_against_truth": None if checked is None else checked.error_against_truth,
-        "reasons": () if verdict is None else verdict.reasons,
         "faulty": {sensor.name: sensor.status for sensor in session.maps.faults},
-        "advice": "" if quick is None else quick.advice.text,
+        "advice": session.maps.guidance[0],
         "notices": [note.text for note in session.notices],
     }
 
@@ -280,10 +286,8 @@ def _in_words(facts: dict[str, Any]) -> str:
         f"{facts['frames']} frames",
         f"{percent(facts['share_touched'])} of {facts['sensors']} sensors touched",
         f"map {facts['map_age']:.1f} s old{', lags' if facts['lags'] else ''}",
-        facts["level"] if facts["level"] != "unknown" else "verdict unknown",
+        f"verdict: {Verdict(**facts['verdict']).summary}",
     ]
-    if (error := facts["expected_error"]) is not None and error == error:  # noqa: PLR0124
-        parts.append(f"expected error {number(error, 2)} spacings")
     if facts["faulty"]:
         parts.append("faulty: " + ", ".join(f"{n} ({s})" for n, s in facts["faulty"].items()))
     return "; ".join([", ".join(parts), *([facts["advice"]] if facts["advice"] else [])])
@@ -301,7 +305,14 @@ def _finish(
     written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"), together():
-            written += [("map", save_map(final, path, spacing=spacing)) for path in maps]
+            save = partial(
+                save_map,
+                final,
+                recording=session.recorder.segments[-1].path,
+                preset=session.maps.options.preset,
+                spacing=spacing,
+            )
+            written += [("map", save(path)) for path in maps]
             if report:
                 written.append(("report", save_report(final, report)))
         printer.line(f"Final map of {final.n_frames} frames: {final.verdict}")

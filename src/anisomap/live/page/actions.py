@@ -91,7 +91,7 @@ def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
     recording, spacing = _recording(session), str(request.get("spacing") or "")
     target = recording.with_suffix(".map.csv")
     with together():
-        files = [save_map(session.maps.checked, target, spacing=spacing, anchors=session.anchors)]
+        files = [_save_map(session, target, spacing)]
         files.append(save_report(session.maps.checked, recording.with_suffix(".report.html")))
     return Done(_written(files), tuple(files))
 
@@ -102,8 +102,19 @@ def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
         raise InputError(f"a format must be one of {', '.join(EXPORTS)}")
     spacing = str(request.get("spacing") or "")
     target = _recording(session).with_suffix(f".map{suffix}")
-    files = [save_map(session.maps.checked, target, spacing=spacing, anchors=session.anchors)]
+    files = [_save_map(session, target, spacing)]
     return Done(_written(files), tuple(files))
+
+
+def _save_map(session: LiveSession, target: Path, spacing: str) -> Path:
+    return save_map(
+        session.maps.checked,
+        target,
+        recording=_recording(session),
+        preset=session.maps.options.preset,
+        spacing=spacing,
+        anchors=session.anchors,
+    )
 
 
 def _end(session: LiveSession, _: Mapping[str, Any]) -> Done:

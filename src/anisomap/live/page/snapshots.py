@@ -45,6 +45,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "checked_dimensions": None if checked is None else checked.shape[1],
         "checked_halo": _encoded(_checked_doubt(session.maps.checked, quick).astype("<f4")),
         "final": session.maps.checked is not None and session.maps.checked.final,
+        "stated": _stated(session.maps.options.truth, quick),
         "pairs": _encoded(quick.pairs.astype("<u4")),
         "halo": _encoded(_doubt(quick).astype("<f4")),
         "contacts": quick.contacts.tolist(),
@@ -63,7 +64,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
 
 def status_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return the rest: verdict, curves, faults, advice, notices and files."""
-    quick, checked = session.maps.quick, session.maps.checked
+    checked = session.maps.checked
     verdict = None if checked is None else checked.verdict
     return {
         "state": session.state,
@@ -79,8 +80,8 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "expected_error": None if verdict is None else _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
         "reasons": [] if verdict is None else list(verdict.reasons),
-        "advice": "" if quick is None else quick.advice.text,
-        "enough": quick is not None and quick.advice.enough,
+        "advice": session.maps.guidance[0],
+        "enough": session.maps.guidance[1],
         "faulty": [
             {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
             for sensor in session.maps.faults
@@ -124,6 +125,22 @@ def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[
     if np.count_nonzero(shared) <= found.shape[1]:
         return None
     return fit_similarity(found[shared], quick.positions[shared]).apply(found)
+
+
+def _stated(truth: SensorMap | None, quick: QuickMap) -> str | None:
+    """Return the stated layout in the frame of the quick map; None if it cannot be turned."""
+    if truth is None:
+        return None
+    found = _in_order(truth, truth.positions, quick)
+    shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
+    width = max(found.shape[1], quick.positions.shape[1])
+    if np.count_nonzero(shared) <= width:
+        return None
+    places, points = (
+        np.pad(array, ((0, 0), (0, width - array.shape[1]))) for array in (found, quick.positions)
+    )
+    turned = fit_similarity(places[shared], points[shared]).apply(places)
+    return _encoded(turned[:, : quick.positions.shape[1]].astype("<f4"))
 
 
 def _doubt(quick: QuickMap) -> NDArray[np.float64]:

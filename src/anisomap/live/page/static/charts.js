@@ -1,6 +1,6 @@
 // Curves and the raster. All colours differ in lightness, so that they can be told apart without hue.
 
-const INK = "#1c2733", QUIET = "#4d5b69", GRID = "#dde3e9", BLUE = "#0b5394";
+const INK = "#1c2733", QUIET = "#4d5b69", GRID = "#dde3e9", BLUE = "#0b5394", MARK = "#b35000";
 const RASTER_SECONDS = 10;
 
 // From light grey at rest to dark blue: lightness falls steadily.
@@ -31,7 +31,7 @@ function niceStep(range, count) {
 }
 
 // Draw curves: each is {points: [[x, y]], dashed}. Points with a null y are left out.
-export function drawCurves(canvas, curves, { top, unit, rule, end: last }) {
+export function drawCurves(canvas, curves, { top, unit, rule, end: last, events = [] }) {
   const context = sized(canvas), width = canvas.clientWidth, height = canvas.clientHeight;
   const left = 42, bottom = height - 16, right = width - 8, above = 6;
   const all = curves.flatMap((curve) => curve.points.filter(([, y]) => y !== null));
@@ -66,6 +66,7 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last }) {
     context.stroke();
     context.setLineDash([]);
   }
+  ticks(context, events.map(x), above, bottom);
   for (const curve of curves) {
     const points = curve.points.filter(([, value]) => value !== null);
     context.strokeStyle = curve.dashed ? INK : BLUE;
@@ -84,17 +85,56 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last }) {
   }
 }
 
+// Mark events by thin lines with a foot that stands out.
+function ticks(context, places, top, bottom) {
+  context.strokeStyle = MARK;
+  context.lineWidth = 1;
+  context.globalAlpha = 0.5;
+  context.beginPath();
+  for (const x of places) {
+    context.moveTo(x, top);
+    context.lineTo(x, bottom);
+  }
+  context.stroke();
+  context.globalAlpha = 1;
+}
+
 // The readings of the last seconds as an image: time to the right, one row per sensor.
 export class Raster {
   constructor(canvas) {
     this.canvas = canvas;
     this.columns = [];
+    this.events = [];
   }
 
   add(seconds, levels) {
     if (this.columns.length && this.columns[0].levels.length !== levels.length) this.columns = [];
     this.columns.push({ seconds, levels });
     while (this.columns.length && this.columns[0].seconds < seconds - RASTER_SECONDS) this.columns.shift();
+  }
+
+  // Return the places of the events of the last seconds on a width.
+  at(width) {
+    const now = this.columns[this.columns.length - 1].seconds;
+    return this.events.filter((seconds) => seconds > now - RASTER_SECONDS && seconds <= now)
+      .map((seconds) => (1 - (now - seconds) / RASTER_SECONDS) * width);
+  }
+
+  // Draw the readings of one sensor as a curve.
+  drawTrace(canvas, sensor) {
+    if (!this.columns.length || sensor >= this.columns[0].levels.length) return;
+    const context = sized(canvas), width = canvas.clientWidth, height = canvas.clientHeight;
+    const now = this.columns[this.columns.length - 1].seconds;
+    ticks(context, this.at(width), 0, height);
+    context.strokeStyle = BLUE;
+    context.lineWidth = 1.5;
+    context.beginPath();
+    this.columns.forEach(({ seconds, levels }, i) => {
+      const x = (1 - (now - seconds) / RASTER_SECONDS) * width, y = height - 3 - levels[sensor] / 255 * (height - 6);
+      if (i) context.lineTo(x, y);
+      else context.moveTo(x, y);
+    });
+    context.stroke();
   }
 
   draw() {
@@ -123,6 +163,7 @@ export class Raster {
     image.getContext("2d").putImageData(pixels, 0, 0);
     context.imageSmoothingEnabled = false;
     context.drawImage(image, 0, 0, width, height);
+    ticks(context, this.at(width), 0, height);
     context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
     context.fillStyle = QUIET;
     context.textAlign = "left";

@@ -9,6 +9,18 @@ const view = new MapView($("map"));
 const raster = new Raster($("raster"));
 let map = null, status = null, showsChecked = false;
 
+// The view and the selection survive a reload.
+const KEPT = ["turn", "tilt", "zoom", "named", "layout", "wanted"];
+try {
+  const kept = JSON.parse(sessionStorage.getItem("view") || "{}");
+  showsChecked = Boolean(kept.showsChecked);
+  for (const key of KEPT) if (key in kept) view[key] = kept[key];
+} catch { /* a stored view of another version */ }
+window.addEventListener("pagehide", () => {
+  const kept = Object.fromEntries(KEPT.map((key) => [key, view[key]]));
+  sessionStorage.setItem("view", JSON.stringify({ ...kept, showsChecked }));
+});
+
 function decoded(text, Type) {
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   return new Type(bytes.buffer);
@@ -24,6 +36,10 @@ function showMap() {
     : `quick map of ${map.frames} frames`);
   $("show").lastChild.textContent = showsChecked ? " show quick map" : " show checked map";
   $("show").disabled = !map.checked || map.final;
+  $("layout").disabled = !view.stated;
+  $("names").ariaPressed = view.named;
+  $("layout").ariaPressed = view.layout;
+  $("layout-key").hidden = !view.stated || !view.layout;
 }
 
 function showStatus() {
@@ -44,6 +60,8 @@ function showStatus() {
   $("age").textContent = `${status.map_age.toFixed(1)} s${status.lags ? ": lags, all is recorded" : ""}`;
   $("age").className = status.lags ? "alert" : "";
   $("state").textContent = status.state;
+  $("frames").textContent = status.frames;
+  $("seconds").textContent = `${status.seconds.toFixed(1)} s`;
   $("coach").textContent = status.state === "finishing" ? "making the final map" : status.advice || "touch the skin";
   $("coach").className = status.enough ? "enough" : "";
   $("faulty").textContent = status.faulty.length
@@ -57,15 +75,18 @@ function showStatus() {
     item.textContent = `${seconds} s: ${text}`;
     return item;
   }));
+  const events = status.notices.map(([seconds]) => seconds);
+  raster.events = events;
   const points = (column) => status.curve.map((row) => [row[0], row[column]]);
   const end = status.seconds;
-  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: 1, end });
-  drawCurves($("shares"), [{ points: status.touched }], { top: 1, unit: "%", end });
+  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: 1, end, events });
+  drawCurves($("shares"), [{ points: status.touched }], { top: 1, unit: "%", end, events });
   showSelected();
 }
 
 function showSelected() {
   const i = view.selected;
+  $("trace").hidden = !map || i < 0;
   if (!map || i < 0) {
     $("selected").textContent = "no sensor selected: click one, or press ← →";
     return;
@@ -82,6 +103,7 @@ function connect() {
     map.positions = decoded(map.positions, Float32Array);
     map.checked = map.checked && decoded(map.checked, Float32Array);
     map.pairs = decoded(map.pairs, Uint32Array);
+    map.stated = map.stated && decoded(map.stated, Float32Array);
     map.halo = decoded(map.halo, Float32Array);
     map.checked_halo = decoded(map.checked_halo, Float32Array);
     showMap();
@@ -98,7 +120,7 @@ function connect() {
     status = JSON.parse(event.data);
     showStatus();
   });
-  events.addEventListener("error", () => { $("state").textContent = "no connection"; });
+  events.addEventListener("error", () => { $("state").textContent = "no connection: the session is over"; });
 }
 
 async function act(request) {
@@ -149,6 +171,8 @@ const BUTTONS = {
   p: ["pause", () => act({ do: "pause", on: status?.state !== "paused" })],
   r: ["restart", () => confirm("Begin a new recording and a new map? The recording so far is kept.") && act({ do: "restart" })],
   d: ["drop", dropSelected],
+  n: ["names", () => { view.named = !view.named; showMap(); }],
+  l: ["layout", () => { view.layout = !view.layout; showMap(); }],
   m: ["show", () => { showsChecked = !showsChecked; showMap(); }],
   s: ["save", () => act({ do: "save", spacing: $("spacing").value.trim() })],
   e: ["open-export", () => $("export-dialog").showModal()],
@@ -202,6 +226,7 @@ function draw(now) {
   view.draw();
   if (now - rasterAt > 100) {
     raster.draw();
+    if (view.selected >= 0) raster.drawTrace($("trace"), view.selected);
     rasterAt = now;
   }
   drawnAt = now;

@@ -16,6 +16,9 @@ export class MapView {
     this.levels = new Uint8Array(0);
     this.selected = -1;
     this.faulty = new Set();
+    this.hovered = -1;
+    this.named = false;
+    this.layout = false;
     this.reset();
     this._listen();
   }
@@ -37,7 +40,8 @@ export class MapView {
     this.places = data.places;
     this.untouched = data.untouched;
     this.leftOut = new Set(data.left_out);
-    if (this.selected >= this.names.length || before.length !== this.names.length) this.selected = -1;
+    this.stated = data.stated && data.stated.length === this.target.length ? data.stated : null;
+    if (before.length !== this.names.length) this.selected = this.names.indexOf(this.wanted);
     if (!this.shown || this.shown.length !== this.target.length) this.shown = this.target.slice();
   }
 
@@ -50,26 +54,25 @@ export class MapView {
     }
   }
 
+  // Return a place as seen: to the right, upwards and towards the viewer.
+  _turned(places, i) {
+    const k = this.dimensions, x = places[i * k], y = places[i * k + 1], z = k > 2 ? places[i * k + 2] : 0;
+    if (k < 3) return [x, y, 0];
+    const a = Math.cos(this.turn) * x - Math.sin(this.turn) * y, b = Math.sin(this.turn) * x + Math.cos(this.turn) * y;
+    return [a, Math.cos(this.tilt) * z + Math.sin(this.tilt) * b, Math.sin(this.tilt) * z - Math.cos(this.tilt) * b];
+  }
+
   // Return [x, y, depth] of each sensor in pixels; sensors without a place stand on a shelf.
   project() {
     const width = this.canvas.clientWidth, height = this.canvas.clientHeight - SHELF - ABOVE;
-    const k = this.dimensions, count = this.names.length, found = new Array(count);
-    const cosTurn = Math.cos(this.turn), sinTurn = Math.sin(this.turn);
-    const cosTilt = Math.cos(this.tilt), sinTilt = Math.sin(this.tilt);
+    const count = this.names.length, found = new Array(count);
     let reach = 1e-9, low = [Infinity, Infinity], high = [-Infinity, -Infinity];
     const flat = [];
     for (let i = 0; i < count; i++) {
-      const x = this.shown[i * k], y = this.shown[i * k + 1], z = k > 2 ? this.shown[i * k + 2] : 0;
-      if (!Number.isFinite(x)) continue;
-      let u = x, v = y, w = 0;
-      if (k > 2) {
-        const a = cosTurn * x - sinTurn * y, b = sinTurn * x + cosTurn * y;
-        u = a;
-        v = cosTilt * z + sinTilt * b;
-        w = -cosTilt * b + sinTilt * z;
-      }
+      const [u, v, w] = this._turned(this.shown, i);
+      if (!Number.isFinite(u)) continue;
       flat.push([i, u, v, w]);
-      reach = Math.max(reach, Math.hypot(x, y, z));
+      reach = Math.max(reach, Math.hypot(u, v, w));
       low = [Math.min(low[0], u), Math.min(low[1], v)];
       high = [Math.max(high[0], u), Math.max(high[1], v)];
     }
@@ -81,9 +84,10 @@ export class MapView {
     const share = this.scale && !calm.matches ? 0.2 : 1;
     this.scale = (this.scale || goal) + share * (goal - (this.scale || goal));
     this.middle = (this.middle || middle).map((at, axis) => at + share * (middle[axis] - at));
-    for (const [i, u, v, w] of flat) {
-      found[i] = [width / 2 + (u - this.middle[0]) * this.scale, ABOVE + height / 2 - (v - this.middle[1]) * this.scale, w / reach];
-    }
+    const pixel = ([u, v, w]) => [
+      width / 2 + (u - this.middle[0]) * this.scale, ABOVE + height / 2 - (v - this.middle[1]) * this.scale, w / reach];
+    for (const [i, ...seen] of flat) found[i] = pixel(seen);
+    this.squares = this.stated && this.layout ? found.map((_, i) => pixel(this._turned(this.stated, i))) : [];
     // Many sensors stand in several rows of smaller marks.
     const waiting = this.names.map((_, i) => i).filter((i) => !found[i] && !this.leftOut.has(i));
     const rows = Math.min(SHELF_ROWS, Math.ceil(waiting.length * SHELF_STEP / (width - 40)));
@@ -108,7 +112,7 @@ export class MapView {
     context.beginPath();
     for (let p = 0; p < this.pairs.length; p += 2) {
       const a = points[this.pairs[p]], b = points[this.pairs[p + 1]];
-      if (a && b) {
+      if (a && b && !this.waiting.has(this.pairs[p]) && !this.waiting.has(this.pairs[p + 1])) {
         context.moveTo(a[0], a[1]);
         context.lineTo(b[0], b[1]);
       }
@@ -131,7 +135,9 @@ export class MapView {
       const size = this.waiting.has(i) ? Math.min(radius, this.waitingRadius) : radius;
       this._sensor(context, i, points[i], size, untouched.has(i));
     }
+    this._layout(context, radius);
     this._marks(context, points, radius);
+    this._names(context, points, order, radius);
     if (this.waiting.size) {
       context.font = "13px system-ui, 'DejaVu Sans', sans-serif";
       context.textAlign = "left";
@@ -160,6 +166,39 @@ export class MapView {
       context.moveTo(x - size, y + size);
       context.lineTo(x + size, y - size);
       context.stroke();
+    }
+  }
+
+  // The stated layout: a square at every stated place, joined to its sensor.
+  _layout(context, radius) {
+    context.strokeStyle = MARK;
+    context.lineWidth = 1;
+    context.beginPath();
+    this.squares.forEach(([x, y], i) => {
+      if (!Number.isFinite(x) || this.waiting.has(i) || this.leftOut.has(i)) return;
+      const half = 0.8 * radius;
+      context.rect(x - half, y - half, 2 * half, 2 * half);
+      context.moveTo(x, y);
+      context.lineTo(this.points[i][0], this.points[i][1]);
+    });
+    context.stroke();
+  }
+
+  // Names of all sensors where they do not overlap; always of the one below the pointer and the selected one.
+  _names(context, points, order, radius) {
+    context.font = "12px system-ui, 'DejaVu Sans', sans-serif";
+    context.textAlign = "center";
+    context.lineWidth = 3;
+    context.strokeStyle = "#ffffff";
+    context.fillStyle = OUTLINE;
+    const taken = [], first = [this.hovered, this.selected].filter((i) => i >= 0 && points[i]);
+    for (const i of [...first, ...(this.named ? order.slice().reverse() : [])]) {
+      const name = this.names[i].length > 24 ? `${this.names[i].slice(0, 23)}…` : this.names[i];
+      const half = context.measureText(name).width / 2 + 2, [x, y] = [points[i][0], points[i][1] - radius - 5];
+      if (taken.some(([a, b, h]) => Math.abs(a - x) < h + half && Math.abs(b - y) < 13)) continue;
+      taken.push([x, y, half]);
+      context.strokeText(name, x, y);
+      context.fillText(name, x, y);
     }
   }
 
@@ -205,7 +244,10 @@ export class MapView {
       moved = 0;
       this.canvas.setPointerCapture(event.pointerId);
     });
+    this.canvas.addEventListener("pointerleave", () => { this.hovered = -1; });
     this.canvas.addEventListener("pointermove", (event) => {
+      const frame = this.canvas.getBoundingClientRect();
+      this.hovered = this.at(event.clientX - frame.left, event.clientY - frame.top);
       if (!held) return;
       const [dx, dy] = [event.clientX - held[0], event.clientY - held[1]];
       moved += Math.abs(dx) + Math.abs(dy);
@@ -233,6 +275,7 @@ export class MapView {
 
   select(sensor) {
     this.selected = sensor;
+    this.wanted = this.names[sensor];
     this.canvas.dispatchEvent(new CustomEvent("selected"));
   }
 }
