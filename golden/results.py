@@ -27,7 +27,7 @@ EXACT = 1e-9
 SIMILAR = 1e-3
 """Limit for other arithmetic: another processor, another order of operations, other libraries."""
 
-ESTIMATED = ("expected error", "repeatability", "systematic")
+ESTIMATED = ("expected error", "repeatability")
 """Facts that are errors of a map, estimated without the truth."""
 
 _NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?")
@@ -83,7 +83,6 @@ def _result(case: Case, runs: Sequence[anisomap.Recording]) -> Result:
         return Result({key: _rounded(value, 5) for key, value in facts.items()})
     facts |= {
         "repeatability": made.verdict.repeatability,
-        "systematic": made.verdict.systematic,
         "repaired": _mean_square(repaired) / _mean_square(runs),
         "dimensions": made.dimensions,
         "components": list(made.component_sizes),

@@ -17,14 +17,8 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.blending import (
-    Blend,
-    blend,
-    blended_correlation,
-    split_blend,
-)
-from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.split_half import at_frames, split_blocks, spread_frames
+from anisomap.numerics.reliability.blending import Blend, blend, blended_correlation
+from anisomap.numerics.reliability.sampling_noise import sampling_variance, thinning
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.reference import without_common_signal
@@ -34,12 +28,6 @@ from anisomap.recording import Recording
 logger = logging.getLogger(__name__)
 
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
-_MAX_CHANGES = 10_000
-"""Maximum number of differences between frames that are correlated.
-
-Correlations of as many independent differences have a standard deviation of .01 at most.
-"""
-
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 
 
@@ -124,8 +112,6 @@ class PairStatistics:
         Name of the similarity that was computed from readings; empty if it was precomputed.
     blended : Blend, optional
         What a blended correlation was computed from, of all sensors that were compared.
-    given_changes : ndarray of shape (n, n), optional
-        `changes`, if they were computed already.
     common_share : float
         Share of the mean over sensors that is a signal of all of them, which was subtracted.
     """
@@ -136,7 +122,6 @@ class PairStatistics:
     readings: NDArray[np.generic] | None = None
     statistic: str = ""
     blended: Blend | None = None
-    given_changes: Reals | None = None
     common_share: float = 0.0
 
     @classmethod
@@ -187,10 +172,15 @@ class PairStatistics:
             statistic,
         )
 
-    @property
+    @cached_property
     def changes(self) -> Reals | None:
         """Blended correlation of differences between frames, shape (n, n); None without them."""
-        return self._changes[0] if self._changes else None
+        if self.readings is None or len(self.readings) < _MIN_FRAMES:
+            return None
+        readings: NDArray[Any] = self.readings
+        if readings.dtype.kind != "f":
+            readings = readings.astype(np.float64)
+        return blended_correlation(np.diff(readings, axis=0))
 
     @cached_property
     def correlation(self) -> Reals | None:
@@ -215,61 +205,11 @@ class PairStatistics:
             return self.blended.rest, self.blended.ranks
         return rest_and_ranks(np.asarray(self.readings))
 
-    @cached_property
-    def _changes(self) -> tuple[Reals, ...]:
-        """Blended correlation of the changes in all frames, and in the halves."""
-        if self.given_changes is not None:
-            return (self.given_changes,)
-        if self.readings is None or len(self.readings) < _MIN_FRAMES:
-            return ()
-        readings: NDArray[Any] = self.readings
-        if readings.dtype.kind != "f":
-            readings = readings.astype(np.float64)
-        chosen = spread_frames(len(readings) - 1, _MAX_CHANGES)
-        changes = readings.T.take(chosen + 1, axis=1)
-        changes -= readings.T.take(chosen, axis=1)
-        found = split_blend(changes.T, halves=True)
-        return found.similarity, *found.halves
-
-    def of_half(self, half: int) -> PairStatistics:
-        """Return the statistics of one of two halves of the frames.
-
-        Parameters
-        ----------
-        half : int
-            Index of one of the results of `anisomap.numerics.reliability.split_half.split_blocks`.
-
-        Returns
-        -------
-        PairStatistics
-            By the same statistic, with ranks among all frames.
-
-        Raises
-        ------
-        ValueError
-            If there are no readings.
-        """
-        if self.readings is None:
-            raise ValueError("there are no readings")
-        frames = split_blocks(len(self.readings))[half]
-        readings = at_frames(self.readings, frames)
-        blended, changes, statistic = self.blended, self._changes, SIMILARITIES[self.statistic]
-        if blended is not None and blended.halves:
-            blended = blended.of_half(half, frames, readings)
-            similarity, noise = blended.similarity, blended.variance
-        elif statistic.blend is not None:
-            blended = statistic.blend(readings)
-            similarity, noise = blended.similarity, blended.variance
-        else:
-            similarity, noise = statistic.with_variance(readings, DEFAULT_BINS)
-        return replace(
-            self,
-            similarity=similarity,
-            noise=noise,
-            readings=readings,
-            blended=blended,
-            given_changes=changes[1 + half] if len(changes) > 1 else None,
-        )
+    def of_frames(self, frames: NDArray[np.intp]) -> PairStatistics:
+        """Compare the sensors in some frames, which increase; requires readings."""
+        readings = np.asarray(self.readings)[frames]
+        found = _examined(readings, self.statistic, DEFAULT_BINS)
+        return replace(found, common_share=self.common_share)
 
     @property
     def weights(self) -> NDArray[np.float64] | None:
@@ -289,7 +229,6 @@ class PairStatistics:
             known=self.known[inside],
             readings=readings,
             blended=None if self.blended is None else self.blended.select(sensors),
-            given_changes=None if self.given_changes is None else self.given_changes[inside],
         )
 
     def check_correlations(self) -> None:
@@ -315,30 +254,13 @@ def compare(
     logger.info("comparing all pairs of sensors (%s)", similarity)
     statistic = SIMILARITIES[similarity]
 
-    def computed(readings: NDArray[np.floating]) -> tuple[Reals, ArrayLike]:
-        if with_noise:
-            return statistic.with_variance(readings, bins)
-        return statistic.compute(readings, bins), np.nan
-
     if len({frozenset(run.names) for run in runs}) == 1:
-        readings, share = statistic.referred(_joined(runs, runs[0].names))
-        if with_noise and statistic.blend is not None:
-            readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
-            blended = statistic.blend(readings)
-            pairs = PairStatistics.from_similarity(
-                blended.similarity,
-                noise=blended.variance,
-                readings=readings,
-                statistic=similarity,
-            )
-            return replace(pairs, blended=blended, common_share=share)
-        found, variance = computed(readings)
-        return PairStatistics.from_similarity(
-            found,
-            noise=variance,
-            readings=readings if with_noise else None,
-            statistic=similarity,
-        )
+        readings = _joined(runs, runs[0].names)
+        if not with_noise:
+            found = statistic.compute(statistic.referred(readings)[0], bins)
+            return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)
+        readings, share = statistic.referred(readings[:: thinning(readings)])
+        return replace(_examined(readings, similarity, bins), common_share=share)
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     shared = _shared_runs(runs, names)
     values, noise = np.eye(len(names)), np.ones(shared.shape)
@@ -346,13 +268,33 @@ def compare(
         readings, _ = statistic.referred(_joined(chosen, tuple(names[i] for i in sensors)))
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
-        found, variance = computed(readings)
+        found, variance = (
+            statistic.with_variance(readings, bins)
+            if with_noise
+            else (statistic.compute(readings, bins), np.nan)
+        )
         values[inside] = np.where(in_group, found, values[inside])
         if with_noise:
             noise[inside] = np.where(in_group, variance, noise[inside])
     return PairStatistics.from_similarity(
         values, noise=noise, known=shared > 0, statistic=similarity
     )
+
+
+def _examined(readings: NDArray[Any], similarity: str, bins: int) -> PairStatistics:
+    """Compare the readings of sensors, shape (T, n), which stay at hand for refinements."""
+    statistic = SIMILARITIES[similarity]
+    readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
+    blended = None if statistic.blend is None else statistic.blend(readings)
+    found, variance = (
+        statistic.with_variance(readings, bins)
+        if blended is None
+        else (blended.similarity, blended.variance)
+    )
+    pairs = PairStatistics.from_similarity(
+        found, noise=variance, readings=readings, statistic=similarity
+    )
+    return replace(pairs, blended=blended)
 
 
 def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:

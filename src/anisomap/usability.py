@@ -1,4 +1,4 @@
-"""How far a map can be used: the verdict, its expected error, and the reasons."""
+"""How far a map can be used: the verdict, its accuracy at three ranges, and the reasons."""
 
 from __future__ import annotations
 
@@ -9,40 +9,48 @@ from types import MappingProxyType
 
 from anisomap.errors import InputError
 
-UNKNOWN = "unknown"
+UNKNOWN = "cannot tell"
 """Level of a map that was not examined, or cannot be."""
 
 LEVELS: Mapping[str, str] = MappingProxyType(
     {
-        "not usable": "positions and neighbourhoods may be wrong",
-        "usable locally": "neighbours are right, but the shape as a whole is doubtful",
+        "not usable": "positions and neighbours may be wrong",
+        "usable for neighbours": "most neighbours are right; lengths and shape may be wrong",
         "usable": "positions are right up to the expected error",
     }
 )
 """Levels of a verdict from the worst to the best, with their meaning."""
 
-ERRORS = ("expected_error", "repeatability", "systematic")
-"""Names of the errors of a verdict."""
+FORMER_LEVELS: Mapping[str, str] = MappingProxyType(
+    {"usable locally": "usable for neighbours", "unknown": UNKNOWN}
+)
+"""Levels of maps that anisomap 0.1 wrote."""
+
+RANGES = ("expected_error", "region_error", "neighbours_kept")
+ACCURACY = (*(f"{name}{end}" for name in RANGES for end in ("", "_low", "_high")), "repeatability")
+"""Names of the numbers of a verdict."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a map: a level, the error to expect, and the reasons.
+    """Verdict on a map: a level, the accuracy to expect at three ranges, and the reasons.
 
-    Errors are RMS errors of the positions of the largest component after the best similarity
-    transform, in spacings: medians of the distances between nearest neighbours.
+    Errors are RMS errors of positions after the best similarity transform, in spacings: medians of
+    the distances between nearest neighbours. Each number has an interval that holds the true one
+    for nine of ten maps. Numbers are of the largest component, and NaN if unknown.
 
     Parameters
     ----------
     level : str
-        A key of `LEVELS`, or ``"unknown"``.
-    expected_error : float
-        Error to expect, at least 0; NaN if unknown.
+        A key of `LEVELS`, or ``"cannot tell"``.
+    expected_error, expected_error_low, expected_error_high : float
+        Error of the map as a whole, at least 0.
+    region_error, region_error_low, region_error_high : float
+        Error of a region of radius 5 spacings, aligned by itself.
+    neighbours_kept, neighbours_kept_low, neighbours_kept_high : float
+        Share of the true neighbours that are neighbours on the map, in [0, 1].
     repeatability : float
-        Part of the expected error that chance explains: the RMS difference that another recording
-        of the same kind and length makes. NaN if unknown.
-    systematic : float
-        Part of the expected error that every map of the recording shares. NaN if unknown.
+        RMS difference, in spacings, that another recording of the same kind and length makes.
     reasons : tuple of str
         Sentences, the worst first.
 
@@ -54,11 +62,19 @@ class Verdict:
 
     level: str = UNKNOWN
     expected_error: float = math.nan
+    expected_error_low: float = math.nan
+    expected_error_high: float = math.nan
+    region_error: float = math.nan
+    region_error_low: float = math.nan
+    region_error_high: float = math.nan
+    neighbours_kept: float = math.nan
+    neighbours_kept_low: float = math.nan
+    neighbours_kept_high: float = math.nan
     repeatability: float = math.nan
-    systematic: float = math.nan
     reasons: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "level", FORMER_LEVELS.get(self.level, self.level))
         if self.level != UNKNOWN and self.level not in LEVELS:
             known = ", ".join((*LEVELS, UNKNOWN))
             raise InputError(f"the level of a verdict must be one of {known}, got {self.level!r}")
@@ -70,10 +86,11 @@ class Verdict:
 
     @property
     def summary(self) -> str:
-        """The level, and the expected error if it is known."""
+        """The level, and the expected error with its interval if it is known."""
         if math.isnan(self.expected_error):
             return self.level
-        return f"{self.level}, expected error {self.expected_error:.2f} spacings"
+        interval = f"{self.expected_error_low:.2f} to {self.expected_error_high:.2f}"
+        return f"{self.level}, expected error {self.expected_error:.2f} spacings ({interval})"
 
     @property
     def sentences(self) -> tuple[str, ...]:

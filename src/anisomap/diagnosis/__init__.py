@@ -1,6 +1,6 @@
 """Diagnosis of a map: sensor health, and the verdict that follows from evidence of its errors."""
 
-from anisomap.diagnosis.verdict import Doubt, Evidence, judge
+from anisomap.diagnosis.verdict import Evidence, judge
 from anisomap.usability import LEVELS, UNKNOWN, Verdict
 
-__all__ = ["LEVELS", "UNKNOWN", "Doubt", "Evidence", "Verdict", "judge"]
+__all__ = ["LEVELS", "UNKNOWN", "Evidence", "Verdict", "judge"]

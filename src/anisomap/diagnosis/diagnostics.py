@@ -14,9 +14,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.diagnosis import Evidence, judge
-from anisomap.diagnosis.doubts import extent_in_spacings, systematic_doubts
-from anisomap.diagnosis.parts import MIN_FRAMES, MIN_SENSORS, MapParts
+from anisomap.diagnosis.accuracy import (
+    differences_from_steps,
+    expected_error,
+    rms_in_spacings,
+    with_systematic_errors,
+)
+from anisomap.diagnosis.parts import MIN_FRAMES, MIN_SENSORS, MapPart, MapParts
 from anisomap.diagnosis.resampling import (
     MAX_SENSORS,
     STEP,
@@ -25,10 +29,11 @@ from anisomap.diagnosis.resampling import (
     error_in_spacings,
     resampled_maps,
 )
+from anisomap.diagnosis.verdict import Evidence, judge
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.mapping import Stages
-from anisomap.methods import METHODS
+from anisomap.methods import DEFAULT_METHOD, METHODS
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording, as_runs, join_runs
@@ -41,6 +46,12 @@ _SAME_MAP = 0.5
 """Largest departure of a map from that of the covariogram fit, in spacings, for which resamples of
 the latter show its errors. At most .2 where the fit was the last step or was averaged with paths,
 at least 1 where lengths were taken from heights (12 simulated skins, seeds 201 to 212)."""
+
+HARMLESS = ("clock-jitter",)
+"""Faults that change no map: the default method does not use times."""
+
+FATAL = ("one-period",)
+"""Faults after which similar readings do not mean that sensors are near."""
 
 
 def diagnose(
@@ -111,14 +122,18 @@ def diagnose(
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
     faults = find_faults(runs) if findings is None else findings
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
-    verdict, found, uneven = Verdict(), None, sensor_map.uneven
+    verdict, found = Verdict(), None
     if with_verdict:
-        parts = _parts(sensor_map, runs, options, stages)
-        found, repeatability = _uncertainty(sensor_map, parts, options, rng, progress)
-        evidence = _evidence(sensor_map, parts, faults, repeatability)
-        uneven |= any(doubt.kind == "distortion" for doubt in evidence.doubts)
+        evidence, found = examine(
+            sensor_map,
+            runs,
+            options=options,
+            rng=rng,
+            progress=progress,
+            stages=stages,
+            faults=faults,
+        )
         verdict = judge(evidence)
-    notes += [reason for reason in verdict.reasons if reason.startswith("insufficient evidence")]
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -127,7 +142,6 @@ def diagnose(
         health=tuple(sensor.status for sensor in assessed),
         verdict=verdict,
         covariances=found,
-        uneven=uneven,
         notes=(*sensor_map.notes, *notes),
         provenance={**sensor_map.provenance, "verdict": verdict.summary},
     )
@@ -141,7 +155,7 @@ def estimate_uncertainty(
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[NDArray[np.float64] | None, float]:
-    """Estimate the errors that chance makes, by maps of resampled recordings.
+    """Estimate the covariances of positions, and the errors that chance makes.
 
     Parameters
     ----------
@@ -153,8 +167,8 @@ def estimate_uncertainty(
     covariances : ndarray of shape (N, k, k), or None
         See `SensorMap.covariances`; None if they cannot be known.
     repeatability : float
-        RMS error of the positions of the largest component, in spacings; NaN if it cannot be
-        known.
+        RMS error of the positions of the largest component by chance, in spacings; NaN if it
+        cannot be known.
 
     Raises
     ------
@@ -166,136 +180,114 @@ def estimate_uncertainty(
     Blocks of frames are resampled (`anisomap.numerics.reliability.sampling_noise`), and each
     resample is mapped by a few iterations of the covariogram fit, starting from the map. If the
     map departs from that fit, because lengths were taken from the heights of contacts, halves of
-    the recording are mapped from the beginning, and the covariances are scaled to their
-    difference.
+    the recording are mapped from the beginning instead. Systematic errors are estimated from the
+    differences from a map of evenly spaced sensors: see `anisomap.diagnosis.accuracy`.
     """
-    parts = _parts(sensor_map, as_runs(recording), options)
-    return _uncertainty(sensor_map, parts, options, rng, progress)
+    evidence, found = examine(
+        sensor_map, as_runs(recording), options=options, rng=rng, progress=progress
+    )
+    return found, evidence.repeatability
 
 
-def _uncertainty(
+def examine(
     sensor_map: SensorMap,
-    parts: MapParts | str,
-    options: MethodOptions | None,
-    rng: np.random.Generator | int | None,
-    progress: Callable[[float], None] | None,
-) -> tuple[NDArray[np.float64] | None, float]:
-    """See `estimate_uncertainty`."""
-    if isinstance(parts, str):
-        return None, math.nan
+    runs: Sequence[Recording],
+    *,
+    options: MethodOptions | None = None,
+    rng: np.random.Generator | int | None = None,
+    progress: Callable[[float], None] | None = None,
+    stages: Stages | None = None,
+    faults: Sequence[Finding] = (),
+) -> tuple[Evidence, NDArray[np.float64] | None]:
+    """Collect the evidence for the verdict on a map, and the covariances of its positions."""
+    sizes = sensor_map.component_sizes
+    evidence = Evidence(
+        placed=int(np.count_nonzero(sensor_map.placed)),
+        largest=sizes[0],
+        faults=_sentences(fault for fault in faults if fault.kind not in (*HARMLESS, *FATAL)),
+        fatal=_sentences(fault for fault in faults if fault.kind in FATAL),
+    )
+    if unknown := _unknown(sensor_map, runs):
+        return replace(evidence, unknown=unknown), None
+    parts = MapParts(sensor_map, runs[0].complete(), options or MethodOptions(), stages)
     report = progress or (lambda _share: None)
     generator = np.random.default_rng(0 if rng is None else rng)
     found = np.full((*sensor_map.positions.shape, sensor_map.dimensions), np.nan)
-    repeatability = math.nan
-    sizes = sensor_map.component_sizes
     logger.info("mapping resampled recordings to estimate the repeatability")
     for label, size in enumerate(sizes):
         if size < MIN_SENSORS:
             continue
-        members = sensor_map.component == label
-        positions = sensor_map.positions[members]
         done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
         try:
             part = parts[label]
-            reference, maps = resampled_maps(
-                part.pairs,
-                positions,
-                sensor_map.method,
-                part.refined,
-                options=options,
-                rng=generator,
-                progress=_part_of(report, done, share),
-            )
+            chance, repeatability = _chance(part, parts, generator, _part_of(report, done, share))
         except InputError:  # no relation between sensors is left
-            repeatability = math.inf if label == 0 else repeatability
+            chance, repeatability = None, math.inf
+        if label == 0:
+            evidence = replace(evidence, repeatability=repeatability, difference=math.inf)
+        if chance is None:
             continue
-        component = covariances(maps, positions, STEP)
-        error = error_in_spacings(component, positions)
-        if departure_in_spacings(reference, positions) > _SAME_MAP:
-            by_halves = parts.error_of_halves(label)
-            component *= (by_halves / error) ** 2 if 0 < error < math.inf else math.nan
-            error = by_halves
-        found[members] = np.where(np.isfinite(component), component, np.nan)
-        repeatability = error if label == 0 else repeatability
-    return found, repeatability
+        with limited_blas(size):
+            differences = differences_from_steps(part.pairs, part.positions)
+        difference = rms_in_spacings(differences, part.positions)
+        if label == 0:
+            evidence = replace(evidence, difference=difference)
+        error = expected_error(repeatability, difference).value
+        if math.isfinite(error):
+            members = sensor_map.component == label
+            found[members] = with_systematic_errors(chance, differences, part.positions, error)
+    return evidence, found
+
+
+def _chance(
+    part: MapPart,
+    parts: MapParts,
+    rng: np.random.Generator,
+    progress: Callable[[float], None],
+) -> tuple[NDArray[np.float64], float]:
+    """Estimate the covariances that chance makes, (n, k, k), and the RMS error in spacings."""
+    positions = part.positions
+    reference, maps = resampled_maps(
+        part.pairs,
+        positions,
+        parts.method,
+        part.refined,
+        options=parts.options,
+        rng=rng,
+        progress=progress,
+    )
+    found = covariances(maps, positions, STEP)
+    if departure_in_spacings(reference, positions) > _SAME_MAP:
+        return found, parts.error_of_halves(part)
+    return found, error_in_spacings(found, positions)
+
+
+def _sentences(faults: Iterable[Finding]) -> tuple[str, ...]:
+    return tuple(sentence for fault in faults for sentence in spoiling([fault]))
 
 
 def _part_of(report: Callable[[float], None], done: float, share: float) -> Callable[[float], None]:
     return lambda part: report(done + part * share)
 
 
-def collect_evidence(
-    sensor_map: SensorMap,
-    recording: Recording | ArrayLike | Sequence[Recording],
-    faults: Sequence[Finding] = (),
-    *,
-    options: MethodOptions | None = None,
-    repeatability: float | None = None,
-    stages: Stages | None = None,
-) -> Evidence:
-    """Collect the evidence for the verdict on a map, of its largest component."""
-    parts = _parts(sensor_map, as_runs(recording), options, stages)
-    if repeatability is None:
-        repeatability = _uncertainty(sensor_map, parts, options, None, None)[1]
-    return _evidence(sensor_map, parts, faults, repeatability)
-
-
-def _evidence(
-    sensor_map: SensorMap, parts: MapParts | str, faults: Sequence[Finding], repeatability: float
-) -> Evidence:
-    """See `collect_evidence`."""
-    if isinstance(parts, str):
-        return Evidence(doubts=systematic_doubts(sensor_map, faults), unknown=parts)
-    part = parts[0]
-    positions = part.positions
-    # Resamples start from the map, so they cannot show that the fit may end in another one.
-    halves = parts.error_of_halves(0)
-    with limited_blas(len(positions)):
-        doubts = systematic_doubts(
-            sensor_map,
-            faults,
-            readings=part.readings,
-            similarity=part.pairs.similarity,
-            changes=part.pairs.changes,
-            correlation=part.pairs.correlation,
-            repeatability=repeatability,
-            halves=halves,
-        )
-    return Evidence(
-        repeatability=repeatability,
-        extent=extent_in_spacings(positions),
-        dimensions=sensor_map.dimensions,
-        doubts=doubts,
-    )
-
-
-def _parts(
-    sensor_map: SensorMap,
-    runs: Sequence[Recording],
-    options: MethodOptions | None,
-    stages: Stages | None = None,
-) -> MapParts | str:
-    """Return the components of a map, or why its repeatability cannot be known."""
-    if unknown := _unknown(sensor_map, runs):
-        return unknown
-    return MapParts(sensor_map, runs[0].complete(), options or MethodOptions(), stages)
-
-
 def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
-    """Return why the repeatability of a map cannot be known; empty if it can."""
+    """Return why the repeatability of a map cannot be known, and what to do; empty if it can."""
     method = METHODS.get(sensor_map.method)
     if method is None or sensor_map.similarity not in (
         method.similarity,
         method.contact_similarity,
     ):
         return "the map does not follow from the readings of one recording in memory"
-    n_sensors = np.count_nonzero(sensor_map.component == 0)
+    n_sensors, n_frames = np.count_nonzero(sensor_map.component == 0), runs[0].n_frames
     reasons = {
-        f"{sensor_map.method} does not refine maps, and has no verdicts": not method.refinements,
-        "the recordings have different sensors": len(runs) > 1,
-        f"fewer than {MIN_SENSORS} sensors are related": n_sensors < MIN_SENSORS,
+        f"{sensor_map.method} does not refine maps, and has no verdicts: use "
+        f"{DEFAULT_METHOD}": not method.refinements,
+        "the recordings have different sensors: map one of them": len(runs) > 1,
+        f"only {n_sensors} sensors are related, and a verdict needs {MIN_SENSORS}: touch more of "
+        "the skin": n_sensors < MIN_SENSORS,
         f"resampling more than {MAX_SENSORS} sensors takes too much memory": n_sensors
         > MAX_SENSORS,
-        f"the recording has fewer than {MIN_FRAMES} frames": runs[0].n_frames < MIN_FRAMES,
+        f"the recording has {n_frames} frames, and a verdict needs {MIN_FRAMES}: record "
+        "longer": n_frames < MIN_FRAMES,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")

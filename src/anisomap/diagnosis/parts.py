@@ -76,13 +76,6 @@ def _squared_difference(
 
 logger = logging.getLogger(__name__)
 
-_MAX_ITERATIONS = 60
-"""Maximum number of iterations of the covariogram fit to a half.
-
-With 300, differences of halves changed by less than .6 % (Nao's torso and head, an insole, soles,
-and simulated skins, seeds 11 to 17).
-"""
-
 _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
 
 
@@ -105,7 +98,7 @@ class MapPart:
 
 
 class MapParts:
-    """The components of a map of one recording, each examined once.
+    """The components of a map of one recording.
 
     Without the stages of the map, it is made again.
     """
@@ -117,32 +110,21 @@ class MapParts:
         options: MethodOptions,
         stages: Stages | None = None,
     ) -> None:
-        self._map, self._run, self._options = sensor_map, run, options
+        self._map, self._run, self.options = sensor_map, run, options
         self._stages = self._made_again() if stages is None else stages
-        self._halves: dict[int, float] = {}
-        self._parts: dict[int, MapPart] = {}
+        self.method = sensor_map.method
+
+    def error_of_halves(self, part: MapPart) -> float:
+        """Map halves of the recording of a component, and return its error in spacings."""
+        logger.info("mapping halves of the recording to estimate the repeatability")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
+            return repeatability_of_halves(
+                len(part.readings), part.positions, lambda frames: self._map_half(part, frames)
+            )
 
     def __getitem__(self, label: int) -> MapPart:
         """Return the component with a label; `InputError` if it has no variance of similarity."""
-        if label not in self._parts:
-            self._parts[label] = self._part(label)
-        return self._parts[label]
-
-    def error_of_halves(self, label: int) -> float:
-        """Map halves of the recording of a component, and return its error in spacings."""
-        if label not in self._halves:
-            part = self[label]
-            logger.info("mapping halves of the recording to estimate the repeatability")
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", AnisomapWarning)  # halves are short by design
-                self._halves[label] = repeatability_of_halves(
-                    len(part.readings),
-                    part.positions,
-                    lambda frames: self._map_half(part, frames),
-                )
-        return self._halves[label]
-
-    def _part(self, label: int) -> MapPart:
         members = self._map.component == label
         stages, positions = self._stages, self._map.positions[members]
         components = self._map.component[self._map.placed]
@@ -153,7 +135,7 @@ class MapParts:
             return MapPart(positions, stages.pairs.select(inside), refined)
         run = self._run.select(members)
         with limited_blas(run.n_sensors):
-            pairs = compare([run], self._map.similarity, bins=self._options.bins, with_noise=True)
+            pairs = compare([run], self._map.similarity, bins=self.options.bins, with_noise=True)
         return MapPart(positions, pairs)
 
     def _made_again(self) -> Stages | None:
@@ -165,7 +147,7 @@ class MapParts:
                     self._run,
                     self._map.method,
                     self._map.dimensions,
-                    options=self._options,
+                    options=self.options,
                     drop=unplaced,
                 )[1]
             except InputError:
@@ -173,21 +155,8 @@ class MapParts:
 
     def _map_half(self, part: MapPart, frames: NDArray[np.intp]) -> NDArray[np.float64]:
         """Map a half of the frames from the beginning, as all of them; NaN for constant sensors."""
-        covariogram, contacts = self._options.covariogram, self._options.contacts
-        options = replace(
-            self._options,
-            split_unrelated=False,
-            covariogram=replace(
-                covariogram, max_iterations=min(covariogram.max_iterations, _MAX_ITERATIONS)
-            ),
-            contacts=replace(
-                contacts,
-                max_readings=-(-contacts.max_readings // 2),
-                readings_per_sensor=-(-contacts.readings_per_sensor // 2),
-            ),
-        )
-        # The half that begins with the first frame is the first.
-        half = part.pairs.of_half(int(frames[0] > 0))
+        options = replace(self.options, split_unrelated=False)
+        half = part.pairs.of_frames(frames)
         varying = np.ptp(np.asarray(half.readings), axis=0) > 0
         if np.count_nonzero(varying) < max(options.min_sensors, self._map.dimensions):
             raise InputError("too few sensors vary in a half of the recording")

@@ -28,7 +28,6 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import (
     balanced_weights,
     block_edges,
-    thinning,
     typical_variance,
 )
 from anisomap.numerics.similarity.correlation import resampled_correlation
@@ -243,10 +242,8 @@ def _similarities(
     if found is None:
         # Shortest paths in float32 take half the time.
         return resampled_contact_agreement(readings, edges, weights).astype(np.float32)
-    step = thinning(readings)
-    edges = -(-edges // step)
-    blended = resampled_correlation(readings[::step], edges, weights)
-    rho = resampled_correlation(found.ranks[::step], edges, weights)
+    blended = resampled_correlation(readings, edges, weights)
+    rho = resampled_correlation(found.ranks, edges, weights)
     blended *= found.weight
     rho *= 1 - found.weight
     blended += rho

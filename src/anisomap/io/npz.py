@@ -32,7 +32,7 @@ from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasi
 from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import ERRORS, Verdict
+from anisomap.usability import ACCURACY, Verdict
 from anisomap.wording import join_items
 
 SUFFIX = ".npy"
@@ -434,9 +434,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "method": sensor_map.method,
         "stress": sensor_map.stress,
         "verdict": verdict.level,
-        "expected_error": verdict.expected_error,
-        "repeatability": verdict.repeatability,
-        "systematic": verdict.systematic,
+        **{name: getattr(verdict, name) for name in ACCURACY},
         "reasons": np.array(verdict.reasons, dtype=str),
         "notes": np.array(sensor_map.notes, dtype=str),
         "provenance": to_json(to_provenance(sensor_map)),
@@ -447,7 +445,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 def _read_verdict(archive: Archive) -> Verdict:
     if "verdict" not in archive.names:
         return Verdict()
-    errors = {name: archive.number(name) for name in ERRORS}
+    errors = {name: archive.number(name) for name in ACCURACY}
     return Verdict(
         archive.text("verdict"),
         **{name: math.nan if value is None else value for name, value in errors.items()},

@@ -11,7 +11,7 @@ from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import typical_variance
-from anisomap.numerics.scaling.multidimensional_scaling import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import MIN_SENSORS, Proposal
@@ -23,6 +23,8 @@ The share was at most .02 on bombarded, rolling and rubbed bodies (seeds 101 to 
 and 8,000 frames) and on the iCub's skin, and .045 to .54 on real bodies and arrays with contacts of
 different sizes. Rollers, presses and self-touch of closed bodies are on either side.
 """
+
+_NEAR = SmacofOptions(tolerance=1e-6)  # from a start near the minimum
 
 _NOTE = (
     "contacts differ from place to place ({:.0%} of the variance of the correlations does not "
@@ -54,9 +56,9 @@ def by_paths(
     distances = squareform(pdist(positions))
     lengths = distances.sum() / (len(paths) * (len(paths) - 1)) * paths
     # Started from the scaling of the mean of both, which folds neither.
-    start = smacof((distances + lengths) / 2, dimensions=dimensions, start=positions).positions
-    scaled = smacof(lengths, dimensions=dimensions, start=start).positions
-    given = np.asarray(positions, dtype=np.float64)
+    given = scaled = np.asarray(positions, dtype=np.float64)
+    for target in ((distances + lengths) / 2, lengths):
+        scaled = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR).positions
     return Proposal(
         fit_similarity(scaled, given).apply(scaled),
         precision,

@@ -33,7 +33,7 @@ from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.placement.modules import Modules, modules_by_name
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap, axis_names
-from anisomap.usability import ERRORS, UNKNOWN, Verdict
+from anisomap.usability import ACCURACY, UNKNOWN, Verdict
 
 Value = TypeVar("Value")
 
@@ -118,7 +118,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         *sensor_map.reference.items(),
         ("stress", float(sensor_map.stress)),
         ("verdict", sensor_map.verdict.level),
-        *((name, float(getattr(sensor_map.verdict, name))) for name in ERRORS),
+        *((name, float(getattr(sensor_map.verdict, name))) for name in ACCURACY),
         *(("reason", reason) for reason in sensor_map.verdict.reasons),
         *(("note", note) for note in sensor_map.notes),
     ]
@@ -258,7 +258,7 @@ def _map_properties(lines: Sequence[str], units: str) -> dict[str, Any]:
         "stress": _number(known.get("stress")),
         "verdict": Verdict(
             str(known.get("verdict", UNKNOWN)),
-            **{name: _number(known.get(name)) for name in ERRORS},
+            **{name: _number(known.get(name)) for name in ACCURACY},
             reasons=tuple(str(value) for key, value in entries if key == "reason"),
         ),
         "notes": tuple(str(value) for key, value in entries if key == "note"),

@@ -16,7 +16,7 @@ from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap
-from anisomap.usability import ERRORS, UNKNOWN, Verdict
+from anisomap.usability import ACCURACY, UNKNOWN, Verdict
 
 _MARK = "anisomap map"
 SIGNATURE = f'{{\n "format": "{_MARK}"'.encode()
@@ -53,7 +53,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "stress": _to_json(float(sensor_map.stress)),
         "verdict": {
             "level": sensor_map.verdict.level,
-            **{name: _to_json(float(getattr(sensor_map.verdict, name))) for name in ERRORS},
+            **{name: _to_json(float(getattr(sensor_map.verdict, name))) for name in ACCURACY},
             "reasons": list(sensor_map.verdict.reasons),
         },
         "notes": list(sensor_map.notes),
@@ -179,7 +179,7 @@ def _from_json(value: object) -> float:
 def _verdict(content: dict[str, Any]) -> Verdict:
     return Verdict(
         str(content.get("level", UNKNOWN)),
-        **{name: _from_json(content.get(name)) for name in ERRORS},
+        **{name: _from_json(content.get(name)) for name in ACCURACY},
         reasons=tuple(map(str, content.get("reasons", []))),
     )
 

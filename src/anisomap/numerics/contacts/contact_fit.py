@@ -211,14 +211,14 @@ class ContactOptions:
         If a value is out of range.
     """
 
-    n_levels: int = 8
+    n_levels: int = 6
     max_gain_spread: float = 0.3
-    max_readings: int = 30_000
-    readings_per_sensor: int = 150
+    max_readings: int = 15_000
+    readings_per_sensor: int = 75
     min_sensors: int = 3
     contact_weight: float = 0.2
     prior_sd: float = 0.5
-    n_steps: int = 8
+    n_steps: int = 4
     min_explained: float = 0.45
     min_at_rest: float = 0.2
 

@@ -6,7 +6,7 @@ Split-half reliability of correlations.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.similarity.correlation import Moments, moments, scale_extremes
+from anisomap.numerics.similarity.correlation import moments, scale_extremes
 
 _MAX_CORRELATION = 0.999  # a profile hardly repeats better; Fisher's z stays finite
 
@@ -55,7 +55,6 @@ MIN_SENSORS = 3
 """Minimum number of sensors for a reliability: a correlation over 3 pairs."""
 
 _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the reliability
-_GOLDEN_RATIO = (5**0.5 - 1) / 2
 _ROUNDING = 1e-12  # relative, of a variance over pairs that is 0
 
 
@@ -69,15 +68,6 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         raise InputError(f"split-half needs at least 2 frames, got {n_frames}")
     blocks = np.array_split(np.arange(n_frames), min(N_BLOCKS, n_frames))
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
-
-
-def spread_frames(n_frames: int, most: int) -> NDArray[np.intp]:
-    """Choose frames from all parts of a recording such that no period of it is missed."""
-    if n_frames <= most:
-        return np.arange(n_frames)
-    part = np.arange(most)
-    places = (part + part * _GOLDEN_RATIO % 1) * (n_frames / most)
-    return np.unique(places.astype(np.intp))
 
 
 def at_frames(values: NDArray[Any], frames: NDArray[np.intp]) -> NDArray[Any]:
@@ -98,15 +88,13 @@ class SplitCorrelation:
 
     correlation (N, N): Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
     reliability: Correlation between the halves of the frames, over pairs of sensors, in [-1, 1].
-    halves: Those of the two halves; empty if they were not asked for.
     """
 
     correlation: Reals
     reliability: float
-    halves: tuple[SplitCorrelation, ...] = ()
 
 
-def correlation_and_reliability(readings: ArrayLike, *, halves: bool = False) -> SplitCorrelation:
+def correlation_and_reliability(readings: ArrayLike) -> SplitCorrelation:
     """Compute Pearson's r, and correlate it between the two halves, over pairs of sensors.
 
     readings (T, N).
@@ -114,30 +102,13 @@ def correlation_and_reliability(readings: ArrayLike, *, halves: bool = False) ->
     values = scale_extremes(readings)
     n_frames, n_sensors = values.shape
     step = -(-n_sensors // _MAX_SENSORS)
-    if step == 1:
-        return _split(values, np.arange(n_frames), 2 if halves else 1)[1]
-    whole = moments(values).correlation()
-    sampled = _split(values[:, ::step], np.arange(n_frames), 1)[1]
-    return SplitCorrelation(whole, sampled.reliability)
-
-
-def _split(
-    values: NDArray[np.generic], frames: NDArray[np.intp], depth: int
-) -> tuple[Moments, SplitCorrelation]:
-    """Compute the moments of some frames from those of their halves, `depth` times over."""
-    if not depth or len(frames) < MIN_FRAMES:
-        found = moments(at_frames(values, frames))
-        return found, SplitCorrelation(found.correlation(), 0.0)
+    if n_frames < MIN_FRAMES:
+        return SplitCorrelation(moments(values).correlation(), 0.0)
     # Merging the halves takes a tenth of the time of multiplying all frames again.
-    (first, even), (second, odd) = (
-        _split(values, frames[half], depth - 1) for half in split_blocks(len(frames))
-    )
-    found = first.merged(second)
-    # Sensors that are constant in a half are left out of its map.
-    compared = found.varying() if len(frames) < len(values) else np.ones(len(first.mean), bool)
-    reliability = _agreement(even.correlation, odd.correlation, int(compared.sum()))
-    halves = (replace(even, halves=()), replace(odd, halves=())) if depth > 1 else ()
-    return found, SplitCorrelation(found.correlation(), reliability, halves)
+    first, second = (moments(at_frames(values, half)) for half in split_blocks(n_frames))
+    even, odd = (one.correlation()[::step, ::step] for one in (first, second))
+    reliability = _agreement(even, odd, len(even))
+    return SplitCorrelation(first.merged(second).correlation(), reliability)
 
 
 def _agreement(first: Reals, second: Reals, n_compared: int) -> float:

@@ -1,0 +1,146 @@
+"""Accuracy of a map at three ranges, estimated without the truth, and its systematic errors.
+
+Resamples of a recording show what chance does to a map, but not what bends all maps alike. A map
+that rests on another assumption shows this: the numbers of steps between sensors on a graph of
+neighbours assume nothing of contacts, but that neighbours are equally far apart. The accuracy of
+maps of known skins followed these two measurements, and the estimates are fitted to them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import shortest_path
+from scipy.spatial import KDTree
+from scipy.special import expit
+
+from anisomap.evaluation.scoring import median_spacing
+from anisomap.evidence import PairStatistics
+from anisomap.numerics.geodesic.neighbours import neighbour_graph
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
+
+_N_POOLED = 9  # a sensor and its nearest 8, over which squared differences are averaged
+_LEAST = 0.01  # spacings: smaller measurements are not calibrated
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number, and the interval that holds the true one for nine of ten maps."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A linear function of the logarithms of two measurements, fitted to maps of known skins.
+
+    constant, by_chance, by_difference: ``x = constant + by_chance log(repeatability) +
+        by_difference log(difference)``.
+    low, high: 5 % and 95 % quantiles of the differences of true values from x, of skins of kinds
+        that were left out of the fit.
+    """
+
+    constant: float
+    by_chance: float
+    by_difference: float
+    low: float
+    high: float
+
+    def at(self, repeatability: float, difference: float) -> tuple[float, float, float]:
+        """Return x and its interval, for measurements in spacings."""
+        chance, other = (math.log(max(one, _LEAST)) for one in (repeatability, difference))
+        x = self.constant + self.by_chance * chance + self.by_difference * other
+        return x, x + self.low, x + self.high
+
+
+ERROR = Calibration(-0.25, 0.21, 0.69, -0.85, 1.0)
+"""Logarithm of the RMS error of the whole map, in spacings."""
+
+REGION = Calibration(-0.51, 0.19, 0.55, -0.85, 1.0)
+"""Logarithm of the RMS error of regions of 5 spacings, each aligned by itself."""
+
+NEIGHBOURS = Calibration(1.8, -0.23, -0.83, -1.5, 1.3)
+"""Log odds that a true neighbour is a neighbour on the map."""
+
+ELLIPSE_SCALE = 3.0
+"""Ratio of the covariances of positions to the square of the expected error.
+
+With it, 95 % of the true positions are inside their ellipses of 95 %, over the maps of the fit: the
+errors of maps spread around the expected ones, and those of sensors around that of their map.
+"""
+
+
+def expected_error(repeatability: float, difference: float) -> Estimate:
+    """Estimate the RMS error of a map from its two measurements, in spacings."""
+    return Estimate(*map(math.exp, ERROR.at(repeatability, difference)))
+
+
+def region_error(repeatability: float, difference: float) -> Estimate:
+    """Estimate the RMS error of regions of 5 spacings."""
+    return Estimate(*map(math.exp, REGION.at(repeatability, difference)))
+
+
+def neighbours_kept(repeatability: float, difference: float) -> Estimate:
+    """Estimate the share of true neighbours that are neighbours on the map."""
+    return Estimate(*(float(expit(x)) for x in NEIGHBOURS.at(repeatability, difference)))
+
+
+def differences_from_steps(
+    pairs: PairStatistics, positions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compare a map with that of the numbers of steps between sensors. positions (n, k) -> (n, k).
+
+    After the best similarity transform; infinite if there is no such map.
+    """
+    readings = np.asarray(pairs.readings)
+    graph = neighbour_graph(
+        readings, positions, similarity=pairs.correlation, changes=pairs.changes
+    )
+    steps = shortest_path(graph.adjacency.astype(np.float64), unweighted=True)
+    # Classical scaling as start: this map must not inherit a fold of the given one.
+    found = smacof(steps, dimensions=positions.shape[1]).positions
+    return np.asarray(fit_similarity(found, positions).apply(found) - positions)
+
+
+def rms_in_spacings(differences: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
+    """Return the RMS length of differences, shape (n, k), in spacings of a map."""
+    spacing = median_spacing(positions)
+    rms = math.sqrt(float(np.square(differences).sum(axis=1).mean()))
+    return rms / spacing if spacing > 0 else math.inf
+
+
+def with_systematic_errors(
+    chance: NDArray[np.float64],
+    differences: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    error: float,
+) -> NDArray[np.float64]:
+    """Return covariances of positions that include systematic errors, (n, k, k).
+
+    chance (n, k, k), differences (n, k), positions (n, k).
+
+    The mean of three shapes of equal size: that of chance, that of the differences from another map
+    around the sensor, and a sphere; scaled to the expected error, in spacings.
+    """
+    k = positions.shape[1]
+    nearest = KDTree(positions).query(positions, k=min(_N_POOLED, len(positions)))[1]
+    outer = np.einsum("ni,nj->nij", differences, differences)[np.asarray(nearest)].mean(axis=1)
+    shapes = [_of_unit_size(one) for one in (chance, outer)]
+    sphere = np.broadcast_to(np.eye(k) / k, outer.shape)
+    size = ELLIPSE_SCALE * (error * median_spacing(positions)) ** 2
+    return np.asarray(size * (sum(shapes) + sphere) / 3)
+
+
+def _of_unit_size(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scale covariances, shape (n, k, k), such that the mean of their traces is 1."""
+    size = float(np.trace(covariances, axis1=1, axis2=2).mean())
+    if size > 0:
+        return covariances / size
+    k = covariances.shape[1]
+    return np.broadcast_to(np.eye(k) / k, covariances.shape)
