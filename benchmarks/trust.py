@@ -22,11 +22,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.spatial import KDTree
+from scipy.stats import chi2
 
 import anisomap
 from anisomap.diagnosis import judge
-from anisomap.diagnosis.diagnostics import collect_evidence
+from anisomap.diagnosis.diagnostics import examine
+from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
+from anisomap.usability import ACCURACY
 from benchmarks.harness import heading, in_parallel, line, options, quietly, write_csv
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 
@@ -36,9 +40,12 @@ SEEDS = 130
 
 FACTS = (
     "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
-    "repeatability", "extent", "placed",
+    "repeatability", "difference", "region", "inside", "placed",
 )  # fmt: skip
 """Columns of the evidence; those of the doubts follow them."""
+
+REGION, MIN_REGION = 5.0, 6
+"""Radius of a region in spacings, and sensors of the smallest one."""
 
 REFUSED = "refused"
 """Level of a recording of which no map is made."""
@@ -50,7 +57,7 @@ MIN_R, MAX_ERROR = 0.9, 1.0
 GOOD_R, GOOD_ERROR = 0.97, 0.5
 """A map with at least this r, and a smaller error in spacings, should not be called not usable."""
 
-LEVELS = ("usable", "usable locally", "not usable", "unknown", "refused")
+LEVELS = ("usable", "usable for neighbours", "not usable", "cannot tell", "refused")
 
 
 _LOOKS = (("#0072B2", "o"), ("#E69F00", "s"), ("#D55E00", "x"))
@@ -163,11 +170,12 @@ def judged(case: Case, source: str = "") -> Outcome:
             made, stages = reconstruct_with_stages(recording, dimensions=case.dimensions)
             mapped = time.process_time()
             faults = anisomap.find_faults(recording)
-            evidence = collect_evidence(made, recording, faults, stages=stages)
+            evidence, covariances = examine(made, [recording], faults=faults, stages=stages)
             verdict = judge(evidence)
             facts["cpu map"] = mapped - begun
             facts["cpu verdict"] = time.process_time() - mapped
-            scored = anisomap.score(made, np.asarray(recording.positions), permutations=0)
+            truth = np.asarray(recording.positions)
+            scored = anisomap.score(made, truth, permutations=0)
         except anisomap.InputError as error:
             return Outcome(
                 source, case.name, case.fault, REFUSED, math.nan, math.nan, math.nan, math.nan,
@@ -175,14 +183,12 @@ def judged(case: Case, source: str = "") -> Outcome:
             )  # fmt: skip
     facts |= {
         "repeatability": evidence.repeatability,
-        "extent": evidence.extent,
+        "difference": evidence.difference,
+        "region": region_error(made, truth),
+        "inside": share_inside(made, covariances, truth),
         "placed": float(np.mean(made.component == 0)),
     }
-    for doubt in evidence.doubts:
-        name = f"doubt: {doubt.kind}"
-        facts[name] = math.hypot(doubt.size, facts.get(name, 0.0))
-        if not math.isnan(doubt.measured):
-            facts[f"measured: {doubt.kind}"] = doubt.measured
+    facts |= {name: getattr(verdict, name) for name in ACCURACY}
     return Outcome(
         source,
         case.name,
@@ -195,6 +201,34 @@ def judged(case: Case, source: str = "") -> Outcome:
         "; ".join(verdict.reasons),
         facts,
     )
+
+
+def region_error(made: anisomap.SensorMap, truth: np.ndarray) -> float:
+    """Return the RMS error of regions of 5 spacings, each aligned by itself, in spacings."""
+    largest = made.component == 0
+    points, true = made.positions[largest], truth[largest]
+    spacing = median_spacing(true)
+    near = KDTree(true).query_ball_point(true, REGION * spacing)
+    regions = [one for one in near if len(one) >= MIN_REGION]
+    if not regions:
+        return math.nan
+    errors = [align(points[one], true[one]).rms for one in regions]
+    return float(np.sqrt(np.mean(np.square(errors)))) / spacing
+
+
+def share_inside(
+    made: anisomap.SensorMap, covariances: np.ndarray | None, truth: np.ndarray
+) -> float:
+    """Return the share of true positions inside the ellipses of 95 % of a map."""
+    known = made.component == 0
+    if covariances is None or not np.isfinite(covariances[known]).all():
+        return math.nan
+    k = made.dimensions
+    aligned = align(truth[known], made.positions[known]).aligned
+    apart = aligned[:, :k] - made.positions[known]
+    distances = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(covariances[known]), apart)
+    distances += np.square(aligned[:, k:]).sum(axis=1) / np.median(covariances[known][:, 0, 0])
+    return float(np.mean(distances < chi2.ppf(0.95, k)))
 
 
 def write_outcomes(outcomes: Sequence[Outcome], path: Path) -> None:

@@ -84,8 +84,8 @@ def test_a_recording_is_mapped_and_judged():
         (GOOD, False, False),
         (BAD, False, False),
         (replace(GOOD, level="not usable"), False, True),
-        (replace(GOOD, level="usable locally"), False, False),
-        (replace(GOOD, level="unknown"), False, False),
+        (replace(GOOD, level="usable for neighbours"), False, False),
+        (replace(GOOD, level="cannot tell"), False, False),
         (replace(BAD, level="usable"), True, False),
         (replace(GOOD, r=0.89), True, False),
         (replace(GOOD, error=1.01), True, False),
@@ -104,5 +104,5 @@ def test_outcomes_survive_a_file_and_are_drawn(tmp_path):
     write_outcomes([GOOD, BAD], tmp_path / "trust.csv")
     assert read_outcomes(tmp_path / "trust.csv") == [GOOD, BAD]
     assert [path.name for path in tmp_path.iterdir()] == ["trust.csv"]
-    draw([GOOD, BAD, replace(BAD, level="usable locally")], tmp_path / "trust.png")
+    draw([GOOD, BAD, replace(BAD, level="usable for neighbours")], tmp_path / "trust.png")
     assert (tmp_path / "trust.png").stat().st_size > 1000

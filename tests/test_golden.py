@@ -40,7 +40,7 @@ def result():
         "level": "usable",
         "r": 0.9,
         "expected error": float("nan"),
-        "systematic": 0.5,
+        "repeatability": 0.5,
         "notes": ["a map differs by 0.38 spacings", "s3 is dead"],
     }
     return Result(facts, positions, component)
@@ -93,11 +93,11 @@ def test_another_component_differs(result, label):
 @pytest.mark.parametrize(
     ("changed", "limit"),
     [
-        ({"level": "usable locally"}, SIMILAR),
+        ({"level": "usable for neighbours"}, SIMILAR),
         ({"r": 0.902}, SIMILAR),
         ({"r": 0.9 + 1e-8}, EXACT),
         ({"expected error": 0.5}, SIMILAR),
-        ({"systematic": 0.7}, SIMILAR),
+        ({"repeatability": 0.7}, SIMILAR),
         ({"notes": ["a map differs by 0.38 spacings"]}, SIMILAR),
         ({"notes": ["a map differs by 0.38 spacings", "s4 is dead"]}, SIMILAR),
         ({"notes": ["a map differs by 0.39 spacings", "s3 is dead"]}, EXACT),
@@ -113,7 +113,7 @@ def test_rounding_may_change_digits_and_order_but_not_the_map(result):
     notes = ["s3 is dead", "a map differs by 0.39 spacings"]
     other = replace(result, facts=result.facts | {"r": 0.9001, "notes": notes})
     assert not differences(result, other, SIMILAR)
-    chaotic = replace(result, facts=result.facts | {"systematic": 0.52})
+    chaotic = replace(result, facts=result.facts | {"repeatability": 0.52})
     assert not differences(result, chaotic, SIMILAR, of_errors=0.1)
     assert differences(result, replace(result, facts=result.facts | {"r": 0.92}), SIMILAR, 0.1)
 
@@ -133,7 +133,7 @@ def test_a_difference_is_reported_and_can_be_accepted(tmp_path, capsys):
     rows["copies"]["level"] = "usable"
     path.write_text(json.dumps(rows))
     assert main(arguments) == 1
-    assert "level: usable became usable locally" in capsys.readouterr().out
+    assert "level: usable became usable for neighbours" in capsys.readouterr().out
     assert main([*arguments, "--accept"]) == 0
     assert main(arguments) == 0
     assert list(read_record(tmp_path)) == list(rows)

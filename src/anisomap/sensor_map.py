@@ -77,7 +77,7 @@ class SensorMap:
     n_iterations : int
         Iterations of SMACOF; the largest number over all components.
     verdict : Verdict
-        How far the map can be used, from `anisomap.diagnose`; its level is ``"unknown"`` by
+        How far the map can be used, from `anisomap.diagnose`; its level is ``"cannot tell"`` by
         default.
     approximate : bool
         Whether only some pairs of sensors were compared.

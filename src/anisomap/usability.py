@@ -89,8 +89,10 @@ class Verdict:
         """The level, and the expected error with its interval if it is known."""
         if math.isnan(self.expected_error):
             return self.level
-        interval = f"{self.expected_error_low:.2f} to {self.expected_error_high:.2f}"
-        return f"{self.level}, expected error {self.expected_error:.2f} spacings ({interval})"
+        found = f"{self.level}, expected error {self.expected_error:.2f} spacings"
+        if math.isnan(self.expected_error_low):
+            return found
+        return f"{found} ({self.expected_error_low:.2f} to {self.expected_error_high:.2f})"
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -58,7 +58,13 @@ def sensor_map() -> SensorMap:
         health=("ok", "noisy", "ok", "dead", "ok"),
         method="r-anisomap",
         stress=0.0625,
-        verdict=Verdict("usable", 0.5, 0.375, math.inf, ("few frames", "# b: c")),
+        verdict=Verdict(
+            "usable",
+            expected_error=0.5,
+            expected_error_high=math.inf,
+            neighbours_kept=0.9,
+            reasons=("few frames", "# b: c"),
+        ),
         notes=("one sensor never varies",),
         provenance={"seed": 3, "mu": 1.0, "weighted": False, "source": "skin.csv"},
     )

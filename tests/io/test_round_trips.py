@@ -17,7 +17,7 @@ from anisomap import io
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import ERRORS, LEVELS, UNKNOWN, Verdict
+from anisomap.usability import ACCURACY, LEVELS, UNKNOWN, Verdict
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
 TRICKY = st.sampled_from(
@@ -103,7 +103,7 @@ def assert_same_map(found: SensorMap, expected: SensorMap) -> None:
         np.testing.assert_equal(getattr(found, name), getattr(expected, name), err_msg=name)
     for name in ("names", "health", "units", "method", "notes", "handed", "anchored"):
         assert getattr(found, name) == getattr(expected, name), name
-    for name in ("level", "reasons", *ERRORS):
+    for name in ("level", "reasons", *ACCURACY):
         np.testing.assert_equal(getattr(found.verdict, name), getattr(expected.verdict, name))
     assert_same_mapping(found.provenance, expected.provenance)
 

@@ -3,7 +3,8 @@
 Resamples of a recording show what chance does to a map, but not what bends all maps alike. A map
 that rests on another assumption shows this: the numbers of steps between sensors on a graph of
 neighbours assume nothing of contacts, but that neighbours are equally far apart. The accuracy of
-maps of known skins followed these two measurements, and the estimates are fitted to them.
+maps of known skins followed these two measurements. The constants are fitted to them by
+``python -m benchmarks.calibration``, which also leaves out each kind of skin in turn.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
 
 _N_POOLED = 9  # a sensor and its nearest 8, over which squared differences are averaged
-_LEAST = 0.01  # spacings: smaller measurements are not calibrated
+_LEAST = 0.01  # spacings: smaller errors are not calibrated
 
 
 @dataclass(frozen=True)
@@ -36,59 +37,46 @@ class Estimate:
     high: float
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """A linear function of the logarithms of two measurements, fitted to maps of known skins.
+BY_CHANCE, BY_DIFFERENCE = 0.5, 0.6
+"""Expected error per RMS difference of resamples, and per difference from the map of steps."""
 
-    constant, by_chance, by_difference: ``x = constant + by_chance log(repeatability) +
-        by_difference log(difference)``.
-    low, high: 5 % and 95 % quantiles of the differences of true values from x, of skins of kinds
-        that were left out of the fit.
-    """
+ERROR_INTERVAL = (0.43, 2.7)
+"""5 % and 95 % quantiles of true errors, relative to the expected ones."""
 
-    constant: float
-    by_chance: float
-    by_difference: float
-    low: float
-    high: float
+REGION, REGION_POWER, REGION_INTERVAL = 0.73, 0.8, (0.43, 2.5)
+"""Error of regions, ``REGION error ** REGION_POWER``, and its interval, relative to it."""
 
-    def at(self, repeatability: float, difference: float) -> tuple[float, float, float]:
-        """Return x and its interval, for measurements in spacings."""
-        chance, other = (math.log(max(one, _LEAST)) for one in (repeatability, difference))
-        x = self.constant + self.by_chance * chance + self.by_difference * other
-        return x, x + self.low, x + self.high
-
-
-ERROR = Calibration(-0.25, 0.21, 0.69, -0.85, 1.0)
-"""Logarithm of the RMS error of the whole map, in spacings."""
-
-REGION = Calibration(-0.51, 0.19, 0.55, -0.85, 1.0)
-"""Logarithm of the RMS error of regions of 5 spacings, each aligned by itself."""
-
-NEIGHBOURS = Calibration(1.8, -0.23, -0.83, -1.5, 1.3)
-"""Log odds that a true neighbour is a neighbour on the map."""
+NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.5, -1.1, (-1.3, 1.2)
+"""Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(error)``, and interval."""
 
 ELLIPSE_SCALE = 3.0
 """Ratio of the covariances of positions to the square of the expected error.
 
-With it, 95 % of the true positions are inside their ellipses of 95 %, over the maps of the fit: the
-errors of maps spread around the expected ones, and those of sensors around that of their map.
+The errors of maps spread around the expected ones, and those of sensors around that of their map.
 """
+
+_MAX_ERROR = 1e6  # spacings: keeps the odds finite
 
 
 def expected_error(repeatability: float, difference: float) -> Estimate:
-    """Estimate the RMS error of a map from its two measurements, in spacings."""
-    return Estimate(*map(math.exp, ERROR.at(repeatability, difference)))
+    """Estimate the RMS error of a map from its two measurements, all in spacings.
+
+    Chance and systematic errors are independent, so their squares add up.
+    """
+    error = math.hypot(BY_CHANCE * repeatability, BY_DIFFERENCE * difference)
+    return Estimate(error, *(factor * error for factor in ERROR_INTERVAL))
 
 
-def region_error(repeatability: float, difference: float) -> Estimate:
-    """Estimate the RMS error of regions of 5 spacings."""
-    return Estimate(*map(math.exp, REGION.at(repeatability, difference)))
+def region_error(error: float) -> Estimate:
+    """Estimate the RMS error of regions of 5 spacings from that of the map, in spacings."""
+    found = REGION * error**REGION_POWER
+    return Estimate(found, *(factor * found for factor in REGION_INTERVAL))
 
 
-def neighbours_kept(repeatability: float, difference: float) -> Estimate:
-    """Estimate the share of true neighbours that are neighbours on the map."""
-    return Estimate(*(float(expit(x)) for x in NEIGHBOURS.at(repeatability, difference)))
+def neighbours_kept(error: float) -> Estimate:
+    """Estimate the share of true neighbours that are neighbours on a map of a given error."""
+    odds = NEIGHBOURS + NEIGHBOURS_SLOPE * math.log(min(max(error, _LEAST), _MAX_ERROR))
+    return Estimate(*(float(expit(odds + more)) for more in (0.0, *NEIGHBOURS_INTERVAL)))
 
 
 def differences_from_steps(
@@ -98,6 +86,8 @@ def differences_from_steps(
 
     After the best similarity transform; infinite if there is no such map.
     """
+    if median_spacing(positions) == 0:
+        return np.full(positions.shape, math.inf)
     readings = np.asarray(pairs.readings)
     graph = neighbour_graph(
         readings, positions, similarity=pairs.correlation, changes=pairs.changes

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.defaults import DEFAULT_METHOD
 from anisomap.diagnosis.accuracy import (
     differences_from_steps,
     expected_error,
@@ -33,7 +34,7 @@ from anisomap.diagnosis.verdict import Evidence, judge
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.mapping import Stages
-from anisomap.methods import DEFAULT_METHOD, METHODS
+from anisomap.methods import METHODS
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording, as_runs, join_runs

@@ -114,11 +114,14 @@ def departure_in_spacings(reference: NDArray[np.float64], positions: NDArray[np.
     return rms / spacing if spacing > 0 else math.inf
 
 
-N_RESAMPLES = 8
-"""Number of resamples: together they take about as much time as the map.
+N_RESAMPLES, FEWEST_RESAMPLES = 8, 3
+"""Number of resamples of up to 250 sensors, and of 670 and more.
 
-With 12, ellipses hold equally many positions, since covariances are pooled over sensors.
+With 12, ellipses hold equally many positions, since covariances are pooled over sensors; the more
+sensors, the better the RMS over all of them is known.
 """
+
+_RESAMPLED_SENSORS = 2000  # over all resamples
 
 STEP = 0.5
 """Share of the weights that is resampled.
@@ -167,7 +170,8 @@ def resampled_maps(
     options = replace(options or MethodOptions(), split_unrelated=False)
     recipe = find_method(method)
     edges = block_edges(np.asarray(pairs.readings))
-    drawn = balanced_weights(len(edges) - 1, N_RESAMPLES, rng)
+    few = max(FEWEST_RESAMPLES, _RESAMPLED_SENSORS // len(positions))
+    drawn = balanced_weights(len(edges) - 1, min(N_RESAMPLES, few), rng)
     weights = np.vstack([np.ones(len(edges) - 1), 1 + STEP * (drawn - 1)])
     start, exponent = positions, 1.0
     iterations = options.covariogram.max_iterations

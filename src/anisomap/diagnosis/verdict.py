@@ -11,15 +11,18 @@ from anisomap.usability import Verdict
 MAX_ERROR = 0.45
 """Expected error of a usable map, in spacings.
 
-Of skins of kinds that were left out of the calibration, 79 % of the good maps (r at least .97 and
-an error below .5) are below it, and 1 of 227 wrong ones (r below .9 or an error above 1).
+Of 680 maps, 78 % of the good ones (r at least .97 and an error below .5) are below it, and 5 of 371
+wrong ones (r below .9 or an error above 1).
 """
 
 MIN_KEPT = 0.8
 """Expected share of kept neighbours of a map that is usable for neighbours."""
 
-MIN_LARGEST = 0.9
-"""Share of the placed sensors that the largest component of a usable map holds."""
+MAX_CHANCE = 1.0
+"""Repeatability, in spacings, beyond which sensors change places with neighbours by chance."""
+
+MIN_LARGEST, MIN_FRAGMENT = 0.9, 1 / 3
+"""Shares of the placed sensors in the largest component of a usable map, and of a map at all."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +59,16 @@ def judge(evidence: Evidence) -> Verdict:
     measured = evidence.repeatability, evidence.difference
     if evidence.unknown or any(map(math.isnan, measured)):
         return Verdict(reasons=(evidence.unknown or "the map was not examined", *limits))
-    error, region, kept = (
-        estimate(*measured) for estimate in (expected_error, region_error, neighbours_kept)
-    )
+    error = expected_error(*measured)
+    region, kept = region_error(error.value), neighbours_kept(error.value)
     if error.value < MAX_ERROR and not limits:
         level = "usable"
-    elif kept.value >= MIN_KEPT and not evidence.fatal:
+    elif (
+        kept.value >= MIN_KEPT
+        and evidence.repeatability <= MAX_CHANCE
+        and evidence.largest >= MIN_FRAGMENT * evidence.placed
+        and not evidence.fatal
+    ):
         level = "usable for neighbours"
     else:
         level = "not usable"

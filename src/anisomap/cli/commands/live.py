@@ -52,7 +52,7 @@ class PageOptions:
         Show no page: print lines instead, or JSON objects with --json.
     until
         End the session when two checked maps in a row reach this level, or a better one: usable
-        or usable-locally.
+        or usable-for-neighbours.
     duration
         End the session after this number of seconds.
     """

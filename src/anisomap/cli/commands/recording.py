@@ -265,8 +265,8 @@ def map_recording(
         Also write NAME.statistics.npz beside the map, from which `anisomap update` adds recordings
         to it.
     min_quality
-        Exit with code 1 if the verdict is unknown or worse than this: usable or usable-locally.
-        All files are written.
+        Exit with code 1 if the verdict is worse than this, or cannot tell: usable or
+        usable-for-neighbours. All files are written.
     """
     from anisomap import io
     from anisomap.cli import pipeline, printing

@@ -331,7 +331,7 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
         ]
     if sensor_map.covariances is not None and joined:
         notes.append(
-            "Ellipses hold 95 % of the positions that chance allows; systematic errors add to them."
+            "Ellipses hold 95 % of the true positions, on average over maps of known skins."
         )
     unplaced = [
         printable(sensor_map.names[i], _MAX_LABEL) for i in np.flatnonzero(~sensor_map.placed)

@@ -46,7 +46,7 @@ function showStatus() {
   const { level, expected_error: expected, error_against_truth: truth } = status;
   $("verdict").dataset.level = level;
   const waits = status.examining && !status.curve.length;
-  $("level").textContent = level !== "unknown" ? level : waits ? "checking the first map" : "verdict unknown";
+  $("level").textContent = level === "cannot tell" && waits ? "checking the first map" : level;
   $("error").textContent = [
     expected === null ? "" : `expected error ${expected.toFixed(2)} spacings`,
     truth === null ? "" : `${truth.toFixed(2)} spacings from the truth`,
