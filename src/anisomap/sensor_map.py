@@ -26,14 +26,13 @@ MAX_COORDINATE = 1e100
 """Greatest coordinate of sensors that are aligned or placed: sums of squares are finite."""
 
 UNASSESSED = "unassessed"
+"""Health of a sensor before `anisomap.diagnose`."""
 
 SILENT = "silent"
 """Status of a sensor that is constant at rest: never touched, or dead."""
 
 FEW_CONTACTS = "few contacts"
 """Status of a sensor with too few contacts to tell more."""
-
-"""Health of a sensor before `anisomap.diagnose`."""
 
 DEFAULT_FRAME = "skin"
 

@@ -18,7 +18,7 @@ from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score
 from anisomap.health import STATUSES
 from anisomap.methods import METHODS
-from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 from anisomap.usability import Verdict
 from reports import PNG, assessed, example, page_of, scene_of, summary
 
@@ -112,7 +112,7 @@ def test_the_table_lists_every_sensor_and_the_worst_first(with_score, with_healt
         zip(sensor_map.names, sensor_map.health, strict=True)
     )
     if scored is None:
-        problems = [row[1] != "ok" for row in rows]
+        problems = [is_faulty(row[1]) for row in rows]
         assert problems == sorted(problems, reverse=True)
     if with_health:
         assert {row[-1] for row in rows} >= {f"looks {status}" for status in STATUSES[1:]}
@@ -146,7 +146,7 @@ def test_the_verdict_comes_first_with_the_scores():
     sensor_map, scored = example()
     good = page_of(sensor_map, scored)
     quantiles = scored.mantel.quantiles()
-    assert good.text.index("Verdict: unknown.") < good.text.index("Null")
+    assert good.text.index("Verdict: cannot tell.") < good.text.index("Null")
     for part in (
         f"{scored.mantel.r:.3f}",
         f"min {quantiles[0.0]:.3f}, median {quantiles[0.5]:.3f}, max {quantiles[1.0]:.3f}",
@@ -174,7 +174,7 @@ def test_without_truth_the_verdict_gives_what_is_known():
     assert [told.count(sentence) for sentence in judged.sentences] == [1] * 4
     text = page_of(example()[0]).text
     assert "12 of 12" in text
-    assert "Verdict: unknown." in text
+    assert "Verdict: cannot tell." in text
     assert "known up to rotation, translation, scale and reflection" in text
     assert "0.125" in text
     assert "Mantel r" not in text.split("Method and provenance")[0].replace("expected Mantel r", "")

@@ -237,7 +237,7 @@ def test_comments_state_method_verdict_and_notes(suffix: str, tmp_path: Path) ->
     assert "note: a?b c" in comments
     assert len(comments) == 7
     io.write(dome(), path)
-    assert "<!-- verdict: unknown -->" in path.read_text(encoding="utf-8")
+    assert "<!-- verdict: cannot tell -->" in path.read_text(encoding="utf-8")
 
 
 def test_many_frames_give_a_warning(tmp_path: Path) -> None:
