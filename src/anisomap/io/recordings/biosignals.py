@@ -54,14 +54,14 @@ _N_LOC = 3  # of the numbers about the place of a channel, the first are its pos
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the types of channels."""
     with _open(path) as raw:
-        return _contents(raw)
+        return _contents(path, raw)
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open the channels of type `options.select`, or of the only type of sensors."""
     with _open(path) as raw:
-        chosen = choose(path, _contents(raw), options.select, "type of channels").name
+        chosen = choose(path, _contents(path, raw), options.select, "type of channels").name
         with library_errors(path):
             kinds = raw.get_channel_types()
             picked = [i for i, kind in enumerate(kinds) if kind == chosen]
@@ -127,8 +127,9 @@ def _check_order(path: Path) -> None:
             at = following or behind
 
 
-def _contents(raw: Any) -> tuple[Content, ...]:
-    counts = Counter(raw.get_channel_types())
+def _contents(path: Path, raw: Any) -> tuple[Content, ...]:
+    with library_errors(path):
+        counts = Counter(raw.get_channel_types())
     return tuple(
         Content(kind, f"{count} channels x {raw.n_times} samples", usable=kind in _SENSORS)
         for kind, count in counts.items()
