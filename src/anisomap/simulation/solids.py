@@ -27,6 +27,7 @@ _CIRCLE_VERTICES = 48
 _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
 _N_PROJECTIONS = 4
+_MIN_RATIO = 1e-9  # of the half axes of an ellipsoid
 _MAX_NEWTON, _NEWTON_CONVERGED = 100, 1e-15  # steps; the last one, relative to the root
 
 
@@ -55,6 +56,9 @@ class Solid:
                 f"a {self.kind} must have a size and centre of at most {MAX_LENGTH:g}, "
                 f"got up to {lengths.max():g}"
             )
+
+        if self.kind == "ellipsoid" and min(self.size) < _MIN_RATIO * max(self.size):
+            raise InputError(f"the half axes of an ellipsoid differ too much: {self.size}")
 
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact signed distance of points from the surface. points (n, 3) -> (n,)."""
@@ -393,7 +397,7 @@ def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tupl
     if solid.kind in ("sphere", "ellipsoid"):
         local = solid.to_local(points) / solid.size
         local /= np.linalg.norm(local, axis=1, keepdims=True)
-        normals = local / solid.size
+        normals = local * (min(solid.size) / np.array(solid.size))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return local * solid.size @ solid.rotation.T + solid.centre, normals @ solid.rotation.T
     points = project([solid], points)

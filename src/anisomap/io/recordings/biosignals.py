@@ -7,6 +7,7 @@ those that the file holds, in metres.
 from __future__ import annotations
 
 import os
+import re
 import struct
 import tempfile
 import warnings
@@ -19,11 +20,13 @@ from typing import Any
 import numpy as np
 
 from anisomap.errors import FileError, import_extra
+from anisomap.files import read_small
 from anisomap.io.parsing.source import (
     DamagedError,
     is_gzipped,
     library_errors,
     open_binary,
+    quote,
     read_head,
 )
 from anisomap.io.stream import (
@@ -47,6 +50,8 @@ _MARKS |= dict.fromkeys(_BRAINVISION, (".vhdr", "brainvision"))
 MAGICS = tuple(_MARKS)
 """First bytes of the files."""
 
+_NAMED = re.compile(r"^[ \t]*+(?:DataFile|MarkerFile)[ \t]*+=[ \t]*+(.*?)[ \t\r]*$", re.M | re.I)
+_MAX_HEADER = 1 << 20
 _TAG = struct.Struct(">8xii")  # the size of a tag of FIF and the place of the next, 0 if behind
 _N_LOC = 3  # of the numbers about the place of a channel, the first are its position
 
@@ -103,12 +108,22 @@ def _open(path: Path) -> Iterator[Any]:
             named.symlink_to(path.resolve())
         if kind == "fif":
             _check_order(path)
+        if kind == "brainvision":
+            _check_named(path)
         with library_errors(path):
             raw = getattr(io, f"read_raw_{kind}")(os.fspath(named), preload=False, verbose="ERROR")
         try:
             yield raw
         finally:
             raw.close()
+
+
+def _check_named(path: Path) -> None:
+    """Check that the header of a BrainVision recording names regular files beside it only."""
+    text = read_small(path, _MAX_HEADER, "a header of BrainVision", encoding="latin-1")
+    for name in _NAMED.findall(text):
+        if name != "$b" and Path(name.replace("\\", "/")).name != name:
+            raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
 
 
 def _check_order(path: Path) -> None:
