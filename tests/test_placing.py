@@ -234,7 +234,7 @@ FLAT, CURVED = body(2), body(3)
         (2, anchors_at(FLAT, [0, 8]), "a third anchor off their line"),
         (2, anchors_at(FLAT, [0, 4, 8]), "more anchors off their line"),
         (3, anchors_at(CURVED, [0, 18, 36]), "on a line"),
-        (2, None, "nothing places the map"),
+        (2, None, "the map has no scale"),
         (2, Anchors(("x", "s1", "s2"), FLAT[:3]), "anchor x is no sensor of the map"),
         (3, anchors_at(FLAT, [0, 8, 66]), "three coordinates"),
     ],

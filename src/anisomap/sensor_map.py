@@ -195,13 +195,18 @@ class SensorMap:
 
     @property
     def known_up_to(self) -> str:
-        """Transformations that leave the map equally valid."""
+        """Transformations that leave the map equally valid; empty in the robot's frame."""
         if self.anchored:
-            return "the errors of its sensors"
+            return ""
         scale = ["scale"] if self.units in UNSCALED else []
         hand = [] if self.handed else ["reflection"]
         *first, last = ["rotation", "translation", *scale, *hand]
         return f"{', '.join(first)} and {last}"
+
+    @property
+    def pose(self) -> str:
+        """Whether the map is in the robot's frame, or else what it is known up to."""
+        return "placed in the robot's frame" if self.anchored else f"known up to {self.known_up_to}"
 
     @property
     def reference(self) -> dict[str, str]:
@@ -263,7 +268,7 @@ class SensorMap:
             "units": self.units,
             "Stress-1": f"{self.stress:.3f}",
             "verdict": self.verdict,
-            "known up to": self.known_up_to,
+            "pose": self.pose,
         } | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
         return html_table("SensorMap", rows)
 

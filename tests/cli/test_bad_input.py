@@ -5,6 +5,7 @@ import os
 import shlex
 import sys
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,7 +110,7 @@ check map.csv skin.npz -o a.urdf                          | metres
 check layout.csv skin.npz --picture p.bmp                 | p.bmp
 check layout.csv skin.npz --module-size 50                | size of modules
 check layout.csv skin.npz --module-size 10 --module-table m    | not by both
-place map.csv                                             | nothing places the map
+place map.csv                                             | --spacing
 place map.csv --anchor s1=1                               | is not an anchor
 place map.csv --anchor s1=0,0 --anchor s2=0,0,0           | all anchors must have two coordinates
 place map.csv --anchor sx=0,0 --anchor s2=0,1             | anchor sx is no sensor of the map
@@ -440,3 +441,39 @@ def test_layouts_of_few_places(run, tmp_path):
     assert run("convert", "one.csv", "one.json").code == 0
     assert run("place", "one.csv", "--spacing", "5mm", "-o", "o.csv").code == 0
     assert (tmp_path / "o.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("map skin.npz --spacing 0.0065mm", "spacing of 0.0065mm is unlikely"),
+        ("map skin.npz --spacing 6.5m", "spacing of 6.5m is unlikely"),
+        ("map skin.npz --spacing 6.5mm", ""),
+        ("map skin.npz -d 4", "skins need 2"),
+        ("map turned.csv", "rows of the file are the sensors, transpose it"),
+    ],
+)
+def test_what_is_probably_a_mistake_is_doubted(tmp_path, command, said):
+    skin = flat_skin(n_frames=300)
+    anisomap.write(skin, tmp_path / "skin.npz")
+    np.savetxt(tmp_path / "turned.csv", skin.readings.T, delimiter=",")
+    words = (
+        *command.split(),
+        "-m",
+        "r-anisomap",
+        "--no-verdict",
+        "--permutations",
+        0,
+        "-o",
+        "m.csv",
+    )
+    done = call(tmp_path, *words)
+    assert done.code == 0
+    assert said in done.err
+    assert ("unlikely" in done.err) == ("unlikely" in said)
+
+
+def test_long_names_are_printed_in_one_piece(tmp_path):
+    source = "a_recording_with_a_name_that_is_longer_than_a_line/" * 5
+    anisomap.write(replace(flat_skin(n_frames=100), source=source), tmp_path / "skin.npz")
+    assert source in call(tmp_path, "info", "skin.npz").out

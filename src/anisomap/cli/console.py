@@ -8,6 +8,7 @@ import logging
 import math
 import os
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -143,12 +144,19 @@ class Printer:
         """Print names and values, one per line."""
         if not self._prints_text:
             return
-        table = Table(title=_title(title), title_justify="left", box=None, show_header=False)
-        table.add_column(style="dim")
-        table.add_column(overflow="fold")
+        self._emit(console.print, _title(title))
+        left = max((len(name) for name in facts), default=0) + 3
         for name, value in facts.items():
-            table.add_row(_cell(name), _cell(value))
-        self._emit(console.print, table)
+            # Names and paths stay whole, to be copied, however narrow the terminal is.
+            lines = textwrap.wrap(
+                printable(value),
+                max(console.width - left, _MIN_WIDTH),
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+            text = Text.assemble((f" {printable(name)}".ljust(left), "dim"))
+            text.append(f"\n{' ' * left}".join(lines))
+            self._emit(console.print, text, soft_wrap=True)
 
     def table(
         self,

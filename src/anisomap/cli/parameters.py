@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from cyclopts import Group, Parameter, Token
 from cyclopts.validators import Number
 
-from anisomap.cli.console import Printer
+from anisomap.cli.console import Printer, print_warning
 from anisomap.errors import FileError, InputError
 from anisomap.usability import LEVELS
 from anisomap.wording import join_items, printable
@@ -189,6 +189,21 @@ class PlacingOptions:
 
 
 DEFAULT_PLACING = PlacingOptions()
+
+
+_SMALLEST, _LARGEST = 1e-4, 0.5  # metres; no skin has smaller or larger spacings
+
+
+def doubt_spacing(text: str) -> None:
+    """Warn of a spacing of sensors that no skin has."""
+    from anisomap.placement import METRES, parse_length
+
+    value, unit = parse_length(text)
+    if not _SMALLEST <= value * METRES[unit] <= _LARGEST:
+        print_warning(
+            f"a spacing of {text} is unlikely: sensors of skins are between "
+            f"{_SMALLEST * 1e3:g} mm and {_LARGEST:g} m apart; check its unit"
+        )
 
 
 def _rows_and_columns(text: str) -> tuple[int, int]:

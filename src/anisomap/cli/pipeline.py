@@ -15,7 +15,7 @@ import numpy as np
 from anisomap import io
 from anisomap.cli import printing
 from anisomap.cli.console import Printer, console, print_warning, progress
-from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
+from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions, doubt_spacing
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import Dimensions
 from anisomap.errors import FileError, InputError
@@ -143,7 +143,7 @@ def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
     """Read a recording, with progress; the default of its source is the file name."""
     with progress(f"reading {path.name}") as report_progress:
         recording = io.read(path, options=how, progress=report_progress)
-        return replace(recording, source=recording.source or as_text(path.name))
+    return replace(recording, source=recording.source or as_text(path.name))
 
 
 def read_runs(
@@ -272,6 +272,8 @@ def finish(
     printing.print_health(printer, examined.health)
     printing.print_touches(printer, coverage, sensor_map.names)
     printing.print_map(printer, placed(sensor_map))
+    if outputs.placing and outputs.placing.spacing:
+        doubt_spacing(outputs.placing.spacing)
     paths = ", ".join(str(path) for _, path in files)
     printer.line(f"Written to {paths}" + ("; the verdict follows" if judge else ""))
     try:
@@ -279,7 +281,9 @@ def finish(
             with progress("judging the map; Ctrl-C keeps it without a verdict") as report_progress:
                 sensor_map = judge(sensor_map, progress=report_progress)
         shown, result = placed(sensor_map), None
-        printing.print_verdict(printer, shown)
+        if judge is not None or not examined.runs:
+            printing.print_verdict(printer, shown)
+        printing.record_map(printer, shown)
         if truth is not None or examined.recording.positions is not None:
             result = score_with_progress(
                 shown, truth or examined.recording, permutations, seed, exclude=exclude

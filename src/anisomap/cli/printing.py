@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.cli.console import Columns, Printer, number, percent
+from anisomap.cli.console import Columns, Printer, number, percent, print_warning
 from anisomap.description import steps_of
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
@@ -61,6 +61,11 @@ def print_recording(printer: Printer, recording: Recording, summary: RecordingSu
         },
     )
     values = {name.removeprefix("n_"): value for name, value in asdict(summary).items()}
+    if summary.n_frames < summary.n_sensors:
+        print_warning(
+            f"there are more sensors (columns, {summary.n_sensors}) than frames (rows, "
+            f"{summary.n_frames}): if the rows of the file are the sensors, transpose it"
+        )
     printer.record(recording={"source": recording.source, **values})
 
 
@@ -138,18 +143,22 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
                 if len(sizes) > 1
                 else "(0 is a perfect fit of the metric)"
             ),
-            "known up to": sensor_map.known_up_to,
+            "pose": sensor_map.pose,
         },
     )
+    if sensor_map.dimensions > 3:
+        print_warning(
+            f"maps in {sensor_map.dimensions} dimensions fit tables only (CSV, JSON, NPZ), and "
+            "pictures show three of them: skins need 2 (-d 2) or 3 (-d 3)"
+        )
 
 
 def print_verdict(printer: Printer, sensor_map: SensorMap) -> None:
-    """Print how far a map can be used, and why; record the map with its verdict."""
+    """Print how far a map can be used, and why."""
     headline, *others = sensor_map.verdict.sentences
     printer.facts(headline, {})
     for sentence in others:
         printer.line(f"  {sentence}")
-    record_map(printer, sensor_map)
 
 
 def record_map(printer: Printer, sensor_map: SensorMap) -> None:

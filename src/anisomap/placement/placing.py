@@ -111,7 +111,8 @@ def place(
     stated = None if not handedness else handedness == "mirrored"
     if anchors is None and modules is None and spacing is None and sensor_map.units not in METRES:
         raise InputError(
-            "nothing places the map; give anchors, modules, or the spacing of the sensors"
+            "the map has no scale: give anchors, modules, or the spacing of the sensors "
+            "(--anchors, --module-layout or --spacing)"
         )
     parts = [_scaled(part, modules, spacing) for part in _components(sensor_map)]
     if anchors is None:

@@ -133,7 +133,7 @@ def gather_evidence(
     options: MethodOptions | None = None,
     drop: Iterable[str | int] = (),
 ) -> Evidence:
-    """Gather what a recording tells of all pairs of sensors.
+    """Collect the pairwise statistics of a recording.
 
     Parameters
     ----------

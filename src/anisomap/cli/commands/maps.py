@@ -52,7 +52,7 @@ def convert(
         written = placing.write(placed, output, [map_file])
         if spacing is not None:
             facts["median spacing"] = f"{spacing:.4g} {placed.units}"
-        facts["known up to"] = placed.known_up_to
+        facts["pose"] = placed.pose
         printer.facts(f"Map of {map_file.name}", facts)
         printing.print_files(printer, [("map", path) for path in written])
         printer.record(

@@ -309,6 +309,8 @@ def place_map(
     )
     with reporting.printer() as printer:
         _print(printer, placement, map_file.name)
+        if spacing:
+            options.doubt_spacing(spacing)
         if touched is not None:
             _print_contacts(printer, touched)
         printing.print_files(printer, files)
@@ -354,7 +356,7 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
             f"{number(float(np.median(errors)), 3)} mm (median), "
             f"{number(float(errors.max()), 3)} mm at most"
         )
-    facts["known up to"] = placed.known_up_to
+    facts["pose"] = placed.pose
     printer.facts(f"Placement of {name}", facts)
     anchors = _records(
         sensor=placement.anchors,

@@ -320,14 +320,13 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
     if score is None:
         lines = "Lines join nearest neighbours on the map. " if joined else ""
         notes = [
-            f"The map is known up to {sensor_map.known_up_to}. {lines}"
-            "A sensor has the same colour in every view."
+            f"The map is {sensor_map.pose}. {lines}A sensor has the same colour in every view."
         ]
     else:
         lines = "Lines join true neighbours. " if joined else ""
         notes = [
             f"{lines}A sensor has the same colour in both panels. "
-            f"The map is known up to {sensor_map.known_up_to}, which were fitted to the truth."
+            f"The map is {sensor_map.pose}, and was fitted to the truth."
         ]
     if sensor_map.covariances is not None and joined:
         notes.append(

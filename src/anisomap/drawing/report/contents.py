@@ -118,8 +118,8 @@ def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
         )
     if sensor_map.approximate:
         sentences.append("This map is approximate: only some pairs of sensors were compared.")
-    fitted = "" if score is None else ", which were fitted to the true positions"
-    return [*sentences, f"The map is known up to {sensor_map.known_up_to}{fitted}."]
+    fitted = "" if score is None else ", and was fitted to the true positions"
+    return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
 
 
 def _compared(sensor_map: SensorMap, score: Score) -> list[str]:

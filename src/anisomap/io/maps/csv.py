@@ -122,7 +122,7 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         *(("reason", reason) for reason in sensor_map.verdict.reasons),
         *(("note", note) for note in sensor_map.notes),
     ]
-    title = f"{MAP_TITLE}, known up to {sensor_map.known_up_to}"
+    title = f"{MAP_TITLE}, {sensor_map.pose}"
     with path.open("w", encoding="utf-8", newline="") as stream:
         provenance = to_provenance(sensor_map)
         stream.write(comments.write_comments(title, entries, "provenance", provenance))

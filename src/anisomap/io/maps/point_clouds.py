@@ -52,7 +52,7 @@ def write_ply(sensor_map: SensorMap, path: Path) -> None:
     head = [
         "ply",
         "format ascii 1.0",
-        f"comment anisomap map, known up to {sensor_map.known_up_to}",
+        f"comment anisomap map, {sensor_map.pose}",
         *(f"comment {fact}" for fact in _facts(sensor_map, numbers)),
         f"element vertex {len(numbers)}",
         *(f"property double {column}" for column in _PLY_COLUMNS),

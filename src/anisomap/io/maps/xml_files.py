@@ -86,7 +86,7 @@ def map_comments(sensor_map: SensorMap, element: str) -> list[str]:
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
         f"{element} is the surface normal"
         + (", estimated from the positions" if sensor_map.normals is None else ""),
-        f"known up to {sensor_map.known_up_to}",
+        sensor_map.pose,
         f"method: {sensor_map.method or 'unknown'}",
         f"verdict: {sensor_map.verdict}",
         *(f"note: {note}" for note in sensor_map.notes),
