@@ -22,7 +22,7 @@ from benchmarks.harness import columns
 
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
-from anisomap.paper import accuracy, bodies, claims, dimensionality
+from anisomap.paper import accuracy, bodies, claims, dimensionality, rivals
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 
@@ -45,6 +45,7 @@ HEADERS = {
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns(COMPARED),
+    "rivals": rivals.COLUMNS,
     "self-touch": self_touch.HEADER,
     "simulated": quality.summary_columns(quality.METHOD_NAMES),
     "trust": [*trust.Outcome.FIXED, *trust.FACTS],

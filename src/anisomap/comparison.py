@@ -1,7 +1,8 @@
 """Several methods on one recording with known positions, scored on the same sensors.
 
-Stock methods of scikit-learn and UMAP are baselines, not methods of anisomap: they are not tuned.
-To add one, write a function of the correlations and add one line to `RIVALS`.
+Stock methods of scikit-learn and UMAP, and a self-organising map, are baselines, not methods of
+anisomap: they are not tuned. To add one, write a function of the correlations and add one line to
+`RIVALS`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
@@ -33,6 +35,9 @@ ISOMAP_NEIGHBOURS = 8
 _PERPLEXITY = 30.0  # scikit-learn's default; it must be less than the number of points
 _UMAP_NEIGHBOURS = 15  # UMAP's default; it must be less than the number of points
 _BARNES_HUT_DIMENSIONS = 3  # maximum of scikit-learn's fast t-SNE
+_SOM_NODES = 5  # x the square root of the number of points, by Vesanto & Alhoniemi (2000)
+_SOM_LAST_WIDTH = 0.5  # of the neighbourhood, in distances between nodes
+_SOM_EPOCHS = 50
 
 Array = NDArray[np.float64]
 
@@ -127,6 +132,27 @@ def _laplacian(r: Array, dimensions: int, seed: int) -> Array:
     return np.asarray(method.fit_transform(np.maximum(r, 0)))
 
 
+def _som(r: Array, dimensions: int, _: int) -> Array:
+    # Batch training from the principal components, which is deterministic. The inputs have the
+    # inner products r, as the standardised readings of the sensors have.
+    variances, axes = np.linalg.eigh(r)
+    inputs = (axes * np.sqrt(np.maximum(variances, 0)))[:, ::-1]
+    spread = inputs[:, :dimensions].std(axis=0)
+    n_nodes = _SOM_NODES * math.sqrt(len(r))
+    per_axis = (n_nodes / np.prod(spread / spread.max())) ** (1 / dimensions) * spread
+    shape = np.maximum(np.rint(per_axis / spread.max()), 2).astype(int)
+    nodes = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, dimensions)
+    nodes = nodes.astype(np.float64)
+    prototypes = np.zeros((len(nodes), len(r)))
+    prototypes[:, :dimensions] = 2 * spread * (2 * nodes / (shape - 1) - 1)
+    squares = cdist(nodes, nodes, "sqeuclidean")
+    for width in np.geomspace(max(shape) / 2, _SOM_LAST_WIDTH, _SOM_EPOCHS):
+        nearest = cdist(prototypes, inputs).argmin(axis=0)
+        pull = np.exp(-squares[:, nearest] / (2 * width**2))
+        prototypes = pull @ inputs / pull.sum(axis=1, keepdims=True)
+    return np.asarray(nodes[cdist(prototypes, inputs).argmin(axis=0)])
+
+
 RIVALS: Mapping[str, Rival] = MappingProxyType(
     {
         "isomap-on-r": Rival("Isomap on sqrt(2 (1 - r)), 8 neighbours (scikit-learn)", _isomap),
@@ -134,6 +160,7 @@ RIVALS: Mapping[str, Rival] = MappingProxyType(
         "tsne-on-r": Rival("t-SNE on sqrt(2 (1 - r)) (scikit-learn)", _tsne),
         "pca-on-r": Rival("principal components of standardised sensors (scikit-learn)", _pca),
         "laplacian-on-r": Rival("Laplacian eigenmaps on max(r, 0) (scikit-learn)", _laplacian),
+        "som-on-r": Rival("self-organising map of standardised sensors, batch training", _som),
     }
 )
 """Name of each stock method; ``-on-r`` tells them from the methods of anisomap."""
@@ -169,7 +196,9 @@ def map_by_rival(recording: Recording, name: str, dimensions: int, *, seed: int 
     -----
     Isomap: Tenenbaum et al. (2000), doi:10.1126/science.290.5500.2319. UMAP: McInnes et al. (2018),
     arXiv:1802.03426. t-SNE: van der Maaten & Hinton (2008), JMLR 9: 2579-2605. Laplacian eigenmaps:
-    Belkin & Niyogi (2003), doi:10.1162/089976603321780317. Where a graph of neighbours is not
+    Belkin & Niyogi (2003), doi:10.1162/089976603321780317. Self-organising map: Kohonen (1990),
+    doi:10.1109/5.58325, with the number of nodes of Vesanto & Alhoniemi (2000),
+    doi:10.1109/72.846731. Where a graph of neighbours is not
     connected, scikit-learn joins its pieces.
     """
     rival = RIVALS[name]

@@ -14,7 +14,7 @@ from anisomap import io
 from anisomap.cli.app import run
 from anisomap.paper import EXPERIMENTS, Settings, reproduce, results
 from anisomap.paper.cases import patch_run
-from anisomap.paper.claims import CLAIMS, NOT_REPRODUCED, PARTLY, REPRODUCED
+from anisomap.paper.claims import CLAIMS, NOT_REPRODUCED, PARTLY, REPRODUCED, UNCLEAR
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -103,9 +103,9 @@ def test_every_claim_has_a_verdict_that_agrees_with_its_cases(quick):
     assert [row["claim"] for row in rows] == [claim.text for claim in CLAIMS]
     for row in rows:
         held, n_cases = map(int, row["cases"].split(" of "))
-        assert row["verdict"].startswith((REPRODUCED, NOT_REPRODUCED, PARTLY))
+        assert row["verdict"].startswith((REPRODUCED, NOT_REPRODUCED, PARTLY, UNCLEAR))
         assert (row["verdict"] == REPRODUCED) == (held == n_cases)
-        assert (row["verdict"] == NOT_REPRODUCED) == (held == 0)
+        assert row["verdict"].startswith((NOT_REPRODUCED, UNCLEAR)) == (held == 0)
 
 
 def test_sample_data_hold_the_readings_positions_and_parameters(quick):

@@ -21,7 +21,7 @@ from anisomap.paper.experiment import (
     experiment,
     mean_by,
 )
-from anisomap.paper.map_scores import SCORE_COLUMNS, null_box, score_rows
+from anisomap.paper.map_scores import SCORE_COLUMNS, null_box, score_rows, stopped
 
 MORE_BINS = (6, 8)
 """Other numbers of bins that the paper tried."""
@@ -40,6 +40,7 @@ SUMMARY_COLUMNS = {
         for suffix, statistic in (("", "mean"), (" min", "minimum"), (" max", "maximum"))
     },
     "null max": "maximum of the null distributions of all maps",
+    "stopped": "number of maps, by method, whose scaling stopped before it converged",
 }
 BINS_COLUMNS = {
     "run": _RUN,
@@ -181,5 +182,6 @@ def _summary(groups: dict[str, list[dict[str, Any]]]) -> tuple[Row, ...]:
             scores = [row["mantel_r"] for row in rows if row["method"] == method]
             cells += [float(np.mean(scores)), min(scores), max(scores)]
         runs = len({(row["run"], row["seed"]) for row in rows})
-        summary.append((group, runs, *cells, max(row["null_max"] for row in rows)))
+        highest = max(row["null_max"] for row in rows)
+        summary.append((group, runs, *cells, highest, stopped(rows)))
     return tuple(summary)

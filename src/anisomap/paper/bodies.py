@@ -20,7 +20,7 @@ from anisomap.paper.experiment import (
     experiment,
     mean_by,
 )
-from anisomap.paper.map_scores import map_and_score
+from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score
 from anisomap.simulation import find_body, run_simulation
 
 if TYPE_CHECKING:
@@ -37,22 +37,17 @@ _COLUMNS = {
     "mantel_r": "Mantel r with the true positions",
     "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
 }
+_CYLINDER = ("mantel_r", "axial_scale", "local_axial_scale", "order_around", "order_along")
 AXIAL_COLUMNS = {
     "scenario": "scenario of the cylinder",
     "method": "method",
-    "mantel_r": "Mantel r with the true positions",
-    "axial_scale": "axial scale divided by radial scale of the map aligned with the true "
-    "positions; below 1: compressed along the axis",
-    "local_axial_scale": "distance of axial neighbours divided by distance of circumferential "
-    "neighbours, relative to the true ratio; below 1: compressed along the axis",
+    **{name: f"{SCORE_COLUMNS[name]}; mean over the runs" for name in _CYLINDER},
 }
 ROUNDNESS_COLUMNS = {
     "body": "bombarded body",
-    "true spread": "spread of radii of the true positions: standard deviation divided by mean of "
-    "the distances from the centroid; 0 for a sphere",
     **{
-        method: f"mean spread of radii of the maps by {method}, relative to the true spread: 1 is "
-        "correct, 0 is a sphere"
+        method: f"mean straightness of straight lines of sensors on the maps by {method}: 1 is "
+        "straight, 0.71 a semicircle"
         for method in METHODS
     },
 }
@@ -106,10 +101,12 @@ for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), (
     "Figure 4: the rolling cylinder",
     "A cylinder touches the ground along a line parallel to its axis, so that the sensors on "
     "this line have similar readings. In the paper, the maps of the rolling cylinder were "
-    "relatively poor by all methods, and compressed along the axis.\n\nHere the compression "
-    "is measured globally (axial scale of the map relative to its radial scale) and locally "
-    "(distance of axial neighbours relative to circumferential ones). 1 is correct; values "
-    "below 1 mean compression. The bombarded cylinder is included for comparison.",
+    "relatively poor by all methods, and compressed along the axis, with reasonable "
+    "topology.\n\nHere the compression is measured globally (axial scale of the map relative to "
+    "its radial scale) and locally (distance of axial neighbours relative to circumferential "
+    "ones); below 1 is compressed. The topology is measured by the order of the lines around the "
+    "axis, and of the sensors along each line, which do not depend on the compression. The "
+    "bombarded cylinder is the control.",
     needs=("scores-cylinder-locomotion", "scores-cylinder-bombardment"),
     cost=5,
 )
@@ -125,7 +122,7 @@ def figure_4(settings: Settings, tables: Tables) -> Outcome:
         scores = _scores(tables, case)
         means = [mean_by(scores, "method", name) for name in list(AXIAL_COLUMNS)[2:]]
         rows += [(case.scenario, method, *(mean[method] for mean in means)) for method in METHODS]
-    caption_of_table = "Mean axial scale of the maps of the cylinder."
+    caption_of_table = "Mean axial scale and order of the maps of the cylinder."
     table = Table("figure-4", caption_of_table, AXIAL_COLUMNS, tuple(rows))
     return Outcome((Picture("figure-4", caption, figure),), (table,))
 
@@ -135,14 +132,14 @@ def figure_4(settings: Settings, tables: Tables) -> Outcome:
     "Figure 7: spherisation by information distance",
     "Unrelated sensors all have about the same information distance, which cannot be "
     "represented in few dimensions. According to the paper, the maps therefore tend towards a "
-    "sphere. The spread of the distances from the centroid of the map, relative to that of "
-    "the true positions, measures this effect: bodies other than spheres are spherised if it "
-    "is below 1.",
+    "sphere, on which straight lines of sensors become arcs. Their straightness (distance of the "
+    "ends divided by that through the middle) measures this effect. Unlike the spread of the "
+    "distances from the centroid, it does not change if a map is compressed along an axis.",
     needs=tuple(f"scores-{case.name}" for case in BOMBARDED),
     cost=8,
 )
 def figure_7(settings: Settings, tables: Tables) -> Outcome:
-    """Draw maps by information distance; measure how close all maps are to a sphere."""
+    """Draw maps by information distance; measure how all maps bend straight lines."""
     figure, _ = _maps_of_bodies(
         "Figure 7. Maps by information distance (bottom) and true positions (top)",
         ("cylinder", "y-shape", "plane"),
@@ -153,11 +150,10 @@ def figure_7(settings: Settings, tables: Tables) -> Outcome:
     for case in BOMBARDED:
         if case.body != "sphere":
             scores = [row for row in _scores(tables, case) if row["dimensions"] == 3]
-            truth = scores[0]["true_spread_of_radii"]
-            means = mean_by(scores, "method", "spread_of_radii")
-            rows.append((case.body, truth, *(means[method] / truth for method in METHODS)))
+            means = mean_by(scores, "method", "straightness")
+            rows.append((case.body, *(means[method] for method in METHODS)))
     caption = "Typical maps by information distance: cylinder, Y-shape, plane (seeds of Figure 1)."
-    caption_of_table = "Spread of radii relative to the true spread."
+    caption_of_table = "Straightness of straight lines of sensors."
     table = Table("figure-7", caption_of_table, ROUNDNESS_COLUMNS, tuple(rows))
     return Outcome((Picture("figure-7", caption, figure),), (table,))
 

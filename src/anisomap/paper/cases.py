@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.figures.charts import METHOD_LOOKS
+from anisomap.methods import PAPER_METHODS
 from anisomap.paper.experiment import Settings
 from anisomap.recording import Recording
 from anisomap.simulation import dead, saturating, simulate
 
-METHODS = tuple(METHOD_LOOKS)
-"""The paper's methods, in the order of all figures and tables."""
+METHODS = PAPER_METHODS
+"""In the order of all figures and tables."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,24 @@ def patch_seed(settings: Settings, number: int) -> int:
     return settings.seed + number - 1
 
 
-def patch_run(settings: Settings, number: int, **failure: float) -> Recording:
-    """Simulate a run of the hardware patch."""
+def patch_run(
+    settings: Settings,
+    number: int,
+    *,
+    failing: str = FAILING,
+    fails: bool | None = None,
+    **failure: float,
+) -> Recording:
+    """Simulate a run of the hardware patch.
+
+    fails: Whether a sensor fails; by default from the run on in which the paper's sensor did.
+    """
     seed = patch_seed(settings, number)
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
     recording = dead(_simulated("hexagon", "rubbing", seed, n_frames), SILENT)
-    if number >= FIRST_FAILED_RUN:
-        recording = saturating(recording, [FAILING], rng=seed, **failure)
+    if number >= FIRST_FAILED_RUN if fails is None else fails:
+        recording = saturating(recording, [failing], rng=seed, **failure)
     return replace(
         recording,
         positions=1e3 * true_positions(recording),

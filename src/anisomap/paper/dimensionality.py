@@ -8,14 +8,9 @@ import numpy as np
 
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.errors import AnisomapWarning
-from anisomap.evidence import compare
-from anisomap.mapping import dissimilarities
-from anisomap.methods import find_method
-from anisomap.numerics.precision import Reals
-from anisomap.options import MethodOptions
 from anisomap.paper.cases import CASES, METHODS, patch_run
 from anisomap.paper.experiment import Outcome, Picture, Row, Settings, Table, Tables, experiment
-from anisomap.paper.map_scores import n_dimensions, spectrum
+from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 
@@ -55,7 +50,7 @@ def dimensions(settings: Settings, _: Tables) -> Outcome:
     for name, recording, true in runs:
         curves, chosen = {}, []
         for method in METHODS:
-            variances = spectrum(_metric(recording, method))
+            variances = spectrum(published_metric(recording, method))
             chosen.append(n_dimensions(variances))
             share = variances[:_MAX_DIMENSIONS] / variances[variances > 0].sum()
             curves[method] = share[:, None]
@@ -84,10 +79,3 @@ def _chosen(recording: Recording) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map are not shown
         return reconstruct(recording, "r-anisomap").dimensions
-
-
-def _metric(recording: Recording, method: str) -> Reals:
-    recipe, options = find_method(method), MethodOptions()
-    varying = recording.select(recording.varying())
-    pairs = compare([varying], recipe.similarity, bins=options.bins, with_noise=False)
-    return recipe.metric(dissimilarities(pairs, method, options))

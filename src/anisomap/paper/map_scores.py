@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist
+from scipy.stats import spearmanr
 
 from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
 from anisomap.evaluation import Mantel, Score, align, score
+from anisomap.evidence import compare
+from anisomap.mapping import dissimilarities
+from anisomap.methods import find_method
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.options import MethodOptions
 from anisomap.paper.cases import METHODS, true_positions
@@ -25,41 +32,74 @@ from anisomap.sensor_map import SensorMap
 _EQUAL = 1e-6  # largest difference of coordinates on one line of a lattice, in metres
 
 
-def spread_of_radii(positions: ArrayLike) -> float:
-    """Compute the relative spread of the distances from the centroid. positions (N, k)."""
-    points = np.asarray(positions, dtype=np.float64)
-    radii = np.linalg.norm(points - points.mean(axis=0), axis=1)
-    return float(radii.std() / radii.mean())
+def straightness(positions: ArrayLike, truth: ArrayLike) -> float:
+    """Measure how straight the straight lines of sensors are on a map: 1 is straight.
+
+    positions (N, k), truth (N, 3). For all triples of sensors of which one is midway between the
+    others, at least half as far apart as the farthest: the mean ratio of the distance of the outer
+    sensors to that through the middle one; 0.71 for a semicircle. Scaling a map along any axis does
+    not bend lines. NaN without triples.
+    """
+    points, true = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    first, last = np.triu_indices(len(true), 1)
+    off, middle = map(np.asarray, KDTree(true).query((true[first] + true[last]) / 2))
+    inside = off < _EQUAL
+    lengths = np.linalg.norm(true[first] - true[last], axis=1)
+    inside &= lengths >= lengths[inside].max(initial=0) / 2
+    a, b, c = (points[index[inside]] for index in (first, middle, last))
+    path = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1)
+    return float(np.mean(np.linalg.norm(c - a, axis=1) / path)) if inside.any() else math.nan
 
 
 @dataclass(frozen=True)
-class AxialScale:
-    """Axial compression of a map of a cylinder: 1 is correct, less is compressed.
+class CylinderShape:
+    """Shape and topology of a map of a cylinder with sensors on lines parallel to its axis.
 
-    whole: Axial scale divided by radial scale, after alignment with the true positions.
-    local: Distance of axial neighbours divided by distance of circumferential neighbours, relative
-        to the same ratio of the true positions; independent of the alignment.
+    All are 1 if correct. Orders do not depend on the scale along the axis.
+
+    axial_scale: Axial scale divided by radial scale, after alignment with the true positions; less
+        is compressed.
+    local_axial_scale: Distance of axial neighbours divided by distance of circumferential
+        neighbours, relative to the same ratio of the true positions; independent of the alignment.
+    order_around: Share of the two nearest lines of each, by their centroids, that are beside it.
+    order_along: Rank correlation of distances on the map with true distances within a line, mean
+        over the lines.
     """
 
-    whole: float
-    local: float
+    axial_scale: float
+    local_axial_scale: float
+    order_around: float
+    order_along: float
 
 
-def axial_scale(positions: ArrayLike, truth: ArrayLike) -> AxialScale:
-    """Measure the axial compression shown in the paper's Figure 4.
-
-    positions (N, 3), truth (N, 3).
-    """
-    true = np.asarray(truth, dtype=np.float64)
+def cylinder_shape(positions: ArrayLike, truth: ArrayLike) -> CylinderShape:
+    """Measure what the paper's Figure 4 shows. positions (N, 3), truth (N, 3)."""
+    points, true = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     true = true - true.mean(axis=0)
-    aligned = align(positions, true).aligned
+    aligned = align(points, true).aligned
     outwards = true[:, :2] / np.linalg.norm(true[:, :2], axis=1, keepdims=True)
     axial = float(aligned[:, 2] @ true[:, 2] / (true[:, 2] @ true[:, 2]))
     radial = float(np.mean((aligned[:, :2] * outwards).sum(axis=1)))
     radius = float(np.linalg.norm(true[:, :2], axis=1).mean())
-    points = np.asarray(positions, dtype=np.float64)
-    local = _neighbour_ratio(points, true) / _neighbour_ratio(true, true)
-    return AxialScale(axial / (radial / radius), local)
+    angles = np.arctan2(true[:, 1], true[:, 0]) % (2 * np.pi - _EQUAL)
+    labels = np.unique(np.round(angles / _EQUAL), return_inverse=True)[1]
+    lines = [np.flatnonzero(labels == label) for label in range(labels.max() + 1)]
+    centroids = np.array([points[line].mean(axis=0) for line in lines])
+    nearest = np.asarray(KDTree(centroids).query(centroids, k=3)[1])[:, 1:]
+    steps = (nearest - np.arange(len(lines))[:, None]) % len(lines)
+    along = [spearmanr(_rounded(points[line]), _rounded(true[line])).statistic for line in lines]
+    return CylinderShape(
+        axial / (radial / radius),
+        _neighbour_ratio(points, true) / _neighbour_ratio(true, true),
+        float(np.isin(steps, [1, len(lines) - 1]).mean()),
+        float(np.mean(along)),
+    )
+
+
+def _rounded(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute distances in which ties are exact."""
+    distances = pdist(points)
+    return np.asarray(np.round(distances / distances.max(), 6))
 
 
 def _neighbour_ratio(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
@@ -89,6 +129,14 @@ def isolation(positions: ArrayLike, sensor: int) -> float:
     return float(nearest[sensor] / np.median(np.delete(nearest, sensor)))
 
 
+def published_metric(recording: Recording, method: str) -> Reals:
+    """Compute the metric of the sensors that vary by a method of the paper. Returns (n, n)."""
+    recipe, options = find_method(method), MethodOptions()
+    varying = recording.select(recording.varying())
+    pairs = compare([varying], recipe.similarity, bins=options.bins, with_noise=False)
+    return recipe.metric(dissimilarities(pairs, method, options))
+
+
 def spectrum(metric: ArrayLike) -> NDArray[np.float64]:
     """Compute the variances of classical scaling. metric (N, N) -> (N,)."""
     squares = np.asarray(metric, dtype=np.float64) ** 2
@@ -107,7 +155,8 @@ def n_dimensions(variances: ArrayLike) -> int:
 
 
 _WHISKER = 1.5  # interquartile ranges, as in the paper's Figure 3
-_SMACOF = SmacofOptions(solver="majorization")  # the paper's algorithm; the default is faster
+SMACOF = SmacofOptions(solver="majorization")
+"""The paper's algorithm; the default is faster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +186,7 @@ def map_and_score(
     Positions are scaled by majorization, as in the paper. Maps in 2D are compared with the first
     two coordinates of the true positions.
     """
-    published = replace(options or MethodOptions(), smacof=_SMACOF)
+    published = replace(options or MethodOptions(), smacof=SMACOF)
     sensor_map = reconstruct(recording, method, dimensions, options=published)
     result = score(
         sensor_map,
@@ -168,14 +217,19 @@ SCORE_COLUMNS = {
     "permutations": "random relabellings; without any, the null distribution is nan",
     "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
     "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
-    "spread_of_radii": "standard deviation divided by mean of the distances from the centroid of "
-    "the map",
-    "true_spread_of_radii": "the same for the true positions",
+    "straightness": "straight lines of sensors: mean distance of their ends on the map divided by "
+    "that through the middle; 1 is straight",
     "axial_scale": "cylinder in 3D: axial scale divided by radial scale of the map aligned with "
     "the true positions; below 1: compressed along the axis",
     "local_axial_scale": "cylinder in 3D: distance of axial neighbours divided by distance of "
     "circumferential neighbours, relative to the true ratio; below 1: compressed along the axis",
+    "order_around": "cylinder in 3D: share of the lines parallel to the axis that are beside the "
+    "right ones; chance gives 0.22",
+    "order_along": "cylinder in 3D: rank correlation of distances on the map with true distances "
+    "within these lines; chance gives 0",
     "stress": "Stress-1 of the scaling",
+    "iterations": "iterations of the scaling; it stopped before it converged at "
+    f"{SMACOF.max_iterations:,}",
 }
 
 
@@ -213,6 +267,12 @@ def score_rows(
                 yield (run, seed, method, k, bins, *cells)
 
 
+def stopped(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Count the scalings of score rows that stopped before they converged, by method."""
+    counts = Counter(r["method"] for r in rows if r["iterations"] >= SMACOF.max_iterations)
+    return ", ".join(f"{method} {count}" for method, count in counts.items()) or "none"
+
+
 def null_box(row: dict[str, Any]) -> NullBox:
     """Return the box plot of a null distribution from a row of `SCORE_COLUMNS`."""
     low, high = row["null_whisker_low"], row["null_whisker_high"]
@@ -229,19 +289,18 @@ def null_box(row: dict[str, Any]) -> NullBox:
 def _score_cells(scored: ScoredMap, *, is_cylinder: bool) -> Row:
     result = scored.score
     mapped = scored.sensor_map.positions[result.sensors]
-    axial = (math.nan, math.nan)
+    shape: Row = (math.nan,) * 4
     if is_cylinder and scored.sensor_map.dimensions == 3:
-        scale = axial_scale(mapped, result.truth)
-        axial = (scale.whole, scale.local)
+        shape = astuple(cylinder_shape(mapped, result.truth))
     return (
         result.mantel.r,
         *_null_cells(result.mantel),
         result.rms_in_spacings,
         result.neighbours_kept,
-        spread_of_radii(mapped),
-        spread_of_radii(result.truth),
-        *axial,
+        straightness(mapped, result.truth),
+        *shape,
         scored.sensor_map.stress,
+        scored.sensor_map.n_iterations,
     )
 
 

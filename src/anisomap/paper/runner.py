@@ -22,6 +22,8 @@ from anisomap.paper import (
     dimensionality,
     patch,
     results,
+    rivals,
+    rolling,
     sample_data,
     sensitivity,
 )
@@ -29,7 +31,7 @@ from anisomap.paper.experiment import REGISTRY, Experiment, Settings
 from anisomap.paper.results import write_page
 
 _MODULES = (
-    claims, bodies, patch, accuracy, sample_data, sensitivity, dimensionality
+    claims, bodies, patch, accuracy, rivals, rolling, sample_data, sensitivity, dimensionality
 )  # fmt: skip
 """Modules that register experiments when they are imported."""
 
@@ -47,6 +49,8 @@ _PAGE_ORDER = (
     "bins",
     "failing-sensor",
     "unlike-responses",
+    "rivals",
+    rolling.NAME,
     *sensitivity.PARAMETERS,
     "dimensions",
 )

@@ -93,12 +93,14 @@ class CurvePanel:
     x (L,): Values of the parameter.
     curves (L, S): One value per run, by method; NaN where there is none.
     default: Default value of the parameter, drawn as a line.
+    marked: Values of the parameter marked by a star.
     """
 
     title: str
     x: NDArray[np.float64]
     curves: Mapping[str, NDArray[np.float64]]
     default: float | None = None
+    marked: Sequence[float] = ()
 
 
 def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
@@ -109,7 +111,8 @@ def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
         figure = _figure_with_head(_WIDTH, 0.9 + 3.6 * len(rows))
         for i, groups in enumerate(rows):
             plot_scores(groups, ax=figure.add_subplot(len(rows), 1, i + 1))
-        _write_head(figure, title, _methods(group.scores for groups in rows for group in groups))
+        scores = (group.scores for groups in rows for group in groups)
+        _write_head(figure, title, _used(METHOD_LOOKS, scores))
         return figure
 
 
@@ -121,8 +124,12 @@ def curves_figure(
     y_label: str = "Mantel r",
     logarithmic: bool = False,
     columns: int = 3,
+    looks: Mapping[str, MethodLook] = METHOD_LOOKS,
 ) -> Figure:
-    """Draw scores over a parameter: every run, and the mean over the runs."""
+    """Draw scores over a parameter: every run, and the mean over the runs.
+
+    looks: Of the curves, if they are not those of methods.
+    """
     if not panels:
         raise InputError("there are no curves to draw")
     columns = min(columns, len(panels))
@@ -133,11 +140,11 @@ def curves_figure(
         for i, panel in enumerate(panels):
             axes = figure.add_subplot(rows, columns, i + 1, sharey=first)
             first = first or axes
-            plot_curves(panel, logarithmic=logarithmic, ax=axes)
+            plot_curves(panel, logarithmic=logarithmic, looks=looks, ax=axes)
             axes.set_xlabel(x_label)
             if i % columns == 0:
                 axes.set_ylabel(y_label)
-        _write_head(figure, title, _methods(panel.curves for panel in panels))
+        _write_head(figure, title, _used(looks, (panel.curves for panel in panels)))
         return figure
 
 
@@ -168,13 +175,23 @@ def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes = None) -> None:
 
 
 @panel()
-def plot_curves(curves: CurvePanel, *, logarithmic: bool = False, ax: Axes = None) -> None:
+def plot_curves(
+    curves: CurvePanel,
+    *,
+    logarithmic: bool = False,
+    looks: Mapping[str, MethodLook] = METHOD_LOOKS,
+    ax: Axes = None,
+) -> None:
     """Plot one panel of `curves_figure`, without labels of the axes."""
     if curves.default is not None and curves.x.min() <= curves.default <= curves.x.max():
         ax.axvline(curves.default, color=FAINT, linewidth=0.9, linestyle=":")
     for method, values in curves.curves.items():
-        look = METHOD_LOOKS[method]
-        plot_runs(ax, curves.x, values, colour=look.colour, marker=look.marker)
+        plot_runs(ax, curves.x, values, colour=looks[method].colour, marker=looks[method].marker)
+    if curves.marked:
+        ax.plot(
+            curves.marked, [0.04] * len(curves.marked), "*", color=INK, markersize=9,
+            transform=ax.get_xaxis_transform(),
+        )  # fmt: skip
     if logarithmic:
         ax.set_xscale("log")
     ax.set_xticks(curves.x, [f"{value:g}" for value in curves.x])
@@ -231,15 +248,14 @@ def _figure_with_head(width: float, height: float) -> Figure:
     return figure
 
 
-def _methods(mappings: Iterable[Iterable[str]]) -> list[str]:
+def _used(looks: Mapping[str, MethodLook], mappings: Iterable[Iterable[str]]) -> list[MethodLook]:
     used = {method for mapping in mappings for method in mapping}
-    return [method for method in METHOD_LOOKS if method in used]
+    return [look for method, look in looks.items() if method in used]
 
 
-def _write_head(figure: Figure, title: str, methods: Sequence[str]) -> None:
+def _write_head(figure: Figure, title: str, looks: Sequence[MethodLook]) -> None:
     write_title(figure, title, x=0.15, y=0.1)
     line = load("matplotlib.lines").Line2D
-    looks = [METHOD_LOOKS[method] for method in methods]
     handles = [
         line([], [], ls="none", marker=look.marker, color=look.colour, label=look.label)
         for look in looks
