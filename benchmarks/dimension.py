@@ -1,33 +1,42 @@
-"""Number of dimensions that is chosen for skins, and errors of maps (``make dimension``).
+"""Number of dimensions that is chosen for skins of several shapes (``make dimension``).
 
-Skins are simulated on seeds that were not used for tuning (1 to 300 were); real recordings are read
-from folders. The number of dimensions of a skin is that of its true positions. The output is a
-table in Markdown and all results as CSV. All methods choose alike; r-ANISOMAP is the fastest.
+Skins are simulated on seeds that were not used for tuning (1 to 630 were); each seed stimulates a
+shape by another scenario. Real recordings are read from folders. The number of dimensions of a skin
+is that of its true positions, except for skins that can be rolled out: those have 2. The output is
+a table in Markdown and all results as CSV. All methods choose alike; r-ANISOMAP is the fastest.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 import anisomap
 from anisomap.comparison import spanned_dimensions, touched
 from anisomap.errors import InputError
-from anisomap.simulation import BODIES, SCENARIOS, find_body, find_scenario, simulate
+from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
+from anisomap.simulation import BODIES, find_body, find_scenario, simulate, solids
+from anisomap.simulation.bodies import Body
+from anisomap.simulation.bodies.lattice import CYLINDER_LENGTH, CYLINDER_RADIUS, midpoints
+from anisomap.simulation.bodies.poisson_disc import covered
 from benchmarks.harness import files_in, heading, line, markdown_table, options, quietly, write_rows
 
-FIRST_SEED = 611
+FIRST_SEED = 631
 FRAMES = 1000
+SCENARIOS = ("bombardment", "rubbing", "pressing", "roller", "pulses", "locomotion")
 MIN_TOUCHES = 5
 """Sensors of real skins that were touched less often have no position on any map."""
 
 OUTCOMES = ("right", "not clear", "wrong")
+ANSWERS = ("line", "2", "3", "not clear")
 HEADER = (
-    "skin", "scenario", "seed", "sensors", "frames", "true", "chosen", "outcome", "elbow at 2",
-    "elbow at 3",
+    "skin", "scenario", "seed", "sensors", "frames", "true", "answer", "largest drop", "elbow at 1",
+    "elbow at 2", "elbow at 3",
 )  # fmt: skip
 
 
@@ -36,10 +45,12 @@ class Row:
     """One recording.
 
     body, scenario: For real recordings the name of the file, and "real".
-    true: Dimensions that the true positions span.
-    chosen: Dimensions of the map.
-    outcome: One of `OUTCOMES`; "not clear" if the map has a note that says so.
-    elbow_2, elbow_3: See `DimensionChoice.elbow`.
+    true: Dimensions that the true positions span, or that they have if they are rolled out.
+    answer: One of `ANSWERS`: a map in 2 dimensions with a note that the sensors lie along a line, a
+        map in 2 or 3 dimensions, or one in 3 with a note that their number is not clear.
+    largest_drop: Dimensions by Pierce & Kuipers' rule, on the metric of r-ANISOMAP.
+    elbow_1, elbow_2, elbow_3: See `anisomap.dimensions.DimensionChoice.elbow`; NaN if the metric
+        was not examined.
     """
 
     body: str
@@ -48,55 +59,82 @@ class Row:
     n_sensors: int
     n_frames: int
     true: int
-    chosen: int
-    outcome: str
+    answer: str
+    largest_drop: int
+    elbow_1: float
     elbow_2: float
     elbow_3: float
+
+    @property
+    def outcome(self) -> str:
+        """One of `OUTCOMES`."""
+        if self.answer == "not clear":
+            return "not clear"
+        return "right" if self.answer == ("line" if self.true == 1 else str(self.true)) else "wrong"
+
+
+def flat(name: str, columns: int, rows: int) -> Body:
+    """Make a plate of 2 m with a lattice of sensors on its upper face."""
+    spacing, height = 2 / columns, 0.1
+    x, y = np.meshgrid(midpoints(columns, 2), midpoints(rows, rows * spacing), indexing="ij")
+    positions = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height / 2)])
+    normals = np.tile([0.0, 0.0, 1.0], (x.size, 1))
+    return Body(name, positions, normals, [solids.box((1, rows * spacing / 2, height / 2))])
+
+
+def half_cylinder() -> Body:
+    """Make a cylinder with sensors on half of its side."""
+    solid = solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)
+    top = CYLINDER_LENGTH / 2 - 1e-9
+    return covered("half-cylinder", [solid], 60, lambda p: (p[:, 0] > 0) & (np.abs(p[:, 2]) < top))
+
+
+ROLLED_OUT: Mapping[str, Body] = MappingProxyType(
+    {"line": flat("line", 24, 1), "strip": flat("strip", 20, 3), "half-cylinder": half_cylinder()}
+)
+"""Shapes that can be rolled out, beside those in `BODIES`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Map all skins and write the results."""
-    parser = options(__doc__, "dimension", seeds=2, first_seed=FIRST_SEED)
-    parser.add_argument("--scenarios", nargs="*", default=list(SCENARIOS))
+    parser = options(__doc__, "dimension", seeds=20, first_seed=FIRST_SEED)
+    parser.add_argument("--scenarios", nargs="*", default=SCENARIOS)
     chosen = parser.parse_args(arguments)
     rows: list[Row] = []
     with quietly():
         for row in _rows(chosen):
             print(*astuple(row), flush=True)
             rows.append(row)
-            write_rows(chosen.output / "dimension.csv", rows)
+            write_rows(chosen.output / "dimension.csv", rows, digits=4)
             (chosen.output / "dimension-table.md").write_text(markdown(rows), encoding="utf-8")
     return 0
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """Return the numbers of outcomes by dimensions and scenario, and all that are not right."""
+    """Return the answers and outcomes by shape, and all that are not right."""
     simulated = [row for row in rows if row.scenario != "real"]
     real = [row for row in rows if row.scenario == "real"]
-    seeds = sorted({row.seed for row in simulated})
-    frames = sorted({row.n_frames for row in simulated})
     lines = []
     if simulated:
+        seeds = sorted({row.seed for row in simulated})
         lines = [
-            f"Simulated skins, seeds {', '.join(map(str, seeds))}, "
-            f"{', '.join(map(str, frames))} frames.",
+            f"Simulated skins, seeds {seeds[0]} to {seeds[-1]}, {simulated[0].n_frames} frames.",
             "",
-            *heading(("scenario", "dimensions", "skins", *OUTCOMES)),
+            *heading(("shape", "true", "skins", *ANSWERS, *OUTCOMES, "largest drop is right")),
         ]
-        groups = sorted({(row.scenario, row.true) for row in simulated})
-        for scenario, true in groups:
-            found = [row for row in simulated if (row.scenario, row.true) == (scenario, true)]
-            lines.append(line((scenario, true, *_counts(found))))
-        lines += [line(("all", "", *_counts(simulated))), ""]
-    listed = [*(row for row in simulated if row.outcome != "right"), *real]
+        for group in (*dict.fromkeys((row.body, row.true) for row in simulated), ("all", "")):
+            found = [row for row in simulated if group in ((row.body, row.true), ("all", ""))]
+            lines.append(line((*group, *_counts(found))))
+        lines.append("")
+    listed = [*(row for row in simulated if row.outcome == "wrong"), *real]
     if listed:
         lines += [
-            "All real skins, and the simulated ones that are not right. Elbows: see the text.",
+            "Simulated skins with a wrong answer, and all real ones. Elbows: see the text.",
             "",
         ]
         cells = (
-            (*astuple(row)[:2], row.seed or "", *astuple(row)[3:8], f"{row.elbow_2:.2f}",
-             f"{row.elbow_3:.3f}")
+            (*astuple(row)[:2], row.seed or "", *astuple(row)[3:8],
+             *(f"{elbow:.2f}" for elbow in astuple(row)[8:]))
             for row in listed
         )  # fmt: skip
         lines += markdown_table(HEADER, cells)
@@ -104,33 +142,45 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _counts(rows: Sequence[Row]) -> tuple[int, ...]:
-    outcomes = [row.outcome for row in rows]
-    return (len(rows), *map(outcomes.count, OUTCOMES))
+    answers, outcomes = Counter(row.answer for row in rows), Counter(row.outcome for row in rows)
+    dropped = sum(row.largest_drop == row.true for row in rows)
+    return (len(rows), *map(answers.get, ANSWERS, 4 * [0]), *map(outcomes.get, OUTCOMES, 3 * [0]),
+            dropped)  # fmt: skip
 
 
 def _rows(chosen: argparse.Namespace) -> Iterator[Row]:
     for path in files_in(chosen.recordings):
         recording = anisomap.read(path)
-        yield _row(recording.select(touched(recording, MIN_TOUCHES)), path.stem, "real", 0)
-    bodies = {name: find_body(name) for name in BODIES}
+        if recording.positions is None:
+            raise InputError(f"{path.stem} has no true positions")
+        true = spanned_dimensions(recording.positions)
+        yield _row(recording.select(touched(recording, MIN_TOUCHES)), path.stem, "real", 0, true)
+    shapes = {**ROLLED_OUT, **{name: find_body(name) for name in BODIES}}
     for seed in range(chosen.first_seed, chosen.first_seed + chosen.seeds):
-        for scenario in chosen.scenarios:
-            for name, body in bodies.items():
-                if find_scenario(scenario).accepts(body):
-                    recording = simulate(body, scenario, n_frames=FRAMES, seed=seed)
-                    yield _row(recording, name, scenario, seed)
+        for name, body in shapes.items():
+            accepted = [s for s in chosen.scenarios if _is_touched(name, body, s)]
+            scenario = accepted[seed % len(accepted)]
+            true = spanned_dimensions(body.positions) if name != "half-cylinder" else 2
+            recording = simulate(body, scenario, n_frames=FRAMES, seed=seed)
+            yield _row(recording, name, scenario, seed, true)
 
 
-def _row(recording: anisomap.Recording, body: str, scenario: str, seed: int) -> Row:
-    if recording.positions is None:
-        raise InputError(f"{body} has no true positions")
-    made = anisomap.reconstruct(recording.complete(), "r-anisomap", dimensions="auto")
-    true = spanned_dimensions(recording.positions)
+def _is_touched(name: str, body: Body, scenario: str) -> bool:
+    """Whether a scenario touches a body on its skin."""
+    rolls_on_its_back = name == "half-cylinder" and scenario == "locomotion"
+    return find_scenario(scenario).accepts(body) and not rolls_on_its_back
+
+
+def _row(recording: anisomap.Recording, body: str, scenario: str, seed: int, true: int) -> Row:
+    complete = recording.complete()
+    made = anisomap.reconstruct(complete, "r-anisomap", dimensions="auto")
     unclear = any("whether the skin is flat" in note for note in made.notes)
-    outcome = "not clear" if unclear else "right" if made.dimensions == true else "wrong"
-    elbows = [float(made.provenance.get(f"elbow_{k}", np.nan)) for k in (2, 3)]
+    along = any("along a line" in note for note in made.notes)
+    answer = "not clear" if unclear else "line" if along else str(made.dimensions)
+    drop = n_dimensions(spectrum(published_metric(complete, "r-anisomap")))
+    elbows = [float(made.provenance.get(f"elbow_{k}", np.nan)) for k in (1, 2, 3)]
     n_sensors, n_frames = int(np.count_nonzero(made.placed)), recording.n_frames
-    return Row(body, scenario, seed, n_sensors, n_frames, true, made.dimensions, outcome, *elbows)
+    return Row(body, scenario, seed, n_sensors, n_frames, true, answer, drop, *elbows)
 
 
 if __name__ == "__main__":

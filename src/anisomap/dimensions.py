@@ -6,10 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.scaling.multidimensional_scaling import DimensionChoice, choose_dimensions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.recording import Scalar
 
 AUTO: Literal["auto"] = "auto"
@@ -39,6 +42,112 @@ _LOOKS_FLAT = (
     "a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
 )
 _LINE = "the sensors appear to lie along a line: to map them along it, choose 1 dimension (-d 1)"
+
+
+FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
+"""Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
+
+Set on seeds 1 to 3 and real skins. Of 300 skins of 15 shapes that were simulated afterwards (seeds
+631 to 650, ``make dimension``), 1 was wrong and 45 were not clear.
+"""
+
+PLANE_ELBOW = 1.18
+"""Minimum elbow at 2 dimensions of a flat skin.
+
+At least 1.20 on flat skins, real ones included; 1.15 or less on points in 5 and 6 dimensions.
+"""
+
+DISTINCT, WEAK_FLAT_ELBOW = 3.0, 1.09
+"""Elbow at 1 or 2 dimensions below which the elbow at 3 has to be smaller, and its limit there.
+
+Where stimuli reach far, no dimension fits well. Simulated flat skins with an elbow at 2 dimensions
+of less than 3 had at most 1.08 at 3 dimensions, and bodies at least 1.106 (seeds 1 to 9).
+"""
+
+_FLOOR = 0.01  # Stress-1 that counts as perfect; bounds the elbows of exact distances
+_MOST = 0.5
+_MIN_POINTS = 8  # fewer have hardly more distances than coordinates in 4 dimensions
+_MAX_POINTS = 1000  # regularly sampled; their 500,000 distances determine the stress
+# With 1e-8, elbows differ by less than .0003 (eight recordings, real and simulated).
+_SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-6)
+
+
+@dataclass(frozen=True)
+class DimensionChoice:
+    """Number of dimensions of a metric.
+
+    dimensions: 2 or 3; 3 if it is not clear.
+    clear: Whether the metric shows the number of dimensions.
+    line: Whether the sensors appear to lie along a line.
+    stress: Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
+    """
+
+    dimensions: int = SPATIAL
+    clear: bool = False
+    line: bool = False
+    stress: tuple[float, ...] = ()
+
+    def elbow(self, dimensions: int) -> float:
+        """Return how much more the last of some dimensions lowers the stress than the next one."""
+        if not self.stress:
+            return float("nan")
+        s = np.hypot((1.0, *self.stress), _FLOOR)  # in 0 dimensions, Stress-1 is 1
+        return float(s[dimensions - 1] * s[dimensions + 1] / s[dimensions] ** 2)
+
+
+def choose_dimensions(metric: ArrayLike, weights: Reals | None = None) -> DimensionChoice:
+    """Choose between 2 and 3 dimensions by the elbow of the stress.
+
+    metric (N, N), weights (N, N).
+
+    More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
+    doi:10.1007/BF02289565). The fourth fits only errors, as skins lie in space, and the third is
+    required if it lowers the stress by clearly more than the fourth does.
+
+    Lengths along a surface do not change if it is bent without stretching (Gauss's theorema
+    egregium), so half a cylinder spans 2 dimensions, like a sheet that is rolled out.
+    """
+    lengths = np.asarray(metric)
+    known = lengths if weights is None else np.where(weights > 0, lengths, np.inf)
+    largest = np.flatnonzero(components(known) == 0)
+    largest = largest[:: -(-len(largest) // _MAX_POINTS)]
+    if len(largest) < _MIN_POINTS:
+        return DimensionChoice()
+    inside = np.ix_(largest, largest)
+    if weights is not None and (components(known[inside]) > 0).any():
+        return DimensionChoice()  # the sample lost the pairs that connect it
+    one, two, *more = (
+        smacof(
+            lengths[inside],
+            dimensions=k,
+            weights=None if weights is None else weights[inside],
+            options=_SOLVER,
+        )
+        for k in range(1, SPATIAL + 2)
+    )
+    stress = tuple(scaling.stress for scaling in (one, two, *more))
+    found = DimensionChoice(stress=stress)
+    elongated = found.elbow(1) >= DISTINCT > found.elbow(2)
+    if elongated and _is_curve(two.positions, one.positions[:, 0]):
+        return DimensionChoice(2, clear=True, line=True, stress=stress)
+    if found.elbow(3) >= SPATIAL_ELBOW:
+        return DimensionChoice(3, clear=True, stress=stress)
+    distinct = max(found.elbow(1), found.elbow(2)) >= DISTINCT
+    limit = FLAT_ELBOW if distinct else WEAK_FLAT_ELBOW
+    if found.elbow(3) < limit and found.elbow(2) >= PLANE_ELBOW:
+        return DimensionChoice(2, clear=True, stress=stress)
+    return found
+
+
+def _is_curve(positions: Reals, line: Reals) -> bool:
+    """Whether most near neighbours in 2 dimensions are next to each other in 1.
+
+    positions (n, 2), line (n,). Of the two nearest sensors of each, .7 to .95 are on lines of
+    sensors, regular or not, and at most .3 on strips of two rows or more.
+    """
+    rank = np.argsort(np.argsort(line, kind="stable"), kind="stable")
+    nearest = np.asarray(KDTree(positions).query(positions, k=3)[1])[:, 1:]
+    return bool(np.mean(np.abs(rank[nearest] - rank[:, None]) == 1) > _MOST)
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ def reconstruct(
 
     ``"auto"`` compares how much the third and the fourth dimension improve the fit of the metric of
     the default method: see
-    `anisomap.numerics.scaling.multidimensional_scaling.choose_dimensions`. Readings show distances
+    `anisomap.dimensions.choose_dimensions`. Readings show distances
     along the skin, so skins that are bent like a sheet of paper are mapped in 2D.
 
     Examples

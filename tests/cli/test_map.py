@@ -67,6 +67,23 @@ def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
     assert anisomap.read_map("solid.csv").dimensions == 3
 
 
+def test_sensors_on_a_line_are_listed_in_their_order(run_map):
+    rng = np.random.default_rng(0)
+    places = rng.permutation(np.arange(24.0))
+    touches = rng.uniform(0, 23, (2000, 1))
+    recording = anisomap.Recording(np.maximum(0, 3 - abs(touches - places)))
+    anisomap.write(recording, "line.npz")
+    chosen = run_map("line.npz", "-d", "auto", "-m", "covariogram")
+    assert "choose 1 dimension (-d 1)" in chosen.err
+    said = json.loads(run_map("line.npz", "-d", 1, "-m", "covariogram", "--json").out)
+    order = [recording.names.index(name) for name in said["map"]["order"]]
+    along = places[order]
+    assert (np.diff(along if along[0] < along[-1] else along[::-1]) == 1).all()
+    assert f"{said['map']['order'][0]}, {said['map']['order'][1]}" in " ".join(
+        run_map("line.npz", "-d", 1, "-m", "covariogram").out.split()
+    )
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_runs_from_the_command_line(run_map, method):
     anisomap.write(flat_skin(n_frames=400), "skin.npz")

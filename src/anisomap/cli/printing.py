@@ -126,7 +126,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
     approximate = ", approximate" if sensor_map.approximate else ""
     because = sensor_map.provenance.get("dimensions_because")
-    steps = steps_of(sensor_map)
+    steps, order = steps_of(sensor_map), _order(sensor_map)
     printer.facts(
         f"Map by {sensor_map.method}{approximate}",
         {
@@ -134,6 +134,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
             f"in {sensor_map.dimensions} dimensions"
             + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
             **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
+            **({"order along the line": join_items(order, len(order))} if order else {}),
             **({"refined by": join_items(steps)} if steps else {}),
             "components": f"{len(sizes)}"
             + (f"; sensors in each: {join_items(sizes, max_items=12)}" if len(sizes) > 1 else ""),
@@ -169,6 +170,7 @@ def record_map(printer: Printer, sensor_map: SensorMap) -> None:
             "dimensions": sensor_map.dimensions,
             "sensors": sensor_map.n_sensors,
             "placed": int(sensor_map.placed.sum()),
+            **({"order": _order(sensor_map)} if sensor_map.dimensions == 1 else {}),
             "component_sizes": sensor_map.component_sizes,
             "approximate": sensor_map.approximate,
             "stress": sensor_map.stress,
@@ -178,6 +180,14 @@ def record_map(printer: Printer, sensor_map: SensorMap) -> None:
         },
         verdict=asdict(sensor_map.verdict),
     )
+
+
+def _order(sensor_map: SensorMap) -> list[str]:
+    """Name the sensors of the largest component in their order along a line; [] if it is none."""
+    if sensor_map.dimensions > 1:
+        return []
+    order = np.argsort(sensor_map.positions[:, 0], kind="stable").tolist()
+    return [sensor_map.names[i] for i in order if sensor_map.component[i] == 0]
 
 
 def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import special_ortho_group
 
+from anisomap.dimensions import choose_dimensions
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.multidimensional_scaling import choose_dimensions
 
 seeds = st.integers(0, 10_000)
 
@@ -46,6 +46,15 @@ def test_plane_line_and_sphere_are_told_apart(shape, noise):
         assert found.clear
         assert found.dimensions == expected
         assert found.line == (shape == "line")
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+def test_a_strip_of_three_rows_is_no_line(noise):
+    across, along = np.meshgrid(np.arange(3.0), np.arange(16.0))
+    points = np.column_stack([along.ravel(), across.ravel()])
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        assert not choose_dimensions(metricise(distances(points, rng, noise))).line
 
 
 @settings(max_examples=15)
