@@ -96,9 +96,17 @@ class Verdict:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """How far the map can be used, what that means, and the reasons: one sentence each."""
-        meaning = LEVELS.get(self.level, "the map was not judged")
-        told = (f"verdict: {self.summary}", meaning, *self.reasons)
+        """How far the map can be used, what that means, its accuracy, and the reasons."""
+        meaning = LEVELS.get(self.level, "no level of accuracy is established")
+        told = [f"verdict: {self.summary}", meaning, *self.reasons]
+        if not math.isnan(self.region_error):
+            told.insert(
+                2,
+                f"expected error within regions of radius 5: {self.region_error:.2f} spacings "
+                f"({self.region_error_low:.2f} to {self.region_error_high:.2f}); right neighbours: "
+                f"{self.neighbours_kept:.0%} ({self.neighbours_kept_low:.0%} to "
+                f"{self.neighbours_kept_high:.0%})",
+            )
         return tuple(f"{text[:1].upper()}{text[1:]}." for text in told)
 
     def is_at_least(self, level: str) -> bool:

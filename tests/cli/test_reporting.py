@@ -26,13 +26,19 @@ COMMANDS = {
     COMPARE: "scores",
     "methods": "similarities",
     "formats": "formats",
+    "info skin.npz --all": "health",
+    "diff made.csv kept.csv": "moved",
+    "update kept.csv new.npz": "similarity_agreement",
+    "place made.csv": "placed_by",
+    "place made.csv --suggest 4": "suggested",
+    "repair skin.npz": "findings",
 }
 SIMULATIONS = {
     "bodies": "bodies",
     "scenarios": "scenarios",
     "scenarios bombardment": "parameters",
     "faults": "faults",
-    "spoil skin.npz -f dead:s3 -o bad.npz": "faults",
+    "spoil skin.npz -f dead:s3 -o bad.npz": "injected",
     "simulate plane -s rubbing --frames 40 -o sim.npz": "files",
     "coverage plane --sensors 25 --frames 100 --runs 1 -m r-anisomap -d 2": "coverage",
 }
@@ -44,7 +50,46 @@ def folder(tmp_path_factory):
     anisomap.write(flat_skin(n_frames=600), folder / "skin.npz")
     made = anisomap.SensorMap(flat_skin().positions, units="mm")
     anisomap.write(made, folder / "made.csv")
+    anisomap.write(flat_skin(n_frames=700, seed=5), folder / "new.npz")
+    kept = "map skin.npz -d 2 --keep-statistics --no-verdict --permutations 0 -o kept.csv"
+    assert call(folder, *kept.split()).code == 0
     return folder
+
+
+SCHEMA = json.loads(
+    (Path(__file__).parents[2] / "docs" / "reference" / "output.schema.json").read_text()
+)
+TYPES = {
+    "object": dict,
+    "array": list,
+    "string": str,
+    "boolean": bool,
+    "integer": int,
+    "number": (int, float),
+    "null": type(None),
+}
+
+
+def check_schema(value, schema, where="the output"):
+    """Check a value by the keywords of JSON Schema that the schema of the outputs has."""
+    if "$ref" in schema:
+        return check_schema(value, SCHEMA["$defs"][schema["$ref"].split("/")[-1]], where)
+    kinds = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
+    assert isinstance(value, tuple(t for k in kinds for t in np.atleast_1d(TYPES[k]))), where
+    assert isinstance(value, bool) == (kinds == ["boolean"]), where
+    if isinstance(value, dict):
+        assert set(schema.get("required", ())) <= value.keys(), where
+        rest = schema.get("additionalProperties", {"type": list(TYPES)})
+        for key, item in value.items():
+            if key in schema.get("properties", {}):
+                check_schema(item, schema["properties"][key], f"{where}: {key}")
+            elif rest is False:
+                pytest.fail(f"{where} has the unknown key {key}")
+            elif "properties" not in schema and rest != {"type": list(TYPES)}:
+                check_schema(item, rest, f"{where}: {key}")
+    for item in value if isinstance(value, list) else ():
+        check_schema(item, schema["items"], f"an item of {where}")
+    return None
 
 
 def _refuse(constant):
@@ -59,6 +104,7 @@ def test_results_are_one_json_object_or_nothing(folder, command):
     assert found.code == 0
     values = json.loads(found.out, parse_constant=_refuse)
     assert (COMMANDS | SIMULATIONS)[command] in values
+    check_schema(values, SCHEMA)
     quiet = call(folder, *command.split(), "--quiet")
     assert (quiet.code, quiet.out) == (0, "")
 
@@ -74,6 +120,7 @@ def test_quiet_does_not_silence_json(folder):
 def test_errors_are_json_if_asked_for(folder, command):
     plain, found = call(folder, *command.split()), call(folder, *command.split(), "--json")
     assert plain.code == found.code == found.values["exit_code"] == 2
+    check_schema(found.values, SCHEMA)
     assert (found.err, plain.err) == ("", f"error: {found.values['error']}\n")
 
 

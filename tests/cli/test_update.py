@@ -42,7 +42,7 @@ def test_a_map_is_updated_and_the_new_sensors_are_placed(run, days):
     assert found["added"] == [f"s{i}" for i in NEW]
     assert (found["moved"], found["not_recorded"], found["not_placed"]) == ([], [], [])
     assert (found["recordings"], found["units"]) == (2, "mm")
-    assert found["agreement"] > 0.9
+    assert found["similarity_agreement"] > 0.9
     updated = io.read_map(days / "new.npz")
     assert updated.units == "mm"
     rows = [updated.names.index(f"s{i}") for i in range(42)]

@@ -136,7 +136,7 @@ class SessionMaps:
             return advice.text, advice.enough
         level = checked.verdict.level
         if level == UNKNOWN:
-            return f"{advice.text}; the verdict is unknown", False
+            return f"enough touches: {UNKNOWN} yet how far the map can be used", False
         return f"enough touches: the map is {level}", level == list(LEVELS)[-1]
 
     def reached(self, level: str) -> bool:

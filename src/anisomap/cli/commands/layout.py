@@ -153,8 +153,8 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
     printer.notes(found.notes)
     printer.record(
         consistent=found.consistent,
-        verdict=found.verdict,
-        p=found.p,
+        outcome=found.verdict,
+        p_value=found.p,
         explained=found.explained,
         sensors=layout.n_sensors,
         tested=found.n_tested,

@@ -150,7 +150,8 @@ def _print_rows(
     printer: Printer, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> None:
     printer.table(title, columns, rows)
-    printer.record(**{title.lower(): [dict(zip(columns, row, strict=True)) for row in rows]})
+    key = title.split(",", maxsplit=1)[0].lower().replace(" ", "_")
+    printer.record(**{key: [dict(zip(columns, row, strict=True)) for row in rows]})
 
 
 def _first_line(thing: object) -> str:

@@ -293,7 +293,7 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
         placed=int(found.map.placed.sum()),
         units=changes.units,
         median_spacing=changes.spacing,
-        agreement=found.agreement,
+        similarity_agreement=found.agreement,
         added=found.added,
         moved=moved,
         not_recorded=found.silent,

@@ -375,7 +375,7 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
     printer.record(
         sensors=placed.n_sensors,
         placed=int(placed.placed.sum()),
-        methods=placement.methods,
+        placed_by=placement.methods,
         handed=placed.handed,
         anchored=placed.anchored,
         median_spacing=spacing / _MM,

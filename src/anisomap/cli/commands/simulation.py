@@ -347,5 +347,5 @@ def spoil(
     }
     with reporting.printer() as printer:
         printer.rows("Injected faults", columns, records)
-        printer.record(faults=records)
+        printer.record(injected=records)
         printing.print_files(printer, [("recording", output)])
