@@ -79,12 +79,11 @@ DAMAGES: Mapping[str, Damage] = MappingProxyType(
             "gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"
         ),
         "30 % of the sensors clipped at 0.3": Damage("saturation", "clipped:30%,level=0.3"),
-        "20 % of the sensors touched twice": Damage("few-contacts", "rarely-touched:20%"),
-        "two regions touched one after the other": Damage(
-            "separate-regions", "separate-regions", also=("few-contacts",)
-        ),
+        "readings of 10 % at 1,000 times the range": Damage("glitches", "glitching:10%,level=1000"),
+        "wires of 5 % exchanged half-way": Damage("rewired", "rewired:5%"),
+        "wires of 20 % exchanged after a third": Damage("rewired", "rewired:20%,share=0.33"),
+        "two regions touched one after the other": Damage("separate-regions", "separate-regions"),
         "sines of one period": Damage("one-period", "cycling:*"),
-        "clock jitter of 20 %": Damage("clock-jitter", "clock-jitter"),
     }
 )
 

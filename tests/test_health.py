@@ -199,10 +199,10 @@ FOUND = {
     "spikes": ["spiking:*,board=12"],
     "gaps": ["bridged-gaps:20%"],
     "saturation": ["clipped:30%"],
-    "few-contacts": ["rarely-touched:20%"],
+    "rewired": ["rewired:10%"],
+    "glitches": ["glitching:10%,level=1000"],
     "one-period": ["cycling:*"],
     "separate-regions": ["separate-regions"],
-    "clock-jitter": ["clock-jitter"],
 }
 
 
@@ -211,8 +211,7 @@ def test_a_fault_is_found_and_no_other(name):
     bad = spoilt(wired_at_random(301), *FOUND[name], seed=301)
     found = find_faults(bad)
     kind = name.partition(",")[0].removesuffix(" of half")
-    assert kinds(found) - {"few-contacts"} == {kind} - {"few-contacts"}
-    assert kind in kinds(found)
+    assert kinds(found) == {kind}
     if kind in {"inverted", "saturation"}:
         (named,) = (finding.sensors for finding in found if finding.kind == kind)
         assert set(named) == {fault.sensor for fault in injected_faults(bad)}
@@ -252,7 +251,7 @@ def test_real_bodies_have_no_faults_of_the_read_out(recordings_folder, name):
     path = recordings_folder.parent / "recordings-hard" / f"{name}.npz"
     if not path.is_file():
         pytest.skip(f"{path.name} is not here")
-    assert kinds(find_faults(anisomap.read(path))) <= {"few-contacts"}
+    assert kinds(find_faults(anisomap.read(path))) == set()
 
 
 @given(share=st.floats(0.03, 0.3), chained=st.booleans())
@@ -372,10 +371,17 @@ def test_some_sensors_are_left_of_a_recording_of_one_signal():
     assert found.recording.varying().any()
 
 
-def test_an_endless_gap_between_frames_is_found():
-    times = np.append(np.arange(299) * 0.01, 1e308)
-    found = find_faults(Recording(flat_skin().readings[:300], times=times))
-    assert "clock-jitter" in kinds(found)
+@given(seed=st.integers(0, 99), level=st.floats(0.5, 10))
+@settings(max_examples=5)
+def test_a_field_that_changes_its_sign_is_not_inverted(seed, level):
+    """Bending raises the readings of one side of a skin and lowers those of the other."""
+    skin, rng = wired_at_random(), np.random.default_rng(seed)
+    course = np.cumsum(rng.normal(size=(skin.n_frames, 2)), axis=0)
+    course = (course - course.mean(axis=0)) / course.std(axis=0)
+    slope = course @ (skin.positions - skin.positions.mean(axis=0)).T
+    noise = rng.normal(0, 0.01, slope.shape)
+    bent = Recording(skin.readings + level * (slope / slope.std() + noise))
+    assert "inverted" not in kinds(find_faults(bent))
 
 
 def test_what_spoils_a_map_is_among_its_notes():

@@ -20,9 +20,11 @@ from anisomap.numerics.recording_faults.copies import find_copies
 from anisomap.numerics.recording_faults.courses import find_clipped, find_one_period, find_regions
 from anisomap.numerics.recording_faults.drift import find_drift, remove_drift
 from anisomap.numerics.recording_faults.gaps import fill_from_others, find_bridged
+from anisomap.numerics.recording_faults.glitches import find_glitches, remove_glitches
 from anisomap.numerics.recording_faults.lags import align, find_lags
 from anisomap.numerics.recording_faults.leaks import find_leak, remove_leak
 from anisomap.numerics.recording_faults.polarity import find_inverted
+from anisomap.numerics.recording_faults.rewiring import find_rewired
 from anisomap.numerics.recording_faults.spikes import find_spikes, remove_spikes
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.wording import join_items, noun_and_items
@@ -31,9 +33,6 @@ _MAX_FRAMES = 8192  # in which regions are searched
 _ALL = 0.9  # share of the sensors above which a fault concerns the whole skin
 _EXACT = 1e-3  # share of noise in the variance below which copies are exact
 _MIN_MISSING = 0.02  # share of a sensor's readings; fewer change no correlation; chosen by hand
-_MIN_JITTER = 0.05  # of the interval between frames; chosen by hand
-_LOST_FRAME = 1.5  # intervals: a frame is missing
-_MAX_SHARE_RARE = 0.05  # of the sensors, that may be touched rarely; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ class Found:
 class Check:
     """A fault that is searched in recordings.
 
-    find: Takes a recording, complete but for the first two checks, and yields its faults.
+    find: Takes a recording, complete but for the first check, and yields its faults.
     unit, consequence, mended: See `Finding`.
     mend: Takes the recording and the evidence of all faults that can be mended.
     """
@@ -141,20 +140,6 @@ def _in_readings(
     return mend
 
 
-def _clock_jitter(recording: Recording) -> Iterator[Found]:
-    if recording.times is None or recording.n_frames < 3:
-        return
-    with np.errstate(over="ignore", invalid="ignore"):
-        steps = np.diff(recording.times)
-        intervals = np.nan_to_num(steps / np.median(steps), posinf=np.finfo(float).max)
-        usual = intervals < _LOST_FRAME
-        jitter = float(np.std(intervals[usual])) if usual.any() else 0.0
-        lost = min(float(np.round(intervals[~usual] - 1).sum()), float(np.finfo(float).max))
-    if jitter >= _MIN_JITTER or lost >= _MIN_MISSING * recording.n_frames:
-        missing = f"; about {lost:.15g} frames are missing" if lost else ""
-        yield Found((), jitter, f"intervals between frames vary by {jitter:.0%}{missing}")
-
-
 def _gaps(recording: Recording) -> Iterator[Found]:
     readings = recording.readings
     missing, bridged = ~np.isfinite(readings), find_bridged(readings)
@@ -172,6 +157,18 @@ def _gaps(recording: Recording) -> Iterator[Found]:
             f"{typical:.0%} of the readings of {affected.size} of {recording.n_sensors} sensors "
             f"are {'on straight lines, as if interpolated' if on_lines else 'missing'}",
             missing,
+        )
+
+
+def _glitches(recording: Recording) -> Iterator[Found]:
+    found = find_glitches(recording.readings)
+    if found is not None:
+        affected, number = np.flatnonzero(found.any(axis=0)), np.count_nonzero(found)
+        yield Found(
+            affected,
+            float(number),
+            f"{number} readings of {affected.size} sensors are far beyond all others",
+            found,
         )
 
 
@@ -305,7 +302,15 @@ def _leak(recording: Recording) -> Iterator[Found]:
 
 
 def _copies(recording: Recording) -> Iterator[Found]:
-    names, groups = recording.names, find_copies(recording.readings, *recording.extremes)
+    contacts = recording.signals.contacts
+    names, groups = (
+        recording.names,
+        [
+            copies
+            for copies in find_copies(recording.readings, *recording.extremes)
+            if copies.noise < _EXACT or contacts[list(copies.sensors)].min() >= MIN_CONTACTS
+        ],
+    )
     left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
     for copies in groups:
         others = [i for i in copies.sensors if i != copies.kept]
@@ -335,6 +340,18 @@ def _leave_out(recording: Recording, faults: Sequence[list[int]]) -> Recording:
     return recording.select(kept)
 
 
+def _rewired(recording: Recording) -> Iterator[Found]:
+    found = find_rewired(recording.readings, recording.signals.touched)
+    if found is not None:
+        sensors, frame = found
+        yield Found(
+            sensors,
+            sensors.size / recording.n_sensors,
+            f"{sensors.size} sensors read other places from about frame {frame} of "
+            f"{recording.n_frames} on",
+        )
+
+
 def _separate_regions(recording: Recording) -> Iterator[Found]:
     step = -(-recording.n_frames // _MAX_FRAMES)
     found = find_regions(recording.signals.active[::step])
@@ -348,32 +365,23 @@ def _separate_regions(recording: Recording) -> Iterator[Found]:
         )
 
 
-def _few_contacts(recording: Recording) -> Iterator[Found]:
-    rare = np.flatnonzero((recording.signals.contacts < MIN_CONTACTS) & recording.varying())
-    if rare.size > _MAX_SHARE_RARE * recording.n_sensors:
-        yield Found(
-            rare,
-            rare.size / recording.n_sensors,
-            f"{rare.size} of {recording.n_sensors} sensors were touched fewer than "
-            f"{MIN_CONTACTS} times",
-        )
-
-
 _ALIKE = "they look alike wherever they are"
 
 CHECKS: Mapping[str, Check] = MappingProxyType(
     {
-        "clock-jitter": Check(
-            _clock_jitter,
-            "share of the interval",
-            "maps do not depend on intervals; only lags in seconds do",
-        ),
         "gaps": Check(
             _gaps,
             "share",
             "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
             "these readings were estimated from the most similar sensors",
             _in_readings(lambda readings, missing: fill_from_others(readings, missing)[0]),
+        ),
+        "glitches": Check(
+            _glitches,
+            "readings",
+            "they outweigh all contacts of these sensors",
+            "these readings were replaced by those beside them",
+            _in_readings(remove_glitches),
         ),
         "hum": Check(
             _hum,
@@ -441,13 +449,15 @@ CHECKS: Mapping[str, Check] = MappingProxyType(
             "",
             _leave_out,
         ),
+        "rewired": Check(
+            _rewired,
+            "share",
+            "wires were exchanged; map the frames before and after by themselves",
+        ),
         "separate-regions": Check(
             _separate_regions,
             "sensors touched with both",
             "the relative position of the regions is unknown; touch the skin between them",
-        ),
-        "few-contacts": Check(
-            _few_contacts, "share", "their positions are unreliable; touch them again"
         ),
     }
 )
@@ -460,7 +470,7 @@ the order is opposite to that in which faults arise, from contact to file.
 FINAL = ("one-period",)
 """Findings after which nothing else is searched."""
 
-_BEFORE_COMPLETION = ("clock-jitter", "gaps")  # these look at missing readings
+_BEFORE_COMPLETION = ("gaps",)  # these look at missing readings
 
 
 def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -468,7 +478,6 @@ def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(
         f"{finding}" + ("; repair the recording" if finding.mendable else "")
         for finding in findings
-        if finding.kind != "few-contacts"
     )
 
 

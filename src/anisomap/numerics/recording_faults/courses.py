@@ -17,6 +17,7 @@ _MIN_CYCLES = 3
 _MIN_SENSORS = 0.8  # share of the sensors with the same period
 _MIN_CLIPPED = 10  # frames at the limit
 _MIN_LEVELS = 16  # distinct values of a sensor that can be clipped; fewer are quantised
+_LEVELS = 3  # beside the limit, of which none may be half as frequent
 _TOP = 0.05  # share of the range below the limit, for comparison
 _MAX_BRIDGES = 3  # sensors touched with both regions: fewer cannot fix their relative place
 _MIN_REGION = 0.1  # share of the sensors in the smaller region
@@ -84,13 +85,16 @@ def find_clipped(readings: NDArray[Any]) -> dict[int, float]:
             at_limit = np.count_nonzero(column == limit)
             if at_limit < _MIN_CLIPPED or at_limit > 0.5 * column.size:
                 continue
+            values, counts = count_values(column)
+            beside = counts[-1 - _LEVELS : -1] if margin < 0 else counts[1 : 1 + _LEVELS]
+            if at_limit <= 2 * beside.max(initial=0):
+                continue  # of readings with few levels
             edge = limit + margin * _TOP * (float(highest) - float(lowest))
             near = np.count_nonzero(
                 (column >= edge) & (column < limit)
                 if margin < 0
                 else (column <= edge) & (column > limit)
             )
-            values, counts = count_values(column)
             is_rest = values[counts.argmax()] == limit
             if at_limit > near and values.size >= _MIN_LEVELS and not is_rest:
                 found[i] = float(at_limit) / column.size

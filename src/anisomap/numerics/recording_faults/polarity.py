@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.signals import MAX_FRAMES, maximum_spanning_tree, standardised
+from anisomap.numerics.similarity.rest import estimate_rest
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
 _MIN_SHARE = 0.8  # of the sensors that must be skewed so; chosen by hand
 _MIN_AGREEMENT = 0.7  # share of the strongest correlations whose sign must be explained; by hand
-_MIN_CROSSING = 0.7  # correlation across parts over that within; wired at random they are equal
+_MAX_UNSKEWED = 0.4  # share of the smaller part of sensors that are not skewed; chosen by hand
+_MIN_CROSSING = 0.5  # of the strongest correlations that would join both parts at random; by hand
 _N_PARTNERS = 4
 _MIN_CORRELATION = 0.2  # magnitude of correlations whose sign counts; chosen by hand
 
@@ -25,9 +27,9 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
 
     Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of both
     signs are a finding only if correlations agree: the signs of the strongest correlations must be
-    negative between the two parts, and positive within them. If most readings are not skewed, such
-    as those of sensors that are often in contact, the parts are those that the signs of the
-    strongest correlations give, along a maximum spanning tree.
+    negative between the two parts, and positive within them. If most readings are not skewed or do
+    not rest, such as those of sensors that are often in contact, the parts are those that the signs
+    of the strongest correlations give, along a maximum spanning tree; they must be mixed.
     """
     step = -(-len(readings) // MAX_FRAMES)
     values = standardised(readings[::step])
@@ -36,7 +38,8 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
     skewed = np.abs(skewness) >= _MIN_SKEWNESS
-    skewed_apart = bool(np.mean(skewed[varying]) >= _MIN_SHARE)
+    rests = estimate_rest(values[:, varying]).known
+    skewed_apart = bool(min(np.mean(skewed[varying]), np.mean(rests)) >= _MIN_SHARE)
     sides = np.unique(np.sign(skewness[skewed]))
     if skewed_apart and sides.size < 2:
         return np.empty(0, dtype=np.intp)
@@ -53,7 +56,7 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
         lowered = np.zeros(varying.size, dtype=bool)
         lowered[judged[signs < 0]] = True
     suspects = judged[lowered[judged]]
-    if not skewed_apart and _weaker(correlation, suspects, judged):
+    if not skewed_apart and not _mixed(correlation, suspects, judged):
         return np.empty(0, dtype=np.intp)
     if 2 * suspects.size > judged.size:
         suspects = judged[~lowered[judged]]
@@ -68,17 +71,22 @@ def _signs_along_tree(correlation: NDArray[np.float32]) -> NDArray[np.float64]:
     return signs
 
 
-def _weaker(
+def _mixed(
     correlation: NDArray[np.float32], suspects: NDArray[np.intp], judged: NDArray[np.intp]
 ) -> bool:
-    """Return whether negative correlations are weaker than positive ones, as between neighbours."""
+    """Return whether the strongest correlations join both parts, as if drawn at random.
+
+    Where a signal changes its sign across the skin, such as bending, or the field of a source, the
+    strongest correlations of a sensor are with its neighbours, of its own part, and the parts are
+    halves: these cannot be told from inverted ones.
+    """
     inside = np.isin(judged, suspects)
-    if not inside.any() or inside.all():
+    if min(inside.sum(), (~inside).sum()) > _MAX_UNSKEWED * judged.size:
         return False
-    r = correlation[np.ix_(judged, judged)]
-    crossing = np.where(inside[:, None] != inside, -r, -1).max(axis=1)
-    within = np.where(inside[:, None] == inside, r, -1).max(axis=1)
-    return bool(np.median(crossing) < _MIN_CROSSING * np.median(within))
+    strength = np.abs(correlation[np.ix_(judged, judged)])
+    crossing = np.count_nonzero(inside[strength.argmax(axis=1)] != inside)
+    expected = 2 * inside.sum() * (~inside).sum() / max(1, judged.size - 1)
+    return bool(crossing > 0 and crossing >= _MIN_CROSSING * expected)
 
 
 def _confirmed(

@@ -23,6 +23,7 @@ _MIN_JUDGED = 20  # common jumps from which half that share tells contacts; chos
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
 _FRAMES_AT_ONCE, _SENSORS_AT_ONCE = 4096, 64  # of which jumps are computed; they fit in the cache
 _MAX_SENSORS = 1024  # in which spikes are searched
+_STEEP = 2.0  # height of a spike over the changes beside it; tops of contacts have less; by hand
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
 
@@ -123,6 +124,17 @@ def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
         often.append(begin + found)
         tall.append(jumps[:, found])
     frames = np.concatenate(often)
+    tall = [np.concatenate(tall, axis=1)]
+    if frames.size:
+        before, after = (
+            np.abs(
+                readings[np.clip(frames + a, 0, n_frames - 1)][:, members].astype(np.float32)
+                - readings[np.clip(frames + b, 0, n_frames - 1)][:, members]
+            )
+            for a, b in ((-1, -2), (1, 2))
+        )
+        steep = np.median(tall[0].T, axis=1) > _STEEP * np.median(np.maximum(before, after), axis=1)
+        frames, tall = frames[steep], [tall[0][:, steep]]
     if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * n_frames:
         return None
     height, equal = _equal(np.concatenate(tall, axis=1))

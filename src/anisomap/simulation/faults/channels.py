@@ -224,6 +224,22 @@ def bridged_gaps(
     return np.where(known, fill_gaps(lost[:, None])[:, 0], before), spans
 
 
+@sensor_fault(level=POSITIVE, count=COUNT)
+def glitching(channel: Channel, *, level: float = 100.0, count: int = 1) -> tuple[Column, Spans]:
+    """Replace single readings by values far outside the range, like a transmission error.
+
+    Parameters
+    ----------
+    level : float
+        The value above the lowest reading, in ranges of the recording.
+    count : int
+        Number of readings, at least 1.
+    """
+    frames = np.sort(channel.rng.permutation(channel.readings.size)[:count])
+    channel.readings[frames] = channel.lowest + level * (channel.span or 1.0)
+    return channel.readings, tuple((frame, frame + 1) for frame in frames.tolist())
+
+
 @sensor_fault(contacts=COUNT)
 def rarely_touched(channel: Channel, *, contacts: int = 2) -> Column:
     """Set sensors to rest except during their first contacts.

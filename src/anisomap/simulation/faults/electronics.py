@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.simulation.checks import COUNT, POSITIVE, SHARE, at_least
+from anisomap.simulation.checks import COUNT, INNER_SHARE, POSITIVE, SHARE, at_least
 from anisomap.simulation.faults.forms import Group, Rewritten, group_fault
 
 _BOARD = at_least(0, whole=True)
@@ -65,6 +65,23 @@ def swapped(group: Group) -> Rewritten:
         raise InputError(f"swapping needs an even number of sensors, got {len(chosen)}")
     half = len(chosen) // 2
     return _rewired(group, chosen, [*chosen[half:], *chosen[:half]])
+
+
+@group_fault(share=INNER_SHARE)
+def rewired(group: Group, *, share: float = 0.5) -> Rewritten:
+    """Exchange the readings of sensors from some frame on, like connectors that are moved.
+
+    Each sensor takes the readings of another, in a cycle of random order.
+
+    Parameters
+    ----------
+    share : float
+        Share of the recording before the change, between 0 and 1.
+    """
+    order = group.rng.permutation(np.array(group.chosen, dtype=np.intp))
+    readings, late = np.array(group.readings), slice(int(share * len(group.readings)), None)
+    readings[late, order] = group.readings[late, np.roll(order, 1)]
+    return readings, group.chosen
 
 
 @group_fault()
