@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import shlex
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,8 +33,6 @@ from anisomap.health import (
     summarise,
     touch_coverage,
 )
-from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
-from anisomap.large.streaming import StreamedSimilarity, map_streamed_similarity
 from anisomap.memory import check_pair_memory
 from anisomap.options import MethodOptions
 from anisomap.placement.frames import in_millimetres
@@ -47,13 +46,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from anisomap.drawing import report
+    from anisomap.large.approximation import SimilarityGraph
+    from anisomap.large.streaming import StreamedSimilarity
+
+LARGE_BYTES = 1 << 29
+"""Size of the readings, as float32, above which a recording is read in blocks: 512 MiB."""
+
+PROBED_BYTES = 1 << 24
+"""Total size of files below which the size of the readings is not estimated."""
 
 _NOT_MAPS = {
     **dict.fromkeys((".png", ".svg", ".pdf"), "a picture: name it by --picture"),
     ".html": "a report: name it by --report of anisomap map",
 }
 
-Source: TypeAlias = Sequence[Recording] | StreamedSimilarity | SimilarityGraph
+Source: TypeAlias = "Sequence[Recording] | StreamedSimilarity | SimilarityGraph"
 """Recordings of one skin, or what their frames were reduced to if they were read in blocks."""
 
 
@@ -136,7 +143,7 @@ class Examined:
     @property
     def runs(self) -> Sequence[Recording]:
         """The recordings, if they are in memory."""
-        return () if isinstance(self.source, StreamedSimilarity | SimilarityGraph) else self.source
+        return self.source if isinstance(self.source, Sequence) else ()
 
 
 def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
@@ -144,6 +151,27 @@ def read(path: Path, how: io.ReadOptions | None = None) -> Recording:
     with progress(f"reading {path.name}") as report_progress:
         recording = io.read(path, options=how, progress=report_progress)
     return replace(recording, source=recording.source or as_text(path.name))
+
+
+def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
+    """Estimate from their first blocks whether recordings are too large for memory."""
+    if sum(map(on_disk, paths)) < PROBED_BYTES:
+        return False
+    total = 0.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the same warnings follow when the file is read
+        for path in paths:
+            with io.open_stream(path, options=how) as stream:
+                for block in stream.blocks:
+                    total += 4 * block.readings.size / max(block.fraction, 1e-9)
+                    break
+    return total > LARGE_BYTES
+
+
+def on_disk(path: Path) -> int:
+    """Return the size of a file, or of all files of a folder, in bytes."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def read_runs(
@@ -181,7 +209,7 @@ def repair_runs(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Findi
 
 def examine(source: Source, findings: Sequence[Finding] | None = None) -> Examined:
     """Assess recordings of one skin, with progress; by default, their faults are searched for."""
-    if isinstance(source, StreamedSimilarity | SimilarityGraph):
+    if not isinstance(source, Sequence):
         rate_hz = source.excerpt.rate_hz
         summary = replace(
             summarise(source.excerpt, source.health),
@@ -214,11 +242,16 @@ def make_map(
     """Make a map, with progress, and what judges it if it can be judged; notes are warnings."""
     source = examined.source
     with progress("making the map"):
-        if isinstance(source, SimilarityGraph):
+        if not isinstance(source, Sequence):
+            from anisomap.large.approximation import SimilarityGraph, map_similarity_graph
+            from anisomap.large.streaming import map_streamed_similarity
+
+            if not isinstance(source, SimilarityGraph):
+                made = map_streamed_similarity(
+                    source, method, dimensions, options=options, drop=drop
+                )
+                return made, None
             return map_similarity_graph(source, dimensions, options=options), None
-        if isinstance(source, StreamedSimilarity):
-            made = map_streamed_similarity(source, method, dimensions, options=options, drop=drop)
-            return made, None
         made, stages = reconstruct_with_stages(
             source, method, dimensions, options=options, drop=drop
         )

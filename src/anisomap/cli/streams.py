@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.cli.console import progress
 from anisomap.cli.parameters import sensors
+from anisomap.cli.pipeline import on_disk
 from anisomap.errors import InputError
 from anisomap.io.presets import with_grid
 from anisomap.large.approximation import SimilarityGraph, build_similarity_graph
@@ -29,27 +30,6 @@ from anisomap.recording import MissingPolicy, Recording, default_names
 
 if TYPE_CHECKING:
     from anisomap.cli.commands.recording import LargeOptions
-
-LARGE_BYTES = 1 << 29
-"""Size of the readings, as float32, above which a recording is read in blocks: 512 MiB."""
-
-PROBED_BYTES = 1 << 24
-"""Total size of files below which the size of the readings is not estimated."""
-
-
-def too_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
-    """Estimate from their first blocks whether recordings are too large for memory."""
-    if sum(map(_on_disk, paths)) < PROBED_BYTES:
-        return False
-    total = 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the same warnings follow when the file is read
-        for path in paths:
-            with io.open_stream(path, options=how) as stream:
-                for block in stream.blocks:
-                    total += 4 * block.readings.size / max(block.fraction, 1e-9)
-                    break
-    return total > LARGE_BYTES
 
 
 def read_in_blocks(
@@ -180,7 +160,7 @@ def _apply_preset(
 
 def _describe(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy) -> str:
     """Describe files and options; checkpoints with another description are refused."""
-    files = " + ".join(f"{path.name} ({_on_disk(path)} bytes)" for path in paths)
+    files = " + ".join(f"{path.name} ({on_disk(path)} bytes)" for path in paths)
     settings = {
         "select": how.select,
         "preset": how.preset,
@@ -188,8 +168,3 @@ def _describe(paths: Sequence[Path], how: io.ReadOptions, missing: MissingPolicy
         "missing": "" if missing == "error" else missing,
     }
     return ", ".join([files, *(f"{name} {value}" for name, value in settings.items() if value)])
-
-
-def _on_disk(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())

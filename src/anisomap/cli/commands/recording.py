@@ -272,7 +272,6 @@ def map_recording(
     from anisomap.cli import pipeline, printing
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.methods import check_even_spacing, find_method
-    from anisomap.tracking import gather_evidence
 
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
@@ -349,6 +348,8 @@ def map_recording(
             sensor_map = replace(sensor_map, provenance=provenance)
         written, write_statistics = [], None
         if statistics is not None:
+            from anisomap.tracking import gather_evidence
+
             with progress("collecting statistics"):
                 evidence = gather_evidence(
                     examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
@@ -373,10 +374,10 @@ def map_recording(
 
 def _method(large: LargeOptions, requested: str | None) -> str:
     """Return the requested method, or the default one."""
-    from anisomap.large.approximation import APPROXIMATED
-
     if not large.approximate:
         return requested or DEFAULT_METHOD
+    from anisomap.large.approximation import APPROXIMATED
+
     if requested not in (None, APPROXIMATED):
         raise InputError(
             f"--approximate supports {APPROXIMATED} only, got {requested}; leave out --method "
@@ -400,9 +401,11 @@ def _read_source(
     **settings: Any,
 ) -> tuple[pipeline.Source, Sequence[Finding]]:
     """Read recordings, in blocks if they are large; return them and the faults that were mended."""
-    from anisomap.cli import pipeline, streams
+    from anisomap.cli import pipeline
 
-    if large.given or streams.too_large(recordings, how):
+    if large.given or pipeline.too_large(recordings, how):
+        from anisomap.cli import streams
+
         _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
         return streams.read_in_blocks(recordings, how, missing=missing, large=large, **settings), ()
     if not repair:
