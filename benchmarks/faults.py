@@ -18,6 +18,7 @@ import numpy as np
 
 import anisomap
 from anisomap.comparison import spanned_dimensions
+from anisomap.sensor_map import is_faulty
 from anisomap.simulation import inject, parse_fault
 from benchmarks.harness import files_in, heading, in_parallel, line, options, write_rows
 
@@ -88,6 +89,22 @@ DAMAGES: Mapping[str, Damage] = MappingProxyType(
 )
 
 
+SOUND = (
+    *BODIES,
+    ("hand", "pressing"),
+    ("plane", "pulses"),
+    ("plane", "roller"),
+    ("cube", "rubbing"),
+)
+VARIANTS = {
+    "exact": "",
+    "noise of 1 %": "noisy:*,level=0.01",
+    "16 levels": "quantised:*",
+    "binary": "thresholded:*",
+}
+"""Forms of sound recordings, in which whatever is found is a false alarm."""
+
+
 @dataclass(frozen=True)
 class Result:
     """Findings about a damaged recording, and the accuracy of its maps."""
@@ -113,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for found in in_parallel(examined, sources, chosen.workers):
         results += found
         write_rows(chosen.output / "faults.csv", results)
-    text = table(results)
+    text = table(results) + "\n" + false_alarms(seeds)
     (chosen.output / "faults-table.md").write_text(text, encoding="utf-8")
     print(text)
 
@@ -203,6 +220,29 @@ def table(results: Sequence[Result]) -> str:
             f"{share:.0%}",
         ]
         lines.append(line(cells))
+    return "\n".join(lines) + "\n"
+
+
+def false_alarms(seeds: Sequence[int]) -> str:
+    """Return a table of the faults and faulty sensors that are found in sound recordings."""
+    rows: dict[str, list[tuple[int, int, int]]] = {}
+    for seed in seeds:
+        for body, scenario in SOUND:
+            recording = anisomap.simulate(body, scenario, n_frames=FRAMES, seed=seed)
+            order = np.random.default_rng(seed).permutation(recording.n_sensors)
+            for text, fault in VARIANTS.items():
+                sound = recording.select(order)
+                if fault:
+                    sound = inject(sound, [parse_fault(fault)], seed)
+                faulty = sum(is_faulty(sensor.status) for sensor in anisomap.assess(sound))
+                found = bool(anisomap.find_faults(sound))
+                for kind in (scenario, text):
+                    rows.setdefault(kind, []).append((found, faulty, sound.n_sensors))
+    header = ["sound recordings", "number", "with a fault", "sensors", "called faulty"]
+    lines = heading(header)
+    for kind, counted in rows.items():
+        found, faulty, sensors = (str(sum(one)) for one in zip(*counted, strict=True))
+        lines.append(line([kind, str(len(counted)), found, sensors, faulty]))
     return "\n".join(lines) + "\n"
 
 

@@ -13,9 +13,11 @@ from hypothesis.extra.numpy import arrays
 import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair, summarise
 from anisomap.health import CHECKS, STATUSES, spoiling, weaknesses
+from anisomap.live.coach import confirmed_faults
 from anisomap.numerics.recording_faults.gaps import find_bridged
 from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.sensor_map import is_faulty
 from anisomap.simulation import FAULTS as FAULTS_OF_SIMULATION
 from anisomap.simulation import inject, injected_faults, parse_fault
 from skins import bombarded_skin, flat_skin, lattice, mantel_r, rubbed, seeing_patch
@@ -417,3 +419,16 @@ def test_lines_are_marked_wherever_they_begin(begin, length, dtype, seed):
         readings[start : start + length + 1, 1] = np.linspace(0, rise, length + 1)
         expected[start + 1 : start + length, 1] = True
     np.testing.assert_array_equal(find_bridged(readings.astype(dtype)), expected)
+
+
+@pytest.mark.parametrize("fault", ["dead:3%", "rarely-touched:10%", "stuck:3%", "noisy:3%", "none"])
+def test_statements_about_a_sensor_do_not_contradict_each_other(fault):
+    skin = wired_at_random(301)
+    recording = skin if fault == "none" else spoilt(skin, fault, seed=301)
+    health = assess(recording)
+    told = weaknesses(recording, health)
+    for sensor in health:
+        sentences = [text for text in told if sensor.name in text.rpartition(": ")[2].split(", ")]
+        assert len(sentences) <= (sensor.status != "ok")
+    assert all(is_faulty(sensor.status) for sensor in confirmed_faults(health))
+    assert repair(recording).findings == find_faults(recording)
