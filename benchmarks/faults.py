@@ -241,8 +241,8 @@ def false_alarms(seeds: Sequence[int]) -> str:
     header = ["sound recordings", "number", "with a fault", "sensors", "called faulty"]
     lines = heading(header)
     for kind, counted in rows.items():
-        found, faulty, sensors = (str(sum(one)) for one in zip(*counted, strict=True))
-        lines.append(line([kind, str(len(counted)), found, sensors, faulty]))
+        with_fault, accused, sensors = (str(sum(one)) for one in zip(*counted, strict=True))
+        lines.append(line([kind, str(len(counted)), with_fault, sensors, accused]))
     return "\n".join(lines) + "\n"
 
 
