@@ -33,8 +33,8 @@ demo: $(READY)  ## simulate a skin, map it and score the map, in demo/
 paper: $(READY)  ## reproduce the paper, in paper-out/ (RECORDINGS=folder adds real recordings)
 	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
-numbers: paper  ## update the numbers in README and docs from the results of make paper
-	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md README.md
+numbers: paper  ## update the numbers in the docs from the results of make paper
+	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md
 
 test: $(READY)  ## run the tests, all but the slow ones (about four minutes)
 	$(PYTEST) -m "not slow"

@@ -8,8 +8,6 @@ Markdown and CSV, all scores as CSV, and a figure of errors against the length o
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -105,7 +103,6 @@ def write(
         texts["recordings.csv"] = comparison_tables.to_csv(comparisons)
     if simulated:
         texts["quality-table.md"] = tables(simulated)
-        texts["simulated.csv"] = summary(simulated, DEFAULT_FRAMES)
         draw(simulated, folder / "quality.png")
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -247,37 +244,6 @@ def loss(group: Sequence[Result], methods: Sequence[str]) -> str:
         return ""
     own, other = (np.mean(list(found[m].values())) for m in (DEFAULT_METHOD, stock))
     return f"{own:.3f} against {other:.3f} of {stock}" if round(own - other, 3) < 0 else ""
-
-
-def summary_columns(methods: Sequence[str]) -> list[str]:
-    """Return the columns of `summary`."""
-    return ["skin", "seeds", *methods, "best stock", "best stock r", "margin"]
-
-
-def summary(results: Sequence[Result], n_frames: int) -> str:
-    """Return mean and worst scores of one length as CSV, for documents."""
-    methods = list(dict.fromkeys(result.method for result in results))
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(summary_columns(methods))
-    chosen = [result for result in results if result.n_frames == n_frames]
-    for name in dict.fromkeys(result.recording for result in chosen):
-        found = scores([q for q in chosen if q.recording == name], methods)
-        stock, margin = best(found, stock=True), "-"
-        if stock and DEFAULT_METHOD in found:
-            own, other = (np.mean(list(found[m].values())) for m in (DEFAULT_METHOD, stock))
-            margin = f"{own - other:+.3f}"
-        table.writerow(
-            [
-                name,
-                len(found[methods[0]]),
-                *(mean_and_worst(r.values()) for r in found.values()),
-                stock or "-",
-                mean_and_worst(found[stock].values()) if stock else "-",
-                margin,
-            ]
-        )
-    return text.getvalue()
 
 
 def draw(results: Sequence[Result], path: Path) -> None:

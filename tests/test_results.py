@@ -47,7 +47,6 @@ HEADERS = {
     "recordings": comparison_tables.columns(COMPARED),
     "rivals": rivals.COLUMNS,
     "self-touch": self_touch.HEADER,
-    "simulated": quality.summary_columns(quality.METHOD_NAMES),
     "trust": [*trust.Outcome.FIXED, *trust.FACTS],
     "uncertainty": columns(uncertainty.Judged),
     "updating": columns(updating.Figure),
