@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -69,6 +70,14 @@ def test_importing_costs_nothing_until_something_is_used(installed, tmp_path):
     code = "import sys, anisomap; assert 'numpy' not in sys.modules; dir(anisomap)"
     done = run(installed, "-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_release_is_stated_alike():
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    stated = dict(re.findall(r"^(version|date-released): (.*)$", citation, re.MULTILINE))
+    assert stated["version"] == anisomap.__version__
+    _, changes, *_ = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")
+    assert changes.startswith(f"[{stated['version']}] - {stated['date-released']}\n")
 
 
 def test_every_public_name_can_be_had():
