@@ -36,7 +36,9 @@ def by_contacts(
     fit = _fitted(pairs, positions, options)
     if not fit.used:
         return None
-    odds = fit.explained / max(1 - fit.explained, _LEAST_UNEXPLAINED)
+    # Readings from which a common signal was subtracted are not depths of contacts.
+    explained = fit.explained * (1 - pairs.common_share)
+    odds = explained / max(1 - explained, _LEAST_UNEXPLAINED)
     return _proposed(fit, min(odds, _ON_OFF) if fit.n_levels == 1 else odds)
 
 

@@ -16,15 +16,14 @@ from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import MIN_SENSORS, Proposal
 
-EXPLAINED, UNEXPLAINED = 0.02, 0.04
-"""Unexplained shares up to which a covariogram map is kept, and from which paths count as much.
-
-The share was at most .02 on bombarded, rolling and rubbed bodies (seeds 101 to 103 and 312, 2,000
-and 8,000 frames) and on the iCub's skin, and .045 to .54 on real bodies and arrays with contacts of
-different sizes. Rollers, presses and self-touch of closed bodies are on either side.
-"""
-
 _NEAR = SmacofOptions(tolerance=1e-6)  # from a start near the minimum
+
+_MOSTLY_EXPLAINED = 0.04
+"""Unexplained share from which a note says that contacts differ.
+
+It was .045 to .54 on real bodies and arrays with contacts of different sizes, and at most .02 on
+bombarded, rolling and rubbed bodies and on the iCub's skin.
+"""
 
 _NOTE = (
     "contacts differ from place to place ({:.0%} of the variance of the correlations does not "
@@ -35,19 +34,18 @@ _NOTE = (
 def by_paths(
     pairs: PairStatistics, _: Reals, positions: Reals, _options: MethodOptions
 ) -> Proposal | None:
-    """Propose a map of path lengths, as far as distances on the map leave pairs unexplained.
+    """Propose a map of path lengths, where distances on the map leave correlations unexplained.
 
     A covariogram assumes that contacts are alike everywhere. Where they are not, its map is
     compressed in regions of wide contacts. Path lengths have other errors: they follow bends and
-    are biased by noise, but assume nothing about distant regions. The average of both was closer
-    to the truth than either on most real skins.
+    are biased by noise, but assume nothing about distant regions. The variance of each map is taken
+    to be proportional to the share of the variance of the correlations that it leaves unexplained.
     """
     if len(positions) < MIN_SENSORS:
         return None
     noise = typical_variance(pairs.noise)
     share = unexplained_share(pairs.similarity, positions, noise, known=pairs.known)
-    precision = float(np.clip((share - EXPLAINED) / (UNEXPLAINED - EXPLAINED), 0, 1))
-    if precision == 0:
+    if share <= 0:
         return None
     paths = _normalised_paths(pairs.similarity)
     if pairs.readings is not None:
@@ -59,12 +57,16 @@ def by_paths(
     given = scaled = np.asarray(positions, dtype=np.float64)
     for target in ((distances + lengths) / 2, lengths):
         scaled = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR).positions
+    proposed = fit_similarity(scaled, given).apply(scaled)
+    other = unexplained_share(pairs.similarity, proposed, noise, known=pairs.known)
+    precision = share / max(share, other)
+    distorted = share > _MOSTLY_EXPLAINED
     return Proposal(
-        fit_similarity(scaled, given).apply(scaled),
+        proposed,
         precision,
-        notes=(_NOTE.format(share),),
+        notes=(_NOTE.format(share),) if distorted else (),
         facts={"unexplained": share},
-        distorted=precision == 1,
+        distorted=distorted,
     )
 
 
