@@ -14,7 +14,7 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.usability import ACCURACY
 from benchmarks.harness import heading, in_parallel, line, options, quietly, write_csv
+from benchmarks.other_skins import cases_of_other
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 
 FIRST_SEED = 3001
@@ -69,6 +70,7 @@ class Outcome:
 
     source: Seed or file.
     name: Of the recording.
+    group, kind: See `Case`.
     fault: That was injected.
     level: Of the verdict, or ``"refused"``.
     expected: Expected error in spacings.
@@ -77,12 +79,15 @@ class Outcome:
     """
 
     FIXED: ClassVar = (
-        "source", "name", "fault", "level", "expected", "r", "error", "kept", "reasons",
+        "source", "name", "group", "kind", "fault", "level", "expected", "r", "error", "kept",
+        "reasons",
     )  # fmt: skip
     NUMBERS: ClassVar = ("expected", "r", "error", "kept")
 
     source: str
     name: str
+    group: str
+    kind: str
     fault: str
     level: str
     expected: float
@@ -124,8 +129,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     part, parts = (int(text) for text in chosen.shard.split("/"))
     # Real skins first: the largest take minutes, and would keep one process busy at the end.
     files = [path for folder in chosen.recordings for path in folder.glob("*.npz")]
-    every: list[int | Path] = [*sorted(files, key=lambda path: -path.stat().st_size)]
-    every += range(chosen.first_seed, chosen.first_seed + chosen.seeds)
+    every: list[int | Path | str] = [*sorted(files, key=lambda path: -path.stat().st_size)]
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
+    every += [
+        *seeds,
+        *(
+            f"other-{seed}"
+            for seed in range(chosen.first_seed, chosen.first_seed + 3 * chosen.seeds)
+        ),
+    ]
     path = chosen.output / "trust.csv"
     outcomes = read_outcomes(path) if path.exists() else []
     done = {outcome.source for outcome in outcomes}
@@ -140,17 +152,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
 
 
-def source_name(source: int | Path) -> str:
+def source_name(source: int | Path | str) -> str:
     """Return the seed or the name of a file."""
     return source.stem if isinstance(source, Path) else str(source)
 
 
-def outcomes_of(source: int | Path, folder: Path, chosen: str | None = None) -> list[Outcome]:
+def outcomes_of(source: int | Path | str, folder: Path, chosen: str | None = None) -> list[Outcome]:
     """Map all recordings of a seed or of a file."""
     logging.getLogger("anisomap").setLevel(logging.ERROR)
-    cases: Iterator[Case] = (
-        cases_of_file(source) if isinstance(source, Path) else cases_of_seed(source, folder)
-    )
+    cases: Iterable[Case]
+    if isinstance(source, Path):
+        cases = cases_of_file(source)
+    elif isinstance(source, str):
+        cases = cases_of_other(int(source.removeprefix("other-")))
+    else:
+        cases = cases_of_seed(source, folder)
     return [
         judged(case, source_name(source)) for case in cases if not chosen or chosen in case.name
     ]
@@ -177,9 +193,10 @@ def judged(case: Case, source: str = "") -> Outcome:
             truth = np.asarray(recording.positions)
             scored = anisomap.score(made, truth, permutations=0)
         except anisomap.InputError as error:
+            unknown = math.nan
             return Outcome(
-                source, case.name, case.fault, REFUSED, math.nan, math.nan, math.nan, math.nan,
-                str(error), facts,
+                source, case.name, case.group, case.kind, case.fault, REFUSED,
+                unknown, unknown, unknown, unknown, str(error), facts,
             )  # fmt: skip
     facts |= {
         "repeatability": evidence.repeatability,
@@ -192,6 +209,8 @@ def judged(case: Case, source: str = "") -> Outcome:
     return Outcome(
         source,
         case.name,
+        case.group,
+        case.kind,
         case.fault,
         verdict.level,
         verdict.expected_error,

@@ -60,6 +60,9 @@ FAULTS = (
 RATE_HZ = 20.0
 """Frames per second, the default of all scenarios."""
 
+PARTS = 4
+"""Regions of a real skin that are mapped by themselves."""
+
 REAL_FRAMES, REAL_SENSORS = 3000, 150
 """Most frames and sensors of a shortened or damaged recording of a real skin."""
 
@@ -85,12 +88,16 @@ class Case:
     recording: With true positions.
     dimensions: Of its map.
     fault: That was injected; empty if none.
+    kind: Of skin and touch, all of which are left out of a calibration together.
+    group: Simulator, or "real".
     """
 
     name: str
     recording: anisomap.Recording
     dimensions: int
     fault: str = ""
+    kind: str = ""
+    group: str = "simulated"
 
 
 @cache
@@ -141,6 +148,11 @@ def simulated(seed: int, folder: Path) -> anisomap.Recording:
 
 def cases_of_seed(seed: int, folder: Path) -> Iterator[Case]:
     """Yield the recordings of one seed: whole, shorter, and with two faults."""
+    kind = settings()[seed % len(settings())].scenario
+    return (replace(case, kind=kind) for case in _cases_of_seed(seed, folder))
+
+
+def _cases_of_seed(seed: int, folder: Path) -> Iterator[Case]:
     every = settings()
     name = f"{seed} {every[seed % len(every)]}"
     whole = simulated(seed, folder)
@@ -160,7 +172,12 @@ def cases_of_seed(seed: int, folder: Path) -> Iterator[Case]:
 
 
 def cases_of_file(path: Path) -> Iterator[Case]:
-    """Yield recordings of a real skin: whole, in a wrong dimension, shorter, and with faults."""
+    """Yield recordings of a real skin: whole, in a wrong dimension, parts, and with faults."""
+    kind = path.stem.split("_")[0]
+    return (replace(case, kind=kind, group="real") for case in _cases_of_file(path))
+
+
+def _cases_of_file(path: Path) -> Iterator[Case]:
     recording = anisomap.read(path)
     if recording.positions is None:
         return
@@ -179,6 +196,12 @@ def cases_of_file(path: Path) -> Iterator[Case]:
     for _ in range(3):
         short = cut(part, drawn_length(rng, SHORTEST, part.n_frames))
         yield Case(f"{path.stem} part, {short.n_frames} frames", short, dimensions)
+    for number in range(PARTS):
+        centre = truth[rng.integers(len(truth))]
+        size = int(rng.integers(30, REAL_SENSORS))
+        near = np.sort(np.argsort(np.linalg.norm(truth - centre, axis=1))[:size])
+        region = cut(whole.select(near), drawn_length(rng, 500, whole.n_frames))
+        yield Case(f"{path.stem} region {number}", region, dimensions)
     for index in rng.choice(len(FAULTS), 6, replace=False):
         yield from damaged(f"{path.stem} part", part, dimensions, FAULTS[index], 1)
 

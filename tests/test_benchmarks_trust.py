@@ -21,8 +21,23 @@ import anisomap
 from anisomap.simulation import BODIES, FRAME_FAULTS, SCENARIOS
 from anisomap.simulation import FAULTS as SENSOR_FAULTS
 
-GOOD = Outcome("2001", "good", "", "usable", 0.3, 0.99, 0.2, 0.9, "", {"frames": 500.0})
-BAD = Outcome("2001", "bad", "dead:5%", "not usable", 2.0, 0.5, 3.0, 0.2, "", {"uneven": 1.0})
+GOOD = Outcome(
+    "2001", "good", "simulated", "pulses", "", "usable", 0.3, 0.99, 0.2, 0.9, "", {"frames": 500.0}
+)
+BAD = Outcome(
+    "2001",
+    "bad",
+    "simulated",
+    "pulses",
+    "dead:5%",
+    "not usable",
+    2.0,
+    0.5,
+    3.0,
+    0.2,
+    "",
+    {"uneven": 1.0},
+)
 
 
 def skin():
