@@ -301,10 +301,13 @@ def table(outcomes: Sequence[Outcome]) -> str:
     ]
     lines = heading(("figure", "value", "goal"))
     seeds = [int(one.source) for one in outcomes if one.source.isdecimal()]
-    real = len(outcomes) - len(seeds)
+    real = sum(one.group == "real" for one in outcomes)
     lines += [f"| recordings | {len(outcomes)} | at least 500 |"]
     if seeds:
         lines.append(f"| of simulated skins, seeds {min(seeds)} to {max(seeds)} | {len(seeds)} | |")
+    others = [one for one in outcomes if one.group == "other"]
+    if others:
+        lines.append(f"| of the second simulator | {len(others)} | |")
     if real:
         lines.append(f"| of real skins, which were seen during development | {real} | |")
     lines += [
@@ -336,6 +339,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
         counts = Counter(one.level for one in group)
         cells = [title, str(len(group)), *(str(counts[level]) for level in LEVELS[:-1])]
         lines.append(line(cells))
+    lines += ["", *by_group(mapped)]
     for title, group in (("False reassurance", reassured), ("False alarms", alarms)):
         lines += ["", f"{title}: {'none' if not group else ''}".rstrip()]
         lines += [""] if group else []
@@ -344,6 +348,50 @@ def table(outcomes: Sequence[Outcome]) -> str:
             for one in sorted(group, key=lambda one: one.r)
         ]
     return "\n".join(lines) + "\n"
+
+
+def by_group(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return the lines of a table of how well errors are expected, by group of recordings."""
+    lines = heading(
+        (
+            "recordings", "maps", "expected / true error, median", "within 1.5", "within 2",
+            "true error in its interval", "true positions in ellipses of 95 %",
+        )
+    )  # fmt: skip
+    names = {
+        "simulated": "simulated", "other": "second simulator", "real": "real skins",
+    }  # fmt: skip
+    for name, title in names.items():
+        for damaged in (False, True):
+            group = [
+                one
+                for one in outcomes
+                if one.group == name and bool(one.fault) == damaged and math.isfinite(one.expected)
+            ]
+            if not group:
+                continue
+            ratios = np.array([one.expected / one.error for one in group if one.error > 0])
+            apart = np.abs(np.log(ratios))
+            held = [
+                one.evidence["expected_error_low"]
+                <= one.error
+                <= one.evidence["expected_error_high"]
+                for one in group
+            ]
+            inside = np.nanmean([one.evidence.get("inside", math.nan) for one in group])
+            lines.append(
+                line(
+                    (
+                        f"{title}, with a fault" if damaged else title,
+                        str(len(group)),
+                        f"{np.median(ratios):.2f}",
+                        *(f"{np.mean(apart < math.log(limit)):.0%}" for limit in (1.5, 2)),
+                        f"{np.mean(held):.0%}",
+                        f"{inside:.0%}",
+                    )
+                )
+            )
+    return lines
 
 
 def draw(outcomes: Sequence[Outcome], path: Path) -> None:

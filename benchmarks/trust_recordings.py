@@ -54,6 +54,8 @@ FAULTS = (
     "dropped-frames",
     "repeated-frames",
     "duplicated:3%",
+    "clock-jitter",
+    "rarely-touched:20%",
 )
 """All kinds of `anisomap spoil`, in the sizes of ``make faults`` where that has them."""
 

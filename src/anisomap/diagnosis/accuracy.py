@@ -37,19 +37,19 @@ class Estimate:
     high: float
 
 
-BY_CHANCE, BY_DIFFERENCE = 0.5, 0.6
+BY_CHANCE, BY_DIFFERENCE = 0.6, 0.6
 """Expected error per RMS difference of resamples, and per difference from the map of steps."""
 
-ERROR_INTERVAL = (0.43, 2.7)
+ERROR_INTERVAL = (0.37, 2.9)
 """5 % and 95 % quantiles of true errors, relative to the expected ones."""
 
-REGION, REGION_POWER, REGION_INTERVAL = 0.73, 0.8, (0.43, 2.5)
+REGION, REGION_POWER, REGION_INTERVAL = 0.75, 0.7, (0.48, 2.2)
 """Error of regions, ``REGION error ** REGION_POWER``, and its interval, relative to it."""
 
-NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.5, -1.1, (-1.3, 1.2)
+NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.4, -1.0, (-1.3, 1.3)
 """Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(error)``, and interval."""
 
-ELLIPSE_SCALE = 3.0
+ELLIPSE_SCALE = 4.0
 """Ratio of the covariances of positions to the square of the expected error.
 
 The errors of maps spread around the expected ones, and those of sensors around that of their map.

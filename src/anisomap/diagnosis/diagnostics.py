@@ -48,9 +48,6 @@ _SAME_MAP = 0.5
 the latter show its errors. At most .2 where the fit was the last step or was averaged with paths,
 at least 1 where lengths were taken from heights (12 simulated skins, seeds 201 to 212)."""
 
-HARMLESS = ("clock-jitter",)
-"""Faults that change no map: the default method does not use times."""
-
 FATAL = ("one-period",)
 """Faults after which similar readings do not mean that sensors are near."""
 
@@ -205,7 +202,8 @@ def examine(
     evidence = Evidence(
         placed=int(np.count_nonzero(sensor_map.placed)),
         largest=sizes[0],
-        faults=_sentences(fault for fault in faults if fault.kind not in (*HARMLESS, *FATAL)),
+        faults=_sentences(fault for fault in faults if fault.kind not in FATAL),
+        distorted=_distortions(sensor_map),
         fatal=_sentences(fault for fault in faults if fault.kind in FATAL),
     )
     if unknown := _unknown(sensor_map, runs):
@@ -265,6 +263,14 @@ def _chance(
 
 def _sentences(faults: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(sentence for fault in faults for sentence in spoiling([fault]))
+
+
+def _distortions(sensor_map: SensorMap) -> tuple[str, ...]:
+    """Return the notes of a map on its distortion."""
+    if not sensor_map.uneven:
+        return ()
+    told = tuple(note for note in sensor_map.notes if "trust" in note)
+    return told or ("the map is distorted: do not trust its lengths",)
 
 
 def _part_of(report: Callable[[float], None], done: float, share: float) -> Callable[[float], None]:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from anisomap.diagnosis.accuracy import expected_error, neighbours_kept, region_error
 from anisomap.usability import Verdict
 
-MAX_ERROR = 0.45
+MAX_ERROR = 0.42
 """Expected error of a usable map, in spacings.
 
-Of 680 maps, 78 % of the good ones (r at least .97 and an error below .5) are below it, and 5 of 371
-wrong ones (r below .9 or an error above 1).
+Of 437 maps of the calibration, two in three good ones (r at least .97 and an error below .5) are
+below it, and fewer than one in a hundred wrong ones (r below .9 or an error above 1).
 """
 
 MIN_KEPT = 0.8
@@ -34,6 +34,7 @@ class Evidence:
     placed: Number of sensors with positions.
     largest: Number of sensors in the largest component.
     faults: Sentences on the faults of the recording that spoil the map.
+    distorted: What the method itself says against lengths on the map.
     fatal: Sentences on those after which readings do not tell which sensors are near.
     unknown: Why the repeatability is unknown, and what to do; empty if it is known.
     """
@@ -43,13 +44,14 @@ class Evidence:
     placed: int = 0
     largest: int = 0
     faults: tuple[str, ...] = ()
+    distorted: tuple[str, ...] = ()
     fatal: tuple[str, ...] = ()
     unknown: str = ""
 
 
 def judge(evidence: Evidence) -> Verdict:
     """Return the verdict that follows from the evidence."""
-    limits = [*evidence.fatal, *evidence.faults]
+    limits = [*evidence.fatal, *evidence.faults, *evidence.distorted]
     if evidence.largest < MIN_LARGEST * evidence.placed:
         apart = evidence.placed - evidence.largest
         limits.append(
