@@ -374,9 +374,9 @@ def by_group(outcomes: Sequence[Outcome]) -> list[str]:
             ratios = np.array([one.expected / one.error for one in group if one.error > 0])
             apart = np.abs(np.log(ratios))
             held = [
-                one.evidence["expected_error_low"]
+                one.evidence.get("expected_error_low", 0.0)
                 <= one.error
-                <= one.evidence["expected_error_high"]
+                <= one.evidence.get("expected_error_high", math.inf)
                 for one in group
             ]
             inside = np.nanmean([one.evidence.get("inside", math.nan) for one in group])
