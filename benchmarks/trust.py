@@ -379,7 +379,8 @@ def by_group(outcomes: Sequence[Outcome]) -> list[str]:
                 <= one.evidence.get("expected_error_high", math.inf)
                 for one in group
             ]
-            inside = np.nanmean([one.evidence.get("inside", math.nan) for one in group])
+            shares = [one.evidence.get("inside", math.nan) for one in group]
+            known = [share for share in shares if math.isfinite(share)]
             lines.append(
                 line(
                     (
@@ -388,7 +389,7 @@ def by_group(outcomes: Sequence[Outcome]) -> list[str]:
                         f"{np.median(ratios):.2f}",
                         *(f"{np.mean(apart < math.log(limit)):.0%}" for limit in (1.5, 2)),
                         f"{np.mean(held):.0%}",
-                        f"{inside:.0%}",
+                        f"{np.mean(known):.0%}" if known else "-",
                     )
                 )
             )
