@@ -146,13 +146,6 @@ def median_spacing(positions: ArrayLike) -> float:
     return float(np.median(nearest_distances(np.asarray(positions, dtype=np.float64))))
 
 
-def spacing_variation(positions: ArrayLike) -> float:
-    """Variation of the distances from sensors to their nearest neighbours. positions (N, k)."""
-    nearest = nearest_distances(np.asarray(positions, dtype=np.float64))
-    mean = float(nearest.mean())
-    return float(nearest.std()) / mean if mean > 0 else 0.0
-
-
 def check_distances(positions: NDArray[np.float64], what: str) -> None:
     """Check that positions differ, and that the squares of their distances are finite.
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.memory import check_memory
+from anisomap.numerics.columns import ranks_from_counts
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_bins
 from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
@@ -107,7 +108,7 @@ def _store_codes(codes: Recoding, chunk: NDArray[Any]) -> StoredCodes:
 
 def _ranks(values: ValueCounts, _: int) -> Outcomes:
     """Return the mean rank of every value, from 1 to T."""
-    return [np.cumsum(counts) - (counts - 1) / 2 for counts in values.counts], None
+    return [ranks_from_counts(counts) for counts in values.counts], None
 
 
 def _activity(values: ValueCounts, _: int) -> Outcomes:

@@ -29,7 +29,7 @@ from anisomap.large.map_reduce import SERIAL, WorkerPool, map_reduce
 from anisomap.memory import check_pair_memory, check_worker_memory
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
-from anisomap.numerics.geodesic.path_lengths import GeodesicOptions
+from anisomap.numerics.geodesic.path_lengths import MAX_UNEVENNESS
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.binning import ValueCounts
@@ -241,7 +241,7 @@ def _is_uneven(
         return False
     similarity = found.similarity[np.ix_(sensors, sensors)]
     graph = neighbour_graph(found.excerpt.readings[:, sensors], positions, similarity=similarity)
-    return unevenness(positions, graph.adjacency) > GeodesicOptions.max_unevenness
+    return unevenness(positions, graph.adjacency) > MAX_UNEVENNESS
 
 
 def _check_unit(chunk: NDArray[Any]) -> None:

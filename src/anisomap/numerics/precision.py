@@ -35,10 +35,9 @@ def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
     )
 
 
-def row_blocks(n_rows: int, n_columns: int | None = None) -> Iterator[slice]:
-    """Split the rows of a matrix into blocks of at most 64 MiB of float64."""
-    width = n_rows if n_columns is None else n_columns
-    step = max(1, _BLOCK_BYTES // (8 * max(width, 1)))
+def row_blocks(n_rows: int) -> Iterator[slice]:
+    """Split the rows of a square matrix into blocks of at most 64 MiB of float64."""
+    step = max(1, _BLOCK_BYTES // (8 * max(n_rows, 1)))
     for begin in range(0, n_rows, step):
         yield slice(begin, min(begin + step, n_rows))
 

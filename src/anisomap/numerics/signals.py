@@ -152,22 +152,6 @@ def standardised(readings: NDArray[Any]) -> NDArray[np.float32]:
     return values
 
 
-def maximum_spanning_tree(weights: NDArray[Any]) -> Iterator[tuple[int, int]]:
-    """Yield each point after the first, and the point before it to which it is joined; Prim.
-
-    weights (N, N): Symmetric.
-    """
-    outside = np.ones(len(weights), dtype=bool)
-    outside[0] = False
-    strongest, towards = weights[0].copy(), np.zeros(len(weights), dtype=np.intp)
-    for _ in range(len(weights) - 1):
-        new = int(np.where(outside, strongest, -np.inf).argmax())
-        yield new, int(towards[new])
-        outside[new] = False
-        closer = (weights[new] > strongest) & outside
-        strongest[closer], towards[closer] = weights[new][closer], new
-
-
 def middle_frames(n_frames: int, most: int = MAX_FRAMES) -> slice:
     """Return consecutive frames from the middle of a recording."""
     start = max(0, (n_frames - most) // 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,11 @@ from anisomap.numerics.geodesic.contact_heights import (
 )
 from anisomap.numerics.geodesic.height_map import (
     HeightMap,
-    HeightMapOptions,
     fit_height_map,
     linear_share,
     weakest_link,
 )
-from anisomap.numerics.geodesic.neighbours import local_dimension, neighbour_graph
+from anisomap.numerics.geodesic.neighbours import local_dimension
 from anisomap.numerics.geodesic.path_lengths import refine_by_contact_peaks
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
@@ -89,7 +88,6 @@ class HeightOptions:
     min_weakest: float = 0.43
     min_agreement: float = 0.85
     min_trusted_linear: float = 0.9
-    maps: HeightMapOptions = field(default_factory=HeightMapOptions)
 
 
 def by_heights(
@@ -159,7 +157,7 @@ def _corrected(pairs: PairStatistics, given: Reals, options: HeightOptions) -> P
     if not (heights.usable and _is_contradiction(explained, options)):
         return None
     whole = heights.compare()
-    maps = _maps(pairs, whole, given, options)
+    maps = _maps(pairs, whole, given)
     confirmed = len(maps) > 1 and _agreement(*(one.positions for one in maps)) >= _CONFIRMED
     resolved = weakest_link(whole, maps[-1].links) >= options.min_weakest
     least = max(options.min_explained, explained.share + options.min_gain)
@@ -183,24 +181,20 @@ def _corrected(pairs: PairStatistics, given: Reals, options: HeightOptions) -> P
     return Proposal(given, notes=(_UNRESOLVED,), distorted=True)
 
 
-def _maps(
-    pairs: PairStatistics, whole: HeightSimilarity, given: Reals, options: HeightOptions
-) -> list[HeightMap]:
+def _maps(pairs: PairStatistics, whole: HeightSimilarity, given: Reals) -> list[HeightMap]:
     """Return the maps by heights: by peaks on a graph of neighbours, if it has one, and by all."""
-    fitted = fit_height_map(whole, given, options.maps)
-    readings = np.asarray(pairs.readings)
+    fitted = fit_height_map(whole, given)
     passed = refine_by_contact_peaks(
-        readings, given, similarity=pairs.correlation, changes=pairs.changes
+        np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.changes
     )
     if not passed.applied:
         return [fitted]
-    graph = neighbour_graph(readings, given, similarity=pairs.correlation, changes=pairs.changes)
-    return [HeightMap(passed.positions, graph.adjacency), fitted]
+    return [HeightMap(passed.positions, passed.graph.adjacency), fitted]
 
 
 def _halves_agree(heights: ContactHeights, given: Reals, options: HeightOptions) -> bool:
     halves = height_halves(heights, len(heights.ranks))
-    first, second = (fit_height_map(half, given, options.maps).positions for half in halves)
+    first, second = (fit_height_map(half, given).positions for half in halves)
     return _agreement(first, second) >= options.min_agreement
 
 

@@ -9,7 +9,6 @@ from scipy.spatial.distance import cdist, pdist
 from scipy.stats import rankdata
 
 from anisomap import Recording
-from anisomap.errors import InputError
 from anisomap.evidence import compare
 from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
@@ -18,7 +17,6 @@ from anisomap.numerics.geodesic.contact_heights import (
     height_halves,
 )
 from anisomap.numerics.geodesic.height_map import (
-    HeightMapOptions,
     fit_height_map,
     linear_share,
     weakest_link,
@@ -208,8 +206,3 @@ def test_a_curve_has_one_dimension_and_a_surface_two():
     assert local_dimension(ball / np.linalg.norm(ball, axis=1, keepdims=True)) > 1.8
     assert np.isnan(local_dimension(lattice(5, 5)))
     assert np.isnan(local_dimension(np.zeros((60, 2))))
-
-
-def test_the_step_ratio_is_at_least_one():
-    with pytest.raises(InputError, match="max_step_ratio"):
-        HeightMapOptions(max_step_ratio=0.9)

@@ -9,7 +9,6 @@ from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.geodesic.neighbours import (
-    NeighbourOptions,
     edge_distances,
     neighbour_graph,
     split_half_agreement,
@@ -91,7 +90,7 @@ def test_a_given_similarity_replaces_that_of_the_readings():
 
 def test_only_edges_of_the_tree_have_much_stronger_detours():
     readings = smooth_noise(400, 14, 3)
-    joined = adjacency_of(readings, options=NeighbourOptions(max_step_ratio=1e9))
+    joined = adjacency_of(readings)
     partial = partial_correlation(blended_correlation(readings), 0.1)
     weak = [
         (i, j)
@@ -129,9 +128,3 @@ def test_halves_of_noise_or_of_few_frames_do_not_agree():
 def test_mismatched_shapes_are_refused(readings, positions):
     with pytest.raises(InputError, match="shape"):
         adjacency_of(readings, positions)
-
-
-@pytest.mark.parametrize("change", [{"ridge": 0}, {"slack": 0.5}, {"max_step_ratio": 0}])
-def test_invalid_options_are_refused(change):
-    with pytest.raises(InputError, match=next(iter(change))):
-        NeighbourOptions(**change)

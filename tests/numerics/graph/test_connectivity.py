@@ -10,8 +10,8 @@ from anisomap.numerics.graph.neighbour_graphs import (
     components,
     neighbour_graph,
     smallest_connected_neighbour_graph,
-    spanning_tree,
 )
+from anisomap.numerics.neighbours import spanning_tree
 
 
 @given(st.integers(2, 12), st.integers(0, 10_000))

@@ -14,7 +14,8 @@ from scipy.sparse import csr_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows, spanning_tree
+from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
+from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 Floats = NDArray[np.float64]

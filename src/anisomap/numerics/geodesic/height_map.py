@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
-from anisomap.errors import InputError
 from anisomap.numerics.geodesic.contact_heights import HeightSimilarity
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
@@ -29,23 +28,10 @@ _BOUND_WEIGHT = 1.0  # of lower bounds relative to lengths; .5 and 2 gave the sa
 _ROUNDS = 3  # in which shortcuts are chosen again; chosen by hand
 _WEAK_QUANTILE = 0.02  # of the links' similarities; a robust minimum. Chosen by hand
 _TINY = 1e-9  # distance, in units of the lengths
-
-
-@dataclass(frozen=True)
-class HeightMapOptions:
-    """Parameters of maps from heights, tuned on rolling cylinders, seeds 1 to 5.
-
-    max_step_ratio: Maximum ratio, at least 1, of a link to the longest step of the best path
-        between its sensors. With 1.1, maps lack links; with 1.3, some have links across the body.
-    smacof: Stopping criteria of the scaling.
-    """
-
-    max_step_ratio: float = 1.2
-    smacof: SmacofOptions = field(default_factory=lambda: SmacofOptions(1e-6, 500))
-
-    def __post_init__(self) -> None:
-        if not self.max_step_ratio >= 1:
-            raise InputError(f"max_step_ratio must be at least 1, got {self.max_step_ratio}")
+# Of a link to the longest step of the best path between its sensors: with 1.1, maps lack links;
+# with 1.3, some have links across the body.
+_MAX_STEP_RATIO = 1.2
+_STOPPING = SmacofOptions(1e-6, 500)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +46,7 @@ class HeightMap:
     links: NDArray[np.bool_]
 
 
-def fit_height_map(
-    heights: HeightSimilarity, guide: ArrayLike, options: HeightMapOptions | None = None
-) -> HeightMap:
+def fit_height_map(heights: HeightSimilarity, guide: ArrayLike) -> HeightMap:
     """Fit positions to lengths from the heights of contacts.
 
     guide (N, k).
@@ -71,7 +55,7 @@ def fit_height_map(
     distance d, in all directions, so ``L = (-log S)^(1/2)`` is a length. It holds for short
     distances only: the two ends of a body that rests on its middle rise together. Therefore
 
-    1. two sensors are linked if ``M_ij <= max_step_ratio m_ij`` with
+    1. two sensors are linked if ``M_ij <= 1.2 m_ij`` with
        ``M = (S (Q + S / 10))^(-1/4)``, the partial correlations Q and the longest steps m of the
        best paths (`minimax_paths`);
     2. the path lengths H over the links, at least g c with the distances c on the guide and a
@@ -80,12 +64,11 @@ def fit_height_map(
        over pairs with S > 0.2 that are at most 1.3 L apart, with the lower bounds b = g c, for
        other pairs with S < 0.2 at least the length at S = 0.2.
     """
-    chosen = options or HeightMapOptions()
     reference = np.asarray(guide, dtype=np.float64)
     similarity = heights.similarity
     diagonal = np.eye(len(similarity), dtype=bool)
     lengths = _lengths(similarity)
-    links = _links(heights, chosen.max_step_ratio)
+    links = _links(heights)
     clipped = np.clip(similarity, *_SIMILARITY_RANGE)
     stretched = lengths * (1 + _NOISE_FACTOR / heights.n_contacts / clipped**2)
     paths = np.asarray(shortest_path(csr_matrix(np.where(links, stretched, 0.0)), directed=False))
@@ -95,7 +78,7 @@ def fit_height_map(
     targets = np.maximum(paths, bounds)
     np.fill_diagonal(targets, 0.0)
     dimensions = reference.shape[1]
-    positions = smacof(targets, dimensions=dimensions, options=chosen.smacof).positions
+    positions = smacof(targets, dimensions=dimensions, options=_STOPPING).positions
     typical = float(np.median(lengths[links]))
     positions = positions * (typical / np.median(cdist(positions, positions)[links]))
     farthest = float(_lengths(np.array([_LOCAL_SIMILARITY]))[0])
@@ -137,12 +120,12 @@ def _lengths(similarity: Matrix) -> Matrix:
     return np.asarray(lengths)
 
 
-def _links(heights: HeightSimilarity, max_ratio: float) -> NDArray[np.bool_]:
+def _links(heights: HeightSimilarity) -> NDArray[np.bool_]:
     positive = np.clip(heights.similarity, _MIN_STRENGTH, 1.0)
     mixed = np.clip(heights.partial + _INDIRECT * heights.similarity, _MIN_STRENGTH, 1.0)
     lengths = (positive * mixed) ** -0.25
     np.fill_diagonal(lengths, 0.0)
-    links = lengths <= max_ratio * minimax_paths(lengths) * (1 + _TINY)
+    links = lengths <= _MAX_STEP_RATIO * minimax_paths(lengths) * (1 + _TINY)
     np.fill_diagonal(links, val=False)
     return np.asarray(links | links.T)
 

@@ -12,7 +12,7 @@ from scipy.spatial.distance import cdist
 from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.graph.metric import minimax_paths
-from anisomap.numerics.graph.neighbour_graphs import spanning_tree
+from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.numerics.reliability.split_half import split_blocks
@@ -21,34 +21,13 @@ _MIN_SIMILARITY = 1e-3
 """Clipping of S before -log S, chosen by hand: smaller values are indistinguishable from 0."""
 
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
+_RIDGE = 0.1  # of the partial correlations; .03 to 1 give similar maps
+_SLACK = 1.2  # by which a link may be weaker than the best path over one other; up to 1.5 as good
+# Maximum separation of neighbours over the longest step of the best path between them, in readings
+# and on a map, whose short distances are less reliable.
+_MAX_STEP_RATIO, _MAX_MAP_STEP_RATIO = 1.3, 1.7
 _N_NEAREST = 16  # neighbours, of `local_dimension`; 12 gave a smaller margin
 _MIN_SENSORS = 3  # three pairs, the fewest that correlate
-
-
-@dataclass(frozen=True)
-class NeighbourOptions:
-    """Parameters of the neighbour graph, tuned on simulated skins.
-
-    ridge: Ridge of the partial correlations, above 0; 0.03 to 1 give similar maps.
-    slack: Factor, at least 1, by which a direct link may be weaker than the best path over one
-        other sensor; up to 1.5 gives similar maps.
-    max_step_ratio: Maximum ratio, at least 1, of the separation of two neighbours in the readings
-        to the longest step of the best path between them.
-    max_map_step_ratio: The same for distances on the map; larger, since short distances on a map
-        are less reliable.
-    """
-
-    ridge: float = 0.1
-    slack: float = 1.2
-    max_step_ratio: float = 1.3
-    max_map_step_ratio: float = 1.7
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.ridge) and self.ridge > 0):
-            raise InputError(f"ridge must be above 0, got {self.ridge}")
-        for name in ("slack", "max_step_ratio", "max_map_step_ratio"):
-            if not (value := getattr(self, name)) >= 1:
-                raise InputError(f"{name} must be at least 1, got {value}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +48,6 @@ def neighbour_graph(
     *,
     similarity: ArrayLike | None = None,
     changes: ArrayLike | None = None,
-    options: NeighbourOptions | None = None,
 ) -> NeighbourGraph:
     """Link adjacent sensors, with few links between sensors that are not adjacent.
 
@@ -77,17 +55,16 @@ def neighbour_graph(
 
     With the partial correlations Q of S, sensors i and j are linked if ``Q_ij > 0`` and
 
-    1. no third sensor is much more similar to both: ``slack Q_ij >= max_k min(Q_ik, Q_jk)``
+    1. no third sensor is much more similar to both: ``1.2 Q_ij >= max_k min(Q_ik, Q_jk)``
        (a relative neighbourhood graph; Toussaint 1980, Pattern Recognition 12: 261-268);
     2. their separation is not much larger than the longest step of the best path between them,
-       ``d_ij <= max_step_ratio m_ij`` with m from `minimax_paths`, for ``d = (-log S)^(1/2)``, for
-       the same function of the differences between frames, and for the distances on the map.
+       ``d_ij <= 1.3 m_ij`` with m from `minimax_paths`, for ``d = (-log S)^(1/2)``, for the same
+       function of the differences between frames, and, with 1.7, for the distances on the map.
 
     The maximum spanning tree of the link strengths is always included. Each condition removes
     shortcuts that the others keep: a rolling body touches whole lines of sensors at once, so
     partial correlations alone cannot distinguish one step along a line from two.
     """
-    chosen = options or NeighbourOptions()
     values = np.asarray(readings)
     if values.ndim != 2 or len(values) < _MIN_FRAMES or values.shape[1] < 2:
         raise InputError(
@@ -97,15 +74,15 @@ def neighbour_graph(
     correlation = blended_correlation(values) if similarity is None else np.asarray(similarity)
     if changes is None:
         changes = blended_correlation(np.diff(values.astype(np.float64, copy=False), axis=0))
-    adjacent = _within(_separation(correlation), chosen.max_step_ratio)
-    adjacent &= _within(_separation(np.asarray(changes)), chosen.max_step_ratio)
+    adjacent = _within(_separation(correlation), _MAX_STEP_RATIO)
+    adjacent &= _within(_separation(np.asarray(changes)), _MAX_STEP_RATIO)
     if positions is not None:
         points = _checked_positions(positions, values.shape[1])
-        adjacent &= _within(cdist(points, points), chosen.max_map_step_ratio)
-    partial = partial_correlation(correlation, chosen.ridge)
+        adjacent &= _within(cdist(points, points), _MAX_MAP_STEP_RATIO)
+    partial = partial_correlation(correlation, _RIDGE)
     adjacent &= partial > 0
     np.fill_diagonal(adjacent, val=False)
-    direct = _without_detours(adjacent, partial, chosen.slack)
+    direct = _without_detours(adjacent, partial, _SLACK)
     connected = direct | _maximum_spanning_tree(partial, correlation)
     forced_share = 1 - float(np.count_nonzero(direct) / np.count_nonzero(connected))
     return NeighbourGraph(connected, forced_share)
@@ -144,12 +121,7 @@ def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> NDArray[np.flo
     return np.asarray(np.maximum(distances[np.triu(mask, 1)], smallest))
 
 
-def split_half_agreement(
-    readings: ArrayLike,
-    positions: ArrayLike | None = None,
-    *,
-    options: NeighbourOptions | None = None,
-) -> float:
+def split_half_agreement(readings: ArrayLike, positions: ArrayLike | None = None) -> float:
     """Correlate the neighbour graphs of the two halves of a recording. readings (T, N)."""
     values = np.asarray(readings)
     if len(values) < 2 * _MIN_FRAMES:
@@ -161,7 +133,7 @@ def split_half_agreement(
         return 0.0
     points = None if positions is None else np.asarray(positions)[varying]
     pairs = np.triu_indices(n_compared, 1)
-    graphs = [neighbour_graph(half[:, varying], points, options=options) for half in halves]
+    graphs = [neighbour_graph(half[:, varying], points) for half in halves]
     first, second = (shortest_path(graph.adjacency, unweighted=True)[pairs] for graph in graphs)
     if np.ptp(first) == 0 or np.ptp(second) == 0:
         return 0.0

@@ -22,6 +22,7 @@ from anisomap.numerics.compiled.parallel import (
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.precision import Reals
 
 
@@ -73,33 +74,6 @@ def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[n
         surplus = np.count_nonzero(chosen[row]) - count
         chosen[row, equal[len(equal) - surplus :]] = False
     return np.asarray(chosen)
-
-
-def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Find the minimum spanning tree of a complete graph.
-
-    lengths (N, N).
-
-    Prim (1957), Bell System Technical Journal 36: 1389-1401, in O(N^2). scipy sorts all edges.
-    """
-    n_nodes = len(lengths)
-    joined = np.zeros((n_nodes, n_nodes), dtype=bool)
-    if n_nodes < 2:
-        return joined
-    # Length and end of the shortest edge from the tree to each node. Nodes of the tree are never
-    # chosen from `shortest`, and no edge is below their `bound`.
-    shortest, ends = lengths[0].astype(np.float64), np.zeros(n_nodes, dtype=np.intp)
-    bound = shortest.copy()
-    shortest[0], bound[0] = np.inf, -np.inf
-    for _ in range(n_nodes - 1):
-        node = int(shortest.argmin())
-        joined[node, ends[node]] = True
-        shortest[node], bound[node] = np.inf, -np.inf
-        row = lengths[node]
-        closer = np.flatnonzero(row < bound)
-        bound[closer] = shortest[closer] = row[closer]
-        ends[closer] = node
-    return np.asarray(joined | joined.T)
 
 
 def smallest_connected_neighbour_graph(

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.signals import (
-    maximum_spanning_tree,
     middle_frames,
     some_sensors,
     standardised,
@@ -89,7 +89,7 @@ class LagCorrelations:
     def lags_along_tree(self) -> NDArray[np.intp]:
         """Add up the lags of the links of a maximum spanning tree."""
         lags = np.zeros(len(self.peak), dtype=np.intp)
-        for new, joined in maximum_spanning_tree(self.peak):
+        for new, joined in tree_edges(self.peak):
             lags[new] = lags[joined] + self.peak_lag[joined, new]
         return lags - int(np.median(lags))
 

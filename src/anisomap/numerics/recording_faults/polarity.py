@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
-from anisomap.numerics.signals import MAX_FRAMES, maximum_spanning_tree, standardised
+from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.signals import MAX_FRAMES, standardised
 from anisomap.numerics.similarity.rest import estimate_rest
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
@@ -66,7 +67,7 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
 def _signs_along_tree(correlation: NDArray[np.float32]) -> NDArray[np.float64]:
     """Multiply the signs of correlations along a maximum spanning tree of their magnitudes."""
     signs = np.ones(len(correlation))
-    for new, joined in maximum_spanning_tree(np.abs(correlation)):
+    for new, joined in tree_edges(np.abs(correlation)):
         signs[new] = signs[joined] if correlation[joined, new] >= 0 else -signs[joined]
     return signs
 

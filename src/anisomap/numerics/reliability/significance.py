@@ -6,7 +6,6 @@ Statistically significant links between sensors, and the components that they co
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.compiled.parallel import load_loops
+from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.precision import Reals, as_reals, row_blocks
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 
@@ -112,10 +112,10 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
     component, sizes = np.arange(n_sensors), np.ones(n_sensors, dtype=np.intp)
-    for strength, i, j in sorted(_maximum_spanning_tree(links), reverse=True):
+    for i, j in _strongest_first(links):
         one, other = component[i], component[j]
         smaller = int(min(sizes[one], sizes[other]))
-        if strength >= _MIN_BRIDGE * _expected_maximum(smaller * (n_sensors - smaller)):
+        if links[i, j] >= _MIN_BRIDGE * _expected_maximum(smaller * (n_sensors - smaller)):
             component[component == other] = one
             sizes[one] += sizes[other]
     _, first, member, count = np.unique(
@@ -145,7 +145,7 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
     covered = np.bincount(component).max() / n_sensors
     if covered < MIN_COVERED or np.median(np.count_nonzero(kept, axis=1)) < MIN_LINKS:
         return ~np.eye(n_sensors, dtype=bool)
-    for _, i, j in sorted(_maximum_spanning_tree(links), reverse=True):
+    for i, j in _strongest_first(links):
         if component[i] != component[j]:
             component[component == component[j]] = component[i]
             kept[i, j] = kept[j, i] = True
@@ -204,19 +204,7 @@ def _expected_maximum(n_links: int) -> float:
     return math.sqrt(2 * math.log(max(2, n_links)))
 
 
-def _maximum_spanning_tree(links: Reals) -> Iterator[tuple[float, int, int]]:
-    """Iterate over the strength and the sensors of the edges of the maximum spanning tree.
-
-    Prim (1957), Bell System Technical Journal 36: 1389-1401. Negative and zero links count, which
-    sparse graphs of scipy cannot represent.
-    """
-    strongest, towards = links[0].astype(np.float64), np.zeros(len(links), dtype=np.intp)
-    outside = np.ones(len(links), dtype=bool)
-    outside[0] = False
-    for _ in range(len(links) - 1):
-        new = int(np.where(outside, strongest, -np.inf).argmax())
-        yield float(strongest[new]), int(towards[new]), new
-        outside[new] = False
-        stronger = links[new] > strongest
-        strongest[stronger] = links[new][stronger]
-        towards[stronger] = new
+def _strongest_first(links: Reals) -> list[tuple[int, int]]:
+    """List the edges of the maximum spanning tree of links by decreasing strength."""
+    edges = ((links[new, joined], joined, new) for new, joined in tree_edges(links))
+    return [(i, j) for _, i, j in sorted(edges, reverse=True)]

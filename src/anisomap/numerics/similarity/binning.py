@@ -9,7 +9,7 @@ depend on the chunks or their order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -239,20 +239,6 @@ class ValueCounts:
     def varying(self) -> NDArray[np.bool_]:
         """Return which sensors vary, shape (N,)."""
         return np.array([values.size > 1 for values in self.values])
-
-    def bins(self, bins: int) -> Recoding:
-        """Return the maximum-entropy bin of every value."""
-        return self._recode(lambda _, counts: maximum_entropy_bins(counts, bins), np.uint16)
-
-    def ranks(self) -> Recoding:
-        """Return the mean rank of every value, from 1 to T."""
-        return self._recode(lambda _, counts: np.cumsum(counts) - (counts - 1) / 2, np.float64)
-
-    def _recode(
-        self, outcome: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]], dtype: type
-    ) -> Recoding:
-        pairs = zip(self.values, self.counts, strict=True)
-        return Recoding.of(self.values, [outcome(*pair) for pair in pairs], dtype)
 
 
 @dataclass(frozen=True, eq=False)
