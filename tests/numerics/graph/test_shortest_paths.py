@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import csgraph_from_dense, floyd_warshall
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
-from anisomap.numerics.compiled.path_tiles import SIDE
+from anisomap.numerics.compiled.paths import SIDE
 from anisomap.numerics.graph.metric import (
     N_CHECKED,
     along_few_edges,

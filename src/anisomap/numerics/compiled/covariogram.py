@@ -193,3 +193,15 @@ def unpack(values: Singles, matrix: Singles) -> None:
             matrix[i, j] = value
             matrix[j, i] = value
         first += n_points - 1 - i
+
+
+Ints = NDArray[np.int64]
+
+
+@loop()
+def add_block(matrix: Reals, block: Reals, rows: Ints, columns: Ints) -> None:
+    """Add ``block[i, j]`` to ``matrix[rows[i], columns[j]]`` for all i and j."""
+    for i in range(len(rows)):
+        target, source = matrix[rows[i]], block[i]
+        for j in range(len(columns)):
+            target[columns[j]] += source[j]

@@ -58,7 +58,7 @@ def gauss_newton_matrix(
     cross, linear = np.zeros((3, n_axes, n_sensors)), np.zeros((3, 3))
     starts = np.arange(n_axes) * n_sensors
     compiled = n_sensors >= MIN_COMPILED_ROWS
-    add_block = load_loops("blocks").add_block if compiled else _add_block
+    add_block = load_loops("covariogram").add_block if compiled else _add_block
     for block, term in zip(blocks, terms, strict=True):
         part = block.curvature(term, positions, float(np.exp(log_exponent)), amplitude)
         for (p, q), found in part.coordinates.items():
@@ -82,7 +82,7 @@ def gauss_newton_matrix(
 def _add_block(
     matrix: Matrix, block: Matrix, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> None:
-    """Do as `anisomap.numerics.compiled.blocks.add_block` does, for sorted rows and columns."""
+    """Add a block as `anisomap.numerics.compiled.covariogram.add_block`, at sorted indices."""
     if rows[-1] - rows[0] < len(rows) and columns[-1] - columns[0] < len(columns):
         # All sensors are in one block: slices take a tenth of the time of indices.
         matrix[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += block

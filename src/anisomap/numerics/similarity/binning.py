@@ -67,7 +67,7 @@ def _divide(
             least, cut = _with_another_bin(least, ends, before, after, unit)
         else:
             found = np.zeros_like(ends), np.zeros_like(ends)
-            load_loops("binning").add_bin(costs, ends, least, before + after, found)
+            load_loops("similarity").add_bin(costs, ends, least, before + after, found)
             least, cut = found
         cuts.append(cut)
         before = after

@@ -100,7 +100,7 @@ def code_counts(codes: Codes, n_codes: int) -> NDArray[np.int64]:
         found = [np.count_nonzero(codes == code, axis=0) for code in range(n_codes)]
         return np.column_stack(found).astype(np.int64)
     counts = np.zeros((codes.shape[1], n_codes), dtype=np.int64)
-    load_loops("co_occurrence").tally_codes(_as_integers(codes), counts)
+    load_loops("similarity").tally_codes(_as_integers(codes), counts)
     return counts
 
 
@@ -136,7 +136,7 @@ def joint_logarithms(
     marginals = _marginals(counts, layout)
     tallies = layout.first, marginals, _n_log_n(np.arange(n_frames + 1))
     joint = np.zeros((n_sensors, n_sensors))
-    sum_logarithms = load_loops("co_occurrence").sum_logarithms
+    sum_logarithms = load_loops("similarity").sum_logarithms
 
     def add(start: int, stop: int, panel: NDArray[np.uint32]) -> None:
         sum_logarithms(panel, tallies, start, stop, joint)
@@ -244,7 +244,7 @@ def _panel_counter(codes: Codes, layout: Layout, counting: Counting) -> _CountPa
         words = -(-len(codes) // _WORD)
         sparse = _ENTRY_COST * pairs < float(layout.n_series) ** 2 * words
         counting = "entries" if sparse else "bits"
-    loops = load_loops("co_occurrence")
+    loops = load_loops("similarity")
     if counting == "entries":
         return partial(loops.count_entries, _entries(codes, layout))
     return partial(loops.count_bits, _bits(codes, layout))
@@ -253,9 +253,9 @@ def _panel_counter(codes: Codes, layout: Layout, counting: Counting) -> _CountPa
 def _bits(codes: Codes, layout: Layout) -> NDArray[np.uint64]:
     bits = _aligned_zeros(layout.n_series + 1, -(-len(codes) // _WORD))
     if codes.dtype == np.bool_ and layout.is_of_switches:
-        load_loops("co_occurrence").pack_switches(_as_integers(codes), bits[:-1])
+        load_loops("similarity").pack_switches(_as_integers(codes), bits[:-1])
         return bits[:-1]
-    load_loops("co_occurrence").pack_bits(_as_integers(codes), layout.position, bits)
+    load_loops("similarity").pack_bits(_as_integers(codes), layout.position, bits)
     return bits[:-1]
 
 
@@ -281,7 +281,7 @@ def _entries(codes: Codes, layout: Layout) -> tuple[NDArray[Any], ...]:
         np.empty(size, dtype=np.int64),
         starts,
     )
-    load_loops("co_occurrence").list_entries(
+    load_loops("similarity").list_entries(
         _as_integers(codes), layout.reference, layout.position, entries
     )
     return entries

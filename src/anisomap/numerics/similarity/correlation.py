@@ -61,7 +61,7 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
     def add(begin: int) -> None:
         rows = slice(begin, min(begin + _PANEL_ROWS, n_sensors))
         np.outer(sums[rows], sums / -n_frames, out=products[rows])
-        load_loops("products").add_products(products[rows], begin, sensors, depths, begins)
+        load_loops("similarity").add_products(products[rows], begin, sensors, depths, begins)
 
     with parallel_map(n_sensors) as map_threads:
         map_threads(add, range(0, n_sensors, _PANEL_ROWS))

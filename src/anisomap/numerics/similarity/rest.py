@@ -63,7 +63,7 @@ class Rest:
         active = np.empty(values.shape, dtype=bool)
         if _is_compiled(values):
             own = self.value, self.side, self.threshold
-            load_loops("rest").find_active(values, own, active)
+            load_loops("similarity").find_active(values, own, active)
             return active
         for start in range(0, len(values), _CHUNK_FRAMES):
             frames = slice(start, start + _CHUNK_FRAMES)
@@ -96,7 +96,7 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     if not _is_compiled(values):
         return _rest_of_readings(values)
     lowest, counts = values[0].copy(), np.zeros(values.shape[1], np.int64)
-    load_loops("rest").count_lowest(values, lowest, counts)
+    load_loops("similarity").count_lowest(values, lowest, counts)
     n_sensors = len(lowest)
     rest = Rest(
         value=lowest.astype(np.float64),

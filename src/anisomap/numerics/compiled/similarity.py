@@ -1,6 +1,6 @@
-"""Compiled loops that count co-occurrences of binary series.
+"""Compiled loops of similarities: rest, bins, products of readings, and co-occurrences.
 
-M series belong to N sensors; see `anisomap.numerics.similarity.co_occurrence.Layout`.
+M binary series belong to N sensors; see `anisomap.numerics.similarity.co_occurrence.Layout`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,116 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.jit import loop
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+@loop()
+def count_lowest(readings: NDArray[Any], lowest: NDArray[Any], counts: Ints) -> None:
+    """Find the lowest reading of each sensor and the number of frames at it.
+
+    `readings` has shape (T, N); `lowest` must contain the first frame and `counts` zeros.
+    """
+    for frame in range(len(readings)):
+        row = readings[frame]
+        for sensor in range(len(row)):
+            reading, least = row[sensor], lowest[sensor]
+            before = 0 if reading < least else counts[sensor]
+            counts[sensor] = before + (1 if reading <= least else 0)
+            lowest[sensor] = min(reading, least)
+
+
+@loop()
+def find_active(
+    readings: NDArray[Any], rest: tuple[Floats, Floats, Floats], active: NDArray[np.bool_]
+) -> None:
+    """Set `active`, shape (T, N), where readings exceed the threshold of their sensor.
+
+    `rest` consists of values, sides and thresholds, each of shape (N,).
+    """
+    value, side, threshold = rest
+    for frame in range(len(readings)):
+        row, found = readings[frame], active[frame]
+        for sensor in range(len(row)):
+            beyond = side[sensor] * (np.float64(row[sensor]) - value[sensor])
+            found[sensor] = beyond - threshold[sensor] > 0
+
+
+@loop()
+def add_bin(
+    costs: Ints,
+    ends: Ints,
+    least: Ints,
+    bounds: tuple[int, int, int, int],
+    found: tuple[Ints, Ints],
+) -> None:
+    """Find the best division of beginnings of the values into one more bin.
+
+    `costs`, shape (T + 1,), contains the cost of a bin of each size; `ends`, shape (m + 1,), the
+    cumulative counts of the values; `least`, shape (m + 1,), the least cost without the bin.
+    `bounds` consists of the first and last number of values without the bin, and with it. The
+    arrays of `found`, the least cost with the bin and the value at which it begins, each of shape
+    (m + 1,), are filled. The order of the search is that of
+    `anisomap.numerics.similarity.binning`.
+    """
+    lowest, highest, first, last = bounds
+    result, cut = found
+    stride = 1
+    while 2 * stride <= last - first + 1:
+        stride *= 2
+    while stride > 0:
+        for end in range(first + stride - 1, last + 1, 2 * stride):
+            low = lowest if end - stride < first else cut[end - stride]
+            high = min(highest if end + stride > last else cut[end + stride], end - 1)
+            best, at = least[low] + costs[ends[end] - ends[low]], low
+            for begin in range(low + 1, high + 1):
+                cost = least[begin] + costs[ends[end] - ends[begin]]
+                if cost < best:
+                    best, at = cost, begin
+            result[end], cut[end] = best, at
+        stride //= 2
+
+
+Reals = NDArray[np.floating[Any]]
+
+
+@loop()
+def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
+    """Add products of values in the same frame to ``panel[i - first, j]`` for all j >= i.
+
+    Values of frame f, by increasing sensor, are those from ``begins[f]`` to ``begins[f + 1]``.
+    Four rows are filled at a time, so that the other sensors and their values are loaded once for
+    all; of these rows, some elements with j < i are changed, too.
+    """
+    last = first + len(panel)
+    for frame in range(len(begins) - 1):
+        entry, end = begins[frame], begins[frame + 1]
+        beyond = end
+        while entry < beyond:  # bisection for the first sensor of the panel
+            middle = (entry + beyond) // 2
+            if sensors[middle] < first:
+                entry = middle + 1
+            else:
+                beyond = middle
+        while entry + 3 < end and sensors[entry + 3] < last:
+            row, value = panel[sensors[entry] - first], values[entry]
+            row1, value1 = panel[sensors[entry + 1] - first], values[entry + 1]
+            row2, value2 = panel[sensors[entry + 2] - first], values[entry + 2]
+            row3, value3 = panel[sensors[entry + 3] - first], values[entry + 3]
+            for other in range(entry, end):
+                sensor, factor = sensors[other], values[other]
+                row[sensor] += value * factor
+                row1[sensor] += value1 * factor
+                row2[sensor] += value2 * factor
+                row3[sensor] += value3 * factor
+            entry += 4
+        while entry < end and sensors[entry] < last:
+            row, value = panel[sensors[entry] - first], values[entry]
+            for other in range(entry, end):
+                row[sensors[other]] += value * values[other]
+            entry += 1
+
+
 Words = NDArray[np.uint64]
 Counts = NDArray[np.uint32]
 
