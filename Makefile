@@ -74,7 +74,10 @@ bench: $(READY)  ## time each stage and whole maps against other libraries, in b
 
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
+	$(BIN)/python -m benchmarks.contacts -o quality
+	$(BIN)/python -m benchmarks.steps -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
 	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.limits -o quality --recordings $(RECORDINGS))
+	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.neural -o quality --recordings $(RECORDINGS))
 
 tables: $(READY)  ## update the tables of accuracy in README and docs from the results of make quality, faults and trust
 	cp quality/*-table.md docs/

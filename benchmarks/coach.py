@@ -26,11 +26,11 @@ from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.live.quick_map import QuickMapper, TouchStatistics
 from anisomap.live.sources.replay import BOUT_FRAMES
-from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
 from anisomap.simulation.options import options_for
 from anisomap.simulation.rubbing import TRAVEL_FRAMES, GuidedHand, RubbingOptions
+from benchmarks.contacts import contacts_by_frame
 from benchmarks.harness import options, read_rows, write_csv, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")
@@ -111,12 +111,11 @@ def evenness(readings: NDArray[np.floating], mean: float) -> tuple[float, float]
     The share of the sensors that were touched by then, and the standard deviation of their contacts
     over the mean; NaN if there are fewer contacts.
     """
-    active = estimate_rest(readings).active(readings)
-    fresh = active & ~np.vstack([np.zeros_like(active[:1]), active[:-1]])
-    until = int(np.searchsorted(np.cumsum(fresh.mean(axis=1)), mean))
-    if until >= len(active):
+    counts = contacts_by_frame(readings)
+    until = int(np.searchsorted(counts.mean(axis=1), mean))
+    if until >= len(counts):
         return float("nan"), float("nan")
-    contacts = fresh[: until + 1].sum(axis=0)
+    contacts = counts[until]
     return float((contacts > 0).mean()), float(contacts.std() / contacts.mean())
 
 

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from benchmarks import (
     comparison,
+    contacts,
     dimension,
     limits,
     measuring,
+    neural,
     paths,
     placement,
     quality,
     scalings,
     self_touch,
     similarities,
+    steps,
     trust,
     uncertainty,
     updating,
@@ -168,7 +171,9 @@ def measured(benchmark, folder, label, *arguments):
 RECORDED = {
     "dimension": (dimension, ["--seeds", "0"]),
     "limits": (limits, []),
+    "neural": (neural, ["--workers", "1"]),
     "quality": (quality, ["--seeds", "0", "--workers", "1"]),
+    "steps": (steps, ["--seeds", "0", "--workers", "1"]),
     "trust": (trust, ["--seeds", "0", "--workers", "1", "--cases", "skin part, 3D"]),
     "uncertainty": (uncertainty, ["--seeds", "0"]),
 }
@@ -179,13 +184,39 @@ RECORDED = {
 def test_tables_of_recordings_are_written(name, tmp_path):
     recordings, folder = tmp_path / "recordings", tmp_path / "out"
     recordings.mkdir()
-    anisomap.write(flat_touched_skin(n_frames=1200), recordings / "skin.npz")
+    anisomap.write(flat_touched_skin(n_frames=1200), recordings / "retina_skin.npz")
     benchmark, arguments = RECORDED[name]
     benchmark.main([*arguments, "--recordings", str(recordings), "-o", str(folder)])
     assert rows_of(folder / f"{name}.csv")
     texts = [path.read_text(encoding="utf-8") for path in folder.glob("*-table.md")]
     assert texts
     assert all("| --- |" in text for text in texts)
+
+
+def test_contacts_are_counted_where_they_begin():
+    readings = np.array([[0, 2.0], [3, 2], [3, 0], [0, 0], [4, 0], [0, 1], [0, 0], [0, 0], [0, 0]])
+    found = contacts.contacts_by_frame(readings)
+    assert found[:, 0].tolist() == [0, 1, 1, 1, 2, 2, 2, 2, 2]
+    assert found[:, 1].tolist() == [1, 1, 1, 1, 1, 2, 2, 2, 2]
+
+
+@pytest.mark.slow
+def test_accuracy_by_contacts_is_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr(contacts, "SKINS", (("hexagon", "rubbing"),))
+    contacts.main(["--seeds", "1", "--contacts", "3", "5", "--workers", "1", "-o", str(tmp_path)])
+    rows = [row for row in rows_of(tmp_path / "contacts.csv") if row["method"] == "covariogram"]
+    assert [row["contacts"] for row in rows] == ["3", "5"]
+    assert int(rows[0]["frames"]) < int(rows[1]["frames"])
+    assert " of 2 points" in (tmp_path / "contacts-table.md").read_text(encoding="utf-8")
+
+
+def test_every_variant_leaves_one_step_out():
+    whole = steps.VARIANTS["nothing"]
+    for name, step in whole.refinements.items():
+        if name in steps.VARIANTS:
+            others = steps.VARIANTS[name].refinements
+            assert {**others, name: step} == whole.refinements
+    assert not steps.VARIANTS["all refinements"].refinements
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def test_rivals_see_correlations_only():
     rng = np.random.default_rng(0)
     order = rng.permutation(42)
     changed = recording.readings[rng.permutation(1500)] * rng.uniform(1, 5, 42) - 3
-    for name in ("isomap-on-r", "pca-on-r", "laplacian-on-r"):
+    for name in ("isomap-on-r", "pca-on-r", "laplacian-on-r", "phate-on-r"):
         first = map_by_rival(recording, name, 3).positions
         second = map_by_rival(anisomap.Recording(changed[:, order]), name, 3).positions
         np.testing.assert_allclose(relative(first[order]), relative(second), atol=1e-5)

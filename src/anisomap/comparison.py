@@ -1,8 +1,8 @@
 """Several methods on one recording with known positions, scored on the same sensors.
 
-Stock methods of scikit-learn and UMAP, and a self-organising map, are baselines, not methods of
-anisomap: they are not tuned. To add one, write a function of the correlations and add one line to
-`RIVALS`.
+Stock methods of scikit-learn and UMAP, a self-organising map and PHATE are baselines, not methods
+of anisomap: they are not tuned. To add one, write a function of the correlations and add one line
+to `RIVALS`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
+from scipy.special import entr
 from threadpoolctl import threadpool_limits
 
 from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
@@ -25,6 +26,7 @@ from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.methods import METHODS, PAPER_METHODS
+from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
@@ -38,6 +40,8 @@ _BARNES_HUT_DIMENSIONS = 3  # maximum of scikit-learn's fast t-SNE
 _SOM_NODES = 5  # x the square root of the number of points, by Vesanto & Alhoniemi (2000)
 _SOM_LAST_WIDTH = 0.5  # of the neighbourhood, in distances between nodes
 _SOM_EPOCHS = 50
+_PHATE_NEIGHBOURS, _PHATE_DECAY, _PHATE_TIMES = 5, 40, 100  # defaults of the authors' library
+_PHATE_FLOOR = 1e-7  # the same library's; keeps the logarithm finite
 
 Array = NDArray[np.float64]
 
@@ -153,6 +157,38 @@ def _som(r: Array, dimensions: int, _: int) -> Array:
     return np.asarray(nodes[cdist(prototypes, inputs).argmin(axis=0)])
 
 
+def _phate(r: Array, dimensions: int, _: int) -> Array:
+    distances = correlation_distances(r)
+    neighbour = min(_PHATE_NEIGHBOURS, len(r) - 1)
+    widths = np.maximum(np.sort(distances, axis=1)[:, neighbour], np.finfo(float).tiny)
+    with np.errstate(over="ignore"):
+        kernel = np.exp(-((distances / widths[:, np.newaxis]) ** _PHATE_DECAY))
+    kernel = (kernel + kernel.T) / 2
+    sums = kernel.sum(axis=1)
+    # P^t = D^-1/2 V L^t V' D^1/2, with the eigenvalues L of the symmetric D^-1/2 K D^-1/2.
+    values, vectors = np.linalg.eigh(kernel / np.sqrt(np.outer(sums, sums)))
+    times = np.arange(1, _PHATE_TIMES + 1)
+    shares = np.abs(values) ** times[:, np.newaxis]
+    shares /= shares.sum(axis=1, keepdims=True)
+    time = times[_knee(entr(shares).sum(axis=1))]
+    diffused = (vectors * values**time) @ vectors.T * np.sqrt(sums / sums[:, np.newaxis])
+    potential = -np.log(np.maximum(diffused, 0) + _PHATE_FLOOR)
+    return smacof(cdist(potential, potential), dimensions=dimensions).positions
+
+
+def _knee(values: Array) -> int:
+    """Return where two lines, one on each side, fit a curve best."""
+    x = np.arange(len(values))
+    errors = [
+        sum(
+            np.polyfit(x[part], values[part], 1, full=True)[1].sum()
+            for part in (slice(k + 1), slice(k, None))
+        )
+        for k in range(1, len(values) - 1)
+    ]
+    return 1 + int(np.argmin(errors))
+
+
 RIVALS: Mapping[str, Rival] = MappingProxyType(
     {
         "isomap-on-r": Rival("Isomap on sqrt(2 (1 - r)), 8 neighbours (scikit-learn)", _isomap),
@@ -161,6 +197,7 @@ RIVALS: Mapping[str, Rival] = MappingProxyType(
         "pca-on-r": Rival("principal components of standardised sensors (scikit-learn)", _pca),
         "laplacian-on-r": Rival("Laplacian eigenmaps on max(r, 0) (scikit-learn)", _laplacian),
         "som-on-r": Rival("self-organising map of standardised sensors, batch training", _som),
+        "phate-on-r": Rival("PHATE on sqrt(2 (1 - r)), 5 neighbours, decay 40", _phate),
     }
 )
 """Name of each stock method; ``-on-r`` tells them from the methods of anisomap."""
@@ -198,8 +235,9 @@ def map_by_rival(recording: Recording, name: str, dimensions: int, *, seed: int 
     arXiv:1802.03426. t-SNE: van der Maaten & Hinton (2008), JMLR 9: 2579-2605. Laplacian eigenmaps:
     Belkin & Niyogi (2003), doi:10.1162/089976603321780317. Self-organising map: Kohonen (1990),
     doi:10.1109/5.58325, with the number of nodes of Vesanto & Alhoniemi (2000),
-    doi:10.1109/72.846731. Where a graph of neighbours is not
-    connected, scikit-learn joins its pieces.
+    doi:10.1109/72.846731. PHATE: Moon et al. (2019), doi:10.1038/s41587-019-0336-3, with the
+    parameters of the authors' library. Where a graph of neighbours is not connected, scikit-learn
+    joins its pieces.
     """
     rival = RIVALS[name]
     if not rival.installed:

@@ -180,7 +180,7 @@ def compare(
     method
         Method to compare; may be repeated. Default: the default method, contact-fit, the paper's
         four, and the stock methods isomap-on-r, umap-on-r (extra 'umap'), tsne-on-r, pca-on-r,
-        laplacian-on-r and som-on-r.
+        laplacian-on-r, som-on-r and phate-on-r.
     dimensions
         Number of coordinates; may be repeated. Default: as many as the true positions span.
     min_touches

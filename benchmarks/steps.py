@@ -1,0 +1,183 @@
+"""What each step of the default method earns (part of ``make quality``).
+
+The default method maps recordings without one of its steps at a time. The tables hold, for each
+kind of recording, the mean Mantel r and RMS error in spacings, and the mean CPU time of a map. The
+kinds that are simulated have seeds that were not used for tuning; the real recordings were used.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from unittest.mock import patch
+
+import numpy as np
+
+import anisomap
+from anisomap import evidence
+from anisomap.comparison import spanned_dimensions, touched
+from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
+from anisomap.methods import METHODS, Method
+from anisomap.reconstruction import reconstruct_with_stages
+from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+from benchmarks.harness import files_in, in_parallel, markdown_table, options, write_rows
+
+FIRST_SEED = 831
+N_FRAMES = 2000
+SIMULATED = (
+    ("bombarded", "sphere", "bombardment"),
+    ("bombarded", "hand", "bombardment"),
+    ("bombarded", "torus", "bombardment"),
+    ("rolled cylinder", "cylinder", "locomotion"),
+    ("rolled sphere", "sphere", "locomotion"),
+    ("rubbed", "sphere", "rubbing"),
+    ("rubbed", "hand", "rubbing"),
+    ("rubbed", "hexagon", "rubbing"),
+    ("pressed", "sphere", "pressing"),
+    ("pressed", "hand", "pressing"),
+    ("touched by itself", "sphere", "self-touch"),
+    ("touched by itself", "hand", "self-touch"),
+)
+REAL = MappingProxyType(
+    {
+        "icub": "iCub, real", "nao": "Nao, real", "insole": "feet, real", "plantar": "feet, real",
+        "retina": "retinas, real", "eeg": "EEG, real",
+    }
+)  # fmt: skip
+"""Kind by the beginning of the name of the file."""
+
+_DEFAULT = METHODS[DEFAULT_METHOD]
+
+
+@dataclass(frozen=True)
+class Row:
+    """Score of one map, of the sensors in its largest component; cpu in seconds."""
+
+    kind: str
+    recording: str
+    left_out: str
+    r: float
+    error: float
+    cpu: float
+
+
+def _without(step: str) -> Method:
+    kept = {name: one for name, one in _DEFAULT.refinements.items() if name != step}
+    return replace(_DEFAULT, refinements=kept)
+
+
+VARIANTS: Mapping[str, Method] = MappingProxyType(
+    {
+        "nothing": _DEFAULT,
+        "common signal": _DEFAULT,
+        "kappa": replace(_DEFAULT, contact_similarity=None),
+        **{step: _without(step) for step in ("covariogram", "heights", "paths", "contacts")},
+        "all refinements": replace(_DEFAULT, refinements={}),
+    }
+)
+"""Methods by what they leave out of the default method."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Map all recordings and write the results."""
+    parser = options(__doc__, "quality", seeds=4, first_seed=FIRST_SEED, workers=True)
+    chosen = parser.parse_args(arguments)
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
+    sources: list[Callable[[], list[Row]]] = [
+        partial(rows_of_simulation, *skin, seed) for seed in seeds for skin in SIMULATED
+    ]
+    sources += [partial(rows_of_file, path) for path in files_in(chosen.recordings)]
+    rows = [row for found in in_parallel(_called, sources, chosen.workers) for row in found]
+    write_rows(chosen.output / "steps.csv", rows, digits=4)
+    (chosen.output / "steps-table.md").write_text(text := tables(rows), encoding="utf-8")
+    print(text)
+
+
+def _called(source: Callable[[], list[Row]]) -> list[Row]:
+    return source()
+
+
+def rows_of_simulation(kind: str, body: str, scenario: str, seed: int) -> list[Row]:
+    """Simulate a skin and map it by all variants; rubbed skins as on or off, too."""
+    recording = anisomap.simulate(body, scenario, n_frames=N_FRAMES, seed=seed)
+    name = f"{body}, {scenario}, seed {seed}"
+    rows = rows_of(kind, name, recording)
+    if kind == "rubbed":
+        on = (np.asarray(recording.readings) > 0).astype(np.float32)
+        rows += rows_of(f"{kind}, on or off", name, Recording(on, positions=recording.positions))
+    if kind == "bombarded":
+        rows += rows_of(f"{kind}, common signal", name, _with_common_signal(recording, seed))
+    return rows
+
+
+def _with_common_signal(recording: Recording, seed: int) -> Recording:
+    """Add a smooth signal to all sensors, with the standard deviation of their readings."""
+    readings = np.asarray(recording.readings)
+    rng = np.random.default_rng(seed)
+    signal = np.convolve(rng.standard_normal(len(readings) + 20), np.hanning(21), "valid")
+    added = readings + (signal / signal.std() * readings.std())[:, None]
+    return Recording(added.astype(np.float32), positions=recording.positions)
+
+
+def rows_of_file(path: Path) -> list[Row]:
+    """Map a recording with known positions by all variants."""
+    kind = next(
+        (kind for start, kind in REAL.items() if path.stem.startswith(start)), "other, real"
+    )
+    return rows_of(kind, path.stem, anisomap.read(path))
+
+
+def rows_of(kind: str, name: str, recording: Recording) -> list[Row]:
+    """Map a recording by all variants."""
+    part = recording.select(np.flatnonzero(touched(recording, MIN_TOUCHES)))
+    truth = np.asarray(part.positions)
+    dimensions = spanned_dimensions(truth)
+    rows = []
+    for left_out, recipe in VARIANTS.items():
+        started = time.process_time()
+        with patch.object(evidence, "SIMILARITIES", _similarities(left_out)):
+            made, _ = reconstruct_with_stages(part, dimensions=dimensions, recipe=recipe)
+        cpu = time.process_time() - started
+        inside = np.flatnonzero((made.component == 0) & np.isfinite(truth).all(axis=1))
+        found = anisomap.score(SensorMap(made.positions[inside]), truth[inside], permutations=0)
+        rows.append(Row(kind, name, left_out, found.mantel.r, found.rms_in_spacings, cpu))
+    return rows
+
+
+def _similarities(left_out: str) -> Mapping[str, evidence.Similarity]:
+    if left_out != "common signal":
+        return evidence.SIMILARITIES
+    plain = replace(evidence.SIMILARITIES[_DEFAULT.similarity], refer=None)
+    return {**evidence.SIMILARITIES, _DEFAULT.similarity: plain}
+
+
+def tables(rows: Sequence[Row]) -> str:
+    """Return the table of accuracy and that of CPU time."""
+    scores, times = [], []
+    for kind in sorted({row.kind for row in rows}, key=lambda kind: ("real" in kind, kind)):
+        group = [row for row in rows if row.kind == kind]
+        means = {
+            left_out: np.mean([(q.r, q.error, q.cpu) for q in group if q.left_out == left_out], 0)
+            for left_out in VARIANTS
+        }
+        label = (kind, len(group) // len(VARIANTS))
+        scores.append((*label, *(f"{r:.3f} ({error:.2f})" for r, error, _ in means.values())))
+        times.append((*label, *(f"{cpu:.2f}" for *_, cpu in means.values())))
+    header = ("kind", "recordings", *VARIANTS)
+    return "\n".join(
+        [
+            "### Mantel r (error in spacings) without one step", "",
+            *markdown_table(header, scores), "",
+            "### CPU seconds of a map without one step", "",
+            *markdown_table(header, times), "",
+        ]
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
