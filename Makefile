@@ -6,6 +6,7 @@ OUT ?= demo
 OUT_PAPER ?= paper-out
 RECORDINGS ?=
 LARGE ?=
+SEED ?=
 ARGS ?=
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
@@ -67,10 +68,9 @@ format: $(READY)  ## format the code
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
-bench: $(READY)  ## time each stage and whole maps against other libraries, in bench/ (LARGE=1, ARGS=--quick)
+bench: $(READY)  ## time stages, maps and verdicts against other libraries, in bench/ (LARGE=1, SEED=1)
 	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
-	$(BIN)/python -m benchmarks.journeys $(if $(LARGE),--large)
-	$(BIN)/python -m benchmarks.simulation
+	$(BIN)/python -m benchmarks.journeys $(if $(LARGE),--large) $(if $(SEED),--seed $(SEED))
 
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
 	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))

@@ -14,11 +14,10 @@ from benchmarks.comparison import Row, Setting, run
 from benchmarks.stages import STAGES
 from benchmarks.tables import draw, markdown, significant, write_csv
 
-SIZES = (256, 1000, 4000)
-LARGE = 20_000
-QUICK = (256, 1000)
-FRAMES = 20_000
-QUICK_FRAMES = 4000
+SIZES = (256, 1000)
+LARGE = (4000, 20_000)
+FRAMES = 4000
+LARGE_FRAMES = 20_000
 
 TORSO = "icub_torso.npz"
 
@@ -27,9 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the comparisons and write the results; return 1 if any result is wrong."""
     chosen = _parse(arguments)
     torso = _torso(chosen.recordings)
-    sizes = chosen.sensors or [*(QUICK if chosen.quick else SIZES), *([LARGE] * chosen.large)]
-    n_frames = chosen.frames or (QUICK_FRAMES if chosen.quick else FRAMES)
-    max_slow_sensors = 4000 if chosen.large else QUICK[0] if chosen.quick else 1000
+    sizes = chosen.sensors or SIZES + LARGE * chosen.large
+    n_frames = chosen.frames or (LARGE_FRAMES if chosen.large else FRAMES)
+    max_slow_sensors = 4000 if chosen.large else SIZES[0]
     rows: list[Row] = []
     for n_sensors in sizes:
         setting = Setting(n_sensors, n_frames, torso, max_slow_sensors, more=chosen.large)
@@ -50,10 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="few frames, at most 1,000 sensors")
     parser.add_argument(
-        "--large", action="store_true", help="all inputs, also 20,000 sensors, which takes hours"
-    )
+        "--large", action="store_true",
+        help="all inputs of 20,000 frames, also 4,000 and 20,000 sensors, which takes hours",
+    )  # fmt: skip
     parser.add_argument(
         "--sensors", type=int, nargs="+", help="numbers of sensors, in increasing order"
     )

@@ -1,55 +1,48 @@
-"""Whole journeys as users make them: faults, sensor health, map and verdict of a recording.
+"""What users wait for: faults, health, map and verdict of a family of recordings.
 
-``python -m benchmarks.journeys`` times the parts of each journey on one thread, journeys beside
-busy processes, and the growth with sensors and frames; ``make bench`` runs it.
+``python -m benchmarks.journeys`` times them on one thread beside ``numpy.corrcoef`` with
+scikit-learn's Isomap on the same recordings, and commands from the shell; ``make bench`` runs it.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
-import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from anisomap import AnisomapWarning, Recording, diagnose
+from anisomap import Recording, diagnose
+from anisomap.comparison import map_by_rival
+from anisomap.errors import InputError
 from anisomap.health import assess, find_faults
 from anisomap.reconstruction import reconstruct_with_stages
-from benchmarks.harness import markdown_table, options, write_rows
-from benchmarks.inputs import rubbed_skin
-from benchmarks.measuring import threads
-from benchmarks.tables import growth_exponent, significant
+from benchmarks.harness import markdown_table, options, quietly, write_rows
+from benchmarks.measuring import MAX_REPEATED_SECONDS, measure, threads
+from benchmarks.recorded_family import MEMBERS, draw
+from benchmarks.tables import growth_exponent, machine, seconds, significant
 
-SENSORS = (250, 1000, 4000)
-MORE_SENSORS = (250, 500, 1000, 2000, 4000)
-FRAMES = (1000, 10_000, 30_000, 100_000)
-FEW_FRAMES, FEW_SENSORS = 4000, 250
-"""Frames of the journeys of many sensors, and sensors of those of many frames."""
+SIZES = ((60, 4000), (256, 4000), (256, 30_000), (1000, 4000), (1000, 30))
+LARGE = ((1000, 30_000), (4000, 4000), (5000, 3))
+"""Numbers of sensors and frames: of all members of the family; those that take minutes."""
 
-RUBBED = ((256, 30_000), (1000, 30_000))
-LARGE = ((4000, 30_000),)
-"""Sizes of ten minutes of rubbing at 50 frames per second, and those that take a minute."""
+SHELL_SENSORS, SHELL_FRAMES = 60, 4000
+"""Size of the recording that is mapped from the shell."""
 
-BUSY_SENSORS, BUSY_FRAMES = 220, 3170
-"""Size of the journeys beside busy processes: that of a recording of a robot's torso."""
+MEDIAN_GOALS = {"map": 8, "journey": 16, "paper": 1}
+"""Most times the CPU time of corrcoef and Isomap, for the median member."""
 
-SHELL_SENSORS, SHELL_FRAMES = 60, 2000
-"""Size of the recording that is mapped from the shell: that of ``anisomap demo``."""
+SLOWEST_GOAL = 4
+"""Most times the median, for the slowest member."""
 
-HEADER = (
-    "journey", "sensors", "frames", "faults, s", "health, s", "map, s", "verdict, s", "CPU, s",
-    "clock, s",
-)  # fmt: skip
-
-_LEVELS = 255  # of readings of 8 bits
 _SETTINGS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -59,80 +52,152 @@ _SETTINGS = (
 )
 _WARM_UPS = (30, 600)  # sensors: without compiled loops, and with them
 _WARM_UP_FRAMES = 400
+_RUNS = 3  # of a command, of which the fastest counts
 _DIMENSIONS = 3
+_MEGABYTE = 1e6
 
 
 @dataclass(frozen=True)
 class Journey:
-    """CPU seconds of the parts of a journey.
+    """CPU seconds of what is done with a recording.
 
-    cpu, clock: Seconds of the whole: CPU time of all threads, and wall-clock time.
-    faults, health, map, verdict: CPU seconds of the parts; NaN if they were not timed separately.
+    map: Of the default map.
+    journey: Of the search for faults, the health of sensors, the default map and its verdict.
+    paper: Of the health of sensors and the map by r-ANISOMAP.
+    isomap: Of ``numpy.corrcoef`` and Isomap; NaN if it fails.
+    memory: Of the journey, in megabytes.
     """
 
-    journey: str
+    member: str
     n_sensors: int
     n_frames: int
+    faults: float
+    health: float
+    map: float
+    verdict: float
+    paper: float
+    isomap: float
+    memory: float
+
+    @property
+    def journey(self) -> float:
+        """CPU seconds of everything that ``anisomap map`` does."""
+        return self.faults + self.health + self.map + self.verdict
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Numbers of sensors and frames."""
+        return self.n_sensors, self.n_frames
+
+
+@dataclass(frozen=True)
+class Command:
+    """Seconds of a command from the shell: CPU time of all threads, and wall-clock time."""
+
+    command: str
     cpu: float
     clock: float
-    faults: float = math.nan
-    health: float = math.nan
-    map: float = math.nan
-    verdict: float = math.nan
 
 
-def readings_of_8_bits(n_sensors: int, n_frames: int) -> Recording:
-    """Simulate a rubbed skin whose readings are whole numbers from 0 to 255."""
-    readings, _ = rubbed_skin(n_sensors, n_frames)
-    whole = np.round(readings * (_LEVELS / readings.max())).astype(np.uint8)
-    return Recording(whole[:, np.ptp(whole, axis=0) > 0])
-
-
-def travel(name: str, recording: Recording, method: str = "covariogram") -> Journey:
-    """Make a journey in this process as ``anisomap map`` does, and time its parts."""
-    laps, clock = [time.process_time()], time.perf_counter()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)
-        findings = find_faults(recording)
-        laps.append(time.process_time())
-        health = assess(recording)
-        laps.append(time.process_time())
-        made, stages = reconstruct_with_stages(recording, method, _DIMENSIONS)
-        laps.append(time.process_time())
+def travel(recording: Recording) -> list[float]:
+    """Find faults, assess, map and judge, as ``anisomap map``; return the CPU seconds of each."""
+    laps = [time.process_time()]
+    findings = find_faults(recording)
+    laps.append(time.process_time())
+    health = assess(recording)
+    laps.append(time.process_time())
+    stages = None
+    with suppress(InputError):  # noise alone is not mapped
+        made, stages = reconstruct_with_stages(recording, dimensions=_DIMENSIONS)
+    laps.append(time.process_time())
+    if stages is not None:
         diagnose(made, recording, health=health, findings=findings, stages=stages)
-        laps.append(time.process_time())
-    faults, assessing, mapping, judging = np.diff(laps).tolist()
+    laps.append(time.process_time())
+    return [float(lap) for lap in np.diff(laps)]
+
+
+def time_member(member: str, n_sensors: int, n_frames: int, seed: int) -> Journey:
+    """Draw a member of the family and time what is done with it."""
+
+    def fresh() -> Recording:
+        """Return the recording without the statistics that another run has left in it."""
+        return Recording(recording.readings)
+
+    recording = draw(member, n_sensors, n_frames, seed)
+    with quietly(), threads(1):
+        cost, laps = measure(lambda: travel(fresh()))
+        laps = min([laps, *([travel(fresh())] if cost.cpu < MAX_REPEATED_SECONDS else [])], key=sum)
+        paper = min(measure(lambda: _map_as_published(fresh()))[0].cpu for _ in range(2))
+        isomap = math.nan
+        try:
+            rival = [measure(lambda: map_by_rival(fresh(), "isomap-on-r", _DIMENSIONS))[0].cpu
+                     for _ in range(2)]  # fmt: skip
+            isomap = min(rival)
+        except InputError:
+            print(f"Isomap fails: {member}")
+    faults, health, mapping, judging = laps
     return Journey(
-        name,
-        recording.n_sensors,
-        recording.n_frames,
-        faults=faults,
-        health=assessing,
-        map=mapping,
-        verdict=judging,
-        cpu=laps[-1] - laps[0],
-        clock=time.perf_counter() - clock,
+        member, n_sensors, n_frames, faults, health, mapping, judging, paper, isomap, cost.memory
     )
 
 
-def travel_from_shell(name: str, recording: Recording) -> Journey:
-    """Time ``anisomap map`` as a process of its own, with nothing set in the environment.
+def _map_as_published(recording: Recording) -> None:
+    assess(recording)
+    with suppress(InputError):
+        reconstruct_with_stages(recording, "r-anisomap", _DIMENSIONS)
 
-    The second of two runs is timed, since the first may compile the package to byte code.
-    """
+
+def shell_commands(recording: Path, folder: Path) -> dict[str, list[str]]:
+    """Return what is timed from the shell."""
+    to_map = ["-m", "anisomap", "map", str(recording), "-q"]
+    written = ["-o", str(folder / "map.csv")]
+    return {
+        "import numpy, scipy.optimize, scipy.spatial": [
+            "-c", "import numpy, scipy.optimize, scipy.spatial",
+        ],
+        "anisomap --help": ["-m", "anisomap", "--help"],
+        "anisomap map, of a file that is not there": [
+            "-m", "anisomap", "map", str(folder / "none.npz"),
+        ],
+        f"anisomap map -m r-anisomap, {SHELL_SENSORS} sensors": [
+            *to_map, "-m", "r-anisomap", *written,
+        ],
+        f"anisomap map, {SHELL_SENSORS} sensors": [*to_map, *written],
+    }  # fmt: skip
+
+
+def from_shell(seed: int) -> Iterator[Command]:
+    """Time commands as processes of their own, with nothing set in the environment."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path = folder / "recording.npz"
+        np.savez(path, readings=draw("noise in every reading", *_SHELL, seed).readings)
+        for command, arguments in shell_commands(path, folder).items():
+            yield _best_of_runs(command, arguments)
+        with busy_neighbours(os.cpu_count() or 1):
+            yield _best_of_runs(f"{command}, every core busy", arguments)
+
+
+_SHELL = SHELL_SENSORS, SHELL_FRAMES
+
+
+def _best_of_runs(command: str, arguments: Sequence[str]) -> Command:
+    """Time the fastest of some runs; the first may compile the package to byte code."""
     environment = {key: value for key, value in os.environ.items() if key not in _SETTINGS}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "recording.npz"
-        np.savez(path, readings=recording.readings)
-        output = Path(folder) / "map.csv"
-        command = [sys.executable, "-m", "anisomap", "map", str(path), "-o", str(output), "-q"]
-        for _ in range(2):
-            before, clock = os.times(), time.perf_counter()
-            subprocess.run(command, env=environment, check=True, stderr=subprocess.DEVNULL)  # noqa: S603
-            clock, after = time.perf_counter() - clock, os.times()
-    cpu = after.children_user - before.children_user
-    cpu += after.children_system - before.children_system
-    return Journey(name, recording.n_sensors, recording.n_frames, cpu=cpu, clock=clock)
+    costs = []
+    for _ in range(_RUNS):
+        before, clock = os.times(), time.perf_counter()
+        subprocess.run(  # noqa: S603
+            [sys.executable, *arguments],
+            env=environment,
+            check=False,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        clock, after = time.perf_counter() - clock, os.times()
+        cpu = after.children_user - before.children_user
+        costs.append((cpu + after.children_system - before.children_system, clock))
+    return Command(command, *map(min, zip(*costs, strict=True)))
 
 
 @contextmanager
@@ -149,84 +214,120 @@ def busy_neighbours(count: int) -> Iterator[list[subprocess.Popen[bytes]]]:
             process.wait()
 
 
-def journeys(
-    sensors: Sequence[int], frames: Sequence[int], rubbed: Sequence[tuple[int, int]]
-) -> Iterator[Journey]:
-    """Make all journeys.
+def exponents(made: Sequence[Journey]) -> dict[str, tuple[float, float]]:
+    """Return the exponents of each member's time in sensors and in frames; NaN if unknown.
 
-    sensors: Numbers of sensors, of 4,000 frames each.
-    frames: Numbers of frames, of 250 sensors each.
-    rubbed: Numbers of sensors and frames of further recordings.
+    Between the smallest and the largest size that differ in one number alone.
     """
-    with threads(1):
-        for n_sensors in _WARM_UPS:
-            if n_sensors <= max(sensors):
-                travel("warm-up", readings_of_8_bits(n_sensors, _WARM_UP_FRAMES))
-        for n_sensors in sensors:
-            yield travel("more sensors", readings_of_8_bits(n_sensors, FEW_FRAMES))
-        for n_frames in frames:
-            yield travel("more frames", readings_of_8_bits(FEW_SENSORS, n_frames))
-        for size in rubbed:
-            yield travel("long rubbing", readings_of_8_bits(*size))
-            yield travel("long rubbing, r-anisomap", readings_of_8_bits(*size), "r-anisomap")
-    few = readings_of_8_bits(BUSY_SENSORS, BUSY_FRAMES)
-    yield travel("nothing limited", few)
-    with busy_neighbours(os.cpu_count() or 1):
-        yield travel("nothing limited, every core busy", few)
-    small = readings_of_8_bits(SHELL_SENSORS, SHELL_FRAMES)
-    yield travel_from_shell("from the shell", small)
-    with busy_neighbours(os.cpu_count() or 1):
-        yield travel_from_shell("from the shell, every core busy", small)
-
-
-def slopes(made: Sequence[Journey]) -> dict[str, float]:
-    """Return the exponent with which the CPU time grows with sensors and with frames."""
-    sizes = {"more sensors": "n_sensors", "more frames": "n_frames"}
     found = {}
-    for name, size in sizes.items():
-        same = [journey for journey in made if journey.journey == name]
-        if len(same) > 1:
-            found[name] = growth_exponent(
-                [getattr(journey, size) for journey in same], [journey.cpu for journey in same]
-            )
+    for member in dict.fromkeys(one.member for one in made):
+        times = {one.size: one.journey for one in made if one.member == member}
+        found[member] = (_exponent(times, 0), _exponent(times, 1))
     return found
 
 
-def markdown(made: Sequence[Journey]) -> str:
-    """Write the table of journeys, and their growth."""
-    parts = ("faults", "health", "map", "verdict", "cpu", "clock")
+def _exponent(times: dict[tuple[int, int], float], varied: int) -> float:
+    """Return the exponent in one number of the sizes, for the widest range of it."""
+    pairs = [
+        (large[varied] / small[varied], small, large)
+        for small in times
+        for large in times
+        if small[1 - varied] == large[1 - varied] and small[varied] < large[varied]
+    ]
+    if not pairs:
+        return math.nan
+    _, small, large = max(pairs)
+    return growth_exponent([small[varied], large[varied]], [times[small], times[large]])
+
+
+def markdown(made: Sequence[Journey], commands: Sequence[Command], seed: int) -> str:
+    """Write the tables: medians of each size, members, and commands."""
+    lines = [machine(f"seed {seed}"), "", *_of_sizes(made), "", *_of_members(made)]
+    if commands:
+        rows = [(one.command, seconds(one.cpu), seconds(one.clock)) for one in commands]
+        lines += ["", *markdown_table(("from the shell", "CPU, s", "clock, s"), rows, ("from the shell",))]  # fmt: skip # noqa: E501
+    return "\n".join(lines) + "\n"
+
+
+def _of_sizes(made: Sequence[Journey]) -> list[str]:
+    names = (
+        "sensors", "frames", "corrcoef + Isomap, s", "map, s", "ratio", "map + verdict, s", "ratio",
+        "r-ANISOMAP + health, s", "ratio", "slowest / median", "slowest", "memory / needed",
+    )  # fmt: skip
+    rows = []
+    for size in dict.fromkeys(one.size for one in made):
+        same = [one for one in made if one.size == size]
+        isomap = _median([one.isomap for one in same])
+        cells = [f"{size[0]:,}", f"{size[1]:,}", seconds(isomap)]
+        for what, goal in MEDIAN_GOALS.items():
+            typical = _median([getattr(one, what) for one in same])
+            cells += [seconds(typical), _judged(typical / isomap, goal)]
+        slowest = max(same, key=lambda one: one.journey)
+        typical = _median([one.journey for one in same])
+        needed = 4 * (3 * size[0] * size[1] + 8 * size[0] ** 2) / _MEGABYTE
+        cells += [
+            _judged(slowest.journey / typical, SLOWEST_GOAL),
+            slowest.member,
+            significant(_median([one.memory for one in same]) / needed),
+        ]
+        rows.append(cells)
+    return markdown_table(names, rows, ("slowest",))
+
+
+def _judged(ratio: float, goal: float) -> str:
+    return significant(ratio) if ratio <= goal else f"**{significant(ratio)}**"
+
+
+def _median(values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return statistics.median(known) if known else math.nan
+
+
+def _of_members(made: Sequence[Journey]) -> list[str]:
+    sizes = list(dict.fromkeys(one.size for one in made))
+    names = ["map + verdict, s", *(f"{n:,} x {t:,}" for n, t in sizes)]
+    times = {(one.member, one.size): one.journey for one in made}
     rows = [
-        (one.journey, f"{one.n_sensors:,}", f"{one.n_frames:,}",
-         *(significant(getattr(one, part)) for part in parts))
-        for one in made
-    ]  # fmt: skip
-    lines = markdown_table(HEADER, rows, HEADER[:1])
-    growth = [f"{name}: exponent {value:.2f}" for name, value in slopes(made).items()]
-    return "\n".join([*lines, "", "Growth of the CPU time: " + "; ".join(growth) + ".", ""])
+        (
+            member,
+            *(seconds(times.get((member, size), math.nan)) for size in sizes),
+            *("" if math.isnan(value) else f"{value:.2f}" for value in of_member),
+        )
+        for member, of_member in exponents(made).items()
+    ]
+    return markdown_table([*names, "exponent of N", "of T"], rows, names[:1])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make all journeys, and write ``journeys-table.md`` and ``journeys.csv``."""
+    """Time the family and the commands; write ``journeys-table.md`` and ``journeys.csv``."""
     parser = options(__doc__, "bench", recordings=False)
+    parser.add_argument("--seed", type=int, default=0, help="of the recordings")
+    parser.add_argument("--large", action="store_true", help="also sizes that take minutes")
     parser.add_argument(
-        "--large", action="store_true", help="more sizes, also 4,000 sensors x 30,000 frames"
+        "--sizes", nargs="+", metavar="NxT", help="other sizes: sensors x frames, as 60x4000"
     )
-    parser.add_argument("--sensors", type=int, nargs="+", help="numbers of sensors, increasing")
-    parser.add_argument("--frames", type=int, nargs="+", help="numbers of frames, increasing")
+    parser.add_argument("--members", nargs="+", choices=list(MEMBERS), default=list(MEMBERS))
     chosen = parser.parse_args(arguments)
-    sensors = chosen.sensors or (MORE_SENSORS if chosen.large else SENSORS)
-    frames = chosen.frames or FRAMES
-    made: list[Journey] = []
-    for journey in journeys(sensors, frames, RUBBED + LARGE if chosen.large else RUBBED):
-        made.append(journey)
-        print(
-            f"{journey.journey}, {journey.n_sensors} x {journey.n_frames}: {journey.cpu:.3g} s "
-            f"of CPU, {journey.clock:.3g} s",
-            flush=True,
-        )
+    sizes = SIZES + LARGE * chosen.large
+    if chosen.sizes:
+        sizes = tuple(tuple(map(int, size.split("x"))) for size in chosen.sizes)
+    for n_sensors in _WARM_UPS:
+        if n_sensors <= max(sizes)[0]:
+            time_member("noise in every reading", n_sensors, _WARM_UP_FRAMES, chosen.seed)
+    made = []
+    for n_sensors, n_frames in sizes:
+        for member in chosen.members:
+            made.append(time_member(member, n_sensors, n_frames, chosen.seed))
+            parts = ", ".join(
+                f"{part} {seconds(getattr(made[-1], part))}"
+                for part in ("faults", "health", "map", "verdict", "paper", "isomap")
+            )
+            print(f"{n_sensors} x {n_frames}, {member}: {parts}", flush=True)
+    commands = list(from_shell(chosen.seed))
     write_rows(chosen.output / "journeys.csv", made)
-    (chosen.output / "journeys-table.md").write_text(markdown(made), encoding="utf-8")
-    print(f"wrote {chosen.output / 'journeys-table.md'}")
+    path = chosen.output / "journeys-table.md"
+    path.write_text(markdown(made, commands, chosen.seed), encoding="utf-8")
+    print(f"wrote {path}")
     return 0
 
 

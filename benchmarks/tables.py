@@ -39,7 +39,11 @@ _TEXT_COLUMNS = ("N", "stage", "input", "reference", "same result")
 
 def markdown(rows: Sequence[Row], n_frames: int) -> str:
     """Return the machine, the times and their growth as Markdown."""
-    lines = [machine(n_frames), "", *markdown_table(_HEADER, map(_cells, rows), _TEXT_COLUMNS)]
+    lines = [
+        machine(f"{n_frames:,} frames"),
+        "",
+        *markdown_table(_HEADER, map(_cells, rows), _TEXT_COLUMNS),
+    ]
     if growth := list(_growth(rows)):
         lines += ["", "Growth of CPU times: exponent of N", ""]
         lines += markdown_table(
@@ -50,8 +54,8 @@ def markdown(rows: Sequence[Row], n_frames: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def machine(n_frames: int) -> str:
-    """Describe the machine and the versions of libraries in one sentence."""
+def machine(of_what: str) -> str:
+    """Describe the machine, the versions of libraries and the inputs in one sentence."""
     libraries = ("numpy", "scipy", "scikit-learn", "numba")
     versions = ", ".join(f"{name} {version(name)}" for name in libraries)
     blas = {
@@ -61,7 +65,7 @@ def machine(n_frames: int) -> str:
     }
     return (
         f"Measured on {n_cores()} cores ({_processor()}) with Python {platform.python_version()}, "
-        f"{versions}{''.join(', ' + one for one in sorted(blas))}; {n_frames:,} frames."
+        f"{versions}{''.join(', ' + one for one in sorted(blas))}; {of_what}."
     )
 
 

@@ -1,32 +1,51 @@
-"""The journeys of users are timed in parts, with busy neighbours and with their growth."""
+"""The journeys of users are timed in parts, with their growth, on recordings of a family."""
 
 import csv
+import math
 
+import numpy as np
 import pytest
 from benchmarks import journeys
-from benchmarks.journeys import Journey, main, readings_of_8_bits, slopes, travel
+from benchmarks.harness import quietly
+from benchmarks.journeys import Journey, exponents, main, markdown, travel
+from benchmarks.recorded_family import MEMBERS, draw
 
 
-def journey(name, n_sensors, n_frames, cpu):
-    return Journey(name, n_sensors, n_frames, cpu=cpu, clock=cpu)
+def journey(member, n_sensors, n_frames, cpu):
+    return Journey(member, n_sensors, n_frames, 0.0, 0.0, cpu, 0.0, 0.1, 0.1, 1.0)
 
 
 def test_the_growth_of_a_power_law_is_its_exponent():
-    made = [journey("more sensors", n, 500, 3 * n**1.5) for n in (100, 300, 1000)]
-    made += [journey("more frames", 100, n, 2 * n**0.5) for n in (1000, 4000)]
-    assert slopes(made) == pytest.approx({"more sensors": 1.5, "more frames": 0.5})
+    sizes = [(100, 1000), (1000, 1000), (100, 4000)]
+    made = [journey("any", n, t, 3 * n**1.5 * t**0.5) for n, t in sizes]
+    assert exponents(made)["any"] == pytest.approx((1.5, 0.5))
+    assert all(math.isnan(value) for value in exponents(made[:1])["any"])
 
 
-def test_readings_are_whole_numbers_of_8_bits():
-    readings = readings_of_8_bits(30, 300).readings
-    assert readings.max() == 255
-    assert readings.min() == 0
-    assert (readings == readings.round()).all()
+def test_only_missed_goals_are_marked():
+    made = [journey(name, 100, 1000, 0.5) for name in "abc"]
+    assert "| 5.00 | " in markdown(made, [], 0)
+    assert "**" not in markdown(made, [], 0)
+    slow = markdown([*made, journey("d", 100, 1000, 5.0)], [], 0)
+    assert slow.count("**") == 2
+    assert "| **10.0** | d |" in slow
 
 
-def test_the_parts_of_a_journey_add_up():
-    made = travel("some", readings_of_8_bits(30, 600))
-    assert made.cpu == pytest.approx(made.faults + made.health + made.map + made.verdict)
+@pytest.mark.parametrize("member", MEMBERS)
+def test_members_are_drawn_from_seeds(member):
+    first, again, other = (draw(member, 30, 200, seed).readings for seed in (1, 1, 2))
+    assert first.shape == (200, 30)
+    assert np.isfinite(first).all()
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("member", ["8 bits, exact rest", "pure noise"])
+def test_all_parts_of_a_journey_are_timed(member):
+    with quietly():
+        parts = travel(draw(member, 30, 600, 0))
+    assert len(parts) == 4
+    assert all(part > 0 for part in parts)
 
 
 def test_neighbours_end_with_the_block():
@@ -36,23 +55,13 @@ def test_neighbours_end_with_the_block():
 
 
 @pytest.mark.slow
-def test_all_journeys_of_small_skins(tmp_path, monkeypatch):
-    monkeypatch.setattr(journeys, "FEW_SENSORS", 40)
-    monkeypatch.setattr(journeys, "FEW_FRAMES", 600)
-    monkeypatch.setattr(journeys, "BUSY_SENSORS", 40)
-    monkeypatch.setattr(journeys, "BUSY_FRAMES", 600)
-    monkeypatch.setattr(journeys, "RUBBED", ((45, 800),))
-    sizes = ["--sensors", "30", "40", "--frames", "300", "600"]
+def test_all_journeys_of_small_skins(tmp_path):
+    sizes = ["--sizes", "20x400", "30x400", "30x800", "--seed", "3"]
     assert main([*sizes, "-o", str(tmp_path)]) == 0
     with (tmp_path / "journeys.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    assert {row["journey"] for row in rows} >= {
-        "more sensors",
-        "more frames",
-        "long rubbing",
-        "long rubbing, r-anisomap",
-        "from the shell",
-    }
-    assert all(float(row["cpu"]) >= 0 for row in rows)
+    assert {row["member"] for row in rows} == set(MEMBERS)
+    assert all(float(row["map"]) > 0 for row in rows)
     table = (tmp_path / "journeys-table.md").read_text(encoding="utf-8")
-    assert table.count("exponent") == 2
+    assert "anisomap --help" in table
+    assert "exponent of N" in table

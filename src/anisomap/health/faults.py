@@ -249,7 +249,7 @@ def _saturation(recording: Recording) -> Iterator[Found]:
 
 
 def _inverted(recording: Recording) -> Iterator[Found]:
-    found = find_inverted(recording.readings)
+    found = find_inverted(recording.readings, recording.signals.rest.known)
     if found.size:
         yield Found(
             found,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -80,14 +81,10 @@ class Signals:
         have one show noise alone.
         """
         rest = self.rest
-        noisy = np.flatnonzero((rest.threshold > 0) | ~rest.known)
-        if not noisy.size or 2 * np.count_nonzero(rest.known) < rest.known.size:
+        noisy = (rest.threshold > 0) | ~rest.known
+        if not noisy.any() or 2 * np.count_nonzero(rest.known) < rest.known.size:
             return self.active
-        touched = self.active.copy()
-        for i in noisy.tolist():
-            beyond = rest.side[i] * (self.readings[:, i] - rest.value[i])
-            touched[:, i] = (beyond > 2 * rest.threshold[i]) & rest.known[i]
-        return touched
+        return replace(rest, threshold=2 * rest.threshold).active(self.readings) & rest.known
 
     @cached_property
     def contacts(self) -> NDArray[np.intp]:
@@ -165,4 +162,14 @@ def some_sensors(n_sensors: int, most: int = MAX_SENSORS) -> NDArray[np.intp]:
 
 def deviation_from_median(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the median absolute deviation of each column, shape (N,)."""
-    return np.asarray(np.median(np.abs(values - np.median(values, axis=0)), axis=0))
+    return medians(np.abs(values - medians(values)))
+
+
+def medians(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the median of each column, shape (N,); many times faster than `numpy.median`."""
+    # Sorting contiguous rows is vectorised, partitioning is not.
+    ordered = np.sort(np.ascontiguousarray(values.T), axis=1)
+    middle = len(values) // 2
+    if len(values) % 2:
+        return np.asarray(ordered[:, middle])
+    return np.asarray((ordered[:, middle - 1] + ordered[:, middle]) / 2)

@@ -63,8 +63,8 @@ def find_drift(
     ratios, sizes = np.full(chosen.size, 2.0), np.zeros(chosen.size)
     for k, (i, sign) in enumerate(zip(chosen.tolist(), signs.tolist(), strict=True)):
         column = readings[: size * N_BLOCKS, i].astype(np.float64)
-        values = sign * column.reshape(N_BLOCKS, size)[:, ::step]
-        levels = np.percentile(values, _LEVEL, axis=1)
+        values = np.sort(sign * column.reshape(N_BLOCKS, size)[:, ::step], axis=1)
+        levels = values[:, round(_LEVEL / 100 * (values.shape[1] - 1))]
         left = math.sqrt(float(np.mean((values - levels[:, None]).var(axis=1))))
         if levels.std() >= _MIN_SIZE * left:
             ratios[k] = float(np.mean(np.diff(levels) ** 2)) / float(levels.var())
@@ -149,7 +149,7 @@ def contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:
     values = readings[:: -(-len(readings) // 4096)].astype(np.float32)
     window = max(3, len(values) // N_BLOCKS) | 1
     values = values - _running_mean(values, window)
-    return np.where((values**3).sum(axis=0) < 0, -1.0, 1.0)
+    return np.where(np.einsum("ti,ti,ti->i", values, values, values) < 0, -1.0, 1.0)
 
 
 def _running_mean(

@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.numerics.signals import medians
+
 _FAR = (
     10.0  # times the reach of the typical sensor, and of the other readings of its sensor; by hand
 )
+_SAMPLE = 1024  # frames of which the median is taken
 _MAX_SHARE = 0.01  # of the readings of a sensor: more are saturation, or contact
 
 
@@ -19,12 +22,17 @@ def find_glitches(readings: NDArray[Any]) -> NDArray[np.bool_] | None:
     count = max(1, int(_MAX_SHARE * n_frames))
     if n_frames <= 4 * count:
         return None
-    deviation = np.abs(readings.astype(np.float64) - np.median(readings, axis=0))
-    largest = np.partition(deviation, n_frames - 1 - count, axis=0)
-    own, reach = largest[n_frames - 1 - count], deviation.max(axis=0)
+    middle = medians(readings[:: -(-n_frames // _SAMPLE)]).astype(np.float64)
+    reach = np.maximum(readings.max(axis=0) - middle, middle - readings.min(axis=0))
     typical = float(np.median(reach[reach > 0])) if (reach > 0).any() else 0.0
-    found = deviation > _FAR * np.maximum(own, typical)
-    return found if typical > 0 and found.any() else None
+    far = np.flatnonzero(reach > _FAR * typical)
+    if typical == 0 or not far.size:
+        return None
+    deviation = np.abs(readings[:, far] - middle[far])
+    own = np.partition(deviation, n_frames - 1 - count, axis=0)[n_frames - 1 - count]
+    found = np.zeros(readings.shape, dtype=bool)
+    found[:, far] = deviation > _FAR * np.maximum(own, typical)
+    return found if found.any() else None
 
 
 def remove_glitches(readings: NDArray[Any], glitches: NDArray[np.bool_]) -> NDArray[Any]:

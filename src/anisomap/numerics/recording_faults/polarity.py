@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.signals import MAX_FRAMES, standardised
-from anisomap.numerics.similarity.rest import estimate_rest
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
 _MIN_SHARE = 0.8  # of the sensors that must be skewed so; chosen by hand
@@ -21,10 +20,10 @@ _N_PARTNERS = 4
 _MIN_CORRELATION = 0.2  # magnitude of correlations whose sign counts; chosen by hand
 
 
-def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
+def find_inverted(readings: NDArray[Any], known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Find sensors on which contact has the opposite sign.
 
-    readings (T, N).
+    readings (T, N), known (N,): Whether each has a rest.
 
     Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of both
     signs are a finding only if correlations agree: the signs of the strongest correlations must be
@@ -39,8 +38,8 @@ def find_inverted(readings: NDArray[Any]) -> NDArray[np.intp]:
         return np.empty(0, dtype=np.intp)
     skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
     skewed = np.abs(skewness) >= _MIN_SKEWNESS
-    rests = estimate_rest(values[:, varying]).known
-    skewed_apart = bool(min(np.mean(skewed[varying]), np.mean(rests)) >= _MIN_SHARE)
+    share = min(np.mean(skewed[varying]), np.mean(known[varying]))
+    skewed_apart = bool(share >= _MIN_SHARE)
     sides = np.unique(np.sign(skewness[skewed]))
     if skewed_apart and sides.size < 2:
         return np.empty(0, dtype=np.intp)

@@ -11,7 +11,7 @@ from anisomap.numerics.signals import count_contacts, some_sensors
 from anisomap.numerics.similarity.rest import ranks_of_depths
 
 _N_BLOCKS = 16  # of a recording; it may change between any two
-_MAX_FRAMES = 16384  # of which ranks are correlated
+_MAX_FRAMES = 4096  # of which ranks are correlated
 _MIN_CONTACTS = 8  # of a sensor before and after, for correlations that can be compared
 _MIN_SENSORS, _MIN_SHARE = 8, 0.5  # that are judged
 _MAX_RANK = 0.25  # of its own profile before among those of all: unrelated ones are beyond; by hand

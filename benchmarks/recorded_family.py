@@ -1,0 +1,141 @@
+"""A family of recordings of one skin that differ in what makes recordings plain or awkward.
+
+Contacts are smooth pulses at random places of a sphere. Each member is drawn from a seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap import Recording
+
+Readings = NDArray[np.float32]
+
+_SPACINGS = 2.2  # radius of the touched caps, in spacings of the sensors
+_WIDE = 0.6  # radius of the caps that touch a tenth of the skin
+_PULSE = 20  # frames from the begin of a contact to its peak
+_FRAMES_PER_CONTACT = 10
+_NOISE = 0.01  # standard deviation; peaks of contacts are .5 to 1.5
+_PARTS = 8  # separate skins
+_MISSING = 0.3
+
+
+def _places(n_points: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    points = rng.normal(size=(n_points, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return points
+
+
+def touched(
+    n_sensors: int,
+    n_frames: int,
+    rng: np.random.Generator,
+    *,
+    radius: float | None = None,
+    contacts: int | None = None,
+) -> Readings:
+    """Simulate a sphere touched at random places; readings are 0 at rest, shape (T, N)."""
+    sensors = _places(n_sensors, rng)
+    count = contacts or max(5, n_frames // _FRAMES_PER_CONTACT)
+    typical = _SPACINGS * np.sqrt(4 * np.pi / n_sensors) if radius is None else radius
+    course = np.cos(np.linspace(-1, 1, 2 * _PULSE + 1) * np.pi / 2) ** 2
+    # Frames before and after the recording, so that contacts may begin and end outside.
+    readings = np.zeros((n_frames + 2 * _PULSE, n_sensors), np.float32)
+    for place, first, height, reach in zip(
+        _places(count, rng),
+        rng.integers(n_frames, size=count).tolist(),
+        rng.uniform(0.5, 1.5, count),
+        typical * rng.uniform(0.7, 1.3, count),
+        strict=True,
+    ):
+        apart = np.linalg.norm(sensors - place, axis=1)
+        near = np.flatnonzero(apart < reach)
+        pulse = np.outer(height * course, 1 - (apart[near] / reach) ** 2)
+        part = readings[first : first + len(course)]
+        part[:, near] = np.maximum(part[:, near], pulse)
+    return readings[_PULSE : _PULSE + n_frames]
+
+
+def _noise(shape: tuple[int, ...], rng: np.random.Generator) -> Readings:
+    return rng.standard_normal(shape, np.float32) * np.float32(_NOISE)
+
+
+def _noisy(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return touched(n, t, rng) + _noise((t, n), rng)
+
+
+def _dense(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return touched(n, t, rng, radius=_WIDE) + _noise((t, n), rng)
+
+
+def _rare(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return touched(n, t, rng, contacts=max(20, n // 2)) + _noise((t, n), rng)
+
+
+def _quantised(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return np.round(255 / 1.5 * touched(n, t, rng))
+
+
+def _many_levels(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return np.round(1e5 * _noisy(n, t, rng))
+
+
+def _binary(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return (touched(n, t, rng) > 0).astype(np.float32)
+
+
+def _drifting(n: int, t: int, rng: np.random.Generator) -> Readings:
+    slow = np.sin(np.linspace(0, 3, t)[:, None] + rng.uniform(0, 6, n)) * rng.uniform(0, 0.5, n)
+    return _noisy(n, t, rng) + slow.astype(np.float32)
+
+
+def _components(n: int, t: int, rng: np.random.Generator) -> Readings:
+    sizes = [len(part) for part in np.array_split(np.arange(n), _PARTS)]
+    return np.hstack([touched(size, t, rng) for size in sizes]) + _noise((t, n), rng)
+
+
+def _incomplete(n: int, t: int, rng: np.random.Generator) -> Readings:
+    readings = _noisy(n, t, rng)
+    readings[rng.uniform(size=readings.shape) < _MISSING] = np.nan
+    return Recording(readings).complete("interpolate").readings.astype(np.float32)
+
+
+def _identical(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[:, :n]
+
+
+def _pure_noise(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return _noise((t, n), rng)
+
+
+def _ramps(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return np.outer(np.arange(t), rng.uniform(0.1, 1, n)).astype(np.float32) + _noisy(n, t, rng)
+
+
+MEMBERS: Mapping[str, Callable[[int, int, np.random.Generator], Readings]] = MappingProxyType(
+    {
+        "noise in every reading": _noisy,
+        "8 bits, exact rest": _quantised,
+        "binary": _binary,
+        "100,000 levels": _many_levels,
+        "wide contacts": _dense,
+        "rare contacts": _rare,
+        "drifting rest": _drifting,
+        "eight skins": _components,
+        "30 % missing, interpolated": _incomplete,
+        "every sensor twice": _identical,
+        "pure noise": _pure_noise,
+        "ramps": _ramps,
+    }
+)
+"""Function of each member: takes numbers of sensors and frames and a generator, returns (T, N)."""
+
+
+def draw(name: str, n_sensors: int, n_frames: int, seed: int) -> Recording:
+    """Draw a member of the family."""
+    rng = np.random.default_rng([seed, list(MEMBERS).index(name), n_sensors, n_frames])
+    return Recording(MEMBERS[name](n_sensors, n_frames, rng))
