@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import anisomap
+from anisomap.cli.commands.demo import demo
 from skins import flat_skin
 
 ROOT = Path(__file__).parents[1]
@@ -108,6 +109,13 @@ def test_the_core_does_without_the_extras(installed, tmp_path):
     assert (tmp_path / "m.csv").exists()
     assert [words.split()[0] for words in refused] == ["2", "2"]
     assert done.stderr.count("pip install 'anisomap[report]'") == 2
+
+
+def test_the_demo_names_all_extras_it_needs(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(anisomap.AnisomapError, match=r"anisomap\[report,simulation\]"):
+        demo(output_dir=tmp_path / "demo")
+    assert not (tmp_path / "demo").exists()
 
 
 def test_simulation_names_the_extra_it_needs(monkeypatch):

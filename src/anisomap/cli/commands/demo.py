@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from anisomap.cli import parameters as options
 from anisomap.cli.console import errors, progress
 from anisomap.defaults import DEFAULT_METHOD, PERMUTATIONS
-from anisomap.errors import FileError
+from anisomap.errors import FileError, import_extra
 
 if TYPE_CHECKING:
     from anisomap.paper import Status
@@ -43,6 +43,7 @@ def demo(
     from anisomap.cli import pipeline, printing
     from anisomap.simulation import simulate
 
+    import_extra("mujoco", "the demo", "report,simulation")
     try:
         output_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
