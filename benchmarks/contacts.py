@@ -2,7 +2,8 @@
 
 Recordings of simulated skins are cut where their sensors have had a number of contacts on average,
 and mapped by all methods. The seeds were not used for tuning. The tables hold medians over the
-seeds of Mantel r and, in brackets, of the RMS error in spacings.
+seeds of Mantel r and, in brackets, of the RMS error in spacings; a map without a score has an r
+of 0.
 """
 
 from __future__ import annotations
@@ -117,7 +118,9 @@ def tables(rows: Sequence[Row]) -> str:
                     f"{skin}, {contacts} contacts ({r[DEFAULT_METHOD]:.3f} against {r[best]:.3f} "
                     f"of {best})"
                 )
-            texts = {m: f"{r[m]:.3f} ({error[m]:.2f})" for m in methods}
+            texts = {
+                m: f"{r[m]:.3f} ({error[m]:.2f})" if np.isfinite(error[m]) else "-" for m in methods
+            }
             cells.append(
                 [
                     contacts,

@@ -77,7 +77,8 @@ VARIANTS: Mapping[str, Method] = MappingProxyType(
         "common signal": _DEFAULT,
         "kappa": replace(_DEFAULT, contact_similarity=None),
         **{step: _without(step) for step in ("covariogram", "heights", "paths", "contacts")},
-        "all refinements": replace(_DEFAULT, refinements={}),
+        # Without any step, the noise that the first stages use would not be computed either.
+        "all refinements": replace(_DEFAULT, refinements={"none": lambda *_: None}),
     }
 )
 """Methods by what they leave out of the default method."""
