@@ -79,11 +79,11 @@ quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDI
 	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.limits -o quality --recordings $(RECORDINGS))
 	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.neural -o quality --recordings $(RECORDINGS))
 
-tables: $(READY)  ## update the tables of accuracy in README and docs from the results of make quality, faults and trust
+tables: $(READY)  ## update the tables of accuracy in README, paper and docs from the results of make quality, faults and trust
 	cp quality/*-table.md docs/
 	cp quality/quality.png docs/_static/
 	cp quality/quality.csv $(wildcard quality/limits.csv) docs/results/
-	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md
+	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md paper/paper.md
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi

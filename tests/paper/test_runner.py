@@ -160,9 +160,11 @@ def test_seeds_are_picked_at_random_and_reproducibly():
 
 
 def test_documents_hold_the_numbers_of_the_tables():
-    paper = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for text in (paper, readme):
+    paper, *others = (
+        (ROOT / path).read_text(encoding="utf-8")
+        for path in ("docs/explanation/paper.md", "README.md", "paper/paper.md")
+    )
+    for text in (paper, *others):
         assert numbers.fill(text, ROOT / "docs" / "results") == text, "run make numbers"
         assert numbers.tables_in(text)
     assert all(f"| {claim.text} |" in paper for claim in CLAIMS), "run make numbers"
