@@ -5,7 +5,7 @@ import pytest
 from benchmarks.inputs import flat_skin, rubbed_skin
 from benchmarks.tables import growth_exponent
 
-from anisomap.numerics.graph import metric as shortest_paths
+from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
@@ -20,24 +20,7 @@ def skins():
 
 @pytest.fixture(scope="module")
 def metrics(skins):
-    return {size: shortest_paths.through_all_nodes(lengths) for size, lengths in skins.items()}
-
-
-def test_few_edges_of_a_skin_are_shortest_paths(skins, metrics):
-    essential = [np.count_nonzero(metrics[size] == lengths) for size, lengths in skins.items()]
-    assert max(essential) / SIZES[-1] < 50
-    assert growth_exponent(SIZES, essential) < 1.3
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_little_more_than_the_essential_edges_are_followed_in_any_order(skins, metrics, size):
-    share = np.count_nonzero(metrics[size] == skins[size]) / size**2
-    for seed in range(6):
-        order = np.random.default_rng(seed).permutation(size)
-        relabelled = np.ix_(order, order)
-        found = shortest_paths.along_few_edges(skins[size][relabelled], max_share=2 * share)
-        assert found is not None
-        np.testing.assert_allclose(found, metrics[size][relabelled], rtol=1e-12)
+    return {size: metricise(lengths) for size, lengths in skins.items()}
 
 
 def test_few_steps_of_lbfgs_reach_the_minimum(metrics):

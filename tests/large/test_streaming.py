@@ -136,7 +136,7 @@ def test_changes_of_copy_on_write_maps_are_used(tmp_path):
     np.save(tmp_path / "skin.npy", READINGS)
     mapped = np.load(tmp_path / "skin.npy", mmap_mode="c")
     mapped[:, 3] = 0
-    with pytest.warns(AnisomapWarning, match="1 of 42 sensors never vary"):
+    with pytest.warns(AnisomapWarning, match="1 of 42 sensors never varied"):
         found = reconstruct_chunks(mapped, "r-anisomap", 2)
     assert not found.placed[3]
 

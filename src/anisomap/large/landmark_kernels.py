@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.jit import loop
-from anisomap.numerics.compiled.paths import sweep_nodes
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -49,6 +48,36 @@ def add_products(
             for t in range(n_frames):
                 total += left[t] * right[t]
         totals[pair] += total
+
+
+@loop()
+def sweep_nodes(
+    tile: Singles, order: Ints, edges: tuple[Ints, Ints, Singles], stamps: Ints, clock: int
+) -> bool:
+    """Relax the edges of all nodes once; return whether a path became shorter.
+
+    Row u of `tile` contains the lengths of the paths to node u. ``stamps[u]`` contains the times
+    of the last improvement and of the last visit of node u: neighbours that have not improved
+    since the visit are skipped.
+    """
+    offsets, ends, lengths = edges
+    any_shorter = False
+    for node in order:
+        clock += 1
+        row = tile[node]
+        shorter = 0
+        for edge in range(offsets[node], offsets[node + 1]):
+            if stamps[ends[edge], 0] > stamps[node, 1]:
+                other, length = tile[ends[edge]], lengths[edge]
+                for source in range(len(row)):
+                    through = other[source] + length
+                    shorter |= through < row[source]
+                    row[source] = min(row[source], through)
+        stamps[node, 1] = clock
+        if shorter:
+            stamps[node, 0] = clock
+            any_shorter = True
+    return any_shorter
 
 
 @loop()

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from anisomap.large.sketch import loops
 from anisomap.numerics.compiled.parallel import parallel_map
-from anisomap.numerics.graph.metric import bandwidth_order
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.scaling.stress_solvers import Floats, SolverResult, minimise_lbfgs
 
@@ -188,6 +188,28 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
     with parallel_map(len(found)) as map_tasks:
         map_tasks(relax, range(0, len(sources), SOURCES_PER_TASK))
     return found
+
+
+def bandwidth_order(
+    offsets: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]
+) -> NDArray[np.int64]:
+    """Order nodes so that neighbours are close together; a sweep then extends paths far.
+
+    Edges in both directions, by start node. Cuthill & McKee (1969),
+    doi:10.1145/800195.805928: breadth first, by increasing degree. Nodes of equal degree follow
+    each other as they are numbered; scipy sorts degrees with an unstable sort, which orders them
+    differently on different processors.
+    """
+    n_nodes = len(offsets) - 1
+    by_degree = np.argsort(np.diff(offsets), kind="stable")
+    graph = csr_array((np.ones(len(ends)), ends, offsets), shape=(n_nodes, n_nodes))
+    joined: Any = graph[by_degree][:, by_degree]
+    # One search visits all components, which are joined by their first nodes.
+    first = np.unique(connected_components(joined, directed=False)[1], return_index=True)[1]
+    joined += csr_array((np.ones(len(first) - 1), (first[:-1], first[1:])), shape=joined.shape)
+    joined.sort_indices()
+    order = breadth_first_order(joined, 0, directed=False, return_predecessors=False)
+    return np.asarray(by_degree[order], dtype=np.int64)
 
 
 def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
