@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.io.parsing.source import DamagedError
-from anisomap.io.recordings.parquet_pages import column_chunks
+from anisomap.io.recordings.declared_sizes import column_chunks
 
 arrow = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")

@@ -28,6 +28,7 @@ from anisomap.errors import FileError
 from anisomap.io.parsing.facts import from_provenance, to_provenance, to_python_scalar
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.recordings.events import Events, stream_events
+from anisomap.io.recordings.npy import Header, read_header
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasing_times
 from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.recording import Recording, Scalar
@@ -233,17 +234,11 @@ class Archive:
         found: list[Any] = values.tolist()
         return found
 
-    def _header(self, member: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    def _header(self, member: IO[bytes], name: str) -> Header:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                version = np.lib.format.read_magic(member)
-                read = np.lib.format.read_array_header_1_0
-                if version != (1, 0):
-                    read = np.lib.format.read_array_header_2_0
-                shape, fortran_order, dtype = read(member)
-                # numpy accepts True for 1.
-                return tuple(int(length) for length in shape), fortran_order, dtype
+                return read_header(member)
         except zipfile.BadZipFile:
             raise
         except Exception as error:  # numpy evaluates the header as a literal; any error may result

@@ -62,24 +62,15 @@ def find_levels(column: NDArray[Any]) -> Levels:
     whole = whole_numbers(unusual) if unusual.size else None
     if whole is None:
         order = unusual.argsort()
-        ordered = unusual[order]
-        begins, counts = _ties(ordered)
-        values = ordered[begins]
+        values, counts = _ties(unusual[order])
         codes = np.empty(unusual.size, dtype=np.intp)
         codes[order] = np.repeat(np.arange(counts.size), counts)
     else:
         table, values, counts = _tabulated(whole, column.dtype)
         codes = (np.cumsum(table > 0) - 1)[whole[0]]
-    place = int(values.searchsorted(usual))
+    place, values, counts = _with_usual(values, counts, usual, column.size)
     codes[codes >= place] += 1
-    return Levels(
-        column.size,
-        _inserted(values, place, usual),
-        _inserted(counts, place, column.size - frames.size),
-        place,
-        frames,
-        codes,
-    )
+    return Levels(column.size, values, counts, place, frames, codes)
 
 
 def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
@@ -87,22 +78,17 @@ def count_values(column: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]
 
     column (T,).
 
-    Equal to ``numpy.unique(column, return_counts=True)``, but faster: see `find_levels`.
+    Equal to ``numpy.unique(column, return_counts=True)``, but faster: see `find_levels`, which
+    takes three times as long to sort.
     """
     usual = _usual(column)
     unusual = column[column != usual]
     whole = whole_numbers(unusual) if unusual.size else None
     if whole is None:
-        unusual.sort()
-        begins, counts = _ties(unusual)
-        values = unusual[begins]
+        values, counts = _ties(np.sort(unusual))
     else:
         _, values, counts = _tabulated(whole, column.dtype)
-    place = int(values.searchsorted(usual))
-    return (
-        _inserted(values, place, usual),
-        _inserted(counts, place, column.size - unusual.size),
-    )
+    return _with_usual(values, counts, usual, column.size)[1:]
 
 
 def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
@@ -163,11 +149,17 @@ def _tabulated(
     return table, (present + lowest).astype(dtype), table[present]
 
 
-def _inserted(values: NDArray[Any], place: int, value: Any) -> NDArray[Any]:
-    """Insert a value; numpy.insert takes ten times as long."""
-    longer = np.empty(values.size + 1, values.dtype)
-    longer[:place], longer[place], longer[place + 1 :] = values[:place], value, values[place:]
-    return longer
+def _with_usual(
+    values: NDArray[Any], counts: NDArray[np.int64], usual: Any, n_frames: int
+) -> tuple[int, NDArray[Any], NDArray[np.int64]]:
+    """Insert the usual value, which has the remaining frames; return its place as well."""
+    place = int(values.searchsorted(usual))
+    # numpy.insert takes ten times as long.
+    longer, more = np.empty(values.size + 1, values.dtype), np.empty(values.size + 1, np.int64)
+    longer[:place], longer[place], longer[place + 1 :] = values[:place], usual, values[place:]
+    rest = n_frames - int(counts.sum())
+    more[:place], more[place], more[place + 1 :] = counts[:place], rest, counts[place:]
+    return place, longer, more
 
 
 def _usual(column: NDArray[Any]) -> Any:
@@ -177,9 +169,9 @@ def _usual(column: NDArray[Any]) -> Any:
     return sample[sample.size // 2]
 
 
-def _ties(ordered: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return where each distinct value of a sorted array begins, and how often it occurs."""
+def _ties(ordered: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Return the distinct values of a sorted array, and how often each occurs."""
     new = np.ones(ordered.size + 1, dtype=bool)
     np.not_equal(ordered[1:], ordered[:-1], out=new[1:-1])
     bounds = new.nonzero()[0]
-    return bounds[:-1], bounds[1:] - bounds[:-1]
+    return ordered[bounds[:-1]], bounds[1:] - bounds[:-1]

@@ -28,9 +28,7 @@ from anisomap.io.parsing.columns import (
     warn_of_guesses,
 )
 from anisomap.io.parsing.source import DamagedError, guarded_iter, library_errors, quote
-from anisomap.io.recordings.arrow_messages import is_last, unpacked_size
-from anisomap.io.recordings.parquet_pages import column_chunks
-from anisomap.io.recordings.parquet_pages import unpacked_size as page_bytes
+from anisomap.io.recordings.declared_sizes import batch_bytes, column_chunks, is_last, page_bytes
 from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose, salvage
 from anisomap.memory import Budget, bytes_kept
 from anisomap.recording import Scalar
@@ -167,7 +165,7 @@ def _of_arrow(
         budget = Budget(path)
         size = max(budget.size, 1)
         while True:
-            budget.spend(unpacked_size(path, stream), "its table")
+            budget.spend(batch_bytes(path, stream), "its table")
             try:
                 batch = reader.read_next_batch()
             except StopIteration:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ MAGIC = b"\x93NUMPY"
 _NUMBERS = "biuf"
 
 
-class _Header(NamedTuple):
+class Header(NamedTuple):
+    """Shape, order and type of a stored array."""
+
     shape: tuple[int, ...]
     fortran_order: bool
     dtype: np.dtype[Any]
@@ -37,7 +39,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """
     with open_regular(path) as stream:
         with library_errors(path):
-            header = _header(stream)
+            header = read_header(stream)
         shape, _, dtype = header
         if dtype.kind not in _NUMBERS:
             raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
@@ -53,16 +55,17 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         yield Stream(path, shape[1], blocks, source=path.name)
 
 
-def _header(stream: BufferedReader) -> _Header:
+def read_header(stream: IO[bytes]) -> Header:
+    """Read the header of an array, and leave the stream at its first value."""
     read = np.lib.format.read_array_header_1_0
     if np.lib.format.read_magic(stream) != (1, 0):
         read = np.lib.format.read_array_header_2_0
     shape, fortran_order, dtype = read(stream)
     # numpy accepts True for 1.
-    return _Header(tuple(int(length) for length in shape), fortran_order, dtype)
+    return Header(tuple(int(length) for length in shape), fortran_order, dtype)
 
 
-def _blocks(path: Path, stream: BufferedReader, header: _Header) -> Iterator[Block]:
+def _blocks(path: Path, stream: BufferedReader, header: Header) -> Iterator[Block]:
     (n_frames, n_sensors), fortran_order, dtype = header
     first = stream.tell()
     # In Fortran order, a block takes one read per sensor, so blocks are larger.
