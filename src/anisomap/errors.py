@@ -58,26 +58,9 @@ class AnisomapWarning(UserWarning):
 
 
 def import_extra(module: str, purpose: str, extra: str) -> Any:
-    """Import a library that an extra installs.
+    """Import a library that an extra installs, typed as Any, since it may be absent.
 
-    Parameters
-    ----------
-    module : str
-        Full name of the module, such as ``"matplotlib.figure"``.
-    purpose : str
-        Subject of the error message, such as ``"reading HDF5"``.
-    extra : str
-        Name of the extra.
-
-    Returns
-    -------
-    module
-        Typed as Any, because the libraries may be absent where types are checked.
-
-    Raises
-    ------
-    MissingExtraError
-        If the library is not installed.
+    purpose: Subject of the error message, such as ``"reading HDF5"``.
     """
     try:
         return import_module(module)

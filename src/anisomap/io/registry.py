@@ -66,36 +66,23 @@ class Format:
     MissingExtraError if a required library is not installed. Writers raise InputError for things
     that the format cannot represent.
 
-    Parameters
-    ----------
-    name : str
-        Unique identifier.
-    suffixes : tuple of str
-        In lower case, with the dot. They select the writer, and the reader of files that no
+    name: Unique identifier.
+    suffixes: In lower case, with the dot. They select the writer, and the reader of files that no
         format recognises by content.
-    summary : str
-        One-line description for listings.
-    magics : tuple of bytes
-        First bytes of the files of this format.
-    recognises : callable, optional
-        ``recognises(path, head)`` returns whether other content is of this format. `head` holds
-        the first bytes of the file, decompressed, and is empty for a folder. It must not raise.
-    open_recording : callable, optional
-        ``open_recording(path, options)`` is a context manager that yields a `Stream`.
-    read_map : callable, optional
-        ``read_map(path)`` returns a `SensorMap`.
-    write_map, write_recording : callable, optional
-        ``write_map(sensor_map, path)`` and ``write_recording(recording, path)``. Equal input
-        gives equal bytes.
-    contents : callable, optional
-        ``contents(path, options)`` lists the possible recordings in a file.
-    extra : str
-        Extra that installs the required library; empty if none is required.
-    in_metres : bool
-        Whether the format stores metres, so that a map needs a scale.
-    signature : bytes
-        First bytes of the files that anisomap writes, if no other format's files start with them.
-        They decide before `recognises`, since names and notes may contain the marks of others.
+    summary: One-line description for listings.
+    recognises: ``recognises(path, head)`` returns whether other content is of this format. `head`
+        holds the first bytes of the file, decompressed, and is empty for a folder. It must not
+        raise.
+    open_recording: ``open_recording(path, options)`` is a context manager that yields a `Stream`.
+    read_map: ``read_map(path)`` returns a `SensorMap`.
+    write_map, write_recording: ``write_map(sensor_map, path)`` and
+        ``write_recording(recording, path)``. Equal input gives equal bytes.
+    contents: ``contents(path, options)`` lists the possible recordings in a file.
+    extra: Extra that installs the required library; empty if none is required.
+    in_metres: Whether the format stores metres, so that a map needs a scale.
+    signature: First bytes of the files that anisomap writes, if no other format's files start with
+        them. They decide before `recognises`, since names and notes may contain the marks of others.
+    magics: First bytes of the files of this format.
     """
 
     name: str
@@ -118,26 +105,9 @@ class Format:
 
 
 def with_positions(stream: Stream, truth: SensorMap, file: Path) -> Stream:
-    """Give the sensors of a stream their true positions.
+    """Give the sensors of a stream their true positions by name; NaN for those that `truth` lacks.
 
-    Parameters
-    ----------
-    stream : Stream
-        If it lists events, the sensors that have a position and no event are added: they read 0.
-    truth : SensorMap
-        Positions by sensor name; see `anisomap.io.parsing.naming.match_names`.
-    file : pathlib.Path
-        The file of the positions, for messages.
-
-    Returns
-    -------
-    Stream
-        Positions are NaN for sensors that `truth` lacks.
-
-    Raises
-    ------
-    FileError
-        If no sensor has a position.
+    If the stream lists events, sensors that have a position and no event are added: they read 0.
     """
     names = stream.names or default_names(stream.n_sensors)
     rows = _rows(names, truth, stream.path, file)
