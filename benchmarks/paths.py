@@ -38,7 +38,7 @@ _SOURCES = 10
 
 
 def compare_metricising(setting: Setting) -> Iterator[Comparison]:
-    """Shortest paths in skins, where few edges matter, and in noise, where nearly all do."""
+    """Shortest paths in skins and in noise."""
     n_sensors, torso = setting.n_sensors, setting.torso
     inputs: dict[str, tuple[Callable[[], Matrix], float]] = {
         "simulated skin": (partial(flat_skin, n_sensors), 50)

@@ -81,7 +81,7 @@ class Format:
     extra: Extra that installs the required library; empty if none is required.
     in_metres: Whether the format stores metres, so that a map needs a scale.
     signature: First bytes of the files that anisomap writes, if no other format's files start with
-        them. They decide before `recognises`, since names and notes may contain the marks of others.
+        them. They decide before `recognises`, since names and notes may contain marks of others.
     magics: First bytes of the files of this format.
     """
 
