@@ -69,7 +69,7 @@ def expected_error(repeatability: float, difference: float) -> Estimate:
 
 def region_error(error: float) -> Estimate:
     """Estimate the RMS error of regions of 5 spacings from that of the map, in spacings."""
-    found = REGION * error**REGION_POWER
+    found = min(error, REGION * error**REGION_POWER)
     return Estimate(found, *(factor * found for factor in REGION_INTERVAL))
 
 
