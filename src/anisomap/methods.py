@@ -154,7 +154,12 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             "blended-correlation",
             _direct,
             metricise,
-            {"covariogram": by_covariogram, "heights": by_heights, "contacts": only_contacts},
+            {
+                "covariogram": by_covariogram,
+                "heights": by_heights,
+                "paths": by_paths,
+                "contacts": only_contacts,
+            },
             contact_similarity="contact-agreement",
         ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),

@@ -205,7 +205,7 @@ def test_simultaneous_contacts_are_separated():
         assert (depth[found.sensors[mine & (found.levels == 0)]] == 0).all()
 
 
-@pytest.mark.parametrize(("binary", "left"), [(False, 0.5), (True, 0.7)])
+@pytest.mark.parametrize(("binary", "left"), [(False, 0.5), (True, 0.9)])
 def test_the_contact_fit_improves_on_the_covariogram(binary, left):
     places = lattice(7, 8)
     for seed in range(2):
