@@ -12,7 +12,7 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
 # Without byte code on disk, every process that a test starts compiles the package again: .4 s.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality faults trust dimension uncertainty fuzz tables docs size clean
+.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality faults trust dimension fuzz tables docs size clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 15
@@ -87,7 +87,6 @@ tables: $(READY)  ## update the tables of accuracy in README, paper and docs fro
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
-	if [ -d uncertainty ]; then cp uncertainty/*-table.md docs/; cp uncertainty/*.csv docs/results/; fi
 
 faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
 	$(BIN)/python -m benchmarks.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))
@@ -97,9 +96,6 @@ trust: $(READY)  ## compare verdicts with the errors of 500 maps, in trust/ (REC
 
 dimension: $(READY)  ## measure how often the number of dimensions is right, in dimension/ (RECORDINGS=folders)
 	$(BIN)/python -m benchmarks.dimension -o dimension $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
-
-uncertainty: $(READY)  ## compare ellipses with the differences of maps, in uncertainty/ (RECORDINGS=folders)
-	$(BIN)/python -m benchmarks.uncertainty -o uncertainty $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
 fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/, and time growing ones (ARGS="--cases 5000 --formats npz")
 	$(BIN)/python -m fuzzing $(ARGS)
@@ -112,4 +108,4 @@ size: $(READY)  ## count lines, functions and modules, and those that a map pass
 	@$(BIN)/python -m benchmarks.size -o docs/size-table.md
 
 clean:  ## remove the output of all targets
-	rm -rf .venv .venv-lowest-versions demo bench fuzz quality faults trust dimension uncertainty paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv .venv-lowest-versions demo bench fuzz quality faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

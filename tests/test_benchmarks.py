@@ -21,7 +21,6 @@ from benchmarks import (
     similarities,
     steps,
     trust,
-    uncertainty,
     updating,
     whole_maps,
 )
@@ -175,7 +174,6 @@ RECORDED = {
     "quality": (quality, ["--seeds", "0", "--workers", "1"]),
     "steps": (steps, ["--seeds", "0", "--workers", "1"]),
     "trust": (trust, ["--seeds", "0", "--workers", "1", "--cases", "skin part, 3D"]),
-    "uncertainty": (uncertainty, ["--seeds", "0"]),
 }
 
 

@@ -15,7 +15,6 @@ from benchmarks import (
     quality,
     self_touch,
     trust,
-    uncertainty,
     updating,
 )
 from benchmarks.harness import columns
@@ -48,7 +47,6 @@ HEADERS = {
     "rivals": rivals.COLUMNS,
     "self-touch": self_touch.HEADER,
     "trust": [*trust.Outcome.FIXED, *trust.FACTS],
-    "uncertainty": columns(uncertainty.Judged),
     "updating": columns(updating.Figure),
 }
 
