@@ -256,9 +256,11 @@ def _chance(
         progress=progress,
     )
     found = covariances(maps, positions, STEP)
-    if departure_in_spacings(reference, positions) > _SAME_MAP:
-        return found, parts.error_of_halves(part)
-    return found, error_in_spacings(found, positions)
+    error = error_in_spacings(found, positions)
+    # Where chance alone moves positions further, the departure does not tell another map.
+    if departure_in_spacings(reference, positions) > max(_SAME_MAP, error):
+        error = parts.error_of_halves(part)
+    return found, error
 
 
 def _sentences(faults: Iterable[Finding]) -> tuple[str, ...]:

@@ -76,6 +76,9 @@ def _squared_difference(
 
 logger = logging.getLogger(__name__)
 
+# Of the covariogram fit of a half. With the default, the error of a map of 1,000 sensors under few
+# contacts differed by 1 % (16.7 and 16.5 spacings), and halves took four times as long.
+_MAX_ITERATIONS = 30
 _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
 
 
@@ -155,7 +158,9 @@ class MapParts:
 
     def _map_half(self, part: MapPart, frames: NDArray[np.intp]) -> NDArray[np.float64]:
         """Map a half of the frames from the beginning, as all of them; NaN for constant sensors."""
-        options = replace(self.options, split_unrelated=False)
+        fit = self.options.covariogram
+        fit = replace(fit, max_iterations=min(fit.max_iterations, _MAX_ITERATIONS))
+        options = replace(self.options, split_unrelated=False, covariogram=fit)
         half = part.pairs.of_frames(frames)
         varying = np.ptp(np.asarray(half.readings), axis=0) > 0
         if np.count_nonzero(varying) < max(options.min_sensors, self._map.dimensions):

@@ -14,6 +14,7 @@ from anisomap.numerics.signals import (
     MAX_FRAMES,
     MAX_SENSORS,
     deviation_from_median,
+    medians,
     middle_frames,
     some_sensors,
 )
@@ -24,7 +25,8 @@ _CLIP = 3.0  # median absolute deviations; larger changes are contacts
 _MIN_WEIGHTED = 30  # sensors from which they are weighted: of few, one could decide; by hand
 _LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
 _LOW = 0.35  # quantile of readings that are at rest
-_MAX_ROUNDS = 12
+_MAX_ROUNDS, _MAX_FRAMES = 12, 8192  # of the fit of gains
+_SAME_GAIN = 1e-4  # relative change at which they have converged
 _MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
 _MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
 _MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
@@ -263,15 +265,20 @@ def _sharpened(values: NDArray[np.float64], peak: int) -> float:
 
 def _sine_gains(readings: NDArray[Any], course: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the amplitude of a sine in each sensor, with contacts limited."""
+    if len(readings) > _MAX_FRAMES:
+        # Frames at equal steps could all have the same phase.
+        frames = np.random.default_rng(0).choice(len(readings), _MAX_FRAMES, replace=False)
+        readings, course = readings[np.sort(frames)], course[np.sort(frames)]
     values = readings.astype(np.float64)
-    values -= np.median(values, axis=0)
+    values -= medians(values)
     gains = 2 * (course @ values) / len(course)
     for _ in range(_MAX_ROUNDS):
         left = values - np.outer(course, gains)
-        left -= np.median(left, axis=0)
+        left -= medians(left)
         width = np.maximum(_CLIP * deviation_from_median(left), 1e-9 * np.abs(values).max())
         inside = np.abs(left) <= width
-        gains = gains + np.where(inside, left, 0).T @ course / np.maximum(
-            inside.T @ course**2, 1e-300
-        )
+        step = np.where(inside, left, 0).T @ course / np.maximum(inside.T @ course**2, 1e-300)
+        gains = gains + step
+        if (np.abs(step) <= _SAME_GAIN * np.abs(gains)).all():
+            break
     return gains
