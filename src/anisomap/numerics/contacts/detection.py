@@ -55,8 +55,7 @@ def assign_levels(
     rest = estimate_rest(values) if rest is None else rest
     depths = np.ascontiguousarray(rest.depth(values).T)  # sensor by sensor
     ordered = [np.sort(depth[depth > 0]) for depth in depths]
-    n_frames = len(values)
-    typical = np.array([_quantile(one, n_frames, _RANGE_QUANTILE) for one in ordered])
+    typical = np.quantile(depths, _RANGE_QUANTILE, axis=1)
     typical = np.where(typical > 0, typical, [one[-1] if one.size else 0.0 for one in ordered])
     gains = _gains(ordered, typical)
     if np.log(gains).std() > max_gain_spread:
@@ -79,16 +78,6 @@ def assign_levels(
     for array in (levels, gains):
         array.setflags(write=False)
     return Levels(values=levels, max_level=len(edges) + 1, at_rest=at_rest, gains=gains)
-
-
-def _quantile(ordered: Floats, n_values: int, level: float) -> float:
-    """Return a quantile of `n_values` values of which all but the ordered ones are 0."""
-    place = level * (n_values - 1) - (n_values - ordered.size)
-    if place < 0:
-        return max(0.0, 1 + place) * float(ordered[0]) if ordered.size else 0.0
-    below = int(place)
-    low, high = ordered[[below, min(below + 1, ordered.size - 1)]]
-    return float(low + (place - below) * (high - low))
 
 
 def _gains(ordered: list[Floats], typical: Floats) -> Floats:

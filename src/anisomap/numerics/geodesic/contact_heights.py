@@ -43,32 +43,15 @@ def contacts_of(
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
     """Find the peak of each contact of one sensor, and its number of frames. raised (T,)."""
     values = np.asarray(raised, dtype=np.float64)
-    touched, begins = _contacts(values)
+    level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
+    touched = np.flatnonzero(values > level)
+    begins = np.flatnonzero(np.diff(touched, prepend=-2) > 1)
     durations = np.diff(begins, append=touched.size)
     heights = np.maximum.reduceat(values[touched], begins) if begins.size else np.empty(0)
     contact = np.repeat(np.arange(begins.size), durations)
     highest = np.flatnonzero(values[touched] == heights[contact])
     first = np.searchsorted(contact[highest], np.arange(begins.size))
     return touched[highest[first]], heights, np.asarray(durations)
-
-
-def _contacts(values: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the frames of all contacts, and the index of the first frame of each among them."""
-    level = _CONTACT_THRESHOLD * _top(values)
-    touched = np.flatnonzero(values > level)
-    return touched, np.flatnonzero(np.diff(touched, prepend=-2) > 1)
-
-
-def _top(values: NDArray[np.float64]) -> float:
-    """Return the top of the range of values: their `_RANGE_QUANTILE`, but at least 0."""
-    positive = values[values > 0]
-    place = _RANGE_QUANTILE * (values.size - 1) - (values.size - positive.size)
-    if place < 0:  # next to the values that are not positive
-        return max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
-    below = int(place)
-    above = min(below + 1, positive.size - 1)
-    low, high = np.partition(positive, (below, above))[[below, above]]
-    return float(low + (place - below) * (high - low))
 
 
 def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
@@ -285,12 +268,12 @@ def explained_share(
     first, second = (half.similarity[upper][used][order] for half in halves)
     if np.ptp(first) == 0 or np.ptp(second) == 0:
         return Explained(np.nan, np.nan)
-    shared = float(np.cov(first, second)[0, 1])
-    if shared <= 0:
-        return Explained(float(np.corrcoef(first, second)[0, 1]), np.nan)
+    reliability = float(np.corrcoef(first, second)[0, 1])
+    if reliability <= 0:
+        return Explained(reliability, np.nan)
     residuals = [x - isotonic_regression(x, increasing=False).x for x in (first, second)]
-    unexplained = float(np.cov(*residuals)[0, 1]) / shared
-    return Explained(float(np.corrcoef(first, second)[0, 1]), 1 - unexplained)
+    unexplained = float(np.cov(*residuals)[0, 1] / np.cov(first, second)[0, 1])
+    return Explained(reliability, 1 - unexplained)
 
 
 def _highest_around(depths: Matrix, half: int) -> Matrix:

@@ -81,7 +81,7 @@ def fit_height_map(heights: HeightSimilarity, guide: ArrayLike) -> HeightMap:
     positions = smacof(targets, dimensions=dimensions, options=_STOPPING).positions
     typical = float(np.median(lengths[links]))
     positions = positions * (typical / np.median(cdist(positions, positions)[links]))
-    farthest = float(_lengths(np.array([_LOCAL_SIMILARITY]))[0])
+    farthest = float(np.sqrt(-np.log(_LOCAL_SIMILARITY)))
     local = (similarity > _LOCAL_SIMILARITY) & ~diagonal
     lower = np.where(local | diagonal, bounds, np.maximum(bounds, farthest))
     for _ in range(_ROUNDS):
@@ -115,8 +115,7 @@ def linear_share(positions: ArrayLike, of: ArrayLike) -> float:
 
 def _lengths(similarity: Matrix) -> Matrix:
     lengths = np.sqrt(-np.log(np.clip(similarity, *_SIMILARITY_RANGE)))
-    if lengths.ndim > 1:
-        np.fill_diagonal(lengths, 0.0)
+    np.fill_diagonal(lengths, 0.0)
     return np.asarray(lengths)
 
 

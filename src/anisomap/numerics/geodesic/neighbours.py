@@ -83,7 +83,8 @@ def neighbour_graph(
     adjacent &= partial > 0
     np.fill_diagonal(adjacent, val=False)
     direct = _without_detours(adjacent, partial, _SLACK)
-    connected = direct | _maximum_spanning_tree(partial, correlation)
+    # Pairs with positive partial correlation precede all others, which are ordered by similarity.
+    connected = direct | spanning_tree(-np.where(partial > 0, partial, correlation - 3))
     forced_share = 1 - float(np.count_nonzero(direct) / np.count_nonzero(connected))
     return NeighbourGraph(connected, forced_share)
 
@@ -159,13 +160,6 @@ def _without_detours(
         detours = np.minimum(row, partial[others]).max(axis=1)
         kept[i, others] = slack * row[others] >= detours
     return np.asarray(kept | kept.T)
-
-
-def _maximum_spanning_tree(partial: Reals, similarity: Reals) -> NDArray[np.bool_]:
-    # Pairs with positive partial correlation precede all others, which are ordered by similarity.
-    return spanning_tree(
-        np.where(partial > 0, 1 / np.maximum(partial, 1e-9), 1e9 * (2 - similarity))
-    )
 
 
 def _checked_positions(positions: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
