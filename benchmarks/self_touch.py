@@ -20,8 +20,8 @@ from scipy.stats import special_ortho_group
 from anisomap import Recording, SensorMap, reconstruct
 from anisomap.errors import InputError
 from anisomap.io import read_robot
-from anisomap.numerics.kinematics import KinematicTree
 from anisomap.placement import SelfTouch, place_by_self_touch
+from anisomap.placement.kinematics import KinematicTree
 from benchmarks.harness import options, write_csv
 
 SEEDS = tuple(range(401, 421))

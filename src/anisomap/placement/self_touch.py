@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 from scipy.special import fdtri
 
 from anisomap.errors import InputError
-from anisomap.numerics.kinematics import KinematicTree
 from anisomap.numerics.procrustes import (
     FAR,
     MIN_PLACES,
@@ -22,6 +21,7 @@ from anisomap.numerics.procrustes import (
 from anisomap.placement.anchors import COVERAGE, fit_anchors
 from anisomap.placement.frames import METRES, check_placeable, median_spacing, pad_to_3d
 from anisomap.placement.handedness import Known
+from anisomap.placement.kinematics import KinematicTree
 from anisomap.placement.placing import Placement
 from anisomap.recording import Recording, match_names
 from anisomap.sensor_map import SensorMap

@@ -17,8 +17,8 @@ from anisomap.errors import InputError
 from anisomap.wording import join_items
 
 if TYPE_CHECKING:
-    from anisomap.numerics.kinematics import KinematicTree
     from anisomap.placement import Anchors, Modules, Placement, SelfTouch, TouchPlacement
+    from anisomap.placement.kinematics import KinematicTree
     from anisomap.scene import Mesh
     from anisomap.sensor_map import SensorMap
 
@@ -102,7 +102,7 @@ class SelfTouchOptions:
 
     def _angles(self, path: Path, robot: KinematicTree) -> dict[str, np.ndarray]:
         from anisomap import io
-        from anisomap.numerics.kinematics import TURNING
+        from anisomap.placement.kinematics import TURNING
 
         table = io.read(path).complete("error")
         found = {

@@ -21,8 +21,8 @@ from anisomap.files import open_regular
 from anisomap.io.maps import xml_files
 from anisomap.io.maps.xml_files import format_numbers, tag
 from anisomap.io.parsing.source import file_errors, quote
-from anisomap.numerics.kinematics import SLIDING, TURNING, Joint, KinematicTree, Mimic, transform
 from anisomap.placement import Taxels
+from anisomap.placement.kinematics import SLIDING, TURNING, Joint, KinematicTree, Mimic, transform
 from anisomap.sensor_map import SensorMap
 
 MAX_FRAMES = 100
