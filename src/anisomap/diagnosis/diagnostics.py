@@ -294,8 +294,8 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
         "the recordings have different sensors: map one of them": len(runs) > 1,
         f"only {n_sensors} sensors are related, and a verdict needs {MIN_SENSORS}: touch more of "
         "the skin": n_sensors < MIN_SENSORS,
-        f"resampling more than {MAX_SENSORS} sensors takes too much memory": n_sensors
-        > MAX_SENSORS,
+        f"resampling more than {MAX_SENSORS:,} sensors takes too much memory: map parts of the "
+        "skin": n_sensors > MAX_SENSORS,
         f"the recording has {n_frames} frames, and a verdict needs {MIN_FRAMES}: record "
         "longer": n_frames < MIN_FRAMES,
     }

@@ -140,8 +140,8 @@ Resamples keep which readings are contacts, and the profile, so they differ too 
 1,000 frames, seeds 201 to 203; with 1, 76 to 92 % were on four simulated skins, seeds 501 to 504.
 """
 
-MAX_SENSORS = 3000
-"""Maximum number of sensors: resamples of two matrices of all their pairs take 650 MB."""
+MAX_SENSORS = 5000
+"""Maximum number of sensors: resamples of two matrices of all their pairs take 800 MB."""
 
 # Iterations of the fit of the recording itself, if it starts from that of its map. Its similarity
 # and its metric differ from those of the map by little; with 300, spreads differed by less than 6 %
