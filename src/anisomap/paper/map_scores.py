@@ -20,6 +20,7 @@ from anisomap.evaluation import Mantel, Score, align, score
 from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
 from anisomap.methods import find_method
+from anisomap.numerics.neighbours import nearest_distances, nearest_others
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.options import MethodOptions
@@ -85,7 +86,7 @@ def cylinder_shape(positions: ArrayLike, truth: ArrayLike) -> CylinderShape:
     labels = np.unique(np.round(angles / _EQUAL), return_inverse=True)[1]
     lines = [np.flatnonzero(labels == label) for label in range(labels.max() + 1)]
     centroids = np.array([points[line].mean(axis=0) for line in lines])
-    nearest = np.asarray(KDTree(centroids).query(centroids, k=3)[1])[:, 1:]
+    _, nearest = nearest_others(centroids, 2)
     steps = (nearest - np.arange(len(lines))[:, None]) % len(lines)
     along = [spearmanr(_rounded(points[line]), _rounded(true[line])).statistic for line in lines]
     return CylinderShape(
@@ -125,7 +126,7 @@ def _mean_step(
 def isolation(positions: ArrayLike, sensor: int) -> float:
     """Measure how far a sensor lies from all others on a map. positions (n, k)."""
     points = np.asarray(positions, dtype=np.float64)
-    nearest = np.asarray(KDTree(points).query(points, k=2)[0])[:, 1]
+    nearest = nearest_distances(points)
     return float(nearest[sensor] / np.median(np.delete(nearest, sensor)))
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.special import fdtri
 
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
+from anisomap.numerics.neighbours import nearest_others
 from anisomap.numerics.procrustes import SINGULAR
 from anisomap.placement.frames import METRES
 from anisomap.placement.handedness import (
@@ -151,13 +151,12 @@ def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
     found: list[str] = []
     for part in sensor_map.split():
         positions, n_sensors = part.positions, part.n_sensors
-        n_neighbours = min(_RING, n_sensors - 1)
-        if n_neighbours < 1:
+        if n_sensors < 2:
             continue
-        distances, near = map(np.asarray, KDTree(positions).query(positions, n_neighbours + 1))
-        centres = positions[near[:, 1:]].mean(axis=1)
+        distances, near = nearest_others(positions, _RING)
+        centres = positions[near].mean(axis=1)
         # Neighbours of a sensor at the edge are on one side of it.
-        lopsided = np.linalg.norm(centres - positions, axis=1) / distances[:, 1:].mean(axis=1)
+        lopsided = np.linalg.norm(centres - positions, axis=1) / distances.mean(axis=1)
         inside = np.flatnonzero(lopsided <= np.quantile(lopsided, _SHARE_INSIDE))
         middle = positions[inside].mean(axis=0)
         chosen = [int(inside[np.linalg.norm(positions[inside] - middle, axis=1).argmax()])]

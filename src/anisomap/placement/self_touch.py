@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.special import fdtri
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import nearest_others
 from anisomap.numerics.procrustes import (
     FAR,
     MIN_PLACES,
@@ -309,10 +309,9 @@ def _consistent(places: NDArray[np.float64], targets: NDArray[np.float64]) -> ND
     No similarity transform takes a map to a bent skin, but among neighbours one nearly does.
     Distances do not depend on the handedness.
     """
-    near = np.asarray(KDTree(places).query(places, min(_NEIGHBOURS, len(places) - 1) + 1)[1])
+    _, near = nearest_others(places, _NEIGHBOURS)
     on_map, apart = (
-        np.linalg.norm(points[near[:, 1:]] - points[:, None], axis=2)
-        for points in (places, targets)
+        np.linalg.norm(points[near] - points[:, None], axis=2) for points in (places, targets)
     )
     scale = np.median(apart) / np.median(on_map)
     misfit = np.median(np.abs(apart - scale * on_map), axis=1)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.simulation.bodies.body import ON_SURFACE, Body, nearest_neighbours
+from anisomap.numerics.neighbours import nearest_distances
+from anisomap.simulation.bodies.body import ON_SURFACE, Body
 from anisomap.simulation.checks import between
 from anisomap.simulation.options import REACH, ScenarioOptions, count_steps, option, positive
 from anisomap.simulation.solids import Points, Solid, sample_surface
@@ -131,7 +132,7 @@ def sample_skin(body: Body, rng: np.random.Generator) -> SurfaceSample:
     distance, sensor = map(np.asarray, KDTree(body.positions).query(points))
     radius = np.full(body.n_sensors, body.spacing)
     if body.n_sensors > 1:
-        radius = np.maximum(radius, nearest_neighbours(body.positions, 1)[0][:, 0])
+        radius = np.maximum(radius, nearest_distances(body.positions))
     facing = np.einsum("pd,pd->p", normals, body.normals[sensor])
     skin = np.flatnonzero((distance <= radius[sensor]) & (facing > _MIN_FACING))
     return SurfaceSample(points, normals, skin)
@@ -200,7 +201,7 @@ class _Walk:
         self._sensor_tree = KDTree(body.positions)
         self._points, self._normals = sample.points[sample.skin], sample.normals[sample.skin]
         self._point_tree = KDTree(self._points)
-        gaps = nearest_neighbours(self._points, 1)[0] if len(self._points) > 1 else [[body.reach]]
+        gaps = nearest_distances(self._points) if len(self._points) > 1 else [body.reach]
         self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self.stride / self.n_steps
 
     def count_visits(self, points: Points) -> None:

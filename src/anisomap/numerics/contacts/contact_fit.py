@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.detection import Contacts, Levels, assign_levels, find_contacts
@@ -22,6 +21,7 @@ from anisomap.numerics.contacts.likelihood import (
     level_log_likelihood,
     locate,
 )
+from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.similarity.rest import Rest
 
 Matrix = NDArray[np.float64]
@@ -351,7 +351,7 @@ def fit_contacts(
             f"{chosen.min_at_rest:.0%}"
         )
         return _unused(given, levels, reason)
-    centre, unit = given.mean(axis=0), _spacing(given)
+    centre, unit = given.mean(axis=0), float(np.median(nearest_distances(given)))
     if not unit > 0:
         return _unused(given, levels, "most sensors coincide with another on the map")
     start = (given - centre) / unit
@@ -450,12 +450,6 @@ def _detect(levels: Levels, positions: Matrix, options: ContactOptions) -> Conta
         min_sensors=options.min_sensors,
         max_readings=max(options.max_readings, options.readings_per_sensor * len(positions)),
     )
-
-
-def _spacing(positions: Matrix) -> float:
-    """Return the median distance from a sensor to its nearest neighbour."""
-    distances, _ = KDTree(positions).query(positions, k=2)
-    return float(np.median(np.asarray(distances)[:, 1]))
 
 
 def _check(values: NDArray[np.generic], given: Matrix) -> None:

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import nearest_distances, nearest_others
 from anisomap.recording import default_names
 from anisomap.scene import frozen
 from anisomap.simulation.solids import (
@@ -119,7 +120,7 @@ class Body:
         """Median distance to the nearest sensor; the reach if there is one sensor."""
         if self.n_sensors == 1:
             return self.reach
-        return float(np.median(nearest_neighbours(self.positions, 1)[0]))
+        return float(np.median(nearest_distances(self.positions)))
 
     def distance(self, points: ArrayLike) -> Points:
         """Compute the distance of points from the surface, shape (n,); negative inside."""
@@ -142,12 +143,6 @@ class Body:
             solids=[solid.scaled(factor) for solid in self.solids],
             geodesic=geodesic and (lambda points: factor * geodesic(points / factor)),
         )
-
-
-def nearest_neighbours(points: Points, n_neighbours: int) -> tuple[Points, NDArray[np.intp]]:
-    """Find the nearest other points: distances and indices, both of shape (n, n_neighbours)."""
-    distances, indices = KDTree(points).query(points, k=[*range(2, n_neighbours + 2)])
-    return np.asarray(distances), np.asarray(indices)
 
 
 def straight_lines(positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -195,7 +190,7 @@ def _shortest_paths(body: Body) -> NDArray[np.float64]:
     """Compute shortest paths over points of the surface, shape (N, N)."""
     drawn, drawn_normals = sample_surface(body.solids, _N_SAMPLES, np.random.default_rng(_SEED))
     points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, drawn_normals])
-    lengths, neighbours = nearest_neighbours(points, _N_NEIGHBOURS)
+    lengths, neighbours = nearest_others(points, _N_NEIGHBOURS)
     edges = np.column_stack([np.repeat(np.arange(len(points)), _N_NEIGHBOURS), neighbours.ravel()])
     chord = np.maximum(lengths.ravel(), 1e-12 * body.reach)  # scipy reads a stored 0 as no edge
     directions = np.diff(points[edges], axis=1)[:, 0]
@@ -220,5 +215,5 @@ def _on_surface(
     middle = (points[start] + points[end]) / 2
     distance, nearest = map(np.asarray, KDTree(points).query(middle))
     sag = np.abs(np.einsum("hd,hd->h", middle - points[nearest], normals[nearest]))
-    gap = 3 * float(np.median(nearest_neighbours(points, 1)[0]))
+    gap = 3 * float(np.median(nearest_distances(points)))
     return np.asarray(similar & (sag <= _MAX_SAG * chord) & (distance <= _MAX_SAG * chord + gap))

@@ -24,10 +24,11 @@ from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files import check_regular, open_regular, silent_library
 from anisomap.memory import Budget
 from anisomap.mesh_files import read_mesh
+from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation import solids
-from anisomap.simulation.bodies.body import Body, nearest_neighbours
+from anisomap.simulation.bodies.body import Body
 from anisomap.simulation.checks import COUNT
 from anisomap.simulation.engine import load_mujoco
 from anisomap.simulation.solids import Points, Solid, spread
@@ -365,7 +366,7 @@ def body_from_points(
     places = np.asarray(positions, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 3 or len(places) < 4:
         raise InputError(f"positions must have shape (N, 3) with N at least 4, got {places.shape}")
-    spacing = nearest_neighbours(places, 1)[0]
+    spacing = nearest_distances(places)
     if spacing.min() <= 0:
         # Distances, as the difference of two positions may be too small for its square.
         distances = np.linalg.norm(places - places[int(spacing.argmin())], axis=1)

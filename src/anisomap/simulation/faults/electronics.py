@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import nearest_others
 from anisomap.simulation.checks import COUNT, INNER_SHARE, POSITIVE, SHARE, at_least
 from anisomap.simulation.faults.forms import Group, Rewritten, group_fault
 
@@ -44,11 +44,9 @@ def crosstalk(
             f"got {n_neighbours}"
         )
     chosen, clean = group.chosen, group.readings
-    # One more than needed, because the sensor itself is not always first if positions coincide.
-    nearest = KDTree(recording.positions).query(recording.positions[chosen], k=n_neighbours + 1)[1]
+    _, nearest = nearest_others(recording.positions, n_neighbours, np.array(chosen, dtype=np.intp))
     readings = np.array(clean)
-    for i, near in zip(chosen, np.asarray(nearest), strict=True):
-        others = near[near != i][:n_neighbours]
+    for i, others in zip(chosen, nearest, strict=True):
         readings[:, i] = (1 - share) * clean[:, i] + share * clean[:, others].mean(axis=1)
     return readings, chosen
 
