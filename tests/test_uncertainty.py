@@ -12,7 +12,7 @@ import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
 from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.diagnosis.diagnostics import estimate_uncertainty
-from anisomap.diagnosis.resampling import INFLATION, aligned_to_mean, covariances, error_in_spacings
+from anisomap.diagnosis.resampling import aligned_to_mean, covariances, error_in_spacings
 from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align
@@ -78,7 +78,7 @@ def test_equal_maps_have_no_error():
     np.testing.assert_allclose(found, 0, atol=1e-20)
     assert error_in_spacings(found, truth) == pytest.approx(0, abs=1e-9)
     assert error_in_spacings(found, np.zeros((16, 2))) == np.inf
-    spheres = np.broadcast_to(INFLATION * 0.02 * np.eye(2), (16, 2, 2))
+    spheres = np.broadcast_to(0.02 * np.eye(2), (16, 2, 2))
     assert error_in_spacings(spheres, truth) == pytest.approx(0.2)
 
 

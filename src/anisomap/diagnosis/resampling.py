@@ -35,14 +35,6 @@ from anisomap.options import MethodOptions
 from anisomap.refinements.chain import RefinedMap
 from anisomap.refinements.paths import by_paths
 
-INFLATION = 1.5
-"""Ratio of the covariances to the mean squared differences of maps of resamples.
-
-Covariances of few resamples are uncertain, as in Student's distribution. Tuned such that 95 % of
-the positions are inside their ellipses: 12 recordings of 1,000 frames of each of five simulated
-skins, seeds 201 to 212.
-"""
-
 _ALIGNMENTS = 4  # rounds of alignment to the mean of all maps; more change nothing visible
 _N_POOLED = 8  # nearest sensors over which covariances are pooled; 20 hold equally many positions
 
@@ -54,7 +46,7 @@ def covariances(
 
     maps (R, n, k), positions (n, k) -> (n, k, k).
 
-    The covariance of R maps is uncertain itself. Returned is `INFLATION` times the mean of three:
+    The covariance of R maps is uncertain itself. Returned is the mean of three:
     that of the sensor, the mean of those of its 8 nearest sensors, and the sphere as large as the
     latter. Differences from the mean of the maps count, not from the given map: resamples have more
     noise than the recording, which shifts all of them alike.
@@ -68,7 +60,7 @@ def covariances(
     pooled = own[np.asarray(nearest)].mean(axis=1)
     dimensions = positions.shape[1]
     sphere = np.trace(pooled, axis1=1, axis2=2)[:, None, None] / dimensions * np.eye(dimensions)
-    return np.asarray(INFLATION * (own + pooled + sphere) / 3)
+    return np.asarray((own + pooled + sphere) / 3)
 
 
 def aligned_to_mean(maps: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,7 +91,7 @@ def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]
     found (n, k, k), positions (n, k).
     """
     spacing = median_spacing(positions)
-    mean = float(np.trace(found, axis1=1, axis2=2).mean()) / INFLATION
+    mean = float(np.trace(found, axis1=1, axis2=2).mean())
     return math.sqrt(mean) / spacing if spacing > 0 else math.inf
 
 
@@ -128,26 +120,20 @@ STEP = 0.5
 
 A block that occurs n times in a resample has the weight 1 + STEP (n - 1), and differences between
 maps are divided by STEP. A full resample has twice the noise of the recording, and shortest paths
-are biased by noise: with 1, the differences of simulated skins of 1,000 frames, seeds 201 to 212,
-were 1.2 times as large.
+are biased by noise.
 """
 
 CONTACT_INFLATION = 1.3
 """Ratio of the errors of maps that are averaged with a fit of contacts to their differences.
 
-Resamples keep which readings are contacts, and the profile, so they differ too little. With 1.3,
-97 % of the positions are inside their ellipses of 95 % on a bombarded sphere and a rubbed torus of
-1,000 frames, seeds 201 to 203; with 1, 76 to 92 % were on four simulated skins, seeds 501 to 504.
+Resamples keep which readings are contacts, and the profile, so they differ too little.
 """
 
 MAX_SENSORS = 5000
 """Maximum number of sensors: resamples of two matrices of all their pairs take 800 MB."""
 
-# Iterations of the fit of the recording itself, if it starts from that of its map. Its similarity
-# and its metric differ from those of the map by little; with 300, spreads differed by less than 6 %
-# on four real skins, and by 12 % on a retina.
-_MAX_CONTINUED = 40
-_MAX_ITERATIONS = 5  # of each fit; with 300, spreads differed by less than 5 % (seeds 201 to 203)
+_MAX_CONTINUED = 40  # iterations of the fit of the recording itself, from that of its map
+_MAX_ITERATIONS = 5  # of each other fit; more change the spread of the maps by a few percent
 
 
 def resampled_maps(
