@@ -18,6 +18,12 @@ from anisomap.refinements.chain import MIN_SENSORS, Proposal
 
 _NEAR = SmacofOptions(tolerance=1e-6)  # from a start near the minimum
 
+_OWN = 0.05
+"""Unexplained share that the errors of path lengths themselves, from noise and bends, amount to.
+
+With .02 to .1, errors of maps of real and of simulated skins differ by less than 1 %.
+"""
+
 _MOSTLY_EXPLAINED = 0.04
 """Unexplained share from which a note says that contacts differ.
 
@@ -39,7 +45,8 @@ def by_paths(
     A covariogram assumes that contacts are alike everywhere. Where they are not, its map is
     compressed in regions of wide contacts. Path lengths have other errors: they follow bends and
     are biased by noise, but assume nothing about distant regions. The variance of each map is taken
-    to be proportional to the share of the variance of the correlations that it leaves unexplained.
+    to be proportional to the share of the variance of the correlations that it leaves unexplained,
+    to which paths add their own.
     """
     if len(positions) < MIN_SENSORS:
         return None
@@ -59,7 +66,7 @@ def by_paths(
         scaled = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR).positions
     proposed = fit_similarity(scaled, given).apply(scaled)
     other = unexplained_share(pairs.similarity, proposed, noise, known=pairs.known)
-    precision = share / max(share, other)
+    precision = share / (max(share, other) + _OWN)
     distorted = share > _MOSTLY_EXPLAINED
     return Proposal(
         proposed,
