@@ -213,8 +213,8 @@ class ContactOptions:
 
     n_levels: int = 6
     max_gain_spread: float = 0.3
-    max_readings: int = 15_000
-    readings_per_sensor: int = 75
+    max_readings: int = 30_000
+    readings_per_sensor: int = 150
     min_sensors: int = 3
     contact_weight: float = 0.2
     prior_sd: float = 0.5
