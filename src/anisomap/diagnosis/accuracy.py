@@ -105,6 +105,14 @@ def rms_in_spacings(differences: NDArray[np.float64], positions: NDArray[np.floa
     return rms / spacing if spacing > 0 else math.inf
 
 
+def pooled(
+    found: NDArray[np.float64], positions: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
+    """Average values of each sensor over the nearest ones, itself included. found (n, k, k)."""
+    nearest = KDTree(positions).query(positions, k=min(count, len(positions)))[1]
+    return np.asarray(found[np.asarray(nearest)].mean(axis=1))
+
+
 def with_systematic_errors(
     chance: NDArray[np.float64],
     differences: NDArray[np.float64],
@@ -119,8 +127,7 @@ def with_systematic_errors(
     around the sensor, and a sphere; scaled to the expected error, in spacings.
     """
     k = positions.shape[1]
-    nearest = KDTree(positions).query(positions, k=min(_N_POOLED, len(positions)))[1]
-    outer = np.einsum("ni,nj->nij", differences, differences)[np.asarray(nearest)].mean(axis=1)
+    outer = pooled(np.einsum("ni,nj->nij", differences, differences), positions, _N_POOLED)
     shapes = [_of_unit_size(one) for one in (chance, outer)]
     sphere = np.broadcast_to(np.eye(k) / k, outer.shape)
     size = ELLIPSE_SCALE * (error * median_spacing(positions)) ** 2

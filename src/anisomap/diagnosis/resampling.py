@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
+from anisomap.diagnosis.accuracy import pooled, rms_in_spacings
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.evidence import PairStatistics
 from anisomap.methods import find_method
@@ -56,11 +56,10 @@ def covariances(
     fit = fit_similarity(mean, positions)
     deviations = (fit.scale / step) * (aligned - mean) @ fit.rotation.T
     own = np.einsum("rni,rnj->nij", deviations, deviations) / (len(maps) - 1)
-    nearest = KDTree(positions).query(positions, k=min(_N_POOLED, len(positions)))[1]
-    pooled = own[np.asarray(nearest)].mean(axis=1)
+    around = pooled(own, positions, _N_POOLED)
     dimensions = positions.shape[1]
-    sphere = np.trace(pooled, axis1=1, axis2=2)[:, None, None] / dimensions * np.eye(dimensions)
-    return np.asarray((own + pooled + sphere) / 3)
+    sphere = np.trace(around, axis1=1, axis2=2)[:, None, None] / dimensions * np.eye(dimensions)
+    return np.asarray((own + around + sphere) / 3)
 
 
 def aligned_to_mean(maps: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -100,10 +99,8 @@ def departure_in_spacings(reference: NDArray[np.float64], positions: NDArray[np.
 
     reference, positions (n, k).
     """
-    spacing = median_spacing(positions)
-    moved = fit_similarity(reference, positions).apply(reference) - positions
-    rms = math.sqrt(float(np.square(moved).sum(axis=1).mean()))
-    return rms / spacing if spacing > 0 else math.inf
+    moved = fit_similarity(reference, positions).apply(reference)
+    return rms_in_spacings(moved - positions, positions)
 
 
 N_RESAMPLES, FEWEST_RESAMPLES = 8, 3
