@@ -67,14 +67,13 @@ class PairSums:
         if similarity in _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
             return cls(*(np.zeros(shape) for _ in fields(cls)))
         readings, _ = chosen.referred(readings)
-        products, squares, weight = _pooling(similarity).sums(
-            readings, chosen.compute(readings, bins)
-        )
+        found, variance = chosen.with_variance(readings, bins)
+        products, squares, weight = _pooling(similarity).sums(readings, found)
         return cls(
             products,
             np.array(np.broadcast_to(squares[:, None], shape)),
             np.full(shape, weight),
-            1.0 / np.asarray(chosen.variance(readings), dtype=np.float64),
+            1.0 / np.asarray(variance, dtype=np.float64),
         )
 
     @property
