@@ -16,7 +16,7 @@ import pytest
 from anisomap import io
 from anisomap import memory as budget
 from anisomap.errors import FileError
-from anisomap.io.maps import xml_files
+from anisomap.io.maps import robot_models
 
 MIB = 1 << 20
 LARGE, SMALL = 160 * MIB, 2 * MIB
@@ -313,21 +313,12 @@ def test_what_is_changed_after_its_compression_is_refused(tmp_path: Path) -> Non
         io.read(tmp_path / "a.h5")
 
 
-@pytest.mark.parametrize("root", ["robot", "mujoco"])
-@pytest.mark.parametrize(
-    ("make", "reason"),
-    [
-        (lambda n: "<a>" * n, "nested"),
-        (lambda n: "".join(f"<a{i}/>" for i in range(n)), "different names"),
-        (lambda n: f'<a b="{"x" * 100 * n}"/>', "a tag"),
-    ],
-)
-def test_xml_that_takes_much_memory_is_refused(tmp_path, monkeypatch, root, make, reason) -> None:
-    monkeypatch.setattr(xml_files, "MAX_TAG_BYTES", MIB)
-    (tmp_path / "a.xml").write_text(f'<{root} name="a">{make(20_000)}</{root}>')
-    (tmp_path / "a.urdf").write_text(f'<{root} name="a">{make(20_000)}</{root}>')
-    with pytest.raises(FileError, match=reason):
-        io.read_map(tmp_path / ("a.urdf" if root == "robot" else "a.xml"))
+@pytest.mark.parametrize(("name", "root"), [("a.urdf", "robot"), ("a.xml", "mujoco")])
+def test_xml_that_takes_much_memory_is_refused(put, monkeypatch, name: str, root: str) -> None:
+    monkeypatch.setattr(robot_models, "_MAX_BYTES", MIB)
+    for text, reason in (("<a>" * 20_000, "nested"), (" " * MIB, "larger than 1 MiB")):
+        with pytest.raises(FileError, match=reason):
+            io.read_map(put(name, f'<{root} name="a">{text}</{root}>'))
 
 
 DOCUMENTS: dict[str, tuple[str, str, str]] = {

@@ -196,7 +196,11 @@ def test_vertices_need_not_come_first(put: Put) -> None:
             "line 2: the PLY format must be ascii, got 'bin",
         ),
         ("end_header\n", "", "is not valid in a PLY header"),
-        ("0 0 0 255\n1.5 0 0 128\n0 2.5 1e-3 0\n3 0 1 2\n", "", "0 of 3 vertices"),
+        (
+            "0 0 0 255\n1.5 0 0 128\n0 2.5 1e-3 0\n3 0 1 2\n",
+            "",
+            "announces 3 vertices, but it has 0",
+        ),
         ("1.5 0 0 128", "1.5 0 zero 128", r"line 13, column 3 (z): 'zero' is not a number"),
         ("1.5 0 0 128", "1.5 0 0", "line 13 has 3 numbers, but the header announces 4"),
         ("property float z", "property float w", "no vertices with x, y and z"),

@@ -11,8 +11,8 @@ from anisomap.io.dissimilarities import find_dissimilarities as find_dissimilari
 from anisomap.io.dissimilarities import read_dissimilarities as read_dissimilarities
 from anisomap.io.dissimilarities import read_pair_weights as read_pair_weights
 from anisomap.io.maps.csv import read_modules as read_modules
-from anisomap.io.maps.montages import to_montage as to_montage
-from anisomap.io.maps.urdf import read_robot as read_robot
+from anisomap.io.maps.point_files import to_montage as to_montage
+from anisomap.io.maps.robot_models import read_robot as read_robot
 from anisomap.io.presets import apply_preset as apply_preset
 from anisomap.io.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.facts import from_provenance, to_provenance, to_python_scalar
+from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.recordings.events import Events, stream_events
 from anisomap.io.recordings.npy import Header, read_header
@@ -33,7 +33,7 @@ from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasi
 from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import ACCURACY, Verdict
+from anisomap.usability import ACCURACY, UNKNOWN
 from anisomap.wording import join_items
 
 SUFFIX = ".npy"
@@ -378,7 +378,13 @@ def read_map(path: Path) -> SensorMap:
         names, units = distinct_names(path, archive.texts("names")), archive.text("units")
         if "readings" in archive.names:
             return SensorMap(positions, names=names, units=units)
-        stress = archive.number("stress")
+        stored: dict[str, Any] = {
+            **{name: archive.text(name) for name in ("units", "method")},
+            "verdict": archive.text("verdict", UNKNOWN),
+            **{name: archive.number(name) for name in ("stress", *ACCURACY)},
+            **{name: archive.texts(name) for name in ("reasons", "notes")},
+            "provenance": archive.mapping("provenance"),
+        }
         return SensorMap(
             positions,
             names=names,
@@ -387,12 +393,7 @@ def read_map(path: Path) -> SensorMap:
             errors=_or_empty(archive.array("errors", NUMBERS)),
             covariances=archive.array("covariances", NUMBERS),
             normals=archive.array("normals", NUMBERS) if "component" in archive.names else None,
-            units=units,
-            method=archive.text("method"),
-            stress=math.nan if stress is None else stress,
-            verdict=_read_verdict(archive),
-            notes=archive.texts("notes"),
-            **from_provenance(archive.mapping("provenance")),
+            **read_properties(stored),
         )
 
 
@@ -415,7 +416,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
     """Write a map as an NPZ archive; every field is read back equal."""
-    verdict = sensor_map.verdict
+    known = properties_of(sensor_map)
     arrays: dict[str, Any] = {
         "positions": sensor_map.positions,
         "names": np.array(sensor_map.names, dtype=str),
@@ -424,28 +425,12 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "errors": None if np.isnan(sensor_map.errors).all() else sensor_map.errors,
         "covariances": sensor_map.covariances,
         "normals": sensor_map.normals,
-        "units": sensor_map.units,
-        **sensor_map.reference,
-        "method": sensor_map.method,
-        "stress": sensor_map.stress,
-        "verdict": verdict.level,
-        **{name: getattr(verdict, name) for name in ACCURACY},
-        "reasons": np.array(verdict.reasons, dtype=str),
-        "notes": np.array(sensor_map.notes, dtype=str),
-        "provenance": to_json(to_provenance(sensor_map)),
+        **known,
+        "reasons": np.array(known["reasons"], dtype=str),
+        "notes": np.array(known["notes"], dtype=str),
+        "provenance": to_json(known["provenance"]),
     }
     write_arrays(arrays, path)
-
-
-def _read_verdict(archive: Archive) -> Verdict:
-    if "verdict" not in archive.names:
-        return Verdict()
-    errors = {name: archive.number(name) for name in ACCURACY}
-    return Verdict(
-        archive.text("verdict"),
-        **{name: math.nan if value is None else value for name, value in errors.items()},
-        reasons=archive.texts("reasons"),
-    )
 
 
 def _or_empty(array: NDArray[np.float64] | None) -> NDArray[np.float64]:

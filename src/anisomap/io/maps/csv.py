@@ -14,46 +14,33 @@ import itertools
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing import delimited
-from anisomap.io.parsing import facts as comments
-from anisomap.io.parsing.facts import from_provenance, to_provenance
+from anisomap.io.parsing.facts import (
+    properties_of,
+    read_comments,
+    read_properties,
+    write_comments,
+)
 from anisomap.io.parsing.naming import distinct_names
-from anisomap.io.parsing.source import file_errors, open_text, quote, read_lines
+from anisomap.io.parsing.source import file_errors, quote, read_lines
 from anisomap.io.parsing.table import LineError, is_number, parse_number
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.placement.modules import Modules, modules_by_name
-from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap, axis_names
-from anisomap.usability import ACCURACY, UNKNOWN, Verdict
-
-Value = TypeVar("Value")
 
 _MAX_COLUMNS = 10_000  # covariances in 140 dimensions
-_AXES = "xyz"
 _NAMES = ("name", "sensor", "taxel", "label", "id")
-_EXTRA_COLUMNS = ("component", "health")
 _ERROR, _NORMAL = "error", ("nx", "ny", "nz")
 _AXIS = re.compile(r"(x\d*|y|z)(?:[ _]*[\[(]?(mm|cm|m|um|\u00b5m|in|px|pixels?)[\])]?)?")
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Column indices of the coordinates in order, and of the other columns by name."""
-
-    axes: tuple[int, ...]
-    others: Mapping[str, int]
-    units: str
-    from_header: bool
-    covariances: tuple[str, ...] = ()
+_SEVERAL = {"reason": "reasons", "note": "notes"}  # comments with a line for each of a property
 
 
 def read_map(path: Path) -> SensorMap:
@@ -66,43 +53,90 @@ def read_map(path: Path) -> SensorMap:
     if any(len(line) > _MAX_COLUMNS and _n_marks(line) > _MAX_COLUMNS for line in lines):
         raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
     delimiter = delimited.find_delimiter(lines)
-    rows = _without_trailing_columns(list(delimited.records(lines, delimiter)))
+    rows = list(delimited.records(lines, delimiter))
     if not rows:
         raise FileError(f"{path} holds no line of positions")
-    columns = _columns(path, rows[0])
-    body = rows[1:] if columns.from_header else rows
+    n_empty = delimited.empty_columns([fields for _, fields in rows])
+    first, fields = rows[0][0], rows[0][1][: len(rows[0][1]) - n_empty]
+    axes, header, units = _find_columns(path, first, fields)
+    body = rows[1:] if header else rows
     if not body:
         raise FileError(f"{path} holds only a header")
-    _check_widths(path, rows)
+    for line, row in rows:
+        if len(row) - n_empty != len(fields):
+            n_fields = len(row) - n_empty
+            problem = f" has {n_fields} fields, but line {first} has {len(fields)}"
+            raise LineError(path, line, problem)
 
-    def number(field: str) -> float:
-        return parse_number(field if delimiter == "," else field.replace(",", "."))
+    def column(index: int, parse: Callable[[str], Any], expected: str = "text") -> list[Any]:
+        values = []
+        for line, row in body:
+            try:
+                values.append(parse(row[index]))
+            except ValueError:
+                problem = f", column {index + 1}: {quote(row[index])} is not {expected}"
+                raise LineError(path, line, problem) from None
+        return values
 
-    read = functools.partial(_column, path, body)
-    others = columns.others
-    is_map = all(column in others for column in _EXTRA_COLUMNS)
-    parse_name: Callable[[str], str] = str if is_map else str.strip
-    if lines[0].startswith(f"# {MAP_TITLE}"):
-        parse_name = delimited.unguard_formula
-    component = read(others["component"], int, "an integer") if is_map else ()
-    errors = read(others[_ERROR], number, "a number") if is_map and _ERROR in others else ()
-    entries = [read(others[name], number, "a number") for name in columns.covariances]
-    normals = [read(others[axis], number, "a number") for axis in _NORMAL if axis in others]
+    def numbers(*indices: int) -> NDArray[np.float64]:
+        parse = functools.partial(parse_number, delimiter=delimiter)
+        return np.array([column(i, parse, "a number") for i in indices])
+
+    own = lines[0].startswith(f"# {MAP_TITLE}")
+    is_map = "component" in header and "health" in header
+    kept = header if is_map else {}
+    parse_name = delimited.unguard_formula if own else str if is_map else str.strip
+    # Without a header, names come before the numbers.
+    name = next((header[word] for word in _NAMES if word in header), -1 if header else axes[0] - 1)
+    covariances = [kept[entry] for entry in _covariance_names(len(axes)) if entry in kept]
+    has_covariances = len(covariances) == len(_covariance_names(len(axes)))
+    normals = [kept[axis] for axis in _NORMAL if axis in kept]
     return SensorMap(
-        np.array([read(column, number, "a number") for column in columns.axes]).T,
-        names=distinct_names(path, read(others["name"], parse_name)) if "name" in others else (),
-        component=np.array(component, np.intp),
-        health=read(others["health"], parse_name) if is_map else (),
-        errors=np.array(errors),
-        covariances=_covariances(np.array(entries)) if is_map and entries else None,
-        normals=np.array(normals).T if is_map and len(normals) == len(_NORMAL) else None,
-        **_map_properties(lines, columns.units),
+        numbers(*axes).T,
+        names=distinct_names(path, column(name, parse_name)) if name >= 0 else (),
+        component=np.array(column(kept["component"], int, "an integer") if kept else (), np.intp),
+        health=tuple(column(kept["health"], parse_name)) if kept else (),
+        errors=numbers(kept[_ERROR])[0] if _ERROR in kept else np.empty(0),
+        covariances=_covariances(numbers(*covariances)) if has_covariances else None,
+        normals=numbers(*normals).T if len(normals) == len(_NORMAL) else None,
+        **(_read_comments(lines, units) if own else {"units": units}),
     )
 
 
 def _n_marks(line: str) -> int:
     """Return the number of delimiters in a line; comments, which may be long, have none."""
     return 0 if line.startswith("#") else sum(map(line.count, ",;\t "))
+
+
+def _find_columns(
+    path: Path, line: int, fields: Sequence[str]
+) -> tuple[list[int], dict[str, int], str]:
+    """Return the columns of coordinates, those of a header by name, and the unit."""
+    words = [field.strip().lower() for field in fields]
+    matches = [(i, match) for i, word in enumerate(words) if (match := _AXIS.fullmatch(word))]
+    axes = {match[1]: (i, match[2] or "") for i, match in matches}
+    known = axis_names(3) if "x" in axes else axis_names(len(axes) + 3)
+    found = [axes[axis] for axis in known if axis in axes]
+    if found:
+        header = {word: i for i, word in reversed(list(enumerate(words)))}
+        return [i for i, _ in found], header, found[0][1]
+    start = 0 if is_number(fields[0], None) else 1
+    if len(fields) - start in (2, 3) and all(is_number(f, None) for f in fields[start:]):
+        return list(range(start, len(fields))), {}, ""
+    raise LineError(
+        path,
+        line,
+        f" ({quote(', '.join(fields))}) gives no columns x and y; the table needs a header with "
+        "x, y (and z), or two or three columns of numbers after an optional column of names",
+    )
+
+
+def _read_comments(lines: Sequence[str], units: str) -> dict[str, Any]:
+    """Read the properties in the comments of a map written by anisomap."""
+    leading = itertools.takewhile(lambda line: line.startswith("#"), lines)
+    entries, provenance = read_comments(leading, "provenance")
+    several = {name: [v for key, v in entries if key == one] for one, name in _SEVERAL.items()}
+    return read_properties({"units": units, **dict(entries), **several, "provenance": provenance})
 
 
 def write_map(sensor_map: SensorMap, path: Path) -> None:
@@ -112,20 +146,13 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
 
     The suffix ``.tsv`` selects tabs, all others commas.
     """
-    entries: list[tuple[str, Scalar]] = [
-        ("method", sensor_map.method),
-        ("units", sensor_map.units),
-        *sensor_map.reference.items(),
-        ("stress", float(sensor_map.stress)),
-        ("verdict", sensor_map.verdict.level),
-        *((name, float(getattr(sensor_map.verdict, name))) for name in ACCURACY),
-        *(("reason", reason) for reason in sensor_map.verdict.reasons),
-        *(("note", note) for note in sensor_map.notes),
-    ]
+    known = properties_of(sensor_map)
+    provenance = known.pop("provenance")
+    several = [(one, value) for one, name in _SEVERAL.items() for value in known.pop(name)]
     title = f"{MAP_TITLE}, {sensor_map.pose}"
     with path.open("w", encoding="utf-8", newline="") as stream:
-        provenance = to_provenance(sensor_map)
-        stream.write(comments.write_comments(title, entries, "provenance", provenance))
+        entries = [*known.items(), *several]
+        stream.write(write_comments(title, entries, "provenance", provenance))
         table = csv.writer(
             stream,
             delimiter="\t" if path.suffix.lower() == ".tsv" else ",",
@@ -133,17 +160,17 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
             lineterminator="\n",
         )
         further, values = _further_columns(sensor_map)
-        table.writerow(("name", *axis_names(sensor_map.dimensions), *_EXTRA_COLUMNS, *further))
+        axes = axis_names(sensor_map.dimensions)
+        table.writerow(("name", *axes, "component", "health", *further))
         for name, position, component, health, more in zip(
-            sensor_map.names,
+            map(delimited.guard_formula, sensor_map.names),
             sensor_map.positions.tolist(),
             sensor_map.component.tolist(),
-            sensor_map.health,
+            map(delimited.guard_formula, sensor_map.health),
             values.tolist(),
             strict=True,
         ):
-            guarded = delimited.guard_formula(name), delimited.guard_formula(health)
-            table.writerow((guarded[0], *position, component, guarded[1], *more))
+            table.writerow((name, *position, component, health, *more))
 
 
 def _further_columns(sensor_map: SensorMap) -> tuple[list[str], NDArray[np.float64]]:
@@ -165,8 +192,8 @@ def _further_columns(sensor_map: SensorMap) -> tuple[list[str], NDArray[np.float
 
 def _covariance_names(dimensions: int) -> list[str]:
     """Return the names of the columns of covariances: cov_xx, cov_xy, cov_yy."""
-    axes = axis_names(dimensions)
-    return [f"cov_{a}{b}" for i, a in enumerate(axes) for b in axes[i:]]
+    pairs = itertools.combinations_with_replacement(axis_names(dimensions), 2)
+    return [f"cov_{a}{b}" for a, b in pairs]
 
 
 def _covariances(entries: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -176,97 +203,6 @@ def _covariances(entries: NDArray[np.float64]) -> NDArray[np.float64]:
     rows, columns = np.triu_indices(dimensions)
     found[:, rows, columns] = found[:, columns, rows] = entries.T
     return found
-
-
-def _without_trailing_columns(rows: list[delimited.Record]) -> list[delimited.Record]:
-    """Drop the empty last columns of a table with delimiters at the end of every line."""
-    empty = delimited.empty_columns([fields for _, fields in rows]) if rows else 0
-    return [(number, fields[: len(fields) - empty]) for number, fields in rows]
-
-
-def _columns(path: Path, first: delimited.Record) -> _Columns:
-    line, fields = first
-    words = [field.strip().lower() for field in fields]
-    found = {
-        match[1]: (i, match[2] or "")
-        for i, word in enumerate(words)
-        if (match := _AXIS.fullmatch(word))
-    }
-    axes = [
-        axis for axis in (_AXES if "x" in found else axis_names(len(found) + 3)) if axis in found
-    ]
-    if axes:
-        spread = _covariance_names(len(axes))
-        spread = spread if set(spread) <= set(words) else []
-        kept = (*_EXTRA_COLUMNS, _ERROR, *spread, *_NORMAL)
-        others = {word: i for i, word in enumerate(words) if word in kept}
-        named = [words.index(word) for word in _NAMES if word in words]
-        others |= {"name": named[0]} if named else {}
-        return _Columns(
-            tuple(found[axis][0] for axis in axes), others, found[axes[0]][1], True, tuple(spread)
-        )
-    start = 0 if is_number(fields[0], None) else 1
-    coordinates = range(start, len(fields))
-    if len(coordinates) in (2, 3) and all(is_number(fields[i], None) for i in coordinates):
-        return _Columns(tuple(coordinates), {"name": 0} if start else {}, "", False)
-    raise LineError(
-        path,
-        line,
-        f" ({quote(', '.join(fields))}) gives no columns x and y; the table needs a header with "
-        "x, y (and z), or two or three columns of numbers after an optional column of names",
-    )
-
-
-def _check_widths(path: Path, rows: Sequence[delimited.Record]) -> None:
-    first, width = rows[0][0], len(rows[0][1])
-    for line, fields in rows:
-        if len(fields) != width:
-            raise LineError(path, line, f" has {len(fields)} fields, but line {first} has {width}")
-
-
-def _column(
-    path: Path,
-    rows: Sequence[delimited.Record],
-    column: int,
-    parse: Callable[[str], Value],
-    expected: str = "text",
-) -> tuple[Value, ...]:
-    values = []
-    for line, fields in rows:
-        try:
-            values.append(parse(fields[column]))
-        except ValueError:
-            problem = f", column {column + 1}: {quote(fields[column])} is not {expected}"
-            raise LineError(path, line, problem) from None
-    return tuple(values)
-
-
-def _number(value: Scalar | None) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
-
-
-def _map_properties(lines: Sequence[str], units: str) -> dict[str, Any]:
-    """Read the properties in the comments of a map written by anisomap."""
-    if not lines[0].startswith(f"# {MAP_TITLE}"):
-        return {"units": units}
-    leading = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    entries, provenance = comments.read_comments(leading, "provenance")
-    known = dict(entries)
-    return {
-        "units": str(known.get("units", units)),
-        "method": str(known.get("method", "")),
-        "stress": _number(known.get("stress")),
-        "verdict": Verdict(
-            str(known.get("verdict", UNKNOWN)),
-            **{name: _number(known.get(name)) for name in ACCURACY},
-            reasons=tuple(str(value) for key, value in entries if key == "reason"),
-        ),
-        "notes": tuple(str(value) for key, value in entries if key == "note"),
-        **from_provenance(provenance),
-    }
-
-
-_SENSOR = ("sensor", "name", "taxel", "id")
 
 
 def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
@@ -293,24 +229,21 @@ def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
     """
     file = Path(path)
     with file_errors(file):
-        with open_text(file) as stream:
-            lines = list(stream)
+        lines = read_lines(file)
         rows = list(delimited.records(lines, delimited.find_delimiter(lines)))
         header = [field.strip().lower() for field in rows[0][1]] if rows else []
-        sensor = next((header.index(word) for word in _SENSOR if word in header), None)
-        if sensor is None or "module" not in header:
+        sensor = next((word for word in ("sensor", "name", "taxel", "id") if word in header), "")
+        if not sensor or "module" not in header:
             raise FileError(f"{file} must have a header with the columns sensor, module (and pad)")
-        module = header.index("module")
-        pad = header.index("pad") if "pad" in header else None
         assigned: dict[str, tuple[str, int | None]] = {}
         for line, fields in rows[1:]:
             if len(fields) != len(header):
                 raise LineError(file, line, f" has {len(fields)} fields, not {len(header)}")
-            name = fields[sensor].strip()
+            row = dict(zip(header, map(str.strip, fields), strict=True))
+            name, pad = row[sensor], row.get("pad")
             if name in assigned:
                 raise LineError(file, line, f": sensor {quote(name)} is listed twice")
-            text = None if pad is None else fields[pad].strip()
-            if text is not None and not (text.isascii() and text.isdigit() and len(text) < 10):
-                raise LineError(file, line, f": pad {quote(text)} must be a whole number from 0")
-            assigned[name] = (fields[module].strip(), None if text is None else int(text))
+            if pad is not None and not (pad.isascii() and pad.isdigit() and len(pad) < 10):
+                raise LineError(file, line, f": pad {quote(pad)} must be a whole number from 0")
+            assigned[name] = (row["module"], None if pad is None else int(pad))
         return modules_by_name(names, assigned)

@@ -6,6 +6,7 @@ Whatever is written is read back equal.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.source import quote
 from anisomap.recording import Scalar
 from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
+from anisomap.usability import ACCURACY, UNKNOWN, Verdict
 
 
 def texts_of(mapping: Mapping[str, Scalar]) -> Iterator[str]:
@@ -129,32 +131,63 @@ _ESCAPE = "~"
 """Precedes a key of the provenance that is also the name of a field."""
 
 
-def to_provenance(sensor_map: SensorMap) -> dict[str, Scalar]:
-    """Return the provenance of a map, extended by its frame and the flags that are set."""
+def properties_of(sensor_map: SensorMap) -> dict[str, Any]:
+    """Return what a file states about a map as a whole; `read_properties` reads it back.
+
+    The frame and the flags that are set are part of the provenance.
+    """
     flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
-    frame = {} if sensor_map.frame == DEFAULT_FRAME else {"frame": sensor_map.frame}
+    if sensor_map.frame != DEFAULT_FRAME:
+        flags["frame"] = sensor_map.frame
     provenance = {
-        f"{_ESCAPE}{key}" if key.lstrip(_ESCAPE) in _FIELDS else key: value
+        f"{_ESCAPE}{key}" if key.lstrip(_ESCAPE) in _FIELDS else key: to_python_scalar(value)
         for key, value in sensor_map.provenance.items()
     }
-    return {**provenance, **flags, **frame}
+    verdict = sensor_map.verdict
+    return {
+        "method": sensor_map.method,
+        "units": sensor_map.units,
+        **sensor_map.reference,
+        "stress": float(sensor_map.stress),
+        "verdict": verdict.level,
+        **{name: float(getattr(verdict, name)) for name in ACCURACY},
+        "reasons": verdict.reasons,
+        "notes": sensor_map.notes,
+        "provenance": {**provenance, **flags},
+    }
 
 
-def from_provenance(stored: Mapping[str, Scalar]) -> dict[str, Any]:
-    """Split stored provenance into arguments of `SensorMap`."""
-    facts: dict[str, Any] = {name: stored[name] is True for name in _FLAGS if name in stored}
-    if "frame" in stored:
-        facts["frame"] = str(stored["frame"])
-    if "precomputed" not in stored:
-        facts["similarity"] = str(stored.get("similarity", ""))
-    iterations = stored.get("iterations")
+def read_properties(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments of `SensorMap`; texts and numbers that are missing are empty and NaN."""
+    provenance: Mapping[str, Scalar] = stored.get("provenance", {})
+    facts: dict[str, Any] = {
+        name: provenance[name] is True for name in _FLAGS if name in provenance
+    }
+    if "frame" in provenance:
+        facts["frame"] = str(provenance["frame"])
+    if "precomputed" not in provenance:
+        facts["similarity"] = str(provenance.get("similarity", ""))
+    iterations = provenance.get("iterations")
     if isinstance(iterations, int):
         facts["n_iterations"] = int(iterations)
     return {
         **facts,
+        "units": str(stored.get("units", "")),
+        "method": str(stored.get("method", "")),
+        "stress": _number(stored.get("stress")),
+        "verdict": Verdict(
+            str(stored.get("verdict", UNKNOWN)),
+            **{name: _number(stored.get(name)) for name in ACCURACY},
+            reasons=tuple(map(str, stored.get("reasons", ()))),
+        ),
+        "notes": tuple(map(str, stored.get("notes", ()))),
         "provenance": {
             key.removeprefix(_ESCAPE) if key.lstrip(_ESCAPE) in _FIELDS else key: value
-            for key, value in stored.items()
+            for key, value in provenance.items()
             if key not in _FIELDS
         },
     }
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan

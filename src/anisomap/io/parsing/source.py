@@ -1,17 +1,19 @@
-"""Open files as bytes or text, decompress them, and convert errors to FileError."""
+"""Read files as bytes, text or JSON, gzipped or not, and convert errors to FileError."""
 
 from __future__ import annotations
 
 import csv
 import gzip
 import io
+import json
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from anisomap.errors import AnisomapError, FileError, InputError
 from anisomap.files import open_regular
@@ -19,6 +21,7 @@ from anisomap.memory import Budget
 from anisomap.wording import printable, shortened
 
 Item = TypeVar("Item")
+Line = TypeVar("Line", str, bytes)
 
 _MAX_REASON = 200
 
@@ -204,18 +207,24 @@ def is_gzipped(path: Path) -> bool:
 
 def read_lines(path: Path) -> list[str]:
     """Read all lines of a file as `open_text` does, within the budget of the file."""
-    budget, lines, n_bytes = Budget(path), list[str](), 0
     with open_text(path) as stream:
-        for line in stream:
-            n_bytes += len(line) + _LINE_BYTES
-            budget.check(n_bytes, "its text", reachable=reachable(budget))
-            lines.append(line)
-    return lines
+        return list(_budgeted(path, stream))
 
 
-def reachable(budget: Budget) -> int:
-    """Return the most bytes that the objects of a text may take."""
-    return max(budget.free, _MAX_TEXT_RATIO * budget.size)
+def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield stripped lines, from 1, of text before binary data, within the budget of the file."""
+    with open_binary(path) as stream:
+        lines = _budgeted(path, binary_lines(path, stream))
+        for number, line in enumerate(lines, start=1):
+            yield number, line.decode("utf-8", "replace").strip()
+
+
+def _budgeted(path: Path, lines: Iterator[Line]) -> Iterator[Line]:
+    budget, n_bytes = Budget(path), 0
+    for line in lines:
+        n_bytes += len(line) + _LINE_BYTES
+        budget.check(n_bytes, "its text", reachable=max(budget.free, _MAX_TEXT_RATIO * budget.size))
+        yield line
 
 
 def read_head(path: Path) -> bytes:
@@ -264,3 +273,74 @@ def _undecodable(path: Path) -> str:
             except UnicodeDecodeError as error:
                 return f" (line {number}, byte 0x{line[error.start]:02x})"
     return ""
+
+
+_OBJECT_BYTES = 24
+"""Memory of the objects per character of their text (measured: empty lists; CPython 3.11)."""
+
+_FREE_PARTS, _PART_CHARACTERS = 1 << 19, 10
+"""Lists and objects that any file may hold, and the characters of each beyond that number; the
+shortest sensor of a map has 21 for its two."""
+
+_BLANKS = re.compile(r"[ \t\r\n]*+")
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file."""
+    text = _read_text(path)
+    n_parts = text.count("[") + text.count("{")
+    if n_parts > max(_FREE_PARTS, len(text) // _PART_CHARACTERS):
+        raise FileError(
+            f"{path} holds {n_parts} lists and objects in {len(text)} characters, too many for a "
+            "map; it is damaged or a decompression bomb"
+        )
+    value, end = _decoded(path, text, 0)
+    if end < len(text):
+        raise _invalid(path, "Extra data", text, end)
+    return value
+
+
+def read_json_items(path: Path) -> Iterator[Any]:
+    """Yield the elements of a JSON file that is one list; only one of them takes memory."""
+    text = _read_text(path)
+    at, mark = text.index("[") + 1, ","
+    if text.startswith("]", _after_blanks(text, at)):
+        at, mark = _after_blanks(text, at) + 1, "]"
+    while mark == ",":
+        value, at = _decoded(path, text, at)
+        yield value
+        mark, at = text[at : at + 1], at + 1
+    if mark != "]":
+        raise _invalid(path, "Expecting ',' delimiter", text, at - 1)
+    if (end := _after_blanks(text, at)) < len(text):
+        raise _invalid(path, "Extra data", text, end)
+
+
+def _read_text(path: Path) -> str:
+    budget = Budget(path)
+    with open_text(path) as stream:
+        text = stream.read(budget.limit // _OBJECT_BYTES + 1)
+    budget.check(_OBJECT_BYTES * len(text), "its text")
+    return text
+
+
+def _decoded(path: Path, text: str, at: int) -> tuple[Any, int]:
+    """Return a value after blanks, and the place after it and the blanks behind it."""
+    try:
+        value, end = json.JSONDecoder().raw_decode(text, _after_blanks(text, at))
+    except json.JSONDecodeError as error:
+        raise _invalid(path, error.msg, text, error.pos) from error
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path}: not valid JSON ({error})") from error
+    return value, _after_blanks(text, end)
+
+
+def _invalid(path: Path, problem: str, text: str, at: int) -> FileError:
+    place = json.JSONDecodeError(problem, text, at)
+    where = f"{path}, line {place.lineno}, column {place.colno}"
+    return FileError(f"{where}: not valid JSON ({problem})")
+
+
+def _after_blanks(text: str, at: int) -> int:
+    found = _BLANKS.match(text, at)
+    return found.end() if found else at

@@ -253,9 +253,12 @@ def is_skipped(line: str, delimiter: str | None = None) -> bool:
     return not content.strip() and not (delimiter == "\t" and "\t" in content)
 
 
-def parse_number(field: str) -> float:
-    """Parse a number as numpy does: no underscores, and NaN for an empty field."""
-    text = field.strip()
+def parse_number(field: str, delimiter: str | None = ",") -> float:
+    """Parse a number as numpy does: no underscores, and NaN for an empty field.
+
+    It may have a decimal comma unless commas separate the fields.
+    """
+    text = (field if delimiter == "," else field.replace(",", ".")).strip()
     if not text:
         return math.nan
     if "_" in text or not text.isascii():
@@ -278,10 +281,10 @@ def parse_row(
     return values
 
 
-def is_number(field: str, delimiter: str | None) -> bool:
-    """Return whether `parse_number` accepts a field; it may have a decimal comma if unambiguous."""
+def is_number(field: str, delimiter: str | None = ",") -> bool:
+    """Return whether `parse_number` accepts a field."""
     try:
-        parse_number(field if delimiter == "," else field.replace(",", "."))
+        parse_number(field, delimiter)
     except ValueError:
         return False
     return True
@@ -289,7 +292,7 @@ def is_number(field: str, delimiter: str | None) -> bool:
 
 def _text_to_nan(field: str) -> float:
     """Convert a field of a text column to NaN; raise ValueError for a number."""
-    if field.strip() and is_number(field, ","):
+    if field.strip() and is_number(field):
         raise ValueError(field)
     return math.nan
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.columns import is_time, units_per_second
-from anisomap.io.parsing.json_text import read_items
-from anisomap.io.parsing.source import open_text, quote
+from anisomap.io.parsing.source import open_text, quote, read_json_items
 from anisomap.io.parsing.table import LineError, read_undamaged
 from anisomap.io.recordings.events import (
     EventColumns,
@@ -79,7 +78,7 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     with open_text(path) as stream:
         start = next((line for line in stream if line.strip()), "")
     if start.lstrip("\ufeff \t").startswith("["):
-        yield from ((f"contact {i}", found) for i, found in enumerate(read_items(path)))
+        yield from ((f"contact {i}", found) for i, found in enumerate(read_json_items(path)))
         return
 
     def parse(lines: Iterable[str]) -> Iterator[tuple[str, Any]]:

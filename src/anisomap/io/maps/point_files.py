@@ -1,0 +1,333 @@
+"""Files of points: PLY, PCD, taxel positions of the iCub, electrodes, and montages of MNE.
+
+They hold the placed sensors of a map of up to three dimensions. ASCII point clouds (PLY for mesh
+viewers, PCD for the Point Cloud Library) have coordinates of doubles, so that they are read back
+equal; comments restore the names, which are s0, s1, ... in other files.
+
+Sources: Turk (1994), The PLY polygon file format; the PCD file format of the Point Cloud Library;
+the readers of MNE-Python (``mne.channels.read_custom_montage``).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import FileError, InputError, import_extra
+from anisomap.io.parsing.facts import format_value, read_comments
+from anisomap.io.parsing.naming import distinct_names, numbers_of
+from anisomap.io.parsing.source import numbered_lines, quote, read_lines
+from anisomap.io.parsing.table import LineError, parse_row
+from anisomap.placement import Taxels, pad_to_3d, surface_normals, to_taxels
+from anisomap.recording import Scalar
+from anisomap.sensor_map import SensorMap
+
+_AXES = ("x", "y", "z")
+_PLY_COLUMNS = (*_AXES, "nx", "ny", "nz")
+_PCD_COLUMNS = (*_AXES, "normal_x", "normal_y", "normal_z")
+_MAX_DIGITS = 9  # of a number of points: more are in no file, and Python converts few thousand
+
+
+def is_ply(path: Path, head: bytes) -> bool:
+    """Recognise a PLY file by its first line."""
+    return head.splitlines()[:1] == [b"ply"]
+
+
+def is_pcd(path: Path, head: bytes) -> bool:
+    """Recognise a PCD file by VERSION in its first line that is not a comment."""
+    lines = (line.strip() for line in head.splitlines())
+    return next((line for line in lines if line and line[:1] != b"#"), b"")[:8] == b"VERSION "
+
+
+def write_ply(sensor_map: SensorMap, path: Path) -> None:
+    """Write the placed sensors as vertices, each with its index in the map and its component."""
+    numbers = np.flatnonzero(sensor_map.placed).tolist()
+    head = [
+        "ply",
+        "format ascii 1.0",
+        f"comment anisomap map, {sensor_map.pose}",
+        *(f"comment {fact}" for fact in _facts(sensor_map, numbers)),
+        f"element vertex {len(numbers)}",
+        *(f"property double {column}" for column in _PLY_COLUMNS),
+        "property int sensor",
+        "property int component",
+        "end_header",
+    ]
+    points = zip(numbers, _points_and_normals(sensor_map), strict=True)
+    body = [f"{point} {i} {sensor_map.component[i]}" for i, point in points]
+    path.write_text("\n".join([*head, *body, ""]), encoding="utf-8")
+
+
+def write_pcd(sensor_map: SensorMap, path: Path) -> None:
+    """Write the placed sensors as points."""
+    points = _points_and_normals(sensor_map)
+    n_columns = len(_PCD_COLUMNS)
+    head = [
+        *(f"# {fact}" for fact in _facts(sensor_map, range(len(points)))),
+        "VERSION 0.7",
+        f"FIELDS {' '.join(_PCD_COLUMNS)}",
+        f"SIZE{' 8' * n_columns}",
+        f"TYPE{' F' * n_columns}",
+        f"COUNT{' 1' * n_columns}",
+        f"WIDTH {len(points)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(points)}",
+        "DATA ascii",
+    ]
+    path.write_text("\n".join([*head, *points, ""]), encoding="utf-8")
+
+
+def _points_and_normals(sensor_map: SensorMap) -> list[str]:
+    rows = np.hstack([pad_to_3d(sensor_map.positions), surface_normals(sensor_map)])
+    return [" ".join(map(repr, row)) for row in rows[sensor_map.placed].tolist()]
+
+
+def _facts(sensor_map: SensorMap, numbers: Iterable[int]) -> list[str]:
+    """Format what a point cloud cannot hold; `numbers` stand for the placed sensors."""
+    placed = dict(zip(numbers, np.flatnonzero(sensor_map.placed).tolist(), strict=True))
+    errors = {number: float(sensor_map.errors[i]) for number, i in placed.items()}
+    known: dict[str, Scalar] = {
+        "method": sensor_map.method,
+        "units": sensor_map.units,
+        **sensor_map.reference,
+        "dimensions": sensor_map.dimensions,
+        "normals": "estimated from the positions" if sensor_map.normals is None else "of the map",
+        **{f"sensor {number}": sensor_map.names[i] for number, i in placed.items()},
+        **{f"error {number}": each for number, each in errors.items() if math.isfinite(each)},
+    }
+    return [f"{key}: {format_value(value)}" for key, value in known.items()]
+
+
+def read_ply(path: Path) -> SensorMap:
+    """Read the vertices of an ASCII file as sensors; other elements are skipped."""
+    counts, columns = dict[str, int](), dict[str, list[str]]()
+    remarks, element = list[str](), ""
+    lines = numbered_lines(path)
+    for number, line in lines:
+        match line.split():
+            case ["end_header"]:
+                break
+            case ["format", kind, *_] if kind != "ascii":
+                raise LineError(path, number, f": the PLY format must be ascii, got {quote(kind)}")
+            case ["comment", *_]:
+                remarks.append(line.removeprefix("comment"))
+            case ["element", element, count] if count.isdecimal() and len(count) <= _MAX_DIGITS:
+                counts[element], columns[element] = int(count), []
+            case ["property", _, *_, name] if element:
+                columns[element].append(name)
+            case ["ply"] | ["format", *_] | ["obj_info", *_] | []:
+                pass
+            case _:
+                raise LineError(path, number, f": {quote(line)} is not valid in a PLY header")
+    else:
+        raise FileError(f"{path} ends within its PLY header")
+    n_vertices = counts.get("vertex", 0)
+    before = itertools.takewhile(lambda name: name != "vertex", counts)
+    skipped = sum(counts[name] for name in before)
+    vertices = itertools.islice(lines, skipped, skipped + n_vertices)
+    names = columns.get("vertex", [])
+    return _read_points(path, names, vertices, remarks, count=n_vertices, noun="vertices")
+
+
+def read_pcd(path: Path) -> SensorMap:
+    """Read the points of an ASCII file as sensors."""
+    columns, remarks, count = list[str](), list[str](), 0
+    lines = numbered_lines(path)
+    for number, line in lines:
+        match line.split():
+            case [mark, *_] if mark.startswith("#"):
+                remarks.append(line)
+            case ["FIELDS", *names]:
+                columns = names
+            case ["POINTS", text] if text.isdecimal() and len(text) <= _MAX_DIGITS:
+                count = int(text)
+            case ["DATA", "ascii"]:
+                break
+            case ["DATA", kind]:
+                raise LineError(path, number, f": PCD data must be ascii, got {quote(kind)}")
+            case _:
+                pass
+    else:
+        raise FileError(f"{path} ends within its PCD header")
+    points = (numbered for numbered in lines if numbered[1])
+    return _read_points(path, columns, points, remarks, count=count, noun="points")
+
+
+def _read_points(
+    path: Path,
+    columns: Sequence[str],
+    lines: Iterator[tuple[int, str]],
+    remarks: Sequence[str],
+    *,
+    count: int,
+    noun: str,
+) -> SensorMap:
+    """Read the points that a header announces; comments restore what was written."""
+    if not count or not set(_AXES) <= set(columns):
+        raise FileError(f"{path} holds no {noun} with x, y and z")
+    wanted = {columns.index(n): n for n in (*_AXES, "sensor", "component") if n in columns}
+    rows = []
+    for number, line in lines:
+        fields = line.split()
+        if len(fields) != len(columns):
+            problem = f" has {len(fields)} numbers, but the header announces {len(columns)}"
+            raise LineError(path, number, problem)
+        rows.append(parse_row(path, number, fields, wanted))
+    if len(rows) != count:
+        raise FileError(
+            f"{path} is damaged: its header announces {count} {noun}, but it has {len(rows)}"
+        )
+    values = dict(zip(wanted.values(), np.array(rows).T, strict=True))
+    known = dict(read_comments(remarks, "")[0])
+    dimensions = 2 if known.get("dimensions") == 2 else len(_AXES)
+    numbers = _integers(path, values.get("sensor", np.arange(count, dtype=np.float64)))
+    return SensorMap(
+        np.column_stack([values[axis] for axis in _AXES[:dimensions]]),
+        names=distinct_names(path, [str(known.get(f"sensor {i}", f"s{i}")) for i in numbers]),
+        component=_integers(path, values.get("component", np.empty(0))),
+        units=str(known.get("units", "")),
+    )
+
+
+def _integers(path: Path, values: NDArray[np.float64]) -> NDArray[np.intp]:
+    if not all(math.isfinite(value) and value == int(value) for value in values.tolist()):
+        raise FileError(f"{path}: sensor and component must be integers")
+    return values.astype(np.intp)
+
+
+_BOARD = 192  # values per board: 16 triangles of 12
+_MAX_VALUES = 100_000
+_REPRESENTATIVES = re.compile(r"taxel2Repr\s*+\(")
+
+
+def is_icub(path: Path, head: bytes) -> bool:
+    """Recognise the file by its keyword taxel2Repr."""
+    return b"taxel2Repr" in head
+
+
+def write_icub(sensor_map: SensorMap, path: Path) -> None:
+    """Write one line per value of a port, in metres.
+
+    Four header lines are followed by ``x y z nx ny nz`` for each value, zeros without a taxel.
+    ``taxel2Repr`` gives the representative taxel of each value, -1 for none. The last line is
+    zeros, because one reader of these files drops it; lines do not start with blanks, which another
+    rejects. If all names end in unique numbers (``taxel97``), these are the indices on the port;
+    otherwise sensors are numbered in order.
+    """
+    skin = to_taxels(sensor_map, "a file of taxel positions")
+    ports = np.array(numbers_of(sensor_map.names) or range(sensor_map.n_sensors))[skin.indices]
+    if ports.max() >= _MAX_VALUES:
+        raise InputError(
+            f"sensor {skin.names[int(ports.argmax())]} has port index {ports.max()}, which must be "
+            f"below {_MAX_VALUES}; rename the sensors"
+        )
+    # A multiple of the board size, and at least one line of zeros after the last taxel.
+    n_values = (int(ports.max()) // _BOARD + 1) * _BOARD
+    rows = np.zeros((n_values + 1, 6))
+    rows[ports] = np.hstack([skin.positions, skin.normals])
+    representatives = np.full(n_values + 1, -1)
+    representatives[ports] = ports
+    lines = [
+        f"name {re.sub(r'[^A-Za-z0-9_.-]', '_', skin.frame) or 'skin'}",
+        "spatial_sampling taxel",
+        f"taxel2Repr ( {' '.join(map(str, representatives.tolist()))} )",
+        "[calibration]",
+        *(" ".join("0" if v == 0 else repr(v) for v in row) for row in rows.tolist()),
+    ]
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def read_icub(path: Path) -> SensorMap:
+    """Read the taxels, named by port index (``taxel97``), without values that have no taxel."""
+    lines = [line.strip() for line in read_lines(path)]
+    if "[calibration]" not in lines:
+        raise FileError(f"{path} lacks the line [calibration] that precedes the positions")
+    start = lines.index("[calibration]") + 1
+    header = " ".join(lines[: start - 1])
+    opening = _REPRESENTATIVES.search(header)
+    listed, closing, _ = header[opening.end() :].partition(")") if opening else ("", "", "")
+    if not closing:
+        raise FileError(f"{path}: taxel2Repr must be followed by numbers in brackets")
+    representatives = listed.split()
+    positions = {}
+    body = [(number, line.split()) for number, line in enumerate(lines[start:], start + 1) if line]
+    for value, (number, fields) in enumerate(body):
+        if len(fields) not in (6, 7):
+            problem = f" has {len(fields)} fields; it must be x y z nx ny nz"
+            raise LineError(path, number, problem)
+        row = parse_row(path, number, fields, dict.fromkeys(range(6), ""))
+        if not np.isfinite(row).all():
+            raise LineError(path, number, f": {quote(' '.join(fields))} must hold finite numbers")
+        absent = value < len(representatives) and representatives[value] == "-1"
+        if not absent and any(row):
+            positions[f"taxel{value}"] = row[:3]
+    if not positions:
+        raise FileError(f"{path} holds no taxel: all lines are zeros")
+    return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")
+
+
+def write_elc(sensor_map: SensorMap, path: Path) -> None:
+    """Write electrodes for ASA: positions in millimetres, then labels, without fiducials."""
+    electrodes = to_taxels(sensor_map, "an .elc file")
+    lines = [
+        "# ASA electrode file",
+        "ReferenceLabel\tavg",
+        "UnitPosition\tmm",
+        f"NumberPositions=\t{len(electrodes.names)}",
+        "Positions",
+        *_tabbed(electrodes.positions * 1e3),
+        "Labels",
+        *_labels(electrodes, path),
+    ]
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def write_sfp(sensor_map: SensorMap, path: Path) -> None:
+    """Write electrodes for BESA: lines of a label and a position in metres, without fiducials."""
+    electrodes = to_taxels(sensor_map, "an .sfp file")
+    pairs = zip(_labels(electrodes, path), _tabbed(electrodes.positions), strict=True)
+    path.write_text("".join(f"{label}\t{row}\n" for label, row in pairs), encoding="utf-8")
+
+
+def _tabbed(positions: NDArray[np.float64]) -> list[str]:
+    return ["\t".join(map(repr, row)) for row in positions.tolist()]
+
+
+def _labels(electrodes: Taxels, path: Path) -> tuple[str, ...]:
+    """Return names with underscores for blanks."""
+    return distinct_names(path, ["_".join(name.split()) for name in electrodes.names])
+
+
+def to_montage(sensor_map: SensorMap) -> Any:
+    """Convert a map to a montage of MNE.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        With a scale, and one connected component.
+
+    Returns
+    -------
+    mne.channels.DigMontage
+        Positions in metres in the frame of the map, which is "unknown" to MNE. Align the map with
+        anchors first (`anisomap.placement.place`) to have them in the frame of a head.
+
+    Raises
+    ------
+    InputError
+        If the map has no scale, or several components.
+    MissingExtraError
+        If mne is not installed.
+    """
+    electrodes = to_taxels(sensor_map, "a montage")
+    mne = import_extra("mne", "a montage", "mne")
+    places = dict(zip(electrodes.names, electrodes.positions, strict=True))
+    return mne.channels.make_dig_montage(places, coord_frame="unknown")

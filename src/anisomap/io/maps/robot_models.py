@@ -1,0 +1,365 @@
+"""Models of robots: URDF, MJCF for MuJoCo, and ROS 2 launch files of static transforms.
+
+Sensors are fixed frames of one link, sites of one body, or transforms, in metres and right-handed;
+the z axis of each is the surface normal. URDF holds the ``tactile`` element as well, its extension
+for tactile sensors: a channel, and position and shape of each sensor.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shlex
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.errors import AnisomapWarning, FileError, import_extra
+from anisomap.files import open_regular
+from anisomap.io.parsing.source import HEAD_BYTES, file_errors, guarded_iter, quote
+from anisomap.placement import METRES, Taxels, to_taxels
+from anisomap.placement.kinematics import SLIDING, TURNING, Joint, KinematicTree, Mimic, transform
+from anisomap.sensor_map import SensorMap
+
+EXTRA = "xml"
+
+_MAX_FRAMES = 100  # without a warning; chosen by hand
+_RADIUS = "0.002"  # in metres, of the spheres that represent sensors; for display only
+_CHANNEL = "tactile"
+_ZERO, _X_AXIS = "0 0 0", "1 0 0"  # the defaults of URDF
+
+_MAX_BYTES, _MAX_DEPTH = 1 << 24, 1000
+# The first element, after declarations and comments. It takes linear time.
+_ROOT = re.compile(
+    rb"(?:\xef\xbb\xbf)?\s*+(?:(?:<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*+>)\s*+)*+"
+    rb"<\s*+([A-Za-z_][\w.-]*+)",
+    re.DOTALL,
+)
+# Characters that XML 1.0 cannot represent, not even escaped.
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+# Parsers replace these characters in attributes by spaces (XML 1.0, section 3.3.3).
+_SPACE = str.maketrans({"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+
+
+def has_root(name: str) -> Callable[[Path, bytes], bool]:
+    """Return the function that recognises files by their root element."""
+    return lambda path, head: _root(head) == name.encode()
+
+
+def _root(head: bytes) -> bytes:
+    found = _ROOT.match(head)
+    return found[1] if found else b""
+
+
+def write_urdf(sensor_map: SensorMap, path: Path) -> None:
+    """Write a map with a scale and one component as a link with fixed frames.
+
+    The suffix ``.xacro`` selects a macro with the parent link as parameter.
+    """
+    skin = _named_taxels(sensor_map, "URDF")
+    if len(skin.names) > _MAX_FRAMES:
+        warnings.warn(
+            f"the map gives {len(skin.names)} frames, one per sensor; more than {_MAX_FRAMES} slow "
+            "down software that tracks frames, so consider the tactile element or another format",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+    macro = path.suffix.lower() == ".xacro"
+    skin = _without_expressions(skin, escaped=macro)
+    parent = "${parent}" if macro else skin.frame
+    frames, taxels = list[str](), list[str]()
+    for index, name, position, turn in zip(
+        skin.indices, skin.names, skin.positions, skin.roll_pitch_yaw, strict=True
+    ):
+        pose = {"xyz": _numbers(position), "rpy": _numbers(turn)}
+        joint = _tag("joint", {"name": f"{name}_fixed", "type": "fixed"}, closed=False)
+        links = _tag("parent", {"link": parent}) + _tag("child", {"link": name})
+        frames += [_tag("link", {"name": name}), f"{joint}{links}{_tag('origin', pose)}</joint>"]
+        taxel = _tag("taxel", {"idx": str(index), **pose}, closed=False)
+        sphere = _tag("sphere", {"radius": _RADIUS})
+        taxels.append(f"{taxel}<geometry>{sphere}</geometry></taxel>")
+    sensor = {"name": f"{skin.frame}_tactile", "update_rate": "100"}
+    body = [
+        *frames,
+        _tag("sensor", sensor, closed=False),
+        _tag("parent", {"link": parent}),
+        _tag("tactile", {"channel": _CHANNEL}, closed=False),
+        *taxels,
+        "</tactile>",
+        "</sensor>",
+    ]
+    comments = _comments(sensor_map, "frame")
+    if macro:
+        robot = _tag("robot", {"xmlns:xacro": "http://www.ros.org/wiki/xacro"}, closed=False)
+        opening = _tag("xacro:macro", {"name": "skin", "params": "parent"}, closed=False)
+        lines = [robot, *comments, opening, *body, "</xacro:macro>", "</robot>"]
+    else:
+        robot = _tag("robot", {"name": skin.frame}, closed=False)
+        lines = [robot, *comments, _tag("link", {"name": skin.frame}), *body, "</robot>"]
+    path.write_text("\n".join(['<?xml version="1.0"?>', *lines, ""]), encoding="utf-8")
+
+
+def write_mjcf(sensor_map: SensorMap, path: Path) -> None:
+    """Write a map with a scale and one component as a model of one body with sites."""
+    skin = _named_taxels(sensor_map, "MJCF")
+    lines = [
+        _tag("mujoco", {"model": skin.frame}, closed=False),
+        *_comments(sensor_map, "site"),
+        "<worldbody>",
+        _tag("body", {"name": skin.frame}, closed=False),
+    ]
+    quaternions = skin.rotations.as_quat(scalar_first=True)
+    for name, position, turn in zip(skin.names, skin.positions, quaternions, strict=True):
+        pose = {"pos": _numbers(position), "quat": _numbers(turn)}
+        lines.append(_tag("site", {"name": name, **pose, "size": _RADIUS}))
+    path.write_text("\n".join([*lines, "</body>", "</worldbody>", "</mujoco>", ""]), "utf-8")
+
+
+def write_launch(sensor_map: SensorMap, path: Path) -> None:
+    """Write a map with a scale and one component, for ``ros2 launch skin.launch.xml``.
+
+    Each transform is a process, so this format suits tens of sensors. For hundreds, use URDF with
+    ``robot_state_publisher``.
+    """
+    skin = _named_taxels(sensor_map, "a static transform")
+    lines = ["<launch>", *_comments(sensor_map, "frame")]
+    quaternions = skin.rotations.as_quat()
+    for index, name, position, turn in zip(
+        skin.indices, skin.names, skin.positions, quaternions, strict=True
+    ):
+        pose = zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*position, *turn), strict=True)
+        words = " ".join(f"--{key} {float(value)!r}" for key, value in pose)
+        frames = f"--frame-id {_launch_quote(skin.frame)} --child-frame-id {_launch_quote(name)}"
+        node = {"pkg": "tf2_ros", "exec": "static_transform_publisher", "name": f"taxel_{index}"}
+        lines.append(_tag("node", {**node, "args": f"{words} {frames}"}))
+    path.write_text("\n".join([*lines, "</launch>", ""]), encoding="utf-8")
+
+
+def _named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
+    """Convert a map to taxels, and check that XML can represent their names."""
+    skin = to_taxels(sensor_map, purpose)
+    for name in (*skin.names, skin.frame):
+        if _FORBIDDEN.search(name):
+            raise FileError(
+                f"{purpose} cannot represent the name {quote(name)} with control characters"
+            )
+    return skin
+
+
+def _without_expressions(skin: Taxels, *, escaped: bool) -> Taxels:
+    """Escape or reject names that xacro would evaluate; launch files often pass it plain URDF."""
+    names = (skin.frame, *skin.names)
+    if escaped:
+        # The escape ``$${`` is not enough: xacro drops the text after ``$$`` without a bracket.
+        frame, *others = (name.replace("$", "${'$'}") for name in names)
+        return replace(skin, frame=frame, names=tuple(others))
+    for name in names:
+        if "${" in name or "$(" in name:
+            raise FileError(
+                f"URDF cannot represent the name {quote(name)}, which xacro would evaluate; rename "
+                "the sensor or frame"
+            )
+    return skin
+
+
+def _tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str:
+    """Format a tag with escaped attributes."""
+    pairs = (f' {key}="{escape(value).translate(_SPACE)}"' for key, value in attributes.items())
+    return f"<{name}{''.join(pairs)}{'/' if closed else ''}>"
+
+
+def _comments(sensor_map: SensorMap, element: str) -> list[str]:
+    """Format comments about a map: its frame, method, verdict and notes."""
+    lines = [
+        f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
+        f"{element} is the surface normal"
+        + (", estimated from the positions" if sensor_map.normals is None else ""),
+        sensor_map.pose,
+        f"method: {sensor_map.method or 'unknown'}",
+        f"verdict: {sensor_map.verdict}",
+        *(f"note: {note}" for note in sensor_map.notes),
+    ]
+    if np.isfinite(sensor_map.errors).any():
+        lines.append("90 % of the sensors are within their error, in metres:")
+        lines += [
+            f"error of {name}: {error * METRES[sensor_map.units]:.3g}"
+            for name, error in zip(sensor_map.names, sensor_map.errors.tolist(), strict=True)
+            if math.isfinite(error)
+        ]
+    return [_comment(line) for line in lines]
+
+
+def _comment(text: str) -> str:
+    """Format a comment; text that would end it, and characters that XML forbids, are replaced."""
+    plain = _FORBIDDEN.sub("?", " ".join(text.split()))
+    # XML forbids two hyphens in a row inside a comment, and with "xacro:eval-comments" xacro
+    # evaluates the comments after it.
+    plain = plain.replace("--", "- -").replace("--", "- -").replace("xacro:", "xacro ")
+    return f"<!-- {plain} -->"
+
+
+def _launch_quote(name: str) -> str:
+    r"""Quote a name for the launch system, which substitutes in `args` and then splits it.
+
+    Substitutions start with ``$(``; a backslash makes the next character literal.
+    """
+    return shlex.quote(name).replace("\\", "\\\\").replace("$", "\\$")
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Format numbers, separated by blanks, so that they are read back equal."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def read_urdf(path: Path) -> SensorMap:
+    """Read the fixed frames of one link as sensors, in the frame of that link."""
+    positions = dict[str, NDArray[np.float64]]()
+    parents = list[str]()
+    for _, joint in _elements(path):
+        if joint.tag != "joint" or joint.get("type") != "fixed" or joint.find("child") is None:
+            continue
+        name, parent = _part(joint, "child", "link"), _part(joint, "parent", "link")
+        parents = parents or [parent]
+        if parent != parents[0]:
+            raise FileError(
+                f"{path}: fixed frames must have one parent link, got {quote(parents[0])} and "
+                f"{quote(parent)}"
+            )
+        if name in positions:
+            raise FileError(f"{path}: {quote(name)} is the child of two fixed joints")
+        origin = _part(joint, "origin", "xyz", _ZERO)
+        positions[name] = _vector(path, f"xyz of {quote(name)}", origin)
+    return _map_of(path, positions, "fixed frames")
+
+
+def read_mjcf(path: Path) -> SensorMap:
+    """Read the sites of one body as sensors, in the frame of that body."""
+    positions = dict[str, NDArray[np.float64]]()
+    body = None
+    for around, site in _elements(path):
+        if site.tag != "site" or not around:
+            continue
+        if body is not None and body is not around[-1]:
+            raise FileError(f"{path}: sites must belong to one body, got two or more bodies")
+        body = around[-1]
+        name = site.get("name", f"site{len(positions)}")
+        if name in positions:
+            raise FileError(f"{path}: two sites have the name {quote(name)}")
+        positions[name] = _vector(path, f"pos of {quote(name)}", site.get("pos", _ZERO))
+    return _map_of(path, positions, "sites")
+
+
+def read_robot(path: str | os.PathLike[str]) -> KinematicTree:
+    """Read the links and joints of a URDF file.
+
+    Parameters
+    ----------
+    path : path-like
+        Plain URDF; run xacro first.
+
+    Returns
+    -------
+    KinematicTree
+
+    Raises
+    ------
+    FileError
+        If the file is missing, damaged, no URDF, has no joint, or its joints form no tree.
+    MissingExtraError
+        If defusedxml is not installed.
+    """
+    file = Path(path)
+    with file_errors(file):
+        with open_regular(file) as stream:
+            if _root(stream.read(HEAD_BYTES)) != b"robot":
+                raise FileError(f"{file} is no URDF: its first element must be robot")
+        # Transmissions list joints farther inside.
+        found = (each for around, each in _elements(file) if len(around) == 1)
+        joints = tuple(_joint(file, each) for each in found if each.tag == "joint")
+        if not joints:
+            raise FileError(f"{file} has no joint")
+        return KinematicTree(joints)
+
+
+def _joint(path: Path, joint: Any) -> Joint:
+    name, kind = joint.get("name", ""), joint.get("type", "")
+    what = f"joint {quote(name)}"
+    parent, child = (_part(joint, part, "link") for part in ("parent", "child"))
+    if not (name and parent and child):
+        raise FileError(f"{path}: {what} must have a name, a parent and a child link")
+    parts = (("origin", "xyz", _ZERO), ("origin", "rpy", _ZERO), ("axis", "xyz", _X_AXIS))
+    xyz, rpy, axis = (
+        _vector(path, f"{key} of {what}", _part(joint, part, key, usual))
+        for part, key, usual in parts
+    )
+    length = float(np.linalg.norm(axis))
+    if kind in TURNING + SLIDING and not (0 < length < math.inf):
+        raise FileError(f"{path}: the axis of {what} must not have the length {length:g}")
+    unit = axis / length if length else axis
+    return Joint(name, kind, parent, child, transform(xyz, rpy), unit, _mimic(path, joint, what))
+
+
+def _mimic(path: Path, joint: Any, what: str) -> Mimic | None:
+    if joint.find("mimic") is None:
+        return None
+    try:
+        usual = (("multiplier", "1"), ("offset", "0"))
+        factors = [float(_part(joint, "mimic", key, default)) for key, default in usual]
+    except ValueError:
+        factors = [math.nan]
+    if not np.isfinite(factors).all():
+        raise FileError(f"{path}: mimic of {what} must have finite numbers")
+    return Mimic(_part(joint, "mimic", "joint"), *factors)
+
+
+def _elements(path: Path) -> Iterator[tuple[list[Any], Any]]:
+    """Yield every element at its end, with those around it; only the parts of joints are kept.
+
+    The file is not trusted: it may have no entities, external files, or unlimited size.
+    """
+    if path.stat().st_size > _MAX_BYTES:
+        raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
+    library = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
+    around = list[Any]()
+    with open_regular(path) as stream:
+        parsed = library.iterparse(stream, events=("start", "end"), forbid_dtd=True)
+        for event, element in guarded_iter(iter(parsed), path):
+            if event == "start":
+                around.append(element)
+                if len(around) > _MAX_DEPTH:
+                    raise FileError(f"{path} has more than {_MAX_DEPTH} nested elements")
+                continue
+            around.pop()
+            yield around, element
+            if around and around[-1].tag != "joint":
+                del around[-1][0]  # the parser is ahead, so that others may follow
+
+
+def _part(joint: Any, part: str, key: str, default: str = "") -> str:
+    """Return an attribute of the first such part of a joint."""
+    found = joint.find(part)
+    return default if found is None else str(found.get(key, default))
+
+
+def _vector(path: Path, name: str, text: str) -> NDArray[np.float64]:
+    """Parse three finite numbers, separated by blanks."""
+    try:
+        values = np.array([float(field) for field in text.split()])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != 3 or not np.isfinite(values).all():
+        raise FileError(f"{path}: {name} must be 3 finite numbers, got {quote(text)}")
+    return values
+
+
+def _map_of(path: Path, positions: Mapping[str, NDArray[np.float64]], elements: str) -> SensorMap:
+    if not positions:
+        raise FileError(f"{path} holds no {elements} to read as sensors")
+    return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")
