@@ -21,7 +21,7 @@ from benchmarks.harness import columns
 
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
-from anisomap.paper import accuracy, bodies, claims, dimensionality, rivals
+from anisomap.paper import accuracy, bodies, claims
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 
@@ -34,7 +34,7 @@ HEADERS = {
     "coach-evenness": coach.EVENNESS_COLUMNS,
     "coach-summary": coach.SUMMARY_COLUMNS,
     "dimension": columns(dimension.Row),
-    "dimensions": dimensionality.COLUMNS,
+    "dimensions": accuracy.DIMENSIONS_COLUMNS,
     "faults": columns(faults.Result),
     "figure-3": accuracy.SUMMARY_COLUMNS,
     "figure-4": bodies.AXIAL_COLUMNS,
@@ -44,7 +44,7 @@ HEADERS = {
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns(COMPARED),
-    "rivals": rivals.COLUMNS,
+    "rivals": accuracy.RIVALS_COLUMNS,
     "self-touch": self_touch.HEADER,
     "trust": [*trust.Outcome.FIXED, *trust.FACTS],
     "updating": columns(updating.Figure),

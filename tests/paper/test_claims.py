@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.paper import Table
+from anisomap.paper.accuracy import ABLATIONS
 from anisomap.paper.cases import CASES, METHODS
 from anisomap.paper.claims import (
     CLAIMS,
@@ -17,7 +18,6 @@ from anisomap.paper.claims import (
     interval,
 )
 from anisomap.paper.experiment import Settings
-from anisomap.paper.rivals import ABLATIONS
 
 RUNS = [(case.name, 3) for case in CASES] + [("plane-bombardment", 2), ("1", 2), ("1", 3)]
 SEEDS = (1, 2, 3)
@@ -93,23 +93,23 @@ def tables(score, *, good):
 )
 def test_every_claim_can_be_reproduced_and_can_fail(score, expected):
     found = tables(score, good=expected == REPRODUCED)
-    table, cases = claims_table(Settings(), found).tables
+    table, cases = claims_table(Settings(), found)
     verdicts = {row["claim"]: row["verdict"] for row in table.records()}
     assert set(verdicts) == {claim.text for claim in CLAIMS}
     assert verdicts == dict.fromkeys(verdicts, expected)
     assert {row["holds"] for row in cases.records()} == {"yes" if expected == REPRODUCED else "no"}
 
 
-def verdict(*, below=False, **cases):
-    return Claim("", "", "", 0.5, below, lambda _rows, _tables: {}).verdict(cases)
+def verdict(*, below=None, **cases):
+    return Claim("", "", "", dict, above=0.5, below=below).verdict(cases)
 
 
 def test_a_case_is_unclear_where_its_interval_includes_the_bound():
     high, low, wide = Interval(0.8, 0.7, 0.9), Interval(0.2, 0.1, 0.3), Interval(0.6, 0.4, 0.7)
     assert verdict(a=high, b=high) == "reproduced"
     assert verdict(a=low, b=low) == "not reproduced"
-    assert verdict(below=True, a=low) == "reproduced"
-    assert verdict(below=True, a=high) == "not reproduced"
+    assert verdict(below=0.5, a=low) == "reproduced"
+    assert verdict(below=0.5, a=high) == "not reproduced"
     assert verdict(a=high, b=low, c=wide) == (
         "partly reproduced in 1 of 3 cases; refuted: b; not clear: c"
     )

@@ -11,16 +11,7 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap.errors import FileError, InputError
-from anisomap.paper import (
-    Document,
-    Experiment,
-    Outcome,
-    Settings,
-    Table,
-    numbers,
-    reproduce,
-    results,
-)
+from anisomap.paper import Document, Experiment, Settings, Table, numbers, reproduce, results
 from anisomap.paper.claims import CLAIMS
 
 ROOT = Path(__file__).parents[2]
@@ -29,11 +20,11 @@ QUICK = Settings(quick=True)
 
 def add_up(settings, tables):
     value = settings.seed + sum(row[0] for table in tables.values() for row in table.rows)
-    return Outcome(tables=(Table("number", "A number.", {"value": "a number"}, ((value,),)),))
+    yield Table("number", "A number.", {"value": "a number"}, [(value,)])
 
 
 def write_text(_settings, _tables):
-    return Outcome(documents=(Document("text.txt", "A text.", "text\n"),))
+    yield Document("text.txt", "A text.", "text\n")
 
 
 def fail(_settings, _tables):
@@ -45,18 +36,18 @@ def interrupt(_settings, _tables):
 
 
 def count_threads(_settings, _tables):
-    rows = tuple((pool["user_api"], pool["num_threads"]) for pool in threadpool_info())
+    rows = [(pool["user_api"], pool["num_threads"]) for pool in threadpool_info()]
     columns = {"pool": "kind of thread pool", "threads": "number of threads"}
-    return Outcome(tables=(Table("threads", "Threads.", columns, rows),))
+    yield Table("threads", "Threads.", columns, rows)
 
 
 def registry(*experiments):
     return {one.name: one for one in experiments}
 
 
-FIRST = Experiment("first", "First", "A number.", add_up)
-SECOND = Experiment("second", "Second", "A sum.", add_up, needs=("first",))
-TEXT = Experiment("text", "Text", "A text.", write_text)
+FIRST = Experiment("first", add_up, "First", "A number.")
+SECOND = Experiment("second", add_up, "Second", "A sum.", needs=("first",))
+TEXT = Experiment("text", write_text, "Text", "A text.")
 ALL = registry(SECOND, FIRST, TEXT)
 
 
@@ -128,7 +119,7 @@ def test_a_stopped_run_continues_with_the_unfinished_experiments(tmp_path, broke
 
 def test_experiments_use_one_thread_per_worker(tmp_path):
     with threadpool_limits(2):
-        compute(tmp_path, experiments=registry(Experiment("threads", "Threads", "", count_threads)))
+        compute(tmp_path, experiments=registry(Experiment("threads", count_threads)))
     with (tmp_path / "threads" / "threads.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert rows

@@ -10,14 +10,13 @@ McGregor, Polani & Dautenhahn (2011), "Generation of Tactile Maps for Artificial
 6(11): e26561, doi:10.1371/journal.pone.0026561.
 """
 
-from anisomap.paper.experiment import Document, Experiment, Outcome, Picture, Settings, Table
+from anisomap.paper.experiment import Document, Experiment, Picture, Settings, Table
 from anisomap.paper.runner import EXPERIMENTS, Status, reproduce
 
 __all__ = [
     "EXPERIMENTS",
     "Document",
     "Experiment",
-    "Outcome",
     "Picture",
     "Settings",
     "Status",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -9,17 +10,8 @@ from typing import TYPE_CHECKING, Any
 from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.panels import Panel, gallery_figure, map_panel, truth_panel
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
-from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case, find_case, true_positions
-from anisomap.paper.experiment import (
-    Outcome,
-    Picture,
-    Row,
-    Settings,
-    Table,
-    Tables,
-    experiment,
-    mean_by,
-)
+from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case, true_positions
+from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment, mean_by
 from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score
 from anisomap.simulation import find_body, run_simulation
 
@@ -60,7 +52,7 @@ ROUNDNESS_COLUMNS = {
     "Y-shape and sphere) after 2,000 frames of bombardment by small balls.",
     cost=20,
 )
-def figure_1(settings: Settings, _: Tables) -> Outcome:
+def figure_1(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the maps of the four bodies by r-ANISOMAP."""
     figure, rows = _maps_of_bodies(
         "Figure 1. Maps of bombarded bodies by r-ANISOMAP (bottom) and true positions (top)",
@@ -70,21 +62,19 @@ def figure_1(settings: Settings, _: Tables) -> Outcome:
     )
     seeds = ", ".join(f"{row[0]} {row[1]}" for row in rows)
     caption = f"Typical reconstructions by r-ANISOMAP. Randomly picked seeds: {seeds}."
-    table = Table("figure-1", "Scores of the maps in Figure 1.", _COLUMNS, rows, shown=False)
-    return Outcome((Picture("figure-1", caption, figure),), (table,))
+    yield Picture("figure-1", caption, figure)
+    yield Table("figure-1", "Scores of the maps in Figure 1.", _COLUMNS, rows, shown=False)
 
 
-def supplementary_figure(body: str, number: str, settings: Settings, _: Tables) -> Outcome:
+def supplementary_figure(
+    body: str, number: str, settings: Settings, _: Tables
+) -> Iterator[Picture | Table]:
     """Draw the maps of one bombarded body by all methods."""
-    case = find_case(body)
-    seed = settings.picked_seed(case.name)
-    figure, rows = _maps_by_all_methods(
-        f"Figure {number}. {body}, bombardment, seed {seed}", case, seed, settings
-    )
     name = f"figure-{number.lower()}"
+    figure, rows, seed = _maps_by_all_methods(f"Figure {number}. {body}", Case(body), settings)
     caption = f"Maps of the bombarded {body} by all methods. Randomly picked seed: {seed}."
-    table = Table(name, caption, _COLUMNS, rows, shown=False)
-    return Outcome((Picture(name, caption, figure),), (table,))
+    yield Picture(name, caption, figure)
+    yield Table(name, caption, _COLUMNS, rows, shown=False)
 
 
 for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), ("S4", "sphere")):
@@ -110,21 +100,19 @@ for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), (
     needs=("scores-cylinder-locomotion", "scores-cylinder-bombardment"),
     cost=5,
 )
-def figure_4(settings: Settings, tables: Tables) -> Outcome:
+def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw the rolling cylinder; measure its axial compression, and that of the bombarded one."""
-    rolling, bombarded = find_case("cylinder", "locomotion"), find_case("cylinder")
-    seed = settings.picked_seed(rolling.name)
-    title = f"Figure 4. Cylinder, locomotion, seed {seed}"
-    figure, _ = _maps_by_all_methods(title, rolling, seed, settings)
+    rolling = Case("cylinder", "locomotion")
+    figure, _, seed = _maps_by_all_methods("Figure 4. Cylinder", rolling, settings)
     caption = f"Maps of the rolling cylinder by all methods. Randomly picked seed: {seed}."
+    yield Picture("figure-4", caption, figure)
     rows: list[Row] = []
-    for case in (rolling, bombarded):
+    for case in (rolling, Case("cylinder")):
         scores = _scores(tables, case)
-        means = [mean_by(scores, "method", name) for name in list(AXIAL_COLUMNS)[2:]]
+        means = [mean_by(scores, "method", name) for name in _CYLINDER]
         rows += [(case.scenario, method, *(mean[method] for mean in means)) for method in METHODS]
-    caption_of_table = "Mean axial scale and order of the maps of the cylinder."
-    table = Table("figure-4", caption_of_table, AXIAL_COLUMNS, tuple(rows))
-    return Outcome((Picture("figure-4", caption, figure),), (table,))
+    caption = "Mean axial scale and order of the maps of the cylinder."
+    yield Table("figure-4", caption, AXIAL_COLUMNS, rows)
 
 
 @experiment(
@@ -138,7 +126,7 @@ def figure_4(settings: Settings, tables: Tables) -> Outcome:
     needs=tuple(f"scores-{case.name}" for case in BOMBARDED),
     cost=8,
 )
-def figure_7(settings: Settings, tables: Tables) -> Outcome:
+def figure_7(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw maps by information distance; measure how all maps bend straight lines."""
     figure, _ = _maps_of_bodies(
         "Figure 7. Maps by information distance (bottom) and true positions (top)",
@@ -146,38 +134,40 @@ def figure_7(settings: Settings, tables: Tables) -> Outcome:
         "information-distance",
         settings,
     )
+    caption = "Typical maps by information distance: cylinder, Y-shape, plane (seeds of Figure 1)."
+    yield Picture("figure-7", caption, figure)
     rows: list[Row] = []
     for case in BOMBARDED:
         if case.body != "sphere":
             scores = [row for row in _scores(tables, case) if row["dimensions"] == 3]
             means = mean_by(scores, "method", "straightness")
             rows.append((case.body, *(means[method] for method in METHODS)))
-    caption = "Typical maps by information distance: cylinder, Y-shape, plane (seeds of Figure 1)."
-    caption_of_table = "Straightness of straight lines of sensors."
-    table = Table("figure-7", caption_of_table, ROUNDNESS_COLUMNS, tuple(rows))
-    return Outcome((Picture("figure-7", caption, figure),), (table,))
+    caption = "Straightness of straight lines of sensors."
+    yield Table("figure-7", caption, ROUNDNESS_COLUMNS, rows)
 
 
 def _maps_of_bodies(
     title: str, bodies: tuple[str, ...], method: str, settings: Settings
-) -> tuple[Figure, tuple[Row, ...]]:
+) -> tuple[Figure, list[Row]]:
     """Draw the true positions of bombarded bodies, and below them their maps by one method."""
     truths, maps, rows = [], [], []
-    for case in map(find_case, bodies):
+    for case in map(Case, bodies):
         truth, found = _drawn_run(case, settings.picked_seed(case.name), (method,), settings)
         truths.append(replace(truth, title=case.body))
         maps.append(found[0][0])
         rows.append(found[0][1])
-    return gallery_figure(title, [*truths, *maps], len(bodies), _NOTE), tuple(rows)
+    return gallery_figure(title, [*truths, *maps], len(bodies), _NOTE), rows
 
 
 def _maps_by_all_methods(
-    title: str, case: Case, seed: int, settings: Settings
-) -> tuple[Figure, tuple[Row, ...]]:
-    """Draw the true positions and the maps of one run, in a row."""
+    title: str, case: Case, settings: Settings
+) -> tuple[Figure, list[Row], int]:
+    """Draw the true positions and the maps of a randomly picked run, in a row; return its seed."""
+    seed = settings.picked_seed(case.name)
     truth, found = _drawn_run(case, seed, METHODS, settings)
     panels = [truth, *(shown for shown, _ in found)]
-    return gallery_figure(title, panels, 5, _NOTE), tuple(row for _, row in found)
+    title = f"{title}, {case.scenario}, seed {seed}"
+    return gallery_figure(title, panels, 5, _NOTE), [row for _, row in found], seed
 
 
 def _drawn_run(
@@ -195,7 +185,7 @@ def _drawn_run(
     return truth_panel("true positions", truth, units=recording.units), found
 
 
-def _scores(tables: Tables, case: Case) -> list[dict[str, Any]]:
+def _scores(tables: Tables, case: Case) -> list[Mapping[str, Any]]:
     """Return the scores of all maps with the default number of bins."""
     rows = tables[f"scores-{case.name}"].records()
     return [row for row in rows if row["bins"] == DEFAULT_BINS]
@@ -225,7 +215,7 @@ _SCENARIOS = {
     "Y-shape; 169 on one face of a cuboid in a grid of 13 x 13. The paper gives no lengths; "
     "here each body extends about 1 m from its centre.",
 )
-def figure_5(settings: Settings, _: Tables) -> Outcome:
+def figure_5(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the four bodies."""
     bodies = [find_body(case.body) for case in BOMBARDED]
     scenes = [
@@ -236,12 +226,12 @@ def figure_5(settings: Settings, _: Tables) -> Outcome:
         scenes,
         [f"{body.name}, {body.n_sensors} sensors" for body in bodies],
     )
-    rows = tuple((body.name, body.n_sensors, body.reach, body.spacing) for body in bodies)
     caption = (
         "Sphere, cylinder (no sensors on its ends), Y-shape and plane. Yellow dots are sensors."
     )
-    table = Table("figure-5", "The bodies.", _BODIES, rows)
-    return Outcome((Picture("figure-5", caption, figure),), (table,))
+    yield Picture("figure-5", caption, figure)
+    rows = [(body.name, body.n_sensors, body.reach, body.spacing) for body in bodies]
+    yield Table("figure-5", "The bodies.", _BODIES, rows)
 
 
 @experiment(
@@ -252,9 +242,9 @@ def figure_5(settings: Settings, _: Tables) -> Outcome:
     "orange; sensors range from violet (no contact) to yellow (largest reading).",
     cost=25,
 )
-def figure_6(settings: Settings, _: Tables) -> Outcome:
+def figure_6(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw every scenario."""
-    pictures, rows = [], []
+    rows: list[Row] = []
     n_frames = min(settings.n_frames, _MAX_FRAMES)
     for case in CASES:
         run = run_simulation(case.body, case.scenario, n_frames=n_frames, seed=settings.seed)
@@ -263,9 +253,8 @@ def figure_6(settings: Settings, _: Tables) -> Outcome:
             f"{case.body}, {case.scenario}, seed {settings.seed}: the frame with the most contacts "
             f"of {n_frames}, the body, and all readings."
         )
-        pictures.append(Picture(f"figure-6-{case.name}", caption, scene_figure(run.scene)))
+        yield Picture(f"figure-6-{case.name}", caption, scene_figure(run.scene))
         zeros = float((readings == 0).mean())
         touched = float((readings > 0).sum(axis=1).mean())
         rows.append((case.body, case.scenario, settings.seed, n_frames, zeros, touched))
-    table = Table("figure-6", "The scenarios.", _SCENARIOS, tuple(rows))
-    return Outcome(tuple(pictures), (table,))
+    yield Table("figure-6", "The scenarios.", _SCENARIOS, rows)

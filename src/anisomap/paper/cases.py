@@ -20,16 +20,20 @@ METHODS = PAPER_METHODS
 
 @dataclass(frozen=True)
 class Case:
-    """A body and a scenario.
+    """A body and a scenario: keys of `anisomap.simulation.BODIES` and `SCENARIOS`."""
 
-    body, scenario: Keys of `anisomap.simulation.BODIES` and `SCENARIOS`.
-    label: Label in figures.
-    """
-
-    name: str
     body: str
-    scenario: str
-    label: str
+    scenario: str = "bombardment"
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        return f"{self.body}-{self.scenario}"
+
+    @property
+    def label(self) -> str:
+        """Label in figures."""
+        return f"{self.body.replace('y-', 'Y-')},\n{self.scenario}"
 
     def record(self, settings: Settings, seed: int, **parameters: Any) -> Recording:
         """Simulate a run; `parameters` are those of the scenario, and ``n_frames``."""
@@ -44,35 +48,20 @@ def _simulated(body: str, scenario: str, seed: int, n_frames: int) -> Recording:
     return simulate(body, scenario, seed=seed, n_frames=n_frames)
 
 
-BOMBARDED = (
-    Case("sphere-bombardment", "sphere", "bombardment", "sphere,\nbombardment"),
-    Case("cylinder-bombardment", "cylinder", "bombardment", "cylinder,\nbombardment"),
-    Case("y-shape-bombardment", "y-shape", "bombardment", "Y-shape,\nbombardment"),
-    Case("plane-bombardment", "plane", "bombardment", "plane,\nbombardment"),
-)
-ROLLED = (
-    Case("sphere-locomotion", "sphere", "locomotion", "sphere,\nlocomotion"),
-    Case("cylinder-locomotion", "cylinder", "locomotion", "cylinder,\nlocomotion"),
-)
-CASES = (*BOMBARDED, *ROLLED)
+BOMBARDED = tuple(map(Case, ("sphere", "cylinder", "y-shape", "plane")))
+CASES = (*BOMBARDED, Case("sphere", "locomotion"), Case("cylinder", "locomotion"))
 
 PATCH_FRAMES = (1120, 1054, 1487, 2128, 2105)
 """Frames of the paper's five hardware runs."""
 
 PATCH_RUNS = range(1, len(PATCH_FRAMES) + 1)
+FAILED_RUNS = PATCH_RUNS[3:]
 
 SILENT = tuple(f"t5p{pad}" for pad in range(12) if pad not in (6, 10))
 """Sensors of the triangle that never responds."""
 
 FAILING = "t3p0"
 """Sensor 30 of the patch, counted from 0; the paper's sensor 30 fails."""
-
-FIRST_FAILED_RUN = 4
-
-
-def find_case(body: str, scenario: str = "bombardment") -> Case:
-    """Return the case of a body and a scenario."""
-    return next(case for case in CASES if (case.body, case.scenario) == (body, scenario))
 
 
 def patch_seed(settings: Settings, number: int) -> int:
@@ -90,13 +79,13 @@ def patch_run(
 ) -> Recording:
     """Simulate a run of the hardware patch.
 
-    fails: Whether a sensor fails; by default from the run on in which the paper's sensor did.
+    fails: Whether a sensor fails; by default in the runs in which the paper's sensor did.
     """
     seed = patch_seed(settings, number)
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
     recording = dead(_simulated("hexagon", "rubbing", seed, n_frames), SILENT)
-    if number >= FIRST_FAILED_RUN if fails is None else fails:
+    if number in FAILED_RUNS if fails is None else fails:
         recording = saturating(recording, [failing], rng=seed, **failure)
     return replace(
         recording,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import spearmanr
 
 from anisomap.defaults import DEFAULT_BINS
-from anisomap.paper.accuracy import MORE_BINS, SCORES, all_scores, by_group
-from anisomap.paper.cases import CASES, FIRST_FAILED_RUN, METHODS, PATCH_RUNS
-from anisomap.paper.experiment import Outcome, Row, Settings, Table, Tables, experiment
-from anisomap.paper.rivals import ABLATIONS
+from anisomap.paper.accuracy import ABLATIONS, MORE_BINS, SCORES, all_scores
+from anisomap.paper.cases import CASES, METHODS
+from anisomap.paper.experiment import Row, Settings, Table, Tables, by, experiment
 from anisomap.paper.sensitivity import CLAIMED_NOISE, MEDIAN
 from anisomap.wording import join_items
 
@@ -31,12 +31,14 @@ PARTLY, UNCLEAR = "partly reproduced", "not clear"
 _LEVEL = 0.95
 _RESAMPLES = 1000
 _MAX_LISTED = 10  # cases with a value in the table
-_ANISOMAPS = METHODS[:2]
 _ROLLING, _BOMBARDED = "cylinder-locomotion", "cylinder-bombardment"
 _FLAT_SKINS = {
     "plane": ("plane-bombardment, 2D", "plane-bombardment"),
     "patch": ("patch, 2D", "patch, 3D"),
 }
+
+Runs: TypeAlias = NDArray[np.float64]
+"""A value of each run, (S, ...), in the same order for all methods."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +53,11 @@ class Interval:
         return f"{self.value:z.2f} [{self.low:z.2f}, {self.high:z.2f}]"
 
 
-Statistic: TypeAlias = Callable[[NDArray[np.float64]], float]
-
-
-def _mean(values: NDArray[np.float64]) -> float:
+def _mean(values: Runs) -> float:
     return float(values.mean())
 
 
-def interval(runs: ArrayLike, statistic: Statistic = _mean) -> Interval:
+def interval(runs: ArrayLike, statistic: Callable[[Runs], float] = _mean) -> Interval:
     """Compute a statistic of runs with its percentile bootstrap interval. runs (S, ...)."""
     values = np.asarray(runs, dtype=np.float64)
     drawn = np.random.default_rng(0).integers(len(values), size=(_RESAMPLES, len(values)))
@@ -67,10 +66,95 @@ def interval(runs: ArrayLike, statistic: Statistic = _mean) -> Interval:
     return Interval(statistic(values), float(low), float(high))
 
 
-Rows: TypeAlias = Sequence[dict[str, Any]]
-"""Scores of all maps, see `anisomap.paper.accuracy.all_scores`."""
+@dataclass(frozen=True)
+class Evidence:
+    """The tables of the experiments that the claims are checked against."""
 
-Check: TypeAlias = Callable[[Rows, Tables], Mapping[str, Interval]]
+    tables: Tables
+
+    @cached_property
+    def _scores(self) -> list[Mapping[str, Any]]:
+        return all_scores(self.tables)
+
+    def scores(
+        self, value: str = "mantel_r", *, bins: int = DEFAULT_BINS, methods: Sequence[str] = METHODS
+    ) -> dict[str, dict[str, Runs]]:
+        """Return a score of the maps, by group of runs and method."""
+        return _by_method([r for r in self._scores if r["bins"] == bins], "group", value, methods)
+
+    def rolling(self, value: str = "mantel_r") -> list[tuple[str, Runs, Runs]]:
+        """Return a score of the rolling and of the bombarded cylinder, for each method."""
+        found = self.scores(value)
+        return [(m, found[_ROLLING][m], found[_BOMBARDED][m]) for m in METHODS]
+
+    def drops(self, methods: Sequence[str]) -> dict[str, Runs]:
+        """Return how much Mantel r is lower in 3D than in 2D, on flat skins."""
+        found = self.scores()
+        return {
+            f"{m} on {skin}": found[in_2d][m] - found[in_3d][m]
+            for skin, (in_2d, in_3d) in _FLAT_SKINS.items()
+            for m in methods
+        }
+
+    def failures(self, value: Callable[[Mapping[str, Any]], float]) -> dict[str, Runs]:
+        """Return a value of the sensors that fail in turn, by run."""
+        runs = by(self.tables["failures"].records(), "run")
+        return {f"run {run}": np.array([*map(value, rows)]) for run, rows in runs.items()}
+
+    def gains(self, ablation: str) -> dict[str, Runs]:
+        """Return the gain of r-ANISOMAP over an ablation, on the paper's runs."""
+        names = {case.name for case in CASES} | {"patch, 2D"}
+        rows = [row for row in self.tables["rival-scores"].records() if row["run"] in names]
+        found = _by_method(rows, "run", "mantel_r", ("r-anisomap", ablation))
+        return {run: each["r-anisomap"] - each[ablation] for run, each in found.items()}
+
+    def bins(self) -> dict[str, Runs]:
+        """Return the largest change of Mantel r by other numbers of bins."""
+        four, *more = (
+            self.scores(bins=bins, methods=METHODS[1:]) for bins in (DEFAULT_BINS, *MORE_BINS)
+        )
+        return {
+            f"{m} on {group}": np.max([abs(one[group][m] - r) for one in more], axis=0)
+            for group, found in four.items()
+            for m, r in found.items()
+        }
+
+    def identified(self) -> dict[str, Runs]:
+        """Return the gain by mutual information in sensors of unlike response."""
+        rows = self.tables["unlike-responses"].records()
+        claimed = [r for r in rows if (r["optimum"], r["noise"]) == (MEDIAN, CLAIMED_NOISE)]
+        found = _by_method(claimed, "run", "identified", METHODS[:2])
+        return {run: each["i-anisomap"] - each["r-anisomap"] for run, each in found.items()}
+
+    def r_and_topology(self) -> dict[str, Runs]:
+        """Return Mantel r and the share of neighbours kept of all methods, (S, methods, 2)."""
+        r, kept = self.scores(), self.scores("neighbours_kept")
+        return {
+            group: np.stack([[found[m], kept[group][m]] for m in METHODS]).transpose(2, 0, 1)
+            for group, found in r.items()
+        }
+
+
+def _by_method(
+    rows: Sequence[Mapping[str, Any]], key: str, value: str, methods: Sequence[str]
+) -> dict[str, dict[str, Runs]]:
+    return {
+        group: {m: np.array([row[value] for row in each if row["method"] == m]) for m in methods}
+        for group, each in by(rows, key).items()
+    }
+
+
+def _lead(found: Mapping[str, Runs], methods: Sequence[str]) -> Runs:
+    """Best value of some methods minus the best of the others, by run."""
+    best, rest = (
+        np.max([found[m] for m in METHODS if (m in methods) == inside], axis=0)
+        for inside in (True, False)
+    )
+    return np.asarray(best - rest)
+
+
+def _rank_correlation(runs: Runs) -> float:
+    return float(spearmanr(runs[..., 0].ravel(), runs[..., 1].ravel()).statistic)
 
 
 @dataclass(frozen=True)
@@ -79,24 +163,31 @@ class Claim:
 
     where: Section or figure of the paper.
     statistic: What is measured in each run of a case.
-    bound: A case holds if the interval of the statistic lies above it, and is refuted if the
-        interval lies below it; otherwise it is not clear.
+    cases: ``cases(evidence)`` returns the values of the runs of each case.
+    above: A case holds if the interval of the statistic lies above this bound, and is refuted if
+        the interval lies below it; otherwise it is not clear.
     below: The reverse: a case holds if the interval lies below the bound.
-    check: ``check(rows, tables)`` returns the interval of each case.
+    summary: Statistic of the runs of a case.
     """
 
     text: str
     where: str
     statistic: str
-    bound: float
-    below: bool
-    check: Check
+    cases: Callable[[Evidence], Mapping[str, Runs]]
+    above: float = 0
+    below: float | None = None
+    summary: Callable[[Runs], float] = _mean
+
+    def check(self, evidence: Evidence) -> dict[str, Interval]:
+        """Return the interval of each case."""
+        return {case: interval(runs, self.summary) for case, runs in self.cases(evidence).items()}
 
     def holds(self, found: Interval) -> bool | None:
         """Whether a case holds; None if it is not clear."""
-        if found.low <= self.bound <= found.high and found.low < found.high:
+        bound = self.above if self.below is None else self.below
+        if found.low <= bound <= found.high and found.low < found.high:
             return None
-        return bool((found.value < self.bound) == self.below)
+        return bool((found.value < bound) == (self.below is not None))
 
     def verdict(self, cases: Mapping[str, Interval]) -> str:
         """Whether the claim is reproduced, not reproduced, or in which cases it is not."""
@@ -117,332 +208,165 @@ class Claim:
     @property
     def test(self) -> str:
         """The statistic and its bound."""
-        return f"{self.statistic}: {'below' if self.below else 'above'} {self.bound:g}"
+        bound = f"above {self.above:g}" if self.below is None else f"below {self.below:g}"
+        return f"{self.statistic}: {bound}"
 
 
-CLAIMS: list[Claim] = []
-"""In the order of their definition."""
-
-
-def claim(
-    text: str, where: str, statistic: str, *, above: float | None = None, below: float | None = None
-) -> Callable[[Check], Check]:
-    """Register a function as the check of a claim with either bound; see `Claim`."""
-    bound = below if above is None else above
-    if bound is None:
-        raise ValueError("a claim requires a bound")
-
-    def register(check: Check) -> Check:
-        CLAIMS.append(Claim(text, where, statistic, bound, below is not None, check))
-        return check
-
-    return register
-
-
-@claim(
-    "The r-ANISOMAP algorithm performed reasonably or excellently in all cases",
-    "Discussion",
-    f"Mantel r (reasonable: {REASONABLE}; excellent: {EXCELLENT})",
-    above=REASONABLE,
+CLAIMS = (
+    Claim(
+        "The r-ANISOMAP algorithm performed reasonably or excellently in all cases",
+        "Discussion",
+        f"Mantel r (reasonable: {REASONABLE}; excellent: {EXCELLENT})",
+        lambda e: {group: found["r-anisomap"] for group, found in e.scores().items()},
+        above=REASONABLE,
+    ),
+    Claim(
+        "The best 3D reconstruction was invariably one of the ANISOMAP variants",
+        "Discussion",
+        "3D: Mantel r of the better ANISOMAP minus that of the better other method, in the same "
+        "run",
+        lambda e: {
+            group: _lead(found, METHODS[:2])
+            for group, found in e.scores().items()
+            if not group.endswith("2D")
+        },
+    ),
+    Claim(
+        "r-ANISOMAP was consistently among the best performing",
+        "Results",
+        "Mantel r of r-ANISOMAP minus that of the best other method, in the same run",
+        lambda e: {group: _lead(found, METHODS[:1]) for group, found in e.scores().items()},
+        above=-AMONG_BEST,
+    ),
+    Claim(
+        "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
+        "Discussion",
+        "Mantel r of the same cylinder when bombarded minus that when rolling",
+        lambda e: {m: control - r for m, r, control in e.rolling()},
+        above=SIMILAR,
+    ),
+    Claim(
+        "Reconstructions of the rolling cylinder were compressed in the axial direction",
+        "Discussion, Fig. 4",
+        "local axial scale of the rolling cylinder divided by that of the bombarded one",
+        lambda e: {m: scale / control for m, scale, control in e.rolling("local_axial_scale")},
+        below=1 - SIMILAR,
+    ),
+    Claim(
+        "Reconstructions of the rolling cylinder have the topology of the sensors reasonably well",
+        "Discussion",
+        "order of the lines around the axis, and of the sensors along each line (Figure 4); 1 is "
+        "correct, chance gives 0.22 and 0",
+        lambda e: {
+            f"{m} {direction} the axis": order
+            for direction in ("around", "along")
+            for m, order, _control in e.rolling(f"order_{direction}")
+        },
+        above=LARGE,
+    ),
+    Claim(
+        "Information distance performed well in 2 dimensions",
+        "Discussion",
+        "Mantel r in 2D",
+        lambda e: {
+            skin: e.scores()[group]["information-distance"]
+            for skin, (group, _3d) in _FLAT_SKINS.items()
+        },
+        above=REASONABLE,
+    ),
+    Claim(
+        "3D reconstructions by information distance are notably worse than 2D ones",
+        "Methods, Fig. 3",
+        "flat skins: Mantel r in 2D minus that in 3D, in the same run",
+        lambda e: e.drops(["information-distance"]),
+        above=AMONG_BEST,
+    ),
+    Claim(
+        "For the other methods, 3D reconstructions are not notably worse than 2D ones",
+        "Methods, Fig. 3",
+        "flat skins: Mantel r in 2D minus that in 3D, in the same run",
+        lambda e: e.drops([m for m in METHODS if m != "information-distance"]),
+        below=AMONG_BEST,
+    ),
+    Claim(
+        "All algorithms perform far better than random guessing",
+        "Results, Fig. 3",
+        "Mantel r minus the maximum of its null distribution",
+        lambda e: {
+            f"{m} on {group}": found[m] - e.scores("null_max")[group][m]
+            for group, found in e.scores().items()
+            for m in METHODS
+        },
+        above=LARGE,
+    ),
+    Claim(
+        "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
+        "Results, Fig. 2",
+        "2D, ten sensors in turn: distance of the failing sensor to the nearest one, divided by "
+        "that in the same run without the failure",
+        lambda e: e.failures(lambda row: row["isolation"] / row["isolation_before"]),
+        above=ISOLATED,
+    ),
+    Claim(
+        "The reconstruction is robust to unanticipated hardware failure",
+        "Abstract",
+        "r-ANISOMAP in 2D, ten sensors in turn: Mantel r of the other sensors in the same run "
+        "without the failure minus that with it",
+        lambda e: e.failures(lambda row: row["mantel_r_before"] - row["mantel_r"]),
+        below=SIMILAR,
+    ),
+    Claim(
+        "Information distance has a tendency to spherise reconstructions",
+        "Methods, Fig. 7",
+        "3D: straightness of straight lines of sensors (Figure 7), by r-ANISOMAP minus by "
+        "information distance, in the same run",
+        lambda e: {
+            body: run["r-anisomap"] - run["information-distance"]
+            for body in ("cylinder", "y-shape", "plane")
+            for run in [e.scores("straightness")[f"{body}-bombardment"]]
+        },
+        above=SIMILAR,
+    ),
+    Claim(
+        "6 and 8 bins produced qualitatively similar results",
+        "Methods",
+        "largest absolute difference in Mantel r from 4 bins, in the same run",
+        Evidence.bins,
+        below=SIMILAR,
+    ),
+    Claim(
+        "All pairs of points, instead of neighbours only, give an increase in accuracy",
+        "Methods",
+        "Mantel r of r-ANISOMAP minus that with the edges of a neighbour graph only, in the same "
+        "run",
+        lambda e: e.gains(ABLATIONS[0]),
+    ),
+    Claim(
+        "Shorter chains of distances refine over-estimated long distances",
+        "Discussion",
+        "Mantel r of r-ANISOMAP minus that without shortest paths, in the same run",
+        lambda e: e.gains(ABLATIONS[1]),
+    ),
+    Claim(
+        "If one sensor is linear and another a radial basis function around an optimal response, "
+        "mutual information is more likely than r to identify their relation",
+        "Discussion",
+        "share of radial-basis sensors (optimum: median contact) whose most similar linear sensor "
+        f"measures the same quantity, noise of {CLAIMED_NOISE:.0%}: by mutual information minus "
+        "by r",
+        Evidence.identified,
+        above=SIMILAR,
+    ),
+    Claim(
+        "High distance-correlation corresponds to a map that respects the topology",
+        "Results",
+        "rank correlation between Mantel r and the share of neighbours preserved, over the maps of "
+        "all methods and runs",
+        Evidence.r_and_topology,
+        above=LARGE,
+        summary=_rank_correlation,
+    ),
 )
-def is_reasonable(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check the accuracy of r-ANISOMAP."""
-    return {group: interval(found["r-anisomap"]) for group, found in _runs(rows).items()}
-
-
-@claim(
-    "The best 3D reconstruction was invariably one of the ANISOMAP variants",
-    "Discussion",
-    "3D: Mantel r of the better ANISOMAP minus that of the better other method, in the same run",
-    above=0,
-)
-def best_is_anisomap(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check which methods are the most accurate in 3D."""
-    found = _runs([row for row in rows if row["dimensions"] == 3])
-    return {group: interval(_lead(each, _ANISOMAPS)) for group, each in found.items()}
-
-
-@claim(
-    "r-ANISOMAP was consistently among the best performing",
-    "Results",
-    "Mantel r of r-ANISOMAP minus that of the best other method, in the same run",
-    above=-AMONG_BEST,
-)
-def r_anisomap_among_best(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check the difference between r-ANISOMAP and the best method."""
-    return {group: interval(_lead(each, METHODS[:1])) for group, each in _runs(rows).items()}
-
-
-@claim(
-    "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
-    "Discussion",
-    "Mantel r of the same cylinder when bombarded minus that when rolling",
-    above=SIMILAR,
-)
-def rolling_cylinder_is_poor(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check the accuracy of the rolling cylinder against that of the bombarded one."""
-    return {m: interval(control - r) for m, r, control in _with_control(rows, "mantel_r")}
-
-
-@claim(
-    "Reconstructions of the rolling cylinder were compressed in the axial direction",
-    "Discussion, Fig. 4",
-    "local axial scale of the rolling cylinder divided by that of the bombarded one",
-    below=1 - SIMILAR,
-)
-def rolling_cylinder_is_compressed(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check the axial compression of the rolling cylinder against that of the bombarded one."""
-    pairs = _with_control(rows, "local_axial_scale")
-    return {m: interval(scale / control) for m, scale, control in pairs}
-
-
-@claim(
-    "Reconstructions of the rolling cylinder have the topology of the sensors reasonably well",
-    "Discussion",
-    "order of the lines around the axis, and of the sensors along each line (Figure 4); 1 is "
-    "correct, chance gives 0.22 and 0",
-    above=LARGE,
-)
-def rolling_cylinder_keeps_topology(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check the order of the sensors around and along the axis of the rolling cylinder."""
-    return {
-        f"{m} {direction} the axis": interval(order)
-        for direction in ("around", "along")
-        for m, order, _control in _with_control(rows, f"order_{direction}")
-    }
-
-
-@claim(
-    "Information distance performed well in 2 dimensions",
-    "Discussion",
-    "Mantel r in 2D",
-    above=REASONABLE,
-)
-def information_distance_is_good_in_2d(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check the accuracy of information distance on flat skins."""
-    found = _runs(rows)
-    return {s: interval(found[g]["information-distance"]) for s, (g, _3d) in _FLAT_SKINS.items()}
-
-
-@claim(
-    "3D reconstructions by information distance are notably worse than 2D ones",
-    "Methods, Fig. 3",
-    "flat skins: Mantel r in 2D minus that in 3D, in the same run",
-    above=AMONG_BEST,
-)
-def information_distance_is_worse_in_3d(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check whether information distance is less accurate in 3D."""
-    return _drops(rows, ("information-distance",))
-
-
-@claim(
-    "For the other methods, 3D reconstructions are not notably worse than 2D ones",
-    "Methods, Fig. 3",
-    "flat skins: Mantel r in 2D minus that in 3D, in the same run",
-    below=AMONG_BEST,
-)
-def others_are_not_worse_in_3d(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check whether the other methods are less accurate in 3D."""
-    return _drops(rows, [m for m in METHODS if m != "information-distance"])
-
-
-@claim(
-    "All algorithms perform far better than random guessing",
-    "Results, Fig. 3",
-    "Mantel r minus the maximum of its null distribution",
-    above=LARGE,
-)
-def better_than_random(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check all maps against their null distributions."""
-    r, null = _runs(rows), _runs(rows, "null_max")
-    return {
-        f"{m} on {group}": interval(found[m] - null[group][m])
-        for group, found in r.items()
-        for m in METHODS
-    }
-
-
-@claim(
-    "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
-    "Results, Fig. 2",
-    "2D, ten sensors in turn: distance of the failing sensor to the nearest one, divided by that "
-    "in the same run without the failure",
-    above=ISOLATED,
-)
-def failing_sensor_is_isolated(_: Rows, tables: Tables) -> dict[str, Interval]:
-    """Check the isolation of a failing sensor against the same sensor without its failure."""
-    return _failures(tables, lambda row: row["isolation"] / row["isolation_before"])
-
-
-@claim(
-    "The reconstruction is robust to unanticipated hardware failure",
-    "Abstract",
-    "r-ANISOMAP in 2D, ten sensors in turn: Mantel r of the other sensors in the same run without "
-    "the failure minus that with it",
-    below=SIMILAR,
-)
-def is_robust(_: Rows, tables: Tables) -> dict[str, Interval]:
-    """Check the accuracy of the patch with a failing sensor against that without."""
-    return _failures(tables, lambda row: row["mantel_r_before"] - row["mantel_r"])
-
-
-@claim(
-    "Information distance has a tendency to spherise reconstructions",
-    "Methods, Fig. 7",
-    "3D: straightness of straight lines of sensors (Figure 7), by r-ANISOMAP minus by information "
-    "distance, in the same run",
-    above=SIMILAR,
-)
-def information_distance_spherises(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check whether information distance bends straight lines of sensors."""
-    found = _runs(rows, "straightness")
-    bodies = ("cylinder", "y-shape", "plane")
-    runs = ((body, found[f"{body}-bombardment"]) for body in bodies)
-    return {body: interval(run["r-anisomap"] - run["information-distance"]) for body, run in runs}
-
-
-@claim(
-    "6 and 8 bins produced qualitatively similar results",
-    "Methods",
-    "largest absolute difference in Mantel r from 4 bins, in the same run",
-    below=SIMILAR,
-)
-def bins_do_not_matter(_: Rows, tables: Tables) -> dict[str, Interval]:
-    """Check the effect of the number of bins."""
-    rows = all_scores(tables)
-    four, *more = (
-        _runs([row for row in rows if row["bins"] == bins], methods=METHODS[1:])
-        for bins in (DEFAULT_BINS, *MORE_BINS)
-    )
-    return {
-        f"{m} on {group}": interval(np.max([abs(one[group][m] - r) for one in more], axis=0))
-        for group, found in four.items()
-        for m, r in found.items()
-    }
-
-
-@claim(
-    "All pairs of points, instead of neighbours only, give an increase in accuracy",
-    "Methods",
-    "Mantel r of r-ANISOMAP minus that with the edges of a neighbour graph only, in the same run",
-    above=0,
-)
-def all_pairs_are_better(_: Rows, tables: Tables) -> dict[str, Interval]:
-    """Check r-ANISOMAP against its ablation to neighbours."""
-    return _gains(tables, ABLATIONS[0])
-
-
-@claim(
-    "Shorter chains of distances refine over-estimated long distances",
-    "Discussion",
-    "Mantel r of r-ANISOMAP minus that without shortest paths, in the same run",
-    above=0,
-)
-def metricising_is_better(_: Rows, tables: Tables) -> dict[str, Interval]:
-    """Check r-ANISOMAP against its ablation without a metric."""
-    return _gains(tables, ABLATIONS[1])
-
-
-@claim(
-    "If one sensor is linear and another a radial basis function around an optimal response, "
-    "mutual information is more likely than r to identify their relation",
-    "Discussion",
-    "share of radial-basis sensors (optimum: median contact) whose most similar linear sensor "
-    f"measures the same quantity, noise of {CLAIMED_NOISE:.0%}: by mutual information minus by r",
-    above=SIMILAR,
-)
-def information_identifies_unlike_sensors(_: Rows, tables: Tables) -> dict[str, Interval]:
-    """Check which similarity identifies linear and radial-basis sensors of one quantity."""
-    rows = [
-        row | {"group": row["run"]}
-        for row in tables["unlike-responses"].records()
-        if (row["optimum"], row["noise"]) == (MEDIAN, CLAIMED_NOISE)
-    ]
-    linear, general = _ANISOMAPS
-    return {
-        run: interval(found[general] - found[linear])
-        for run, found in _runs(rows, "identified", _ANISOMAPS).items()
-    }
-
-
-@claim(
-    "High distance-correlation corresponds to a map that respects the topology",
-    "Results",
-    "rank correlation between Mantel r and the share of neighbours preserved, over the maps of "
-    "all methods and runs",
-    above=LARGE,
-)
-def r_implies_topology(rows: Rows, _: Tables) -> dict[str, Interval]:
-    """Check whether maps with a higher r preserve more neighbours."""
-    r, kept = _runs(rows), _runs(rows, "neighbours_kept")
-
-    def correlation(runs: NDArray[np.float64]) -> float:
-        return float(spearmanr(runs[..., 0].ravel(), runs[..., 1].ravel()).statistic)
-
-    return {
-        group: interval(
-            np.stack([[found[m], kept[group][m]] for m in METHODS], axis=0).transpose(2, 0, 1),
-            correlation,
-        )
-        for group, found in r.items()
-    }
-
-
-Runs: TypeAlias = dict[str, dict[str, NDArray[np.float64]]]
-
-
-def _runs(rows: Rows, value: str = "mantel_r", methods: Sequence[str] = METHODS) -> Runs:
-    """Return a value of each run, by group and method, in the same order of runs."""
-    return {
-        group: {m: np.array([row[value] for row in each if row["method"] == m]) for m in methods}
-        for group, each in by_group(rows).items()
-    }
-
-
-def _lead(found: Mapping[str, NDArray[np.float64]], methods: Sequence[str]) -> NDArray[np.float64]:
-    """Best value of some methods minus the best of the others, by run."""
-    best, rest = (
-        np.max([found[m] for m in METHODS if (m in methods) == inside], axis=0)
-        for inside in (True, False)
-    )
-    return np.asarray(best - rest)
-
-
-def _with_control(
-    rows: Rows, value: str
-) -> list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Return a value of the rolling and of the bombarded cylinder, for each method."""
-    found = _runs(rows, value)
-    return [(m, found[_ROLLING][m], found[_BOMBARDED][m]) for m in METHODS]
-
-
-def _drops(rows: Rows, methods: Sequence[str]) -> dict[str, Interval]:
-    """Compute how much Mantel r is lower in 3D than in 2D, on flat skins."""
-    found = _runs(rows)
-    return {
-        f"{m} on {skin}": interval(found[in_2d][m] - found[in_3d][m])
-        for skin, (in_2d, in_3d) in _FLAT_SKINS.items()
-        for m in methods
-    }
-
-
-def _failures(tables: Tables, value: Callable[[Mapping[str, Any]], float]) -> dict[str, Interval]:
-    """Compute a value over the sensors that fail in turn, in each run."""
-    rows = tables["failures"].records()
-    return {
-        f"run {number}": interval([value(row) for row in rows if row["run"] == number])
-        for number in PATCH_RUNS
-        if number >= FIRST_FAILED_RUN
-    }
-
-
-def _gains(tables: Tables, ablation: str) -> dict[str, Interval]:
-    """Compute the gain of r-ANISOMAP over an ablation, on the paper's runs."""
-    names = {case.name for case in CASES} | {"patch, 2D"}
-    scores = [row for row in tables["rival-scores"].records() if row["run"] in names]
-    rows = [row | {"group": row["run"]} for row in scores]
-    found = _runs(rows, methods=("r-anisomap", ablation))
-    return {run: interval(each["r-anisomap"] - each[ablation]) for run, each in found.items()}
 
 
 _CASE_COLUMNS = {
@@ -476,22 +400,20 @@ COLUMNS = {
     "depend on these parameters; the sensitivity analyses below show their effects.",
     needs=(*SCORES, "failing-sensor", "rivals", "unlike-responses"),
 )
-def claims_table(_: Settings, tables: Tables) -> Outcome:
+def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
     """Check every claim."""
-    scores = [row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS]
     rows: list[Row] = []
     cases: list[Row] = []
     for one in CLAIMS:
-        found = one.check(scores, tables)
+        found = one.check(Evidence(tables))
         for case, each in found.items():
             holds = {True: "yes", False: "no", None: UNCLEAR}[one.holds(each)]
             cases.append((one.text, case, each.value, each.low, each.high, holds))
         n_held = sum(one.holds(each) is True for each in found.values())
         count = f"{n_held} of {len(found)}"
         rows.append((one.text, one.where, one.test, _listed(found), count, one.verdict(found)))
-    caption = "Verdict on each claim."
-    every = Table("cases", "All cases of all claims.", _CASE_COLUMNS, tuple(cases), shown=False)
-    return Outcome(tables=(Table("claims", caption, COLUMNS, tuple(rows)), every))
+    yield Table("claims", "Verdict on each claim.", COLUMNS, rows)
+    yield Table("cases", "All cases of all claims.", _CASE_COLUMNS, cases, shown=False)
 
 
 def _listed(cases: Mapping[str, Interval]) -> str:

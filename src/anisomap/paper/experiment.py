@@ -1,11 +1,12 @@
-"""Experiments: their settings, their inputs and their results."""
+"""Experiments: their settings, their inputs and what they yield."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,10 +73,11 @@ class Table:
     name: str
     caption: str
     columns: Mapping[str, str]
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     shown: bool = True
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(self.rows))
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise InputError(
@@ -90,10 +92,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure.
-
-    name: File name without suffix.
-    """
+    """A figure; its name is a file name without suffix."""
 
     name: str
     caption: str
@@ -102,27 +101,17 @@ class Picture:
 
 @dataclass(frozen=True)
 class Document:
-    """A plain-text file.
-
-    name: File name with suffix.
-    """
+    """A plain-text file; its name has a suffix."""
 
     name: str
     caption: str
     text: str
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """Result of an experiment."""
-
-    pictures: tuple[Picture, ...] = ()
-    tables: tuple[Table, ...] = ()
-    documents: tuple[Document, ...] = ()
-
-
 Tables: TypeAlias = Mapping[str, Table]
 """Tables of other experiments, by name."""
+
+Compute: TypeAlias = Callable[[Settings, Tables], Iterable[Picture | Table | Document]]
 
 
 @dataclass(frozen=True)
@@ -130,10 +119,10 @@ class Experiment:
     """A figure, table or text of the paper, and how it is computed.
 
     name: Unique; also the name of its folder.
+    compute: ``compute(settings, tables)`` yields the results; `tables` holds the tables of the
+        experiments in `needs`.
     title: Heading on the page; empty for experiments that only provide data to others.
     description: Paragraphs shown on the page, separated by blank lines.
-    compute: ``compute(settings, tables)`` returns an `Outcome`; `tables` holds the tables of the
-        experiments in `needs`.
     needs: Names of experiments that must run first.
     files: Real recordings that are read from `Settings.recordings`. If one is absent, the
         experiment is skipped.
@@ -142,9 +131,9 @@ class Experiment:
     """
 
     name: str
-    title: str
-    description: str
-    compute: Callable[[Settings, Tables], Outcome]
+    compute: Compute
+    title: str = ""
+    description: str = ""
     needs: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     absent: str = ""
@@ -163,49 +152,57 @@ class Experiment:
 REGISTRY: dict[str, Experiment] = {}
 """Experiments by name, in the order of their definition."""
 
-Compute = TypeVar("Compute", bound=Callable[[Settings, Tables], Outcome])
-
 
 def experiment(
-    name: str,
-    title: str,
-    description: str,
-    *,
-    needs: tuple[str, ...] = (),
-    files: tuple[str, ...] = (),
-    absent: str = "",
-    cost: float = 1.0,
+    name: str, title: str, description: str, **options: Any
 ) -> Callable[[Compute], Compute]:
     """Register a function as an experiment; the arguments are the fields of `Experiment`."""
 
     def register(compute: Compute) -> Compute:
-        REGISTRY[name] = Experiment(name, title, description, compute, needs, files, absent, cost)
+        REGISTRY[name] = Experiment(name, compute, title, description, **options)
         return compute
 
     return register
 
 
+def provide(
+    name: str, columns: Mapping[str, str], rows: Callable[[Settings], Iterable[Row]], cost: float
+) -> str:
+    """Register an experiment without a section, which writes one table for others."""
+    REGISTRY[name] = Experiment(name, partial(_tabulate, name, columns, rows), cost=cost)
+    return name
+
+
+def _tabulate(
+    name: str,
+    columns: Mapping[str, str],
+    rows: Callable[[Settings], Iterable[Row]],
+    settings: Settings,
+    _: Tables,
+) -> Iterator[Table]:
+    yield Table(name, "Scores of all runs.", columns, [*rows(settings)], shown=False)
+
+
 def mean_by(rows: Iterable[Mapping[str, Any]], key: str, value: str) -> dict[Any, float]:
     """Average the values of rows that agree in `key`, in order of appearance."""
-    groups: dict[Any, list[float]] = {}
-    for row in rows:
-        groups.setdefault(row[key], []).append(row[value])
-    return {group: float(np.mean(values)) for group, values in groups.items()}
-
-
-def curves_by_method(
-    rows: Sequence[Mapping[str, Any]], methods: Iterable[str], parameter: str
-) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """Arrange Mantel r over a parameter, one column per run. Returns (L,), and (L, S) by method."""
-    values = sorted({row[parameter] for row in rows})
-    curves = {
-        method: np.array(
-            [
-                [r["mantel_r"] for r in rows if r["method"] == method and r[parameter] == value]
-                for value in values
-            ],
-            dtype=np.float64,
-        )
-        for method in methods
+    return {
+        group: float(np.mean([row[value] for row in found]))
+        for group, found in by(rows, key).items()
     }
-    return np.array(values, dtype=np.float64), curves
+
+
+def by(rows: Iterable[Mapping[str, Any]], key: str) -> dict[Any, list[Mapping[str, Any]]]:
+    """Group rows that agree in `key`, in order of appearance."""
+    groups: dict[Any, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(row[key], []).append(row)
+    return groups
+
+
+def curve(
+    rows: Iterable[Mapping[str, Any]], parameter: str, value: str = "mantel_r"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Arrange a value of runs over a parameter. Returns (L,), and (L, S), one column per run."""
+    groups = sorted(by(rows, parameter).items())
+    found = [[row[value] for row in group] for _, group in groups]
+    return np.array([x for x, _ in groups], dtype=np.float64), np.array(found, dtype=np.float64)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import astuple, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,19 +52,11 @@ def straightness(positions: ArrayLike, truth: ArrayLike) -> float:
     return float(np.mean(np.linalg.norm(c - a, axis=1) / path)) if inside.any() else math.nan
 
 
-@dataclass(frozen=True)
-class CylinderShape:
+class CylinderShape(NamedTuple):
     """Shape and topology of a map of a cylinder with sensors on lines parallel to its axis.
 
-    All are 1 if correct. Orders do not depend on the scale along the axis.
-
-    axial_scale: Axial scale divided by radial scale, after alignment with the true positions; less
-        is compressed.
-    local_axial_scale: Distance of axial neighbours divided by distance of circumferential
-        neighbours, relative to the same ratio of the true positions; independent of the alignment.
-    order_around: Share of the two nearest lines of each, by their centroids, that are beside it.
-    order_along: Rank correlation of distances on the map with true distances within a line, mean
-        over the lines.
+    All are 1 if correct; `SCORE_COLUMNS` describes them. Scales do not depend on the alignment,
+    except the axial scale; orders do not depend on the scale along the axis.
     """
 
     axial_scale: float
@@ -249,11 +241,11 @@ def score_rows(
     Methods that bin readings are also scored with the numbers of bins in `more_bins`, without a
     null distribution.
     """
-    excluded = list(exclude)
+    excluded, more = list(exclude), tuple(more_bins)
+    is_cylinder = recording.metadata.get("body") == "cylinder"
     for k in dimensions:
         for method in METHODS:
-            binned = () if method == "r-anisomap" else tuple(more_bins)
-            for bins in (DEFAULT_BINS, *binned):
+            for bins in (DEFAULT_BINS, *(() if method == "r-anisomap" else more)):
                 scored = map_and_score(
                     recording,
                     method,
@@ -262,9 +254,7 @@ def score_rows(
                     exclude=excluded,
                     options=MethodOptions(bins=bins),
                 )
-                cells = _score_cells(
-                    scored, is_cylinder=recording.metadata.get("body") == "cylinder"
-                )
+                cells = _score_cells(scored, is_cylinder=is_cylinder)
                 yield (run, seed, method, k, bins, *cells)
 
 
@@ -274,17 +264,11 @@ def stopped(rows: Iterable[Mapping[str, Any]]) -> str:
     return ", ".join(f"{method} {count}" for method, count in counts.items()) or "none"
 
 
-def null_box(row: dict[str, Any]) -> NullBox:
+def null_box(row: Mapping[str, Any]) -> NullBox:
     """Return the box plot of a null distribution from a row of `SCORE_COLUMNS`."""
-    low, high = row["null_whisker_low"], row["null_whisker_high"]
-    return NullBox(
-        low,
-        row["null_quartile_1"],
-        row["null_median"],
-        row["null_quartile_3"],
-        high,
-        tuple(float(value) for value in str(row["null_outliers"]).split()),
-    )
+    quantiles = ("whisker_low", "quartile_1", "median", "quartile_3", "whisker_high")
+    outliers = tuple(float(value) for value in str(row["null_outliers"]).split())
+    return NullBox(**{name: row[f"null_{name}"] for name in quantiles}, outliers=outliers)
 
 
 def _score_cells(scored: ScoredMap, *, is_cylinder: bool) -> Row:
@@ -292,7 +276,7 @@ def _score_cells(scored: ScoredMap, *, is_cylinder: bool) -> Row:
     mapped = scored.sensor_map.positions[result.sensors]
     shape: Row = (math.nan,) * 4
     if is_cylinder and scored.sensor_map.dimensions == 3:
-        shape = astuple(cylinder_shape(mapped, result.truth))
+        shape = cylinder_shape(mapped, result.truth)
     return (
         result.mantel.r,
         *_null_cells(result.mantel),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,8 @@ from anisomap import io
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.drawing.figures.panels import Panel, gallery_figure, map_panel, truth_panel
 from anisomap.paper.cases import (
+    FAILED_RUNS,
     FAILING,
-    FIRST_FAILED_RUN,
     METHODS,
     PATCH_FRAMES,
     PATCH_RUNS,
@@ -22,7 +24,7 @@ from anisomap.paper.cases import (
     patch_seed,
     true_positions,
 )
-from anisomap.paper.experiment import Outcome, Picture, Row, Settings, Table, Tables, experiment
+from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, by, curve, experiment
 from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, isolation, map_and_score, score_rows
 from anisomap.recording import Recording
 
@@ -45,34 +47,32 @@ _NOTE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class PatchMap:
-    """A map of the patch with its Mantel r and the isolation of the failing sensor."""
-
-    scored: ScoredMap
-    mantel_r: float
-    isolation: float
-
-    def panel(self, recording: Recording, title: str = "") -> Panel:
-        """Draw the map, titled by its method or `title`."""
-        return map_panel(
-            f"{title}, r = {self.mantel_r:.3f}" if title else self.scored.title,
-            self.scored.sensor_map,
-            self.scored.score,
-            true_positions(recording, self.scored.sensor_map.dimensions),
-            labels=_label_30(recording),
-        )
-
-
 def map_patch(
     recording: Recording, method: str, dimensions: int, failing: str = FAILING
-) -> PatchMap:
-    """Map a run of the patch."""
+) -> tuple[ScoredMap, tuple[float, float]]:
+    """Map a run of the patch; return also Mantel r, and the isolation of the failing sensor."""
     scored = map_and_score(recording, method, dimensions, exclude=[failing])
     placed = np.flatnonzero(scored.sensor_map.placed)
     row = int(np.searchsorted(placed, recording.names.index(failing)))
     alone = isolation(scored.sensor_map.positions[placed], row)
-    return PatchMap(scored, scored.score.mantel.r, alone)
+    return scored, (scored.score.mantel.r, alone)
+
+
+def _maps_of_run(
+    settings: Settings, number: int, kinds: Iterable[tuple[str, int]]
+) -> tuple[list[Panel], list[Row]]:
+    """Draw a run by methods in dimensions; return also rows of `_COLUMNS`."""
+    recording, seed = patch_run(settings, number), patch_seed(settings, number)
+    panels: list[Panel] = []
+    rows: list[Row] = []
+    for method, k in kinds:
+        scored, scores = map_patch(recording, method, k)
+        truth, labels = true_positions(recording, k), _label_30(recording)
+        panels.append(
+            map_panel(scored.title, scored.sensor_map, scored.score, truth, labels=labels)
+        )
+        rows.append((number, recording.n_frames, seed, method, k, *scores))
+    return panels, rows
 
 
 @experiment(
@@ -87,41 +87,35 @@ def map_patch(
     "so that 10 are simulated, and 50 of 60 respond.)",
     cost=12,
 )
-def figure_2(settings: Settings, _: Tables) -> Outcome:
+def figure_2(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the maps of all runs by r-ANISOMAP."""
-    runs = {number: patch_run(settings, number) for number in PATCH_RUNS}
-    panels = [_truth_panel(runs[1], 2, "actual configuration")]
+    panels = [_truth_panel(patch_run(settings, 1), 2, "actual configuration")]
     rows: list[Row] = []
-    for number, run in runs.items():
-        for method in METHODS:
-            for k in (2, 3):
-                patch_map = map_patch(run, method, k)
-                rows.append(_row(number, patch_seed(settings, number), run, patch_map))
-                if method == "r-anisomap" and k == 2:
-                    panels.append(patch_map.panel(run, f"run {number}"))
+    for number in PATCH_RUNS:
+        found, scores = _maps_of_run(settings, number, product(METHODS, (2, 3)))
+        panels.append(replace(found[0], title=f"run {number}, r = {scores[0][-2]:.3f}"))
+        rows += scores
     figure = gallery_figure("Figure 2. Maps of the simulated patch by r-ANISOMAP", panels, 3, _NOTE)
     seeds = f"{patch_seed(settings, PATCH_RUNS[0])} to {patch_seed(settings, PATCH_RUNS[-1])}"
     caption = f"r-ANISOMAP in 2D on the simulated patch, runs 1 to 5 (seeds {seeds})."
-    table = Table("figure-2", "Isolation of sensor 30.", _COLUMNS, tuple(rows), shown=False)
-    return Outcome((Picture("figure-2", caption, figure),), (table,))
+    yield Picture("figure-2", caption, figure)
+    yield Table("figure-2", "Isolation of sensor 30.", _COLUMNS, rows, shown=False)
 
 
-def supplementary_figure(number: int, settings: Settings, _: Tables) -> Outcome:
+def supplementary_figure(number: int, settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the maps of one run by all methods, in 2D and 3D."""
     recording, seed = patch_run(settings, number), patch_seed(settings, number)
-    panels, rows = [], []
+    panels: list[Panel] = []
+    rows: list[Row] = []
     for k in (2, 3):
-        panels.append(_truth_panel(recording, k))
-        for method in METHODS:
-            patch_map = map_patch(recording, method, k)
-            panels.append(patch_map.panel(recording))
-            rows.append(_row(number, seed, recording, patch_map))
+        found, scores = _maps_of_run(settings, number, product(METHODS, (k,)))
+        panels += [_truth_panel(recording, k), *found]
+        rows += scores
     name = f"figure-s{4 + number}"
     title = f"Figure S{4 + number}. Simulated patch, run {number}: {recording.n_frames} frames"
-    figure = gallery_figure(title, panels, 5, _NOTE)
     caption = f"All methods on run {number} (seed {seed}), in 2D and 3D."
-    table = Table(name, caption, _COLUMNS, tuple(rows), shown=False)
-    return Outcome((Picture(name, caption, figure),), (table,))
+    yield Picture(name, caption, gallery_figure(title, panels, 5, _NOTE))
+    yield Table(name, caption, _COLUMNS, rows, shown=False)
 
 
 for _number in PATCH_RUNS:
@@ -136,15 +130,11 @@ for _number in PATCH_RUNS:
 @experiment(
     "figure-s10", "Figure S10: the patch", "Numbers and states of the sensors of the patch."
 )
-def figure_s10(settings: Settings, _: Tables) -> Outcome:
+def figure_s10(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the patch with the numbers of its sensors."""
     recording = patch_run(settings, 1)
     names = recording.names
     positions = true_positions(recording, 2)
-    rows = tuple(
-        (i, name, "silent" if name in SILENT else "failing" if name == FAILING else "working", x, y)
-        for i, (name, (x, y)) in enumerate(zip(names, positions.tolist(), strict=True))
-    )
     panel = truth_panel(
         "sensor numbers",
         positions,
@@ -153,7 +143,11 @@ def figure_s10(settings: Settings, _: Tables) -> Outcome:
         excluded=[name == FAILING for name in names],
         labels={i: str(i) for i in range(len(names))},
     )
+    caption = (
+        "Schematic of the patch: six IIT triangles around a vertex. Rings: the silent triangle."
+    )
     figure = gallery_figure("Figure S10. The patch", [panel], 1, _NOTE, size=6.5)
+    yield Picture("figure-s10", caption, figure)
     columns = {
         "sensor": "number, from 0",
         "name": "t and number of the triangle, p and number of its pad; pads 6 and 10 measure "
@@ -162,11 +156,11 @@ def figure_s10(settings: Settings, _: Tables) -> Outcome:
         "x_mm": "true position, mm",
         "y_mm": "true position, mm",
     }
-    table = Table("figure-s10", "Sensors of the patch.", columns, rows, shown=False)
-    caption = (
-        "Schematic of the patch: six IIT triangles around a vertex. Rings: the silent triangle."
-    )
-    return Outcome((Picture("figure-s10", caption, figure),), (table,))
+    rows = [
+        (i, name, "silent" if name in SILENT else "failing" if name == FAILING else "working", x, y)
+        for i, (name, (x, y)) in enumerate(zip(names, positions.tolist(), strict=True))
+    ]
+    yield Table("figure-s10", "Sensors of the patch.", columns, rows, shown=False)
 
 
 @experiment(
@@ -187,7 +181,7 @@ def figure_s10(settings: Settings, _: Tables) -> Outcome:
     ),
     cost=8,
 )
-def real_patch(settings: Settings, _: Tables) -> Outcome:
+def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Map a real patch of the same triangles by all methods, in 2D and 3D."""
     recording = io.read((settings.recordings or Path()) / REAL_RECORDING)
     panels = []
@@ -205,10 +199,10 @@ def real_patch(settings: Settings, _: Tables) -> Outcome:
         5,
         "Binary readings (0 or 1) of a thumb sweeping over the skin; positions from CAD.",
     )
-    rows = tuple(score_rows("real", recording, 0, (2, 3), settings))
-    table = Table("real-skin", "Scores of the maps of real skin.", SCORE_COLUMNS, rows)
     caption = "Real IIT skin, six triangles around a vertex, by all methods in 2D and 3D."
-    return Outcome((Picture("real-skin", caption, figure),), (table,))
+    yield Picture("real-skin", caption, figure)
+    rows = [*score_rows("real", recording, 0, (2, 3), settings)]
+    yield Table("real-skin", "Scores of the maps of real skin.", SCORE_COLUMNS, rows)
 
 
 def _truth_panel(recording: Recording, dimensions: int, title: str = "true positions") -> Panel:
@@ -224,12 +218,6 @@ def _truth_panel(recording: Recording, dimensions: int, title: str = "true posit
 
 def _label_30(recording: Recording) -> dict[int, str]:
     return {recording.names.index(FAILING): "30"}
-
-
-def _row(number: int, seed: int, recording: Recording, patch_map: PatchMap) -> Row:
-    found = patch_map.scored.sensor_map
-    run = (number, recording.n_frames, seed)
-    return (*run, found.method, found.dimensions, patch_map.mantel_r, patch_map.isolation)
 
 
 _GAP = 100.0  # mean number of frames between failures
@@ -260,27 +248,27 @@ _FAILURE_COLUMNS = {
     "often it was saturated; the isolation depends on it.",
     cost=10,
 )
-def isolation_by_saturation(settings: Settings, _: Tables) -> Outcome:
+def isolation_by_saturation(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Measure the isolation of the failing sensor for several durations of its failures."""
     spans = _QUICK_SPANS if settings.quick else _SPANS
-    numbers = [number for number in PATCH_RUNS if number >= FIRST_FAILED_RUN]
     rows: list[Row] = []
     panels = []
     for k in (2, 3):
-        curves = {method: np.empty((len(spans), len(numbers))) for method in METHODS}
-        shares = np.empty((len(spans), len(numbers)))
-        for i, span in enumerate(spans):
-            for j, number in enumerate(numbers):
-                recording = patch_run(settings, number, mean_gap=_GAP, mean_span=span)
-                failing = recording.readings[:, recording.names.index(FAILING)]
-                shares[i, j] = np.mean(failing == recording.readings.max())
-                for method in METHODS:
-                    patch_map = map_patch(recording, method, k)
-                    curves[method][i, j] = patch_map.isolation
-                    scores = (patch_map.mantel_r, patch_map.isolation)
-                    rows.append((number, float(shares[i, j]), method, k, *scores))
+        found: list[dict[str, float | str]] = []
+        shares = np.empty((len(spans), len(FAILED_RUNS)))
+        for i, (span, number) in enumerate(product(spans, FAILED_RUNS)):
+            recording = patch_run(settings, number, mean_gap=_GAP, mean_span=span)
+            failing = recording.readings[:, recording.names.index(FAILING)]
+            shares.flat[i] = np.mean(failing == recording.readings.max())
+            for method in METHODS:
+                scores = map_patch(recording, method, k)[1]
+                rows.append((number, float(shares.flat[i]), method, k, *scores))
+                found.append({"span": span, "method": method, "isolation": scores[1]})
         x = np.round(shares.mean(axis=1), 2)
-        panels.append(CurvePanel(f"{k}D", x, curves))
+        curves = by(found, "method").items()
+        panels.append(
+            CurvePanel(f"{k}D", x, {m: curve(each, "span", "isolation")[1] for m, each in curves})
+        )
     figure = curves_figure(
         "Isolation of the failing sensor",
         panels,
@@ -293,28 +281,22 @@ def isolation_by_saturation(settings: Settings, _: Tables) -> Outcome:
         "distance over all other sensors, in runs 4 and 5 (dots: runs, lines: means). At about 1 "
         "it lies among the others. In Figure 2 it is saturated in a sixth of the frames."
     )
-    table = Table(
-        "failing-sensor",
-        "Isolation of sensor 30.",
-        _ISOLATION_COLUMNS,
-        tuple(rows),
-        shown=False,
-    )
-    return Outcome((Picture("failing-sensor", caption, figure),), (table, _failures(settings)))
+    yield Picture("failing-sensor", caption, figure)
+    caption = "Isolation of sensor 30."
+    yield Table("failing-sensor", caption, _ISOLATION_COLUMNS, rows, shown=False)
+    caption = "r-ANISOMAP in 2D with and without the failure of ten sensors in turn."
+    yield Table("failures", caption, _FAILURE_COLUMNS, [*_failures(settings)], shown=False)
 
 
-def _failures(settings: Settings) -> Table:
+def _failures(settings: Settings) -> Iterator[Row]:
     """Let sensors fail in turn in runs 4 and 5; compare with the same runs without a failure."""
     rng = np.random.default_rng(settings.seed)
-    rows: list[Row] = []
-    for number in PATCH_RUNS[FIRST_FAILED_RUN - 1 :]:
+    for number in FAILED_RUNS:
         sound = patch_run(settings, number, fails=False)
         names = np.array(sound.names)[sound.varying()]
         others = rng.permutation(names[names != FAILING])[: _N_FAILING - 1]
         for name in (FAILING, *others.tolist()):
             failed = patch_run(settings, number, failing=name, fails=True)
-            before, after = (map_patch(run, "r-anisomap", 2, name) for run in (sound, failed))
-            scores = (before.mantel_r, after.mantel_r, before.isolation, after.isolation)
-            rows.append((number, name, *scores))
-    caption = "r-ANISOMAP in 2D with and without the failure of ten sensors in turn."
-    return Table("failures", caption, _FAILURE_COLUMNS, tuple(rows), shown=False)
+            found = (map_patch(run, "r-anisomap", 2, name)[1] for run in (sound, failed))
+            # Mantel r before and after, then the isolations.
+            yield (number, name, *(value for pair in zip(*found, strict=True) for value in pair))

@@ -19,7 +19,7 @@ import io
 import json
 import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -32,7 +32,7 @@ from anisomap._version import __version__
 from anisomap.drawing.figures import figure_bytes
 from anisomap.errors import FileError
 from anisomap.files import atomic_write
-from anisomap.paper.experiment import Cell, Experiment, Outcome, Settings, Table
+from anisomap.paper.experiment import Cell, Document, Experiment, Picture, Settings, Table
 
 RECORD = "record.json"
 FIGURE_FORMATS = ("png", "svg")
@@ -67,31 +67,36 @@ def fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str,
     return _digest(json.dumps(inputs, sort_keys=True).encode())
 
 
-def save(folder: Path, name: str, outcome: Outcome, inputs: str, seconds: float) -> None:
+def save(
+    folder: Path,
+    name: str,
+    found: Iterable[Picture | Table | Document],
+    inputs: str,
+    seconds: float,
+) -> None:
     """Write the result of an experiment, and its record last."""
     target = folder / name
+    record: dict[str, Any] = {"fingerprint": inputs, "seconds": seconds}
+    record |= {kind: [] for kind in ("pictures", "documents", "tables")}
     try:
         if target.exists():
             shutil.rmtree(target)
         target.mkdir()
-        for picture in outcome.pictures:
-            for kind in FIGURE_FORMATS:
-                content = figure_bytes(picture.figure, kind)
-                (target / f"{picture.name}.{kind}").write_bytes(content)
-        for table in outcome.tables:
-            (target / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
-        for document in outcome.documents:
-            (target / document.name).write_text(document.text, encoding="utf-8")
-        record = {
-            "fingerprint": inputs,
-            "seconds": seconds,
-            "pictures": [{"name": p.name, "caption": p.caption} for p in outcome.pictures],
-            "documents": [{"name": d.name, "caption": d.caption} for d in outcome.documents],
-            "tables": [
-                {"name": t.name, "caption": t.caption, "columns": dict(t.columns), "shown": t.shown}
-                for t in outcome.tables
-            ],
-            "digests": {path.name: _digest(path.read_bytes()) for path in sorted(target.iterdir())},
+        for one in found:
+            entry: dict[str, Any] = {"name": one.name, "caption": one.caption}
+            if isinstance(one, Picture):
+                record["pictures"].append(entry)
+                for kind in FIGURE_FORMATS:
+                    (target / f"{one.name}.{kind}").write_bytes(figure_bytes(one.figure, kind))
+            elif isinstance(one, Table):
+                entry |= {"columns": dict(one.columns), "shown": one.shown}
+                record["tables"].append(entry)
+                (target / f"{one.name}.csv").write_text(to_csv(one), encoding="utf-8")
+            else:
+                record["documents"].append(entry)
+                (target / one.name).write_text(one.text, encoding="utf-8")
+        record["digests"] = {
+            path.name: _digest(path.read_bytes()) for path in sorted(target.iterdir())
         }
         text = json.dumps(record, indent=1) + "\n"
         (target / RECORD).write_text(text, encoding="utf-8")
@@ -169,14 +174,6 @@ MAX_ROWS = 60  # of a table on the page; longer tables are only linked
 _PACKAGE = "anisomap.paper"
 
 
-@dataclass(frozen=True)
-class Section:
-    """Section of the page; `result` is None if the experiment was skipped."""
-
-    experiment: Experiment
-    result: Result | None
-
-
 def write_page(
     path: Path,
     settings: Settings,
@@ -193,13 +190,8 @@ def write_page(
         lstrip_blocks=True,
     )
     environment.filters |= {"cell": cell_text, "numeric": numeric_columns}
-    sections = [
-        Section(
-            one,
-            load(path.parent, one.name, fingerprints[one.name])
-            if one.name in fingerprints
-            else None,
-        )
+    sections = [  # without a result if the experiment was skipped
+        {"experiment": one, "result": load(path.parent, one.name, fingerprints.get(one.name, ""))}
         for one in experiments.values()
         if one.title and (one.name in fingerprints or one.files)
     ]

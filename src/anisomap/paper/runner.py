@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -15,24 +16,11 @@ from joblib import Parallel, cpu_count, delayed
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.paper import (
-    accuracy,
-    bodies,
-    claims,
-    dimensionality,
-    patch,
-    results,
-    rivals,
-    rolling,
-    sample_data,
-    sensitivity,
-)
+from anisomap.paper import accuracy, bodies, claims, patch, results, sample_data, sensitivity
 from anisomap.paper.experiment import REGISTRY, Experiment, Settings
 from anisomap.paper.results import write_page
 
-_MODULES = (
-    claims, bodies, patch, accuracy, rivals, rolling, sample_data, sensitivity, dimensionality
-)  # fmt: skip
+_MODULES = (claims, bodies, patch, accuracy, sample_data, sensitivity)
 """Modules that register experiments when they are imported."""
 
 _PAGE_ORDER = (
@@ -50,8 +38,8 @@ _PAGE_ORDER = (
     "failing-sensor",
     "unlike-responses",
     "rivals",
-    rolling.NAME,
-    *sensitivity.PARAMETERS,
+    sensitivity.CYLINDER,
+    *(f"sensitivity-{parameter.name}" for parameter in sensitivity.PARAMETERS),
     "dimensions",
 )
 """Experiments with a section on the page; the others, which provide data to them, follow."""
@@ -98,7 +86,7 @@ def reproduce(
 
     found = {one.name: Status(one.name, 0.0, "skipped") for one in chosen}
     prints: dict[str, str] = {}
-    pending: list[Experiment] = []
+    pending: dict[str, Experiment] = {}
 
     def finish(name: str, seconds: float, state: str) -> None:
         found[name] = Status(name, seconds, state)
@@ -112,19 +100,23 @@ def reproduce(
         prints[one.name] = results.fingerprint(one, settings, prints)
         result = results.load(target, one.name, prints[one.name])
         if result is None:
-            pending.append(one)
+            pending[one.name] = one
         else:
             finish(one.name, result.seconds, "cached")
-    for level in _levels(pending):
+    order = TopologicalSorter({one.name: {*one.needs} & {*pending} for one in pending.values()})
+    order.prepare()
+    while order.is_active():
+        level = sorted(order.get_ready(), key=lambda name: -pending[name].cost)
         parallel = Parallel(
             n_jobs=min(workers or cpu_count(), len(level)),
             batch_size=1,
             pre_dispatch="n_jobs",  # after a kill, workers finish only what they are running
             return_as="generator_unordered",
         )
-        calls = (delayed(_run)(target, one, settings, prints) for one in level)
+        calls = (delayed(_run)(target, pending[name], settings, prints) for name in level)
         for name, seconds in parallel(calls):
             finish(name, seconds, "computed")
+            order.done(name)
     write_page(target / PAGE, settings, experiments, prints)
     return list(found.values())
 
@@ -148,20 +140,10 @@ def _run(
     with threadpool_limits(1), warnings.catch_warnings():
         # Notes on single maps would be repeated for hundreds of maps; the tables hold the scores.
         warnings.simplefilter("ignore", AnisomapWarning)
-        outcome = experiment.compute(settings, tables)
+        found = [*experiment.compute(settings, tables)]
         seconds = round(time.perf_counter() - started, 2)
-        results.save(folder, experiment.name, outcome, prints[experiment.name], seconds)
+        results.save(folder, experiment.name, found, prints[experiment.name], seconds)
     return experiment.name, seconds
-
-
-def _levels(pending: Sequence[Experiment]) -> Iterator[list[Experiment]]:
-    """Group experiments so that each needs only those of earlier groups, longest first."""
-    waiting = list(pending)
-    while waiting:
-        names = {one.name for one in waiting}
-        level = [one for one in waiting if not names & set(one.needs)]
-        waiting = [one for one in waiting if one not in level]
-        yield sorted(level, key=lambda one: -one.cost)
 
 
 def _with_needs(names: Sequence[str], experiments: Mapping[str, Experiment]) -> list[Experiment]:

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
 
 import numpy as np
 from docstring_parser import parse as parse_docstring
 
 from anisomap._version import __version__
-from anisomap.paper.cases import (
-    FAILING,
-    PATCH_RUNS,
-    SILENT,
-    Case,
-    find_case,
-    patch_run,
-    patch_seed,
-)
-from anisomap.paper.experiment import Document, Outcome, Settings, Table, Tables, experiment
+from anisomap.paper.cases import FAILING, PATCH_RUNS, SILENT, Case, patch_run, patch_seed
+from anisomap.paper.experiment import Document, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
 from anisomap.simulation.options import options_for
@@ -53,22 +45,19 @@ time in seconds, then the readings of the sensors in the order of the comments.
     "Plain-text files. Text S1 describes their format and all parameters of the simulation.",
     cost=20,
 )
-def sample_runs(settings: Settings, _: Tables) -> Outcome:
+def sample_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     """Write Data S1 to S6 and Text S1."""
-    cases = [find_case(body) for body in ("cylinder", "sphere", "plane", "y-shape")]
-    cases += [find_case(body, "locomotion") for body in ("cylinder", "sphere")]
-    documents, rows = [], []
+    cases = [Case(body) for body in ("cylinder", "sphere", "plane", "y-shape")]
+    cases += [Case(body, "locomotion") for body in ("cylinder", "sphere")]
+    rows: list[Row] = []
     for i, case in enumerate(cases, start=1):
         seed = settings.picked_seed(case.name)
-        recording = case.record(settings, seed)
-        what = f"{case.body} {case.scenario}"
+        recording, what = case.record(settings, seed), f"{case.body} {case.scenario}"
         text = to_text(f"Data S{i}: sample run, {what}", recording)
-        documents.append(Document(f"data-s{i}.txt", f"Data S{i}: {what}, seed {seed}.", text))
+        yield Document(f"data-s{i}.txt", f"Data S{i}: {what}, seed {seed}.", text)
         rows.append((f"data-s{i}.txt", what, seed, recording.n_frames, recording.n_sensors))
-    caption = "Text S1: the simulation and its parameters."
-    documents.append(Document("text-s1.txt", caption, _text_s1(cases)))
-    table = Table("data-s1-s6", "Sample runs of all scenarios.", _COLUMNS, tuple(rows))
-    return Outcome(tables=(table,), documents=tuple(documents))
+    yield Document("text-s1.txt", "Text S1: the simulation and its parameters.", _text_s1(cases))
+    yield Table("data-s1-s6", "Sample runs of all scenarios.", _COLUMNS, rows)
 
 
 @experiment(
@@ -77,19 +66,18 @@ def sample_runs(settings: Settings, _: Tables) -> Outcome:
     "The runs of the simulated patch, in the same format.",
     cost=8,
 )
-def patch_runs(settings: Settings, _: Tables) -> Outcome:
+def patch_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     """Write Data S7 to S11 and Text S2."""
-    documents, rows = [], []
+    rows: list[Row] = []
     for number in PATCH_RUNS:
         recording = patch_run(settings, number)
         name, seed = f"data-s{6 + number}.txt", patch_seed(settings, number)
         what = f"simulated patch, run {number}"
         text = to_text(f"Data S{6 + number}: {what}", recording)
-        documents.append(Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text))
+        yield Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text)
         rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
-    documents.append(Document("text-s2.txt", "Text S2: the patch and its files.", _text_s2()))
-    table = Table("data-s7-s11", "The five runs of the simulated patch.", _COLUMNS, tuple(rows))
-    return Outcome(tables=(table,), documents=tuple(documents))
+    yield Document("text-s2.txt", "Text S2: the patch and its files.", _text_s2())
+    yield Table("data-s7-s11", "The five runs of the simulated patch.", _COLUMNS, rows)
 
 
 @experiment(
@@ -97,11 +85,11 @@ def patch_runs(settings: Settings, _: Tables) -> Outcome:
     "Text S3: shortest paths leave a metric unchanged",
     "The theorem behind the second step of ANISOMAP, with a proof.",
 )
-def proof(_: Settings, __: Tables) -> Outcome:
+def proof(_: Settings, __: Tables) -> Iterator[Document]:
     """Write Text S3."""
     caption = "Text S3: proof that shortest paths leave a metric unchanged."
     text = files("anisomap.paper").joinpath("templates", "text-s3.txt").read_text(encoding="utf-8")
-    return Outcome(documents=(Document("text-s3.txt", caption, text),))
+    yield Document("text-s3.txt", caption, text)
 
 
 def to_text(title: str, recording: Recording) -> str:
@@ -151,7 +139,7 @@ def _text_s2() -> str:
         "silent: its readings are 0 in all runs. From run 4 on, sensor 30 (counted from 0: "
         f"{FAILING}) intermittently jumps to the highest reading of the run, whether touched or "
         "not.",
-        _describe(Case("patch", "hexagon", "rubbing", "")),
+        _describe(Case("hexagon", "rubbing")),
     ]
     return "\n\n".join(_wrapped(part) for part in parts) + "\n"
 
