@@ -50,6 +50,11 @@ def test_a_matrix_is_recognised_mapped_and_examined(run, dist_csv, points, tmp_p
     assert sum(fit["stress_per_point"].values()) == pytest.approx(1)
     assert (tmp_path / "dist.stress.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "r.html").exists()
+    looked = run("info", dist_csv, "--json").values
+    assert looked == {"dissimilarities": {"objects": 12, "pairs": 66, "unknown": 0}}
+    told = run("info", dist_csv).out
+    assert "66 known" in told
+    assert "Sensor health" not in told
 
 
 def test_a_doubtful_matrix_is_refused_with_both_readings(run, tmp_path):
@@ -58,6 +63,7 @@ def test_a_doubtful_matrix_is_refused_with_both_readings(run, tmp_path):
     assert done.code == 2
     for option in ("--dissimilarities", "--no-dissimilarities", "recording of 6 frames"):
         assert option in done.err
+        assert option in run("info", "d.csv").err
     assert "Traceback" not in done.err
 
 

@@ -450,7 +450,7 @@ def test_an_interrupted_verdict_leaves_the_map(folder, monkeypatch, capsys):
             raise KeyboardInterrupt
         return sensor_map
 
-    monkeypatch.setattr("anisomap.cli.pipeline.diagnose", interrupted)
+    monkeypatch.setattr("anisomap.route.diagnose", interrupted)
     monkeypatch.chdir(folder)
     assert run(["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "-o", "m.csv"]) == 130
     said = capsys.readouterr()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli import pipeline
+from anisomap import route
 from anisomap.large import chunks
 from skins import flat_skin
 
@@ -35,8 +35,8 @@ def parts(tmp_path):
 
 @pytest.fixture
 def all_is_large(monkeypatch):
-    monkeypatch.setattr(pipeline, "LARGE_BYTES", 0)
-    monkeypatch.setattr(pipeline, "PROBED_BYTES", 0)
+    monkeypatch.setattr(route, "LARGE_BYTES", 0)
+    monkeypatch.setattr(route, "PROBED_BYTES", 0)
     monkeypatch.setattr(chunks, "CHUNK_READINGS", 42 * 170)
     monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
     monkeypatch.setattr(anisomap.io, "read", None)  # nothing is read as a whole any more

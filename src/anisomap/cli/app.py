@@ -18,6 +18,7 @@ from cyclopts import App, CycloptsError, Parameter
 from anisomap._version import __version__
 from anisomap.cli import INTERRUPTED, INTERRUPTION, end
 from anisomap.cli.console import (
+    Printer,
     console,
     discard_stdout,
     errors,
@@ -43,7 +44,6 @@ app = App(
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="markdown",
-    suppress_keyboard_interrupt=False,  # `run` reports it
     # "[a].csv" is a file name; nothing is said of switches that are off.
     default_parameter=Parameter(json_list=False, json_dict=False, show_default=_shown),
 )
@@ -141,7 +141,13 @@ def _run(given: list[str]) -> int:
             raise InputError(f"there is no command {given[0]!r}; {hint}")
         if not given or given[0] in app.help_flags:
             load_commands()
-        code = app(given, exit_on_error=False, print_error=False, result_action="return_value")
+        command, bound, _ = app.parse_args(given, exit_on_error=False, print_error=False)
+        printer = None
+        if "printer" in bound.signature.parameters:
+            printer = bound.arguments.setdefault("printer", Printer())
+        code = command(*bound.args, **bound.kwargs)
+        if printer is not None:
+            printer.finish()
     return code if isinstance(code, int) else 0
 
 

@@ -11,11 +11,12 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Annotated, Any, TypeAlias
 
 import numpy as np
+from cyclopts import Parameter
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -66,11 +67,12 @@ class _Terminal(Console):
 
 
 def _discard(stream: IO[str]) -> None:
+    """Send the rest of a stream, buffered text included, to the null device."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def discard_stdout() -> None:
-    """Send the rest of standard output, buffered text included, to the null device."""
+    """Discard the rest of standard output."""
     _discard(sys.stdout)
 
 
@@ -123,22 +125,28 @@ def _lines(text: str) -> str:
 class Printer:
     """Printer of the results of a command: as text, as one JSON object, or not at all.
 
-    quiet: Print no text. Warnings and errors still appear on stderr.
-    as_json: Print the recorded values as one JSON object at the end, and no text.
+    Parameters
+    ----------
+    quiet
+        Print no text; warnings and errors remain.
+    as_json
+        Print the results, or the error, as one JSON object.
     """
 
-    quiet: bool = False
-    as_json: bool = False
-    values: dict[str, Any] = field(default_factory=dict)
-    failure: FileError | None = None
+    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
+    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+
+    def __post_init__(self) -> None:
+        self.values: dict[str, Any] = {}
+        self.failure: FileError | None = None
 
     @property
     def _prints_text(self) -> bool:
         return not (self.quiet or self.as_json)
 
-    def record(self, **values: object) -> None:
-        """Record values for the JSON object."""
-        self.values.update(values)
+    def record(self, source: object = None, names: str = "", **values: object) -> None:
+        """Record some attributes of an object, and other values, for the JSON object."""
+        self.values |= {name: getattr(source, name) for name in names.split()} | values
 
     def facts(self, title: str, facts: Mapping[str, str]) -> None:
         """Print names and values, one per line."""
@@ -169,23 +177,20 @@ class Printer:
         """Print rows, at most `max_rows` and the number of others; numbers are to the right."""
         if not self._prints_text:
             return
-        n_left_out = 0 if max_rows is None else max(0, len(rows) - max_rows)
-        rows = rows[: len(rows) - n_left_out]
+        shown = rows[:max_rows]
         table = Table(title=_title(title), title_justify="left", box=None, header_style="dim")
-        for i, column in enumerate(columns):
-            numeric = all(_is_number(row[i]) for row in rows)
-            widest = max(len(text) for text in (column, *(r[i] for r in rows)))
+        for column, *cells in zip(columns, *shown, strict=True):
             table.add_column(
                 _cell(column),
-                justify="right" if numeric else "left",
+                justify="right" if all(map(_is_number, cells)) else "left",
                 overflow="fold",
-                min_width=min(_MIN_WIDTH, widest),
+                min_width=min(_MIN_WIDTH, max(map(len, (column, *cells)))),
             )
-        for row in rows:
+        for row in shown:
             table.add_row(*map(_cell, row))
         self._emit(console.print, table)
-        if n_left_out:
-            self.line(f"  ... and {n_left_out} more")
+        if len(shown) < len(rows):
+            self.line(f"  ... and {len(rows) - len(shown)} more")
 
     def rows(
         self,
@@ -195,9 +200,17 @@ class Printer:
         *,
         max_rows: int | None = None,
     ) -> None:
-        """Print a table of records."""
+        """Print a table of records, unless there are none."""
         rows = [[shown(one[name]) for name, shown in columns.values()] for one in records]
-        self.table(title, list(columns), rows, max_rows=max_rows)
+        if rows:
+            self.table(title, list(columns), rows, max_rows=max_rows)
+
+    def files(self, files: Sequence[tuple[str, Path]]) -> None:
+        """Print and record the files that were written, each with its content, if there are any."""
+        records = [{"content": kind, "path": str(path)} for kind, path in files]
+        self.rows("Files", {"content": ("content", str), "path": ("path", str)}, records)
+        if files:
+            self.record(files=records)
 
     def notes(self, notes: Iterable[str]) -> None:
         """Print the notes on a result, one per line."""

@@ -6,8 +6,7 @@ The library is imported when a command runs, so that help pages and errors of op
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
@@ -23,7 +22,6 @@ from anisomap.wording import join_items, printable
 if TYPE_CHECKING:
     from anisomap.dimensions import Dimensions
     from anisomap.io import ReadOptions
-    from anisomap.recording import Scalar
     from anisomap.sensor_map import SensorMap
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
@@ -93,31 +91,8 @@ class ReadingOptions:
 
 DEFAULT_READING = ReadingOptions()
 
-
-@dataclass(frozen=True)
-class ReportingOptions:
-    """Format of the printed results.
-
-    Parameters
-    ----------
-    quiet
-        Print no text; warnings and errors remain.
-    json
-        Print the results, or the error, as one JSON object.
-    """
-
-    quiet: Annotated[bool, Parameter(name=("--quiet", "-q")), expert_flag] = False
-    json: Annotated[bool, expert_flag] = False
-
-    @contextmanager
-    def printer(self) -> Iterator[Printer]:
-        """Provide a printer, and print the JSON object after the command has succeeded."""
-        printer = Printer(self.quiet, self.json)
-        yield printer
-        printer.finish()
-
-
-DEFAULT_REPORTING = ReportingOptions()
+PRINTER = Printer()
+"""Stands for the printer of a command, which `app` makes."""
 
 
 @dataclass(frozen=True)
@@ -323,24 +298,10 @@ Missing: TypeAlias = Annotated[
 
 
 Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
-Reporting: TypeAlias = Annotated[ReportingOptions, Parameter(name="*", group=expert_group)]
+Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)]
 Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 
 def beside(path: Path, suffix: str) -> Path:
     """Return the default name of an output, in the current folder: that of a file, and a suffix."""
     return Path(path.name.split(".")[0] + suffix)
-
-
-def sensors(
-    chosen: list[str] | None, names: tuple[str, ...], metadata: Mapping[str, Scalar] | None = None
-) -> list[str]:
-    """Split a list of sensors at commas, unless a sensor name contains the comma.
-
-    Columns of text that the reader has skipped, according to the metadata, are left out.
-    """
-    skipped = str((metadata or {}).get("text_columns", ""))
-    found = []
-    for text in chosen or []:
-        found += [text] if text in names else [part.strip() for part in text.split(",")]
-    return [name for name in found if name in names or f"({name})" not in skipped]

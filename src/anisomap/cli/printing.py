@@ -229,13 +229,6 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
     printer.record(score={**_score_values(result), "worst": worst})
 
 
-def print_files(printer: Printer, files: Sequence[tuple[str, Path]]) -> None:
-    """Print the files that were written."""
-    records = [{"content": kind, "path": str(path)} for kind, path in files]
-    printer.rows("Files", {"content": ("content", str), "path": ("path", str)}, records)
-    printer.record(files=records)
-
-
 def _score_values(result: Score) -> dict[str, object]:
     has_null = bool(result.mantel.null.size)
     return {

@@ -21,7 +21,7 @@ from anisomap.files import atomic_write, check_distinct, check_target, together
 from anisomap.wording import printable
 
 if TYPE_CHECKING:
-    from anisomap.comparison import Comparison, MethodScore
+    from anisomap.comparison import Comparison
     from anisomap.recording import Recording
 
 _FACTS = ("recording", "sensors x frames", "map", "scored")
@@ -37,18 +37,19 @@ def to_markdown(comparisons: Sequence[Comparison]) -> str:
     from anisomap.comparison import RIVALS
 
     methods = [s.method for s in comparisons[0].scores]
-    lines = [[*_FACTS, *methods]]
-    lines.append(["---"] * len(lines[0]))
+    lines = [[*_FACTS, *methods], ["---"] * (len(_FACTS) + len(methods))]
     for comparison in comparisons:
         best = [comparison.best(stock=stock) for stock in (False, True)]
+        cells = [
+            f"{_number(s.mantel_r, '.3f')} ({s.rms_in_spacings:.2f})" if not s.reason else "-"
+            for s in comparison.scores
+        ]
+        bold = [any(s is one for one in best) for s in comparison.scores]
         lines.append(
             [
                 escape(printable(comparison.name), quote=False).replace("|", "\\|"),
                 *_facts(comparison),
-                *(
-                    f"**{_cell(s)}**" if any(s is one for one in best) else _cell(s)
-                    for s in comparison.scores
-                ),
+                *(f"**{c}**" if is_best else c for c, is_best in zip(cells, bold, strict=True)),
             ]
         )
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -78,10 +79,9 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
     """
     from anisomap.io.parsing.delimited import guard_formula
 
-    methods = [s.method for s in comparisons[0].scores]
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(columns(methods))
+    table.writerow(columns([s.method for s in comparisons[0].scores]))
     for comparison in comparisons:
         stock = comparison.best(stock=True)
         table.writerow(
@@ -90,9 +90,8 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
                 *_facts(comparison),
                 *(_number(s.mantel_r) for s in comparison.scores),
                 *(_number(s.rms_in_spacings) for s in comparison.scores),
-                stock.method if stock else "-",
-                _number(stock.mantel_r if stock else math.nan),
-                _margin(comparison.margin),
+                *((stock.method, _number(stock.mantel_r)) if stock else "--"),
+                _number(comparison.margin, "+.3f"),
             ]
         )
     return text.getvalue()
@@ -101,47 +100,35 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
 def sentences(comparisons: Sequence[Comparison]) -> list[str]:
     """Say on which recordings a stock method is better, and which methods have no score and why."""
     said = []
-    judged = [c for c in comparisons if not math.isnan(c.margin)]
-    if judged:
-        own = judged[0].judged.method if judged[0].judged else ""
-        losses = [_loss(c) for c in judged if round(c.margin, 3) < 0]
-        named = f": {', '.join(losses)}" if losses else ""
-        count = f"{len(losses)} of {len(judged)} maps"
-        said.append(f"A stock method is better than {own} on {count}{named}.")
+    losses, judged = [], 0
     reasons: dict[tuple[str, str], list[str]] = {}
+    own = ""
     for comparison in comparisons:
+        title = f"{printable(comparison.name)} in {comparison.dimensions}D"
+        if not math.isnan(comparison.margin):
+            judged += 1
+            first, stock = comparison.judged, comparison.best(stock=True)
+            r = math.nan if first is None else first.mantel_r
+            own = own or (first.method if first else "")
+            if round(comparison.margin, 3) < 0 and stock:
+                reached = "no map" if math.isnan(r) else f"{r:.3f}"
+                against = f"{stock.mantel_r:.3f} of {stock.method}"
+                losses.append(f"{title} ({reached} against {against})")
         for s in comparison.scores:
             if s.reason:
-                reasons.setdefault((s.method, s.reason), []).append(_title(comparison))
+                reasons.setdefault((s.method, s.reason), []).append(title)
+    if judged:
+        named = f": {', '.join(losses)}" if losses else ""
+        count = f"{len(losses)} of {judged} maps"
+        said.append(f"A stock method is better than {own} on {count}{named}.")
     for (method, reason), names in reasons.items():
         everywhere = "" if len(names) == len(comparisons) else f" on {', '.join(names)}"
         said.append(f"No score of {method}{everywhere}: {printable(reason)}.")
     return said
 
 
-def _loss(comparison: Comparison) -> str:
-    stock = comparison.best(stock=True)
-    own = math.nan if comparison.judged is None else comparison.judged.mantel_r
-    against = f"{stock.mantel_r:.3f} of {stock.method}" if stock else "-"
-    return (
-        f"{_title(comparison)} ({'no map' if math.isnan(own) else f'{own:.3f}'} against {against})"
-    )
-
-
-def _title(comparison: Comparison) -> str:
-    return f"{printable(comparison.name)} in {comparison.dimensions}D"
-
-
-def _cell(s: MethodScore) -> str:
-    return "-" if math.isnan(s.mantel_r) else f"{s.mantel_r:.3f} ({s.rms_in_spacings:.2f})"
-
-
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.4f}"
-
-
-def _margin(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:+.3f}"
+def _number(value: float, form: str = ".4f") -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}"
 
 
 _WRITERS = {".md": to_markdown, ".csv": to_csv}
@@ -168,7 +155,7 @@ def compare(
     seed: options.Seed = 0,
     reading: options.Reading = options.DEFAULT_READING,
     output: options.Output = None,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Score several methods on recordings with known positions.
 
@@ -220,13 +207,22 @@ def compare(
             with atomic_write(path) as aside:
                 text = _WRITERS[path.suffix.lower()](comparisons)
                 aside.write_text(text, encoding="utf-8")
-    with reporting.printer() as printer:
-        columns = [*_FACTS, "method", "Mantel r", "spacings"]
-        rows = [row for comparison in comparisons for row in _rows(comparison)]
-        printer.table("Scores", columns, rows)
-        for sentence in sentences(comparisons):
-            printer.line(sentence)
-        printer.record(scores=[_values(comparison) for comparison in comparisons])
+    titles = [*_FACTS, "method", "Mantel r", "spacings"]
+    rows = [
+        (
+            c.name,
+            *_facts(c),
+            s.method,
+            _number(s.mantel_r, ".3f"),
+            _number(s.rms_in_spacings, ".2f"),
+        )
+        for c in comparisons
+        for s in c.scores
+    ]
+    printer.table("Scores", titles, rows)
+    for sentence in sentences(comparisons):
+        printer.line(sentence)
+    printer.record(scores=[_values(comparison) for comparison in comparisons])
 
 
 def _files(given: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
@@ -259,20 +255,14 @@ def _read(
 def _with_positions(
     path: Path, reading: options.ReadingOptions, missing: options.Missing
 ) -> Recording:
-    from anisomap.cli import pipeline
+    from anisomap import route
 
-    recording = pipeline.complete(pipeline.read(path, reading.checked()), missing)
+    (recording,) = route.read_runs([path], reading.checked(), missing, progress=progress)
     if recording.positions is None:
         raise InputError(
             f"{path} contains no true positions; compare requires recordings with positions"
         )
     return recording
-
-
-def _rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
-    for s in comparison.scores:
-        r, error = ("-", "-") if s.reason else (f"{s.mantel_r:.3f}", f"{s.rms_in_spacings:.2f}")
-        yield comparison.name, *_facts(comparison), s.method, r, error
 
 
 def _values(comparison: Comparison) -> dict[str, object]:
@@ -308,7 +298,7 @@ def score_map(
     seed: options.Seed = 0,
     picture: options.Picture = None,
     report: options.Report = None,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Score a map against reference positions of its sensors, and name the worst sensors.
 
@@ -319,20 +309,13 @@ def score_map(
     units
         Unit of the reference positions, if the file does not state it.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli.outputs import Outputs, Truth, read_reference
 
-    outputs = pipeline.Outputs(picture=picture, report=report, inputs=(map_file, reference_file))
-    sensor_map, reference = io.read_map(map_file), pipeline.read_reference(reference_file, units)
-    left_out = options.sensors(exclude, sensor_map.names)
-    with reporting.printer() as printer:
-        result = pipeline.score_with_progress(
-            sensor_map, reference, permutations, seed, exclude=left_out
-        )
-        files = pipeline.write_outputs(outputs, sensor_map, result)
-        kind = f"the map {reference_file.name}" if reference.method else reference_file.name
-        printing.print_score(
-            printer, result, sensor_map, f"Score of {map_file.name} against {kind}"
-        )
-        if files:
-            printing.print_files(printer, files)
+    outputs = Outputs(picture=picture, report=report, inputs=(map_file, reference_file))
+    sensor_map, reference = io.read_map(map_file), read_reference(reference_file, units)
+    left_out = route.split_names(exclude, sensor_map.names)
+    kind = "the map " if reference.method else ""
+    title = f"Score of {map_file.name} against {kind}{reference_file.name}"
+    scored = Truth(permutations, seed, reference, left_out)
+    printer.files(outputs.write_all(sensor_map, scored.score(printer, sensor_map, title)))

@@ -24,7 +24,7 @@ def demo(
     method: Annotated[str, Parameter(alias="-m"), options.expert] = DEFAULT_METHOD,
     permutations: options.Permutations = PERMUTATIONS,
     seed: options.Seed = 0,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Simulate a skin, map it, and score the map.
 
@@ -39,8 +39,8 @@ def demo(
     method
         Reconstruction method: see `anisomap methods`.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli import outputs, printing
     from anisomap.simulation import simulate
 
     import_extra("mujoco", "the demo", "report,simulation")
@@ -48,8 +48,10 @@ def demo(
         output_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"cannot create the folder {output_dir}: {error.strerror}") from error
-    outputs = pipeline.Outputs(
+    recorded = output_dir / "recording.npz"
+    files = outputs.Outputs(
         maps=(output_dir / "map.csv",),
+        recording=recorded,
         picture=output_dir / "map.png",
         report=output_dir / "report.html",
     )
@@ -57,23 +59,20 @@ def demo(
         recording = simulate(
             "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
         )
-        io.write(recording, output_dir / "recording.npz")
-    examined = pipeline.examine([recording])
-    with reporting.printer() as printer:
-        printing.print_recording(printer, examined.recording, examined.summary)
-        sensor_map, judge = pipeline.make_map(examined, method, dimensions=3)
-        pipeline.finish(
-            printer,
-            outputs,
-            sensor_map,
-            examined,
-            permutations=permutations,
-            seed=seed,
-            judge=judge,
-            written=[("recording", output_dir / "recording.npz")],
-        )
-        printer.line("\nMap the recording from its file:")
-        printer.line(f"  anisomap map {output_dir / 'recording.npz'} -o map.csv")
+    examined = route.examine([recording], progress=progress)
+    printing.print_recording(printer, examined.recording, examined.summary)
+    sensor_map, judge = route.make_map(examined, method, dimensions=3, progress=progress)
+
+    def write_recording() -> list[tuple[str, Path]]:
+        io.write(recording, recorded)
+        return [("recording", recorded)]
+
+    truth = outputs.Truth(permutations, seed)
+    outputs.finish(
+        printer, files, sensor_map, examined, truth, judge=judge, write_others=write_recording
+    )
+    printer.line("\nMap the recording from its file:")
+    printer.line(f"  anisomap map {recorded} -o map.csv")
 
 
 def paper(
@@ -86,7 +85,7 @@ def paper(
     workers: options.Count | None = None,
     recordings: Path | None = None,
     only: options.Words = None,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper, with a page of all results.
 
@@ -120,11 +119,10 @@ def paper(
                 errors.print(f"{status.name}: {status.seconds:.1f} s", markup=False)
 
         found = reproduce(output_dir, settings, only=only or (), workers=workers, report=report)
-    with reporting.printer() as printer:
-        printer.table(
-            "Experiments",
-            ("name", "seconds", "state"),
-            [(status.name, f"{status.seconds:.1f}", status.state) for status in found],
-        )
-        printer.record(experiments=[asdict(status) for status in found], page=output_dir / PAGE)
-        printer.line(f"\nOpen {output_dir / PAGE}")
+    printer.table(
+        "Experiments",
+        ("name", "seconds", "state"),
+        [(status.name, f"{status.seconds:.1f}", status.state) for status in found],
+    )
+    printer.record(experiments=[asdict(status) for status in found], page=output_dir / PAGE)
+    printer.line(f"\nOpen {output_dir / PAGE}")

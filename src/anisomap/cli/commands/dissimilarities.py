@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
-from anisomap.cli import pipeline, printing
+from anisomap.cli import printing
 from anisomap.cli.console import Printer, number, percent, progress
-from anisomap.cli.parameters import PlacingOptions, ReportingOptions, beside, sensors
-from anisomap.defaults import PERMUTATIONS, STRESS_PERMUTATIONS
+from anisomap.cli.outputs import Outputs, Truth
 from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard, permutation_test, shepard, stress_per_point
 from anisomap.numerics.scaling.dissimilarity_scaling import SCALINGS, find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.recording import sensor_mask
+from anisomap.route import split_names
 from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
@@ -65,65 +66,26 @@ def find(
 
 
 def map_file(
+    printer: Printer,
+    outputs: Outputs,
+    truth: Truth,
     table: io.Dissimilarities,
-    files: Sequence[Path],
     *,
-    output: list[Path] | None,
-    picture: Path | None,
-    report: Path | None,
-    weights: Path | None,
-    drop: list[str] | None,
-    placing: PlacingOptions,
-    truth: Path | None,
-    exclude: list[str] | None,
-    permutations: int | None,
-    seed: int,
-    reporting: ReportingOptions,
-    others: bool,
+    picture: str,
+    exclude: Sequence[str] | None,
     **settings: Any,
 ) -> None:
     """Map the objects of a file, write all files, and print the results.
 
-    others: Whether options are given that apply to recordings only.
+    picture: One of `PICTURES`, or "" for another.
     """
-    if len(files) > 1 or others:
-        raise InputError(
-            "dissimilarities are one file, without a verdict: leave out other files, --repair, "
-            "--keep-statistics, --min-quality and the options for large recordings"
-        )
-    maps = output or [beside(files[0], ".map.csv")]
-    kind = str(picture) if str(picture) in PICTURES else ""
-    outputs = pipeline.Outputs(
-        maps=maps,
-        picture=beside(files[0], f".{kind}.png") if kind else picture,
-        report=report,
-        inputs=(*files, truth, weights),
-        placing=placing,
-    )
-    placing.check(maps)
-    reference = None if truth is None else pipeline.read_reference(truth)
-    with reporting.printer() as printer:
-        made, fit = map_objects(
-            table,
-            source=files[0].name,
-            weights=weights,
-            drop=sensors(drop, table.names),
-            permutations=permutations,
-            seed=seed,
-            **settings,
-        )
-        made = placing.applied(made)
-        _print_fit(printer, made, fit)
-        result = None
-        if reference is not None:
-            count = PERMUTATIONS if permutations is None else permutations
-            left_out = sensors(exclude, made.names)
-            result = pipeline.score_with_progress(made, reference, count, seed, exclude=left_out)
-            printing.print_score(printer, result, made, "Score against the true positions")
-        files_written = pipeline.write_outputs(
-            outputs, made, result, draw=(lambda: _draw(kind, made, fit)) if kind else None
-        )
-        printing.print_files(printer, files_written)
+    made, fit = map_objects(table, **settings)
+    made = made if outputs.placing is None else outputs.placing.applied(made)
+    print_fit(printer, made, fit)
+    truth = replace(truth, exclude=split_names(exclude, made.names))
+    result = truth.score(printer, made, "Score against the true positions")
+    drawn = partial(draw, picture, made, fit) if picture else None
+    printer.files(outputs.write_all(made, result, draw=drawn))
 
 
 def map_objects(
@@ -135,7 +97,7 @@ def map_objects(
     method: str | None,
     dimensions: Dimensions,
     options: SmacofOptions,
-    permutations: int | None,
+    permutations: int,
     seed: int,
 ) -> tuple[SensorMap, Fit]:
     """Map objects but those of `drop`, with progress, and examine the fit."""
@@ -161,10 +123,9 @@ def map_objects(
     def stress(permuted: NDArray[np.float64]) -> float:
         return scale(permuted, dimensions=k, weights=shares, options=quick)[0].stress
 
-    count = STRESS_PERMUTATIONS if permutations is None else permutations
-    with progress(f"computing {count} permutations") as report_progress:
+    with progress(f"computing {permutations} permutations") as report_progress:
         test = permutation_test(
-            values, stress, permutations=count, rng=seed, progress=report_progress
+            values, stress, permutations=permutations, rng=seed, progress=report_progress
         )
     made = SensorMap(
         scaling.positions,
@@ -183,7 +144,8 @@ def map_objects(
     return made, fit
 
 
-def _draw(kind: str, made: SensorMap, fit: Fit) -> Figure:
+def draw(kind: str, made: SensorMap, fit: Fit) -> Figure:
+    """Draw one of `PICTURES`."""
     from anisomap.drawing import figures
 
     if kind == "shepard":
@@ -193,51 +155,61 @@ def _draw(kind: str, made: SensorMap, fit: Fit) -> Figure:
     return figures.stress_figure(title, fit.diagram, fit.shares, made.names, fit.test)
 
 
-def _print_fit(printer: Printer, made: SensorMap, fit: Fit) -> None:
-    n, n_known = made.n_sensors, len(fit.diagram.pairs)
+def print_pairs(printer: Printer, table: io.Dissimilarities) -> None:
+    """Print a summary of a file of dissimilarities."""
+    values = table.values[np.triu_indices(len(table.names), 1)]
+    known = values[np.isfinite(values)]
+    facts = _facts_of_pairs(printer, len(table.names), len(known))
+    if known.size:
+        facts["dissimilarities"] = f"{number(known.min())} to {number(known.max())}"
+    printer.facts("Dissimilarities", facts)
+    printer.line("Map the objects: anisomap map; --no-dissimilarities if it is a recording")
+
+
+def _facts_of_pairs(printer: Printer, n: int, n_known: int, **fit: object) -> dict[str, str]:
+    """Record the objects, their pairs and the fit of a map; return the facts of the pairs."""
     unknown = n * (n - 1) // 2 - n_known
-    printer.facts(
-        "Dissimilarities",
-        {
-            "objects": str(n),
-            "pairs": f"{n_known} known" + (f", {unknown} unknown" if unknown else ""),
-        },
+    printer.record(
+        dissimilarities={"objects": n, "pairs": n_known, "unknown": unknown, **fit},
     )
+    told = f", {unknown} unknown" if unknown else ""
+    return {"objects": str(n), "pairs": f"{n_known} known{told}"}
+
+
+def print_fit(printer: Printer, made: SensorMap, fit: Fit) -> None:
+    """Print a map of objects, and how well it fits."""
+    n, shown = made.n_sensors, fit.diagram
+    # smacof divides by the dissimilarities instead of the distances (Borg & Groenen 2005, 11.1).
+    explicit = float(made.stress / np.hypot(1, made.stress))
+    null = fit.test.null
+    pairs = _facts_of_pairs(
+        printer,
+        n,
+        len(shown.pairs),
+        stress=made.stress,
+        explicit_stress=explicit,
+        nonmetric_stress=shown.nonmetric_stress,
+        nonmetric_fit=shown.nonmetric_fit,
+        linear_fit=shown.linear_fit,
+        stress_per_point=dict(zip(made.names, fit.shares.tolist(), strict=True)),
+        p_value=fit.test.p_value if null.size else None,
+        permutations=null.size,
+    )
+    printer.facts("Dissimilarities", pairs)
     printing.print_map(printer, made)
     printing.record_map(printer, made)
     worst = np.argsort(-fit.shares, kind="stable")[:_WORST]
-    # smacof divides by the dissimilarities instead of the distances (Borg & Groenen 2005, 11.1).
-    explicit = made.stress / np.hypot(1, made.stress)
-    tested = {}
-    if fit.test.null.size:
-        tested["permutation test"] = (
-            f"p = {number(fit.test.p_value, 3)}; Stress-1 of {fit.test.null.size} permutations: "
-            f"{number(float(fit.test.null.min()))} to {number(float(fit.test.null.max()))}"
+    facts = {
+        "Stress-1 as in smacof": number(explicit),
+        "non-metric stress": number(shown.nonmetric_stress),
+        "Shepard diagram": f"R squared {shown.nonmetric_fit:.3f} (non-metric), "
+        f"{shown.linear_fit:.3f} (linear)",
+        "worst fit": ", ".join(f"{made.names[i]} {percent(fit.shares[i])}" for i in worst)
+        + f" of the stress; equal shares are {percent(1 / n)}",
+    }
+    if null.size:
+        facts["permutation test"] = (
+            f"p = {number(fit.test.p_value, 3)}; Stress-1 of {null.size} permutations: "
+            f"{number(float(null.min()))} to {number(float(null.max()))}"
         )
-    printer.facts(
-        "Fit",
-        {
-            "Stress-1 as in smacof": number(explicit),
-            "non-metric stress": number(fit.diagram.nonmetric_stress),
-            "Shepard diagram": f"R squared {fit.diagram.nonmetric_fit:.3f} (non-metric), "
-            f"{fit.diagram.linear_fit:.3f} (linear)",
-            "worst fit": ", ".join(f"{made.names[i]} {percent(fit.shares[i])}" for i in worst)
-            + f" of the stress; equal shares are {percent(1 / n)}",
-            **tested,
-        },
-    )
-    printer.record(
-        dissimilarities={
-            "objects": n,
-            "pairs": n_known,
-            "unknown": unknown,
-            "stress": made.stress,
-            "explicit_stress": float(explicit),
-            "nonmetric_stress": fit.diagram.nonmetric_stress,
-            "nonmetric_fit": fit.diagram.nonmetric_fit,
-            "linear_fit": fit.diagram.linear_fit,
-            "stress_per_point": dict(zip(made.names, fit.shares.tolist(), strict=True)),
-            "p_value": fit.test.p_value if fit.test.null.size else None,
-            "permutations": fit.test.null.size,
-        }
-    )
+    printer.facts("Fit", facts)

@@ -45,7 +45,7 @@ def check(
     seed: options.Seed = 0,
     missing: options.Missing = "error",
     reading: options.Reading = options.DEFAULT_READING,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> int:
     """Check sensor positions against a recording: whose readings contradict their positions.
 
@@ -67,14 +67,14 @@ def check(
     time_shifts
         Number of random circular shifts in time that show what chance explains.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli.outputs import Outputs
     from anisomap.drawing import figures
     from anisomap.layout import check_layout
 
     if module_table and module_size:
         raise InputError("give the modules by --module-table or by --module-size, not by both")
-    outputs = pipeline.Outputs(
+    outputs = Outputs(
         maps=[output] if output else [],
         picture=picture,
         inputs=[layout_file, recording_file, module_table, *reading.inputs],
@@ -84,7 +84,7 @@ def check(
         layout = io.read_map(layout_file)
         options.DEFAULT_PLACING.check(outputs.maps, layout.units)
         chosen = io.read_modules(module_table, layout.names) if module_table else module_size
-        recording = pipeline.complete(pipeline.read(recording_file, how), missing)
+        (recording,) = route.read_runs([recording_file], how, missing, progress=progress)
         with progress("checking the layout"):
             found = check_layout(layout, recording, modules=chosen, n_shifts=time_shifts, rng=seed)
     except InputError as error:
@@ -96,10 +96,8 @@ def check(
     files = outputs.write(
         found.corrected, lambda: figures.layout_figure(found, title), "corrected positions"
     )
-    with reporting.printer() as printer:
-        _print(printer, found, f"{layout_file.name} against {recording_file.name}")
-        if files:
-            printing.print_files(printer, files)
+    _print(printer, found, f"{layout_file.name} against {recording_file.name}")
+    printer.files(files)
     return _EXIT_CODES.get(found.verdict, INCONSISTENT)
 
 
@@ -152,10 +150,10 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
             printer.line(f"  ... and {len(records) - MAX_SHOWN} more findings")
     printer.notes(found.notes)
     printer.record(
-        consistent=found.consistent,
+        found,
+        "consistent explained notes",
         outcome=found.verdict,
         p_value=found.p,
-        explained=found.explained,
         sensors=layout.n_sensors,
         tested=found.n_tested,
         modules=found.n_modules,
@@ -164,7 +162,6 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
         findings=records,
         status=dict(zip(layout.names, found.status, strict=True)),
         agreement=dict(zip(layout.names, found.agreement.tolist(), strict=True)),
-        notes=found.notes,
     )
 
 

@@ -5,44 +5,43 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, number
 
 
-def methods(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
+def methods(*, printer: options.Printing = options.PRINTER) -> None:
     """List the methods and the similarities."""
     from anisomap.comparison import RIVALS
     from anisomap.evidence import SIMILARITIES
     from anisomap.methods import METHODS, PAPER_METHODS
 
-    with reporting.printer() as printer:
-        _print_rows(
-            printer,
-            "Methods",
-            ("name", "summary", "source"),
-            [
-                (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
-                for name, method in METHODS.items()
-            ],
-        )
-        _print_rows(
-            printer,
-            "Stock methods, for comparison only (anisomap compare)",
-            ("name", "summary", "extra"),
-            [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()],
-        )
-        _print_rows(
-            printer,
-            "Similarities",
-            ("name", "summary"),
-            [(name, similarity.summary) for name, similarity in SIMILARITIES.items()],
-        )
+    _print_rows(
+        printer,
+        "Methods",
+        ("name", "summary", "source"),
+        [
+            (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
+            for name, method in METHODS.items()
+        ],
+    )
+    _print_rows(
+        printer,
+        "Stock methods, for comparison only (anisomap compare)",
+        ("name", "summary", "extra"),
+        [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()],
+    )
+    _print_rows(
+        printer,
+        "Similarities",
+        ("name", "summary"),
+        [(name, similarity.summary) for name, similarity in SIMILARITIES.items()],
+    )
 
 
-def formats(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
+def formats(*, printer: options.Printing = options.PRINTER) -> None:
     """List the file formats, what reads and writes them, and the extras that they need."""
     from anisomap.io import FORMATS
 
@@ -57,12 +56,11 @@ def formats(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None
         )
         for form in FORMATS
     ]
-    with reporting.printer() as printer:
-        columns = ("name", "suffixes", "reads", "writes", "extra", "summary")
-        _print_rows(printer, "Formats", columns, rows)
+    columns = ("name", "suffixes", "reads", "writes", "extra", "summary")
+    _print_rows(printer, "Formats", columns, rows)
 
 
-def bodies(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
+def bodies(*, printer: options.Printing = options.PRINTER) -> None:
     """List the bodies that can be simulated."""
     from anisomap.simulation import BODIES
 
@@ -71,15 +69,14 @@ def bodies(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
         body = make()
         size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
         rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
-    with reporting.printer() as printer:
-        columns = ("name", "sensors", "reach", "spacing", "summary")
-        _print_rows(printer, "Bodies", columns, rows)
-        printer.line("A closed mesh, a MuJoCo model or a file of positions works, too:")
-        printer.line("  anisomap simulate part.stl --sensors 200")
+    columns = ("name", "sensors", "reach", "spacing", "summary")
+    _print_rows(printer, "Bodies", columns, rows)
+    printer.line("A closed mesh, a MuJoCo model or a file of positions works, too:")
+    printer.line("  anisomap simulate part.stl --sensors 200")
 
 
 def scenarios(
-    scenario: str | None = None, /, *, reporting: options.Reporting = options.DEFAULT_REPORTING
+    scenario: str | None = None, /, *, printer: options.Printing = options.PRINTER
 ) -> None:
     """List the scenarios, or the parameters of one scenario.
 
@@ -90,19 +87,18 @@ def scenarios(
     """
     from anisomap.simulation import SCENARIOS
 
-    with reporting.printer() as printer:
-        if scenario is None:
-            rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
-            _print_rows(printer, "Scenarios", ("name", "summary"), rows)
-            return
-        parameters = list(_parameters(scenario))
-        printer.record(scenario=scenario, parameters=[asdict(one) for one in parameters])
-        for one in parameters:
-            printer.line(f"{one.name} = {one.default}")
-            printer.line(textwrap.indent(textwrap.fill(one.summary, 96), "  "))
+    if scenario is None:
+        rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
+        _print_rows(printer, "Scenarios", ("name", "summary"), rows)
+        return
+    parameters = list(_parameters(scenario))
+    printer.record(scenario=scenario, parameters=parameters)
+    for one in parameters:
+        printer.line(f"{one['name']} = {one['default']}")
+        printer.line(textwrap.indent(textwrap.fill(one["summary"], 96), "  "))
 
 
-def faults(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
+def faults(*, printer: options.Printing = options.PRINTER) -> None:
     """List the faults that `anisomap spoil` can inject."""
     from anisomap.simulation import FAULTS, FRAME_FAULTS
 
@@ -116,18 +112,10 @@ def faults(*, reporting: options.Reporting = options.DEFAULT_REPORTING) -> None:
         )
         affects = "sensors" if name in FAULTS else "all sensors"
         rows.append((name, affects, taken or "-", _first_line(function)))
-    with reporting.printer() as printer:
-        _print_rows(printer, "Faults", ("name", "affects", "parameters", "summary"), rows)
+    _print_rows(printer, "Faults", ("name", "affects", "parameters", "summary"), rows)
 
 
-@dataclass(frozen=True)
-class _ScenarioParameter:
-    name: str
-    default: Any
-    summary: str
-
-
-def _parameters(scenario: str) -> Iterator[_ScenarioParameter]:
+def _parameters(scenario: str) -> Iterator[dict[str, Any]]:
     """Yield the parameters of a scenario, inherited ones included, documented ones first."""
     from docstring_parser import parse as parse_docstring
 
@@ -143,7 +131,7 @@ def _parameters(scenario: str) -> Iterator[_ScenarioParameter]:
     undocumented = {field.name: "" for field in fields(defaults) if field.name not in summaries}
     for name, summary in (summaries | undocumented).items():
         if hasattr(defaults, name):
-            yield _ScenarioParameter(name, getattr(defaults, name), summary)
+            yield {"name": name, "default": getattr(defaults, name), "summary": summary}
 
 
 def _print_rows(
@@ -151,7 +139,7 @@ def _print_rows(
 ) -> None:
     printer.table(title, columns, rows)
     key = title.split(",", maxsplit=1)[0].lower().replace(" ", "_")
-    printer.record(**{key: [dict(zip(columns, row, strict=True)) for row in rows]})
+    printer.values[key] = [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def _first_line(thing: object) -> str:

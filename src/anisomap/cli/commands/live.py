@@ -95,7 +95,7 @@ def live(
     drop: options.Drop = None,
     truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
     page: Annotated[PageOptions, Parameter(name="*", group=_page)] = DEFAULT_PAGE,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Map a skin while it is touched, and show where to touch next.
 
@@ -129,7 +129,7 @@ def live(
     truth
         File of true positions to compare with.
     """
-    from anisomap.cli import pipeline
+    from anisomap.cli.outputs import Outputs, read_reference
     from anisomap.io.presets import check_preset
     from anisomap.live import ExaminationOptions, LiveSession
     from anisomap.live.exports import SESSIONS
@@ -147,7 +147,7 @@ def live(
     maps = output or [target.with_suffix(".map.csv")]
     sessions = [path for path in maps if path.suffix.lower() in SESSIONS]
     written = [path for path in maps if path not in sessions]
-    pipeline.Outputs(maps=written, report=report, others=[target, *sessions], inputs=[given, truth])
+    Outputs(maps=written, report=report, others=[target, *sessions], inputs=[given, truth])
     options.PlacingOptions(spacing=spacing).check(written)
     find_method(method)
     if preset:
@@ -157,23 +157,22 @@ def live(
         method=method,
         preset=preset,
         drop=tuple(name for text in drop or [] for name in text.split(",")),
-        truth=None if truth is None else pipeline.read_reference(truth),
+        truth=None if truth is None else read_reference(truth),
     )
     opened = _opened(source, simulate, speed, seed, coached)
-    with reporting.printer() as printer:
-        session = LiveSession(opened, target, chosen)
-        with ExitStack() as stack:
-            # A port in use is reported before anything is recorded.
-            server = None
-            if not page.headless:
-                server = stack.enter_context(Server(session, page.host, page.port))
-            stack.enter_context(session)
-            if isinstance(opened, SimulatedHand) and coached:
-                opened.where = partial(_advised, session)
-            finish = partial(_finish, session, printer, maps, report, spacing)
-            _run(session, page, printer, server, finish)
-        if session.failure is not None:
-            raise session.failure
+    session = LiveSession(opened, target, chosen)
+    with ExitStack() as stack:
+        # A port in use is reported before anything is recorded.
+        server = None
+        if not page.headless:
+            server = stack.enter_context(Server(session, page.host, page.port))
+        stack.enter_context(session)
+        if isinstance(opened, SimulatedHand) and coached:
+            opened.where = partial(_advised, session)
+        finish = partial(_finish, session, printer, maps, report, spacing)
+        _run(session, page, printer, server, finish)
+    if session.failure is not None:
+        raise session.failure
 
 
 def _opened(
@@ -297,7 +296,6 @@ def _finish(
     session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
 ) -> None:
     """Make the final map, write all files, and say what was written."""
-    from anisomap.cli import printing
     from anisomap.live.saving import save_map, save_report
 
     with progress("making the final map"):
@@ -322,7 +320,9 @@ def _finish(
         print_warning("the final map was not made; the recording is whole")
     else:
         print_warning("no frame arrived, so nothing was recorded")
-    printer.record(**_facts(session), final=final is not None and final.sensor_map is not None)
-    printing.print_files(printer, written)
+    printer.record(
+        **_facts(session), files=[], final=final is not None and final.sensor_map is not None
+    )
+    printer.files(written)
     if written:
         printer.line(f"\nMake the map again:\n  {session.command}")

@@ -28,40 +28,37 @@ def convert(
     /,
     *,
     placing: options.Placing = options.DEFAULT_PLACING,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Write a map in another format: for robot software, a viewer or a spreadsheet.
 
     `anisomap formats` lists the formats.
     """
     from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap.cli.outputs import Outputs
     from anisomap.placement import METRES, median_spacing
 
-    pipeline.Outputs(maps=[output], inputs=[map_file])
+    Outputs(maps=[output], inputs=[map_file])
     sensor_map = io.read_map(map_file)
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
-    with reporting.printer() as printer:
-        n_placed = int(placed.placed.sum())
-        facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
-        spacing = None
-        if placed.units in METRES:
-            with suppress(InputError):  # a single sensor has no spacing
-                spacing = median_spacing(placed)
-        written = placing.write(placed, output, [map_file])
-        if spacing is not None:
-            facts["median spacing"] = f"{spacing:.4g} {placed.units}"
-        facts["pose"] = placed.pose
-        printer.facts(f"Map of {map_file.name}", facts)
-        printing.print_files(printer, [("map", path) for path in written])
-        printer.record(
-            sensors=placed.n_sensors,
-            placed=n_placed,
-            median_spacing=spacing,
-            units=placed.units,
-            known_up_to=placed.known_up_to,
-        )
+    n_placed, spacing = int(placed.placed.sum()), None
+    if placed.units in METRES:
+        with suppress(InputError):  # a single sensor has no spacing
+            spacing = median_spacing(placed)
+    written = placing.write(placed, output, [map_file])
+    facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
+    if spacing is not None:
+        facts["median spacing"] = f"{spacing:.4g} {placed.units}"
+    printer.facts(f"Map of {map_file.name}", facts | {"pose": placed.pose})
+    printer.files([("map", path) for path in written])
+    printer.record(
+        placed,
+        "units known_up_to",
+        sensors=placed.n_sensors,
+        placed=n_placed,
+        median_spacing=spacing,
+    )
 
 
 DIFFERENT = 1
@@ -75,7 +72,7 @@ def diff(
     *,
     picture: options.Picture = None,
     significance: Annotated[float, options.expert] = LEVEL,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> int:
     """Compare two maps of one skin: which sensors moved, appeared or were lost.
 
@@ -89,19 +86,17 @@ def diff(
         Probability that chance alone marks any sensor as moved.
     """
     from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap.cli.outputs import Outputs
     from anisomap.drawing import figures
     from anisomap.evaluation import compare_maps
 
-    outputs = pipeline.Outputs(picture=picture, inputs=(before_file, after_file))
+    outputs = Outputs(picture=picture, inputs=(before_file, after_file))
     before, after = io.read_map(before_file), io.read_map(after_file)
     found = compare_maps(before, after, level=significance)
     title = f"{before_file.name} and {after_file.name}"
     files = outputs.write(after, lambda: figures.difference_figure(found, title))
-    with reporting.printer() as printer:
-        _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
-        if files:
-            printing.print_files(printer, files)
+    _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
+    printer.files(files)
     return DIFFERENT if found.found else 0
 
 
@@ -140,17 +135,15 @@ def _print_difference(printer: Printer, found: Difference, title: str) -> None:
     printer.names({kind: names[kind] for kind in ("appeared", "lost")})
     printer.notes(found.notes)
     printer.record(
+        found,
+        "chance scale units notes",
         different=found.found,
         sensors_compared=n_compared,
         moved=records,
         appeared=names["appeared"],
         lost=names["lost"],
-        chance=found.chance,
         median_spacing=spacing,
-        scale=found.scale,
         reflected=found.reflected,
-        units=found.units,
-        notes=found.notes,
     )
 
 
@@ -181,7 +174,7 @@ def update(
     drop: options.Drop = None,
     missing: options.Missing = "error",
     reading: options.Reading = options.DEFAULT_READING,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Add the evidence of a new recording to a map, and say what changed.
 
@@ -197,16 +190,17 @@ def update(
     statistics
         Statistics of the map. Default: NAME.statistics.npz beside the map.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli.outputs import Outputs
     from anisomap.drawing import figures
     from anisomap.recording import join_runs
+    from anisomap.sensor_map import UNSCALED
     from anisomap.tracking import update_map
 
     maps = output or [options.beside(map_file, ".updated.csv")]
     old_statistics = statistics or io.statistics_beside(map_file)
     new_statistics = io.statistics_beside(maps[0])
-    outputs = pipeline.Outputs(
+    outputs = Outputs(
         maps=maps,
         picture=picture,
         others=[new_statistics],
@@ -219,11 +213,16 @@ def update(
             f"there is no file {old_statistics} with the statistics of the map; make the map with "
             "anisomap map --keep-statistics, or name the file with --statistics"
         )
-    _check_scale(maps, sensor_map.units)
+    for path in maps:
+        if io.needs_scale(path) and sensor_map.units in UNSCALED:
+            raise InputError(
+                f"cannot write {path}: its format is in metres, but the map has no scale; place "
+                "the map first with anisomap place"
+            )
     evidence = io.read_statistics(old_statistics)
-    runs = pipeline.read_runs(recordings, how, missing)
+    runs = route.read_runs(recordings, how, missing, progress=progress)
     joined = join_runs(runs)
-    dropped = options.sensors(drop, joined.names, joined.metadata)
+    dropped = route.split_names(drop, joined.names, joined.metadata)
     with progress("updating the map"):
         found = update_map(sensor_map, evidence, runs, drop=dropped)
     provenance = {**found.map.provenance, "updated_by": joined.source}
@@ -232,21 +231,8 @@ def update(
     with together():
         io.write_statistics(found.evidence, new_statistics)
         written = outputs.write(updated, lambda: figures.difference_figure(found.difference, title))
-    with reporting.printer() as printer:
-        _print_update(printer, found, map_file.name)
-        printing.print_files(printer, [("statistics", new_statistics), *written])
-
-
-def _check_scale(outputs: list[Path], units: str) -> None:
-    from anisomap import io
-    from anisomap.sensor_map import UNSCALED
-
-    for path in outputs:
-        if io.needs_scale(path) and units in UNSCALED:
-            raise InputError(
-                f"cannot write {path}: its format is in metres, but the map has no scale; place "
-                "the map first with anisomap place"
-            )
+    _print_update(printer, found, map_file.name)
+    printer.files([("statistics", new_statistics), *written])
 
 
 def _print_update(printer: Printer, found: Update, name: str) -> None:
@@ -287,6 +273,8 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
     )
     printer.notes(found.notes)
     printer.record(
+        found,
+        "added notes",
         recordings=len(total.recordings),
         frames=total.n_frames,
         sensors=found.map.n_sensors,
@@ -294,11 +282,9 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
         units=changes.units,
         median_spacing=changes.spacing,
         similarity_agreement=found.agreement,
-        added=found.added,
         moved=moved,
         not_recorded=found.silent,
         not_placed=found.unplaced,
         shifts=dict(zip(changes.names, changes.distance.tolist(), strict=True)),
         errors=dict(zip(found.map.names, found.map.errors.tolist(), strict=True)),
-        notes=found.notes,
     )

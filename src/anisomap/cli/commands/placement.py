@@ -233,7 +233,7 @@ def place_map(
     spacing: str = "",
     handedness: Literal["same", "mirrored"] | None = None,
     suggest: options.Amount = 0,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Place a map in the frame of the robot, in metres, with an error for each sensor.
 
@@ -262,17 +262,16 @@ def place_map(
         Number of sensors of each component to name as worth measuring; nothing is placed.
     """
     from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap.cli.outputs import Outputs
     from anisomap.drawing import figures
     from anisomap.placement import parse_length, place, place_by_self_touch, suggest_anchors
 
     if suggest:
-        with reporting.printer() as printer:
-            names = suggest_anchors(io.read_map(map_file), suggest)
-            printer.line(f"measure the positions of {join_items(names, len(names))}")
-            printer.record(suggested=names)
+        names = suggest_anchors(io.read_map(map_file), suggest)
+        printer.line(f"measure the positions of {join_items(names, len(names))}")
+        printer.record(suggested=names)
         return
-    outputs = pipeline.Outputs(
+    outputs = Outputs(
         maps=output or [options.beside(map_file, ".placed.csv")],
         picture=picture,
         inputs=[
@@ -307,13 +306,12 @@ def place_map(
     files = outputs.write(
         placement.map, lambda: figures.placement_figure(placement, anchors, surface)
     )
-    with reporting.printer() as printer:
-        _print(printer, placement, map_file.name)
-        if spacing:
-            options.doubt_spacing(spacing)
-        if touched is not None:
-            _print_contacts(printer, touched)
-        printing.print_files(printer, files)
+    _print(printer, placement, map_file.name)
+    if spacing:
+        options.doubt_spacing(spacing)
+    if touched is not None:
+        _print_contacts(printer, touched)
+    printer.files(files)
 
 
 def _read_mesh(path: Path, units: str) -> Mesh:

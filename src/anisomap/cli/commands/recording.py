@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,7 +24,7 @@ from anisomap.defaults import (
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:
-    from anisomap.cli import pipeline
+    from anisomap import route
     from anisomap.health import Finding
     from anisomap.io import ReadOptions
     from anisomap.options import MethodOptions
@@ -38,7 +37,7 @@ def info(
     *,
     all_sensors: Annotated[bool, Parameter(name="--all", negative=())] = False,
     reading: options.Reading = options.DEFAULT_READING,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Summarise a recording, and flag faulty sensors and faults of the read-out.
 
@@ -47,29 +46,38 @@ def info(
     all_sensors
         List all sensors, not only faulty ones.
     """
-    from anisomap.cli import pipeline, printing
+    from anisomap import route
+    from anisomap.cli import printing
+    from anisomap.cli.commands import dissimilarities as objects
     from anisomap.io import ChoiceError
 
     how = reading.checked()
-    with reporting.printer() as printer:
-        printing.print_contents(printer, recording, how)
-        try:
-            found = pipeline.read(recording, how)
-        except ChoiceError as error:
-            print_warning(str(error))  # the contents are listed; the user must select one
-            return
-        examined = pipeline.examine([found])
-        printing.print_recording(printer, examined.recording, examined.summary)
-        printing.print_findings(printer, examined.findings)
-        printing.print_health(printer, examined.health, all_sensors=all_sensors)
-        printing.print_touches(printer, printing.coverage_without_map(found), found.names)
-        for weakness in examined.summary.warnings:
-            print_warning(weakness)
-        if examined.summary.missing:
-            print_warning(
-                f"{examined.summary.missing} readings are NaN or infinite: "
-                "map them with --missing drop-frames or --missing interpolate"
-            )
+    try:
+        table = objects.find([recording], wanted=None, weights=None)
+    except InputError as doubt:
+        table = None
+        print_warning(str(doubt))
+    if table is not None:
+        objects.print_pairs(printer, table)
+        return
+    printing.print_contents(printer, recording, how)
+    try:
+        found = route.read(recording, how, progress=progress)
+    except ChoiceError as error:
+        print_warning(str(error))  # the contents are listed; the user must select one
+        return
+    examined = route.examine([found], progress=progress)
+    printing.print_recording(printer, examined.recording, examined.summary)
+    printing.print_findings(printer, examined.findings)
+    printing.print_health(printer, examined.health, all_sensors=all_sensors)
+    printing.print_touches(printer, printing.coverage_without_map(found), found.names)
+    for weakness in examined.summary.warnings:
+        print_warning(weakness)
+    if examined.summary.missing:
+        print_warning(
+            f"{examined.summary.missing} readings are NaN or infinite: "
+            "map them with --missing drop-frames or --missing interpolate"
+        )
 
 
 def repair(
@@ -78,7 +86,7 @@ def repair(
     *,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     reading: options.Reading = options.DEFAULT_READING,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Mend the faults of a recording that can be mended, and write it.
 
@@ -90,19 +98,18 @@ def repair(
     output
         NPZ file to write. Default: NAME.repaired.npz in the current folder.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli import printing
+    from anisomap.cli.outputs import Outputs
 
     output = output or options.beside(recording, ".repaired.npz")
-    pipeline.Outputs(recording=output, inputs=(recording, *reading.inputs))
-    found = pipeline.read(recording, reading.checked())
-    (repaired,), findings = pipeline.repair_runs([found])
+    Outputs(recording=output, inputs=(recording, *reading.inputs))
+    (repaired,), findings = route.read_mended([recording], reading.checked(), progress=progress)
     io.write(repaired, output)
-    with reporting.printer() as printer:
-        printing.print_findings(printer, findings, repaired=True)
-        if not findings:
-            printer.line("No faults were found; the recording is unchanged.")
-        printing.print_files(printer, [("recording", output)])
+    printing.print_findings(printer, findings, repaired=True)
+    if not findings:
+        printer.line("No faults were found; the recording is unchanged.")
+    printer.files([("recording", output)])
 
 
 @dataclass(frozen=True)
@@ -225,7 +232,7 @@ def map_recording(
         ),
     ] = None,
     seed: options.Seed = 0,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
     large: Annotated[
         LargeOptions, Parameter(name="*", group=options.expert_group)
     ] = _DEFAULT_LARGE,
@@ -268,8 +275,8 @@ def map_recording(
         Exit with code 1 if the verdict is worse than this, or cannot tell: usable or
         usable-for-neighbours. All files are written.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli import outputs, printing
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.methods import check_even_spacing, find_method
 
@@ -277,99 +284,108 @@ def map_recording(
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
     chosen = tuning.checked()
     table = objects.find(recordings, wanted=dissimilarities, weights=weights)
-    if table is not None:
-        objects.map_file(
-            table,
-            recordings,
-            output=output,
-            picture=picture,
-            report=report,
-            weights=weights,
-            drop=drop,
-            method=method,
-            dimensions=dimensions,
-            options=chosen.smacof,
-            placing=placing,
-            truth=truth,
-            exclude=exclude,
-            permutations=permutations,
-            seed=seed,
-            reporting=reporting,
-            others=repair or keep_statistics or bool(min_quality) or large.given,
+    if table is not None and (
+        len(recordings) > 1 or repair or keep_statistics or min_quality or large.given
+    ):
+        raise InputError(
+            "dissimilarities are one file, without a verdict: leave out other files, --repair, "
+            "--keep-statistics, --min-quality and the options for large recordings"
         )
-        return 0
     maps = output or [options.beside(recordings[0], ".map.csv")]
     statistics = io.statistics_beside(maps[0]) if keep_statistics else None
-    outputs = pipeline.Outputs(
+    drawn = str(picture) if table is not None and str(picture) in objects.PICTURES else ""
+    files = outputs.Outputs(
         maps=maps,
-        picture=picture,
+        picture=options.beside(recordings[0], f".{drawn}.png") if drawn else picture,
         report=report,
         others=(large.checkpoint, statistics),
-        inputs=(*recordings, *reading.inputs, truth),
+        inputs=(*recordings, *reading.inputs, truth, weights),
         placing=placing,
     )
     placing.check(maps)
-    how = reading.checked()
     by = _method(large, method)
-    # Unknown methods and options are refused before the recording is read.
-    find_method(by)
-    check_even_spacing(by, chosen, readings=True)
-    reference = None if truth is None else pipeline.read_reference(truth)
+    if table is None:
+        # Unknown methods and options are refused before the recording is read.
+        find_method(by)
+        check_even_spacing(by, chosen, readings=True)
+    reference = None if truth is None else outputs.read_reference(truth)
+    scored = outputs.Truth(PERMUTATIONS if permutations is None else permutations, seed, reference)
+    if table is not None:
+        objects.map_file(
+            printer,
+            files,
+            scored,
+            table,
+            picture=drawn,
+            exclude=exclude,
+            source=recordings[0].name,
+            weights=weights,
+            drop=route.split_names(drop, table.names),
+            method=method,
+            dimensions=dimensions,
+            options=chosen.smacof,
+            permutations=STRESS_PERMUTATIONS if permutations is None else permutations,
+            seed=seed,
+        )
+        return 0
     source, mended = _read_source(
         recordings,
-        how,
+        reading.checked(),
         repair=repair,
         keep_statistics=keep_statistics,
         missing=missing,
+        large=large,
         method=by,
         options=chosen,
-        large=large,
-        drop=drop,
+        drop=drop or (),
         seed=seed,
     )
     remaining = [one for one in mended if not one.mendable] if repair else None
-    examined = pipeline.examine(source, remaining)
+    examined = route.examine(source, remaining, progress=progress)
     names = examined.recording.names
-    left_out = options.sensors(exclude, names)
-    dropped = options.sensors(drop, names, examined.recording.metadata)
+    left_out = route.split_names(exclude, names)
+    dropped = route.split_names(drop, names, examined.recording.metadata)
     examined.recording.indices([*left_out, *dropped])  # unknown names are refused at once
     if left_out and examined.recording.positions is None and reference is None:
         print_warning(
             "--exclude has no effect: the recording has no true positions to score against"
         )
-    with reporting.printer() as printer:
-        sensor_map, judge = pipeline.make_map(
-            examined, by, dimensions, options=chosen, drop=dropped, seed=seed
-        )
-        printing.print_recording(printer, examined.recording, examined.summary)
-        printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
-        if done := dict.fromkeys(one.kind for one in mended if one.mendable):
-            provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
-            sensor_map = replace(sensor_map, provenance=provenance)
-        written, write_statistics = [], None
-        if statistics is not None:
-            from anisomap.tracking import gather_evidence
+    sensor_map, judge = route.make_map(
+        examined, by, dimensions, options=chosen, drop=dropped, seed=seed, progress=progress
+    )
+    printing.print_recording(printer, examined.recording, examined.summary)
+    printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
+    if done := dict.fromkeys(one.kind for one in mended if one.mendable):
+        provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
+        sensor_map = replace(sensor_map, provenance=provenance)
 
-            with progress("collecting statistics"):
-                evidence = gather_evidence(
-                    examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
-                )
-            write_statistics = partial(io.write_statistics, evidence, statistics)
-            written.append(("statistics", statistics))
-        judged = pipeline.finish(
-            printer,
-            outputs,
-            sensor_map,
-            examined,
-            permutations=PERMUTATIONS if permutations is None else permutations,
-            seed=seed,
-            judge=judge if verdict else None,
-            exclude=left_out,
-            written=written,
-            write_others=write_statistics,
-            truth=reference,
-        )
-    return 0 if not min_quality or pipeline.reaches(judged.verdict, min_quality) else 1
+    def write_statistics() -> list[tuple[str, Path]]:
+        if statistics is None:
+            return []
+        from anisomap.tracking import gather_evidence
+
+        with progress("collecting statistics"):
+            evidence = gather_evidence(
+                examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
+            )
+        io.write_statistics(evidence, statistics)
+        return [("statistics", statistics)]
+
+    judged = outputs.finish(
+        printer,
+        files,
+        sensor_map,
+        examined,
+        replace(scored, exclude=left_out),
+        judge=judge if verdict else None,
+        write_others=write_statistics,
+    )
+    if not min_quality or judged.verdict.is_at_least(min_quality):
+        return 0
+    print_warning(
+        f"below --min-quality {min_quality.replace(' ', '-')}: the map is {judged.verdict}"
+    )
+    return 1
 
 
 def _method(large: LargeOptions, requested: str | None) -> str:
@@ -399,30 +415,29 @@ def _read_source(
     missing: MissingPolicy,
     large: LargeOptions,
     **settings: Any,
-) -> tuple[pipeline.Source, Sequence[Finding]]:
+) -> tuple[route.Source, Sequence[Finding]]:
     """Read recordings, in blocks if they are large; return them and the faults that were mended."""
-    from anisomap.cli import pipeline
+    from anisomap import route
 
-    if large.given or pipeline.too_large(recordings, how):
-        from anisomap.cli import streams
+    if large.given or route.are_large(recordings, how):
+        from anisomap.large.map_reduce import WorkerPool
 
-        _check_in_blocks(repair=repair, keep_statistics=keep_statistics)
-        return streams.read_in_blocks(recordings, how, missing=missing, large=large, **settings), ()
-    if not repair:
-        return pipeline.read_runs(recordings, how, missing), ()
-    runs, mended = pipeline.repair_runs([pipeline.read(path, how) for path in recordings])
-    return [pipeline.complete(run, missing) for run in runs], mended
-
-
-def _check_in_blocks(*, repair: bool, keep_statistics: bool) -> None:
-    """Raise InputError for options that require a recording in memory."""
-    if keep_statistics:
-        raise InputError(
-            "--keep-statistics requires a recording in memory, below 512 MiB and without the "
-            "options for large recordings"
+        needs = "a recording in memory, below 512 MiB and without the options for large recordings"
+        if keep_statistics:
+            raise InputError(f"--keep-statistics requires {needs}")
+        if repair:
+            raise InputError(f"--repair requires {needs}; repair parts of it with anisomap repair")
+        source = route.read_in_blocks(
+            recordings,
+            how,
+            missing,
+            approximate=large.approximate,
+            pool=WorkerPool(large.workers, large.dask),
+            checkpoint=large.checkpoint,
+            progress=progress,
+            **settings,
         )
+        return source, ()
     if repair:
-        raise InputError(
-            "--repair requires a recording in memory, below 512 MiB and without the options "
-            "for large recordings; repair parts of it with anisomap repair"
-        )
+        return route.read_mended(recordings, how, missing, progress=progress)
+    return route.read_runs(recordings, how, missing, progress=progress), ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -14,7 +14,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli.console import Columns, Printer, number, percent, print_warning, progress
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.files import atomic_write, check_target
+from anisomap.files import atomic_write, check_target, together
 from anisomap.wording import join_items
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def simulate_body(
     video: Annotated[Path | None, Parameter(group=_looks)] = None,
     renderer: Annotated[Literal["drawing", "mujoco"], options.expert] = "drawing",
     view: Annotated[bool, options.expert_flag] = False,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Simulate a recording with known sensor positions.
 
@@ -75,49 +75,44 @@ def simulate_body(
         Show the run in MuJoCo's viewer.
     """
     from anisomap import io
-    from anisomap.cli import bodies, pipeline, printing
+    from anisomap.cli import bodies
+    from anisomap.cli.outputs import Outputs
     from anisomap.drawing.figures import scenes
-    from anisomap.simulation import run_simulation
+    from anisomap.simulation import run_simulation, simulate_runs
 
     skin = bodies.find(body, sensors, **({"placement": placement} if placement else {}))
     target = output or Path(f"{skin.name}-{scenario}.npz")
-    pipeline.Outputs(recording=target, picture=picture, others=[video], inputs=[Path(body)])
+    Outputs(recording=target, picture=picture, others=[video], inputs=[Path(body)])
     if video:
         scenes.check_animation(video)
     settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
     if runs > 1:
         if picture or video or view:
             raise InputError("--picture, --video and --view show one run; leave out --runs")
-        files = _simulate_many(skin, scenario, range(seed, seed + runs), target, settings)
-        with reporting.printer() as printer:
-            printing.print_files(printer, files)
+        seeds = range(seed, seed + runs)
+        paths = [target.with_stem(f"{target.stem}-{one}") for one in seeds]
+        with progress(f"simulating {runs} runs"), together():
+            recordings = simulate_runs(skin, scenario, seeds, **settings)
+            for path, recording in zip(paths, recordings, strict=True):
+                io.write(recording, path)
+        told = (f"recording, seed {one}" for one in seeds)
+        printer.files(list(zip(told, paths, strict=True)))
         return
     with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as report_progress:
         simulation = run_simulation(skin, scenario, seed=seed, progress=report_progress, **settings)
+    with together():
         io.write(simulation.recording, target)
-    files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
-    with reporting.printer() as printer:
-        _print(printer, simulation, skin)
-        printing.print_files(printer, files)
-        printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
+        files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
+    _print(printer, simulation, skin)
+    printer.files(files)
+    printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
     if view:
-        _view(simulation.scene)
+        from anisomap.simulation import mujoco_viewer
 
-
-def _simulate_many(
-    skin: Body, scenario: str, seeds: range, target: Path, settings: dict[str, Any]
-) -> list[tuple[str, Path]]:
-    from anisomap import io
-    from anisomap.simulation import simulate_runs
-
-    with progress(f"simulating {len(seeds)} runs"):
-        runs = simulate_runs(skin, scenario, seeds, **settings)
-        rows = []
-        for seed, recording in zip(seeds, runs, strict=True):
-            path = target.with_stem(f"{target.stem}-{seed}")
-            io.write(recording, path)
-            rows.append((f"recording, seed {seed}", path))
-    return rows
+        try:
+            mujoco_viewer.show(simulation.scene)
+        except mujoco_viewer.NoScreenError as error:
+            print_warning(f"{error}; --picture and --video work without one")
 
 
 def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
@@ -152,46 +147,30 @@ def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
 def _show(
     scene: Scene, picture: Path | None, video: Path | None, renderer: str
 ) -> list[tuple[str, Path]]:
+    """Draw a scene; MuJoCo renders it if asked to, and if there is a display."""
     from anisomap.drawing import figures
     from anisomap.drawing.figures import scenes
+    from anisomap.simulation import mujoco_viewer
 
-    rendered = renderer == "mujoco" and (picture or video) and _rendered(scene, picture, video)
-    if picture and not rendered:
+    named = [(kind, path) for kind, path in (("picture", picture), ("video", video)) if path]
+    if renderer == "mujoco" and named:
+        shown = range(min(scenes.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
+        try:
+            with progress("rendering the scene"):
+                images = mujoco_viewer.render(scene, [scenes.busiest_frame(scene), *shown])
+        except mujoco_viewer.NoScreenError as error:
+            print_warning(f"{error}; using the drawing instead")
+        else:
+            for kind, path in named:
+                scenes.save_pixels(path, images[:1] if kind == "picture" else images[1:])
+            return named
+    if picture:
         with progress("drawing the scene"):
             figures.save_figure(scenes.scene_figure(scene), picture)
-    if video and not rendered:
+    if video:
         with progress("drawing the animation") as report:
             scenes.save_animation(scene, video, progress=report)
-    named = (("picture", picture), ("video", video))
-    return [(content, path) for content, path in named if path is not None]
-
-
-def _rendered(scene: Scene, picture: Path | None, video: Path | None) -> bool:
-    """Render with MuJoCo; return False if there is no display."""
-    from anisomap.drawing.figures import scenes
-    from anisomap.simulation import mujoco_viewer
-
-    frames = range(min(scenes.MAX_ANIMATION_FRAMES, scene.n_frames)) if video else range(0)
-    try:
-        with progress("rendering the scene"):
-            images = mujoco_viewer.render(scene, [scenes.busiest_frame(scene), *frames])
-    except mujoco_viewer.NoScreenError as error:
-        print_warning(f"{error}; using the drawing instead")
-        return False
-    if picture:
-        scenes.save_pixels(picture, images[:1])
-    if video:
-        scenes.save_pixels(video, images[1:])
-    return True
-
-
-def _view(scene: Scene) -> None:
-    from anisomap.simulation import mujoco_viewer
-
-    try:
-        mujoco_viewer.show(scene)
-    except mujoco_viewer.NoScreenError as error:
-        print_warning(f"{error}; --picture and --video work without one")
+    return named
 
 
 _COLUMNS: Columns = {
@@ -217,7 +196,7 @@ def coverage(
     dimensions: Annotated[options.Count, Parameter(alias="-d"), options.expert] = 3,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
     picture: options.Picture = None,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Estimate how long a skin must be stimulated: coverage as a function of recording length.
 
@@ -245,13 +224,14 @@ def coverage(
     output
         CSV file for the table.
     """
-    from anisomap.cli import bodies, pipeline
+    from anisomap.cli import bodies
+    from anisomap.cli.outputs import Outputs
     from anisomap.drawing import figures
     from anisomap.drawing.figures.charts import coverage_figure
     from anisomap.simulation import coverage_curve
     from anisomap.simulation.coverage import LENGTHS
 
-    pipeline.Outputs(picture=picture, others=[output])
+    Outputs(picture=picture, others=[output])
     if output:
         check_target(output)
     skin = bodies.find(body, sensors)
@@ -275,24 +255,25 @@ def coverage(
         }
         for i, n_frames in enumerate(curve.n_frames)
     ]
-    with reporting.printer() as printer:
-        title = f"Coverage of {skin.name} by {scenario}, mean of {runs} runs"
-        printer.rows(title, _COLUMNS, records)
-        printer.record(body=skin.name, scenario=scenario, runs=runs, coverage=records)
-    if output:
-        rows = [[shown(one[name]) for name, shown in _COLUMNS.values()] for one in records]
-        with atomic_write(output) as aside:
-            lines = [",".join(cells) for cells in (_COLUMNS, *rows)]
-            aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    if picture:
-        shares = {
-            "sensors touched": curve.touched,
-            "neighbours touched together": curve.pairs / max(curve.n_pairs, 1),
-            f"Mantel r of {method}": curve.mantel_r,
-        }
-        title = f"{skin.name}, {scenario}"
-        figure = coverage_figure(title, curve.n_frames, curve.rate_hz, shares)
-        figures.save_figure(figure, picture)
+    title = f"Coverage of {skin.name} by {scenario}, mean of {runs} runs"
+    printer.rows(title, _COLUMNS, records)
+    printer.record(body=skin.name, scenario=scenario, runs=runs, coverage=records)
+    with together():
+        if output:
+            rows = [[shown(one[name]) for name, shown in _COLUMNS.values()] for one in records]
+            with atomic_write(output) as aside:
+                lines = [",".join(cells) for cells in (_COLUMNS, *rows)]
+                aside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        if picture:
+            shares = {
+                "sensors touched": curve.touched,
+                "neighbours touched together": curve.pairs / max(curve.n_pairs, 1),
+                f"Mantel r of {method}": curve.mantel_r,
+            }
+            figure = coverage_figure(
+                f"{skin.name}, {scenario}", curve.n_frames, curve.rate_hz, shares
+            )
+            figures.save_figure(figure, picture)
 
 
 def _mean(values: NDArray[np.float64]) -> float:
@@ -308,7 +289,7 @@ def spoil(
     fault: Annotated[list[str], Parameter(alias="-f", negative=())],
     output: Annotated[Path, Parameter(alias="-o")],
     seed: options.Seed = 0,
-    reporting: options.Reporting = options.DEFAULT_REPORTING,
+    printer: options.Printing = options.PRINTER,
 ) -> None:
     """Inject documented faults into a recording.
 
@@ -322,14 +303,14 @@ def spoil(
     output
         NPZ file to write.
     """
-    from anisomap import io
-    from anisomap.cli import pipeline, printing
+    from anisomap import io, route
+    from anisomap.cli.outputs import Outputs
     from anisomap.simulation import inject, injected_faults, parse_fault
     from anisomap.simulation.faults import ALL_SENSORS
 
     requests = [parse_fault(text) for text in fault]
-    pipeline.Outputs(recording=output, inputs=[recording])
-    spoilt = inject(pipeline.read(recording), requests, seed)
+    Outputs(recording=output, inputs=[recording])
+    spoilt = inject(route.read(recording, progress=progress), requests, seed)
     io.write(spoilt, output)
     sensors: defaultdict[str, list[str]] = defaultdict(list)
     frames: defaultdict[str, int] = defaultdict(int)
@@ -345,7 +326,6 @@ def spoil(
         "sensors": ("sensors", join_items),
         "readings or frames": ("readings_or_frames", str),
     }
-    with reporting.printer() as printer:
-        printer.rows("Injected faults", columns, records)
-        printer.record(injected=records)
-        printing.print_files(printer, [("recording", output)])
+    printer.rows("Injected faults", columns, records)
+    printer.record(injected=records)
+    printer.files([("recording", output)])

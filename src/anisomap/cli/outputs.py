@@ -1,0 +1,241 @@
+"""Files that commands write, and the last steps of a map: judge, score, write and print."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from anisomap import io
+from anisomap.cli import printing
+from anisomap.cli.console import Printer, console, progress
+from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions, doubt_spacing
+from anisomap.errors import FileError
+from anisomap.evaluation import Score, score
+from anisomap.files import check_distinct, check_target, together
+from anisomap.health import TouchCoverage, touch_coverage
+from anisomap.placement.frames import in_millimetres
+from anisomap.recording import Recording
+from anisomap.route import Examined, Judge
+from anisomap.sensor_map import SensorMap
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_NOT_MAPS = {
+    **dict.fromkeys((".png", ".svg", ".pdf"), "a picture: name it by --picture"),
+    ".html": "a report: name it by --report of anisomap map",
+}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """How a map is scored.
+
+    reference: Positions to score against; those of the recording if None.
+    exclude: Sensors to leave out.
+    """
+
+    permutations: int
+    seed: int = 0
+    reference: SensorMap | None = None
+    exclude: Sequence[str] = ()
+
+    def score(
+        self, printer: Printer, sensor_map: SensorMap, title: str, known: Recording | None = None
+    ) -> Score | None:
+        """Score a map in millimetres, and print it; None if no true positions are known."""
+        truth = self.reference
+        if truth is None and known is not None and known.positions is not None:
+            truth = SensorMap(np.asarray(known.positions), names=known.names, units=known.units)
+        if truth is None:
+            return None
+        truth = in_millimetres(truth)
+        with progress(f"computing {self.permutations} permutations") as report_progress:
+            result = score(
+                sensor_map,
+                truth,
+                exclude=self.exclude,
+                units=truth.units,
+                permutations=self.permutations,
+                rng=np.random.default_rng(self.seed),
+                progress=report_progress,
+            )
+        printing.print_score(printer, result, sensor_map, title)
+        return result
+
+
+def read_reference(path: Path, units: str | None = None) -> SensorMap:
+    """Read the positions that a map is scored against."""
+    reference = io.read_map(path)
+    if units is None:
+        units = "" if reference.units == "arbitrary" else reference.units
+    return replace(reference, units=units)
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write, and the inputs, which none may be; checked before anything is computed.
+
+    maps: Maps, in any format.
+    recording: An NPZ file.
+    others: Files whose formats are not checked here.
+    placing: Scale and frame of the maps; if None, they are written as they are.
+    """
+
+    maps: Sequence[Path] = ()
+    recording: Path | None = None
+    picture: Path | None = None
+    report: Path | None = None
+    others: Sequence[Path | None] = ()
+    inputs: Sequence[Path | None] = ()
+    placing: PlacingOptions | None = None
+
+    def __post_init__(self) -> None:
+        every = (*self.maps, self.recording, self.picture, self.report, *self.others)
+        check_distinct(filter(None, every), filter(None, self.inputs))
+        for path in self.maps:
+            if kind := _NOT_MAPS.get(path.suffix.lower()):
+                raise FileError(f"{path} would not hold a map but {kind}")
+            io.check_writable(path)
+        if self.recording:
+            check_target(self.recording)
+            if self.recording.suffix.lower() != ".npz":
+                raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
+        if self.picture:
+            from anisomap.drawing import figures
+
+            figures.check_writable(self.picture)
+        if self.report:
+            from anisomap.drawing import report
+
+            report.check_writable(self.report)
+
+    def write(
+        self,
+        sensor_map: SensorMap,
+        draw: Callable[[], Figure] | None = None,
+        content: str = "map",
+    ) -> list[tuple[str, Path]]:
+        """Write the maps and the picture; return the files, each with its content."""
+        written: list[tuple[str, Path]] = []
+        with progress("writing"), together():
+            for path in self.maps:
+                if self.placing is None:
+                    io.write(sensor_map, path)
+                    written.append((content, path))
+                else:
+                    inputs = list(filter(None, self.inputs))
+                    files = self.placing.write(sensor_map, path, inputs)
+                    written += [(content, file) for file in files]
+            if self.picture and draw:
+                from anisomap.drawing import figures
+
+                figures.save_figure(draw(), self.picture)
+                written.append(("picture", self.picture))
+        return written
+
+    def write_all(
+        self,
+        sensor_map: SensorMap,
+        result: Score | None = None,
+        examined: Examined | None = None,
+        coverage: TouchCoverage | None = None,
+        *,
+        draw: Callable[[], Figure] | None = None,
+    ) -> list[tuple[str, Path]]:
+        """Write all files, of a map and its score; return them, each with its content.
+
+        draw: Draws the picture; the map by default.
+        """
+        if not (self.picture or self.report):
+            return self.write(sensor_map)
+        from anisomap.drawing import figures, report
+
+        shown = in_millimetres(sensor_map)
+        figure = figures.map_figure(shown, result)
+        with together():
+            written = self.write(sensor_map, draw or (lambda: figure))
+            if self.report:
+                touches = None
+                if examined is not None and coverage is not None:
+                    doubted = [sensor for sensor in examined.health if sensor.status != "ok"]
+                    touch = figures.touch_figure(shown, coverage, result)
+                    series = figures.series_figure(examined.recording, doubted) if doubted else None
+                    touches = report.Touches(
+                        printing.touch_facts(coverage, shown.names),
+                        figures.figure_bytes(touch),
+                        None if series is None else figures.figure_bytes(series),
+                    )
+                report.write_report(
+                    self.report,
+                    shown,
+                    score=result,
+                    health=examined.health if examined else (),
+                    summary=examined.summary if examined else None,
+                    figure_png=figures.figure_bytes(figure),
+                    touches=touches,
+                    origin=self._origin(),
+                )
+                written.append(("report", self.report))
+        return written
+
+    def _origin(self) -> dict[str, str]:
+        """Return the command of this process, and a digest of every input."""
+        found = {"command": shlex.join(["anisomap", *console.arguments])}
+        for path in filter(None, self.inputs):
+            if path.is_file():
+                with path.open("rb") as file:
+                    found[f"SHA-256 of {path.name}"] = hashlib.file_digest(
+                        file, "sha256"
+                    ).hexdigest()
+        return found
+
+
+def finish(
+    printer: Printer,
+    outputs: Outputs,
+    sensor_map: SensorMap,
+    examined: Examined,
+    truth: Truth,
+    *,
+    judge: Judge | None = None,
+    write_others: Callable[[], list[tuple[str, Path]]] = list,
+) -> SensorMap:
+    """Write and print a map; then judge it, score it if the truth is known, and write all files.
+
+    If it is interrupted from the verdict on, the map is written without one.
+
+    write_others: Writes other files together with the map, and returns them.
+    """
+    placed = (outputs.placing or DEFAULT_PLACING).applied
+    coverage = touch_coverage(sensor_map, examined.runs) if examined.runs else None
+    with together():
+        others = write_others()
+        files = outputs.write(placed(sensor_map))
+    printing.print_health(printer, examined.health)
+    printing.print_touches(printer, coverage, sensor_map.names)
+    printing.print_map(printer, placed(sensor_map))
+    if outputs.placing and outputs.placing.spacing:
+        doubt_spacing(outputs.placing.spacing)
+    paths = ", ".join(str(path) for _, path in files)
+    printer.line(f"Written to {paths}" + ("; the verdict follows" if judge else ""))
+    try:
+        if judge is not None:
+            with progress("judging the map; Ctrl-C keeps it without a verdict") as report_progress:
+                sensor_map = judge(sensor_map, progress=report_progress)
+        shown = placed(sensor_map)
+        if judge is not None or not examined.runs:
+            printing.print_verdict(printer, shown)
+        printing.record_map(printer, shown)
+        result = truth.score(printer, shown, "Score against the true positions", examined.recording)
+        files += outputs.write_all(shown, result, examined, coverage)[len(files) :]
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted; {paths} is written, without a verdict") from None
+    printer.files([*others, *files])
+    return sensor_map
