@@ -150,13 +150,14 @@ def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
         )
 
 
-def _words(name: str) -> list[str]:
+def words_of(name: str) -> list[str]:
+    """Return the words of a name, in lower case: ``time`` and ``ms`` of ``time_ms``."""
     return re.findall(r"[^\W\d_]+", name.lower())
 
 
 def is_time(name: str, column: int = 0) -> bool:
     """Return whether a column name denotes time; `column` is its index."""
-    words = _words(name)
+    words = words_of(name)
     if not words or re.search(r"\d", name) or words == ["t"]:
         return words == ["t"] and name.strip().lower() == "t" and column < 2
     known = all(word in _TIME_WORDS or word in _PER_SECOND for word in words)
@@ -165,7 +166,7 @@ def is_time(name: str, column: int = 0) -> bool:
 
 def units_per_second(name: str, times: NDArray[np.float64]) -> float:
     """Return the units per second of times, by the column name or the magnitude of the first."""
-    units = [word for word in _words(name) if word in _PER_SECOND]
+    units = [word for word in words_of(name) if word in _PER_SECOND]
     if units:
         return _PER_SECOND[units[-1]]
     finite = times[np.isfinite(times)]
@@ -174,7 +175,7 @@ def units_per_second(name: str, times: NDArray[np.float64]) -> float:
 
 
 def _mentions_time(name: str) -> bool:
-    return any(word in _TIME_WORDS - {"t"} for word in _words(name))
+    return any(word in _TIME_WORDS - {"t"} for word in words_of(name))
 
 
 def _has_odd_name(header: Sequence[str], column: int) -> bool:

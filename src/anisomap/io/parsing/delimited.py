@@ -25,7 +25,7 @@ _SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 21
 _SAMPLE_RECORDS = 50
 # In order of reliability: numbers and names rarely contain semicolons and tabs; commas may be
 # decimal.
-_DELIMITERS = (";", "\t", ",", None)
+DELIMITERS = (";", "\t", ",", None)
 _BLANK_SEPARATED = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
 # Chosen by hand, so that a row of numbers is not mistaken for the labels 0, 1, 2, ...
 _MIN_COUNTED = 4
@@ -97,19 +97,26 @@ def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
 
     Blank lines and lines that start with ``#`` are skipped, except inside a quoted field.
     """
-    numbered = enumerate(lines, start=1)
-    for number, line in numbered:
-        if is_skipped(line, delimiter):
-            continue
-        if delimiter is None:
-            yield number, [quoted or bare for quoted, bare in _BLANK_SEPARATED.findall(line)]
-            continue
-        from_here = itertools.chain([line], (later for _, later in numbered))
-        reader = csv.reader(from_here, delimiter=delimiter, skipinitialspace=True, strict=True)
-        try:
-            yield number, next(reader)
-        except csv.Error as error:
-            raise csv.Error(f"line {number}: {error}") from error
+    first = 0  # line of the record that is being read
+
+    def filled() -> Iterator[str]:
+        nonlocal first
+        for number, line in enumerate(lines, start=1):
+            if first or not is_skipped(line, delimiter):
+                first = first or number
+                yield line
+
+    if delimiter is None:
+        for line in filled():
+            yield first, [quoted or bare for quoted, bare in _BLANK_SEPARATED.findall(line)]
+            first = 0
+        return
+    try:
+        for fields in csv.reader(filled(), delimiter=delimiter, skipinitialspace=True, strict=True):
+            yield first, fields
+            first = 0
+    except csv.Error as error:
+        raise csv.Error(f"line {first}: {error}") from error
 
 
 def find_delimiter(sample: Sequence[str]) -> str | None:
@@ -119,7 +126,7 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
     same number of fields. If none does (in a damaged file), it is the one that splits most records.
     """
     splits = Counter[str | None]()
-    for delimiter in _DELIMITERS:
+    for delimiter in DELIMITERS:
         first = itertools.islice(_all_records(sample, delimiter), _SAMPLE_RECORDS)
         widths = [len(fields) for _, fields in first]
         body = set(widths[1:] or widths)
@@ -137,7 +144,7 @@ def count_preamble(sample: Sequence[str]) -> int:
     than the first line.
     """
     top = sample[:_MAX_PREAMBLE]
-    for delimiter in _DELIMITERS:
+    for delimiter in DELIMITERS:
         widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
         first = next((width for width in widths if width), 0)
         wide = (i for i, width in enumerate(widths) if width > first + 1)

@@ -54,7 +54,7 @@ from anisomap.io.parsing.table import (
     parse_number,
     read_blocks,
 )
-from anisomap.io.recordings import contact_text
+from anisomap.io.recordings import contacts
 from anisomap.io.recordings import spikes as spike_tables
 from anisomap.io.stream import (
     BLOCK_BYTES,
@@ -223,9 +223,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     Empty fields are missing readings, NaN. The metadata of the stream names the columns taken as
     time and frame counter and the skipped columns of text. Errors give line and column.
     """
-    if contact_text.selects_columns(options.select):
-        with contact_text.open_columns(path, options) as contacts:
-            yield contacts
+    if contacts.selects_columns(options.select):
+        yield contacts.stream_columns(path, options)
         return
     sample, known, metadata = _read_start(path)
     if options.bin_s is not None and not known:

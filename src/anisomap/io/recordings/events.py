@@ -1,4 +1,4 @@
-"""Lists of events: their columns, and their frames.
+"""Lists of events and their frames.
 
 A frame is one moment, or counts events in a bin of constant width.
 """
@@ -6,7 +6,6 @@ A frame is one moment, or counts events in a bin of constant width.
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from array import array
 from collections.abc import Hashable, Iterator, Mapping, Sequence
@@ -18,71 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.columns import is_time
 from anisomap.io.parsing.naming import numbers_of
 from anisomap.io.stream import BLOCK_BYTES, Block, Stream
 from anisomap.memory import Budget
 from anisomap.recording import Scalar
-
-_NOUNS = {
-    **dict.fromkeys(("id", "ids", "taxel", "taxels", "contacts", "active", "touched"), "taxel"),
-    **dict.fromkeys(("sensor", "sensors"), "sensor"),
-    **dict.fromkeys(("channel", "channels"), "channel"),
-    **dict.fromkeys(("electrode", "electrodes"), "electrode"),
-    **dict.fromkeys(("unit", "units"), "unit"),
-    **dict.fromkeys(("neuron", "neurons"), "neuron"),
-}
-_BESIDE_NOUNS = {"index", "indices", "list", "activated", "contact", "number", "no"}
-_MOMENTS = {"event", "events", "contact", "touch", "frame", "sample", "index", "no", "number"}
-_VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weight"}
-
-
-@dataclass(frozen=True)
-class EventColumns:
-    """Columns of a list of events, by index from 0.
-
-    moment: Column of times, or of numbers of events.
-    sensor: Column of sensors.
-    value: Column of values; -1 without one.
-    """
-
-    moment: int
-    sensor: int
-    value: int = -1
-
-
-def find_columns(names: Sequence[str]) -> EventColumns | None:
-    """Find the columns of events."""
-    words = [_words(name) for name in names]
-    moments = [
-        i
-        for i, name in enumerate(names)
-        if is_time(name, i) or (words[i] and _MOMENTS.issuperset(words[i]))
-    ]
-    sensors = [i for i, each in enumerate(words) if _is_sensor(each)]
-    values = [i for i, each in enumerate(words) if each and _VALUES.issuperset(each)]
-    if (len(moments), len(sensors)) != (1, 1) or moments == sensors or len(values) > 1:
-        return None
-    return EventColumns(moments[0], sensors[0], (values or [-1])[0])
-
-
-def noun_of(name: str) -> str:
-    """Return what precedes the numbers of sensors in a column: ``channel`` for ``channel_ids``."""
-    return next((_NOUNS[word] for word in reversed(_words(name)) if _is_specific(word)), "taxel")
-
-
-def _is_specific(word: str) -> bool:
-    return word in _NOUNS and word not in ("id", "ids")
-
-
-def _is_sensor(words: Sequence[str]) -> bool:
-    known = all(word in _NOUNS or word in _BESIDE_NOUNS for word in words)
-    return known and any(word in _NOUNS for word in words)
-
-
-def _words(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+", name.lower())
-
 
 DEFAULT_BIN_S = 1.0
 """Width of bins in seconds if none is given.
@@ -124,10 +62,9 @@ class Events:
 
     def __post_init__(self) -> None:
         order = np.argsort(self.moments, kind="stable")
-        if not (order[1:] > order[:-1]).all():
-            for field, array in vars(self).copy().items():
-                if isinstance(array, np.ndarray):
-                    object.__setattr__(self, field, array[order])
+        for field, values in vars(self).copy().items():
+            if isinstance(values, np.ndarray):
+                object.__setattr__(self, field, values[order])
 
 
 class EventList(Generic[_Key]):
@@ -195,7 +132,10 @@ def stream_events(
         raise FileError(f"{path}: the time of an event is not finite")
     if bin_s is not None and not events.timed:
         raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
-    needs_bins = spikes or (events.timed and not contacts and _alone(events))
+    needs_bins = spikes
+    if events.timed and not (spikes or contacts):
+        _, counts = np.unique(events.moments[events.sensors >= 0], return_counts=True)
+        needs_bins = bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
     if bin_s is None and needs_bins:
         bin_s = DEFAULT_BIN_S
         warnings.warn(
@@ -217,10 +157,8 @@ def stream_events(
         times = np.asarray(np.arange(n_bins) * bin_s, dtype=np.float64)
     n_frames = len(times) if times is not None else int(frames.max()) + 1
     n_sensors = len(events.names)
-    budget = Budget(path)
-    budget.check_readings(
-        n_frames, n_sensors, 4, f"a recording of {n_frames} frames and {n_sensors} sensors"
-    )
+    what = f"a recording of {n_frames} frames and {n_sensors} sensors"
+    Budget(path).check_readings(n_frames, n_sensors, 4, what)
     return Stream(
         path,
         n_sensors,
@@ -235,27 +173,15 @@ def stream_events(
     )
 
 
-def _alone(events: Events) -> bool:
-    """Return whether nearly all times with an event belong to a single sensor."""
-    known = events.sensors >= 0
-    _, counts = np.unique(events.moments[known], return_counts=True)
-    return bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
-
-
 def _bins(
-    path: Path,
-    moments: NDArray[np.float64],
-    width: float,
-    span: tuple[float, float] | None,
+    path: Path, moments: NDArray[np.float64], width: float, span: tuple[float, float] | None
 ) -> tuple[NDArray[np.intp], int]:
     """Return the bin of each event, and the number of bins."""
-    start, end = float(moments[0]), float(moments[-1])
-    if span is not None:
-        start, end = min(start, span[0]), max(end, span[1])
+    edges = [float(moments[0]), float(moments[-1]), *(span or ())]
+    start, end = min(edges), max(edges)
     places = np.round((moments - start) / width, _EDGE_DECIMALS)
-    n_bins = math.floor(places[-1]) + 1
-    if span is not None:
-        n_bins = max(n_bins, math.ceil(round((end - start) / width, _EDGE_DECIMALS)))
+    n_last = math.ceil(round((end - start) / width, _EDGE_DECIMALS))
+    n_bins = max(math.floor(places[-1]) + 1, n_last)
     if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(moments)):
         raise FileError(
             f"{path}: {len(moments)} events from {start:g} to {end:g} s would fill {n_bins} bins "
@@ -279,14 +205,10 @@ def _blocks(
         rows, columns = frames[inside] - first, events.sensors[inside]
         active = columns >= 0
         where = rows[active], columns[active]
-        readings: NDArray[np.floating]
-        if events.values is not None:
-            readings = np.zeros((last - first, len(events.names)))
-            readings[where] = events.values[inside][active]
+        kind = np.float32 if events.values is None else np.float64
+        readings = np.zeros((last - first, len(events.names)), kind)
+        if counted and events.values is None:
+            np.add.at(readings, where, 1)
         else:
-            readings = np.zeros((last - first, len(events.names)), np.float32)
-            if counted:
-                np.add.at(readings, where, 1)
-            else:
-                readings[where] = 1
+            readings[where] = 1 if events.values is None else events.values[inside][active]
         yield Block(readings, last / n_frames, None if times is None else times[first:last])

@@ -15,14 +15,13 @@ Text has one line or one column of times per channel, with or without names, in 
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,36 +33,12 @@ from anisomap.io.parsing.table import is_number, parse_number
 from anisomap.io.recordings.events import Events, stream_events
 from anisomap.io.stream import Stream
 
+if TYPE_CHECKING:
+    from anisomap.io.recordings.hdf5 import Dataset
+
 _NUMBERS = "iuf"
 _MIN_UNITS = 2
 _DIGIT = re.compile(r"\d")
-
-
-class NamedArray(Protocol):
-    """An array in a file: see `anisomap.io.recordings.hdf5.Dataset`."""
-
-    @property
-    def name(self) -> str:
-        """Name with groups."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Size of each axis."""
-
-    @property
-    def kind(self) -> str:
-        """As `numpy.dtype.kind`."""
-
-    @property
-    def key(self) -> str:
-        """Name without groups, in lower case."""
-
-    @property
-    def group(self) -> str:
-        """Groups that hold the array."""
-
-    def whole(self) -> NDArray[Any]:
-        """Read the array."""
 
 
 @dataclass(frozen=True)
@@ -76,12 +51,12 @@ class SpikeTrains:
     """
 
     name: str
-    times: tuple[NamedArray, ...]
-    counts: NamedArray | None = None
-    ends: NamedArray | None = None
+    times: tuple[Dataset, ...]
+    counts: Dataset | None = None
+    ends: Dataset | None = None
 
     @property
-    def index(self) -> NamedArray | None:
+    def index(self) -> Dataset | None:
         """The array that divides the times among the units; None for one array per unit."""
         return self.counts or self.ends
 
@@ -96,15 +71,15 @@ class SpikeTrains:
         return {each.name for each in (*self.times, self.counts, self.ends) if each}
 
 
-def find_spike_trains(arrays: Sequence[NamedArray]) -> tuple[SpikeTrains, ...]:
+def find_spike_trains(arrays: Sequence[Dataset]) -> tuple[SpikeTrains, ...]:
     """Find the spike trains of each group."""
-    groups: dict[str, list[NamedArray]] = {}
+    groups: dict[str, list[Dataset]] = {}
     for each in arrays:
         groups.setdefault(each.group, []).append(each)
     return tuple(found for group, members in groups.items() if (found := _in_group(group, members)))
 
 
-def _in_group(group: str, members: Sequence[NamedArray]) -> SpikeTrains | None:
+def _in_group(group: str, members: Sequence[Dataset]) -> SpikeTrains | None:
     vectors = {each.key: each for each in members if _is_vector(each)}
     for times, counts, ends in (("spikes", "scount", ""), ("spike_times", "", "spike_times_index")):
         if times in vectors and (counts or ends) in vectors:
@@ -119,7 +94,7 @@ def _in_group(group: str, members: Sequence[NamedArray]) -> SpikeTrains | None:
     return None
 
 
-def _is_vector(array: NamedArray) -> bool:
+def _is_vector(array: Dataset) -> bool:
     """Return whether an array is a vector of numbers, which MATLAB stores as a matrix."""
     return array.kind in _NUMBERS and sum(size != 1 for size in array.shape) <= 1
 
@@ -154,7 +129,7 @@ def stream_spikes(
     )
 
 
-def _counts(path: Path, trains: SpikeTrains, index: NamedArray, n_spikes: int) -> NDArray[np.intp]:
+def _counts(path: Path, trains: SpikeTrains, index: Dataset, n_spikes: int) -> NDArray[np.intp]:
     """Return the number of spikes of each unit."""
     values = index.whole().astype(np.float64).ravel()
     counts = values if trains.counts else np.diff(values, prepend=0)
@@ -167,9 +142,6 @@ def _counts(path: Path, trains: SpikeTrains, index: NamedArray, n_spikes: int) -
     return counts.astype(np.intp)
 
 
-Trains = list[tuple[str, list[float]]]
-
-
 def stream_table(path: Path, bin_s: float) -> Stream:
     """Create a stream of the counts of spikes whose times are in lines or columns.
 
@@ -177,60 +149,34 @@ def stream_table(path: Path, bin_s: float) -> Stream:
     """
     lines = read_lines(path)
     delimiter = delimited.find_delimiter(lines[:1000])
-    try:
-        rows = [fields for _, fields in delimited.records(lines, delimiter)]
-    except csv.Error as error:
-        raise FileError(f"{path}: unbalanced quotation marks ({error})") from error
-    trains = _by_line(rows) or _by_column(rows)
+    rows = [fields for _, fields in delimited.records(lines, delimiter)]
+    # Lines differ in length, and either all begin with a name or none does.
+    lined = len(set(map(len, rows))) > 1 and len({is_number(row[0]) for row in rows if row}) == 1
+    columns = list(itertools.zip_longest(*rows, fillvalue=""))
+    trains = (_trains(rows) if lined else None) or _trains(columns)
     if not trains:
         raise FileError(
             f"{path} (delimited text) holds readings, not events: its numbers do not increase "
             "along all lines or all columns, as the times of spikes do; leave out --bin-width"
         )
-    lengths = [len(times) for _, times in trains]
-    return stream_events(
-        path,
-        Events(
-            np.array([time for _, times in trains for time in times], dtype=np.float64),
-            np.repeat(np.arange(len(trains)), lengths),
-            tuple(name for name, _ in trains),
-        ),
-        bin_s=bin_s,
-        spikes=True,
-        metadata={"format": "spike trains"},
+    events = Events(
+        np.array([time for _, times in trains for time in times], dtype=np.float64),
+        np.repeat(np.arange(len(trains)), [len(times) for _, times in trains]),
+        tuple(name for name, _ in trains),
     )
+    facts = {"format": "spike trains"}
+    return stream_events(path, events, bin_s=bin_s, spikes=True, metadata=facts)
 
 
-def _by_line(rows: Sequence[Sequence[str]]) -> Trains | None:
-    """Return one train per line; each begins with a name, or none does."""
-    named = [bool(row) and not is_number(row[0], ",") for row in rows]
-    if not rows or len(set(named)) > 1 or len(set(map(len, rows))) < 2:
-        return None
-    start = int(named[0])
-    names = (
-        [row[0].strip() for row in rows] if start else [f"channel{i + 1}" for i in range(len(rows))]
-    )
-    return _trains(names, [row[start:] for row in rows])
-
-
-def _by_column(rows: Sequence[Sequence[str]]) -> Trains | None:
-    """Return one train per column; names are in a header, if there is one."""
-    if not rows:
-        return None
-    header = not all(is_number(field, ",") for field in rows[0])
-    width = max(map(len, rows))
-    names = [field.strip() for field in rows[0]] if header else []
-    names += [f"channel{i + 1}" for i in range(len(names), width)]
-    body = rows[1:] if header else rows
-    return _trains(names, list(itertools.zip_longest(*body, fillvalue="")))
-
-
-def _trains(names: Sequence[str], columns: Sequence[Sequence[str]]) -> Trains | None:
-    trains: Trains = []
+def _trains(channels: Sequence[Sequence[str]]) -> list[tuple[str, list[float]]] | None:
+    """Return the name and times of each channel; None unless all are times that increase."""
+    named = any(not is_number(fields[0]) for fields in channels if fields)
+    found = []
     fractions = False
-    for name, fields in zip(names, columns, strict=False):
+    for i, fields in enumerate(channels):
+        name = fields[0].strip() if named else ""
         try:
-            times = [parse_number(field) for field in fields]
+            times = [parse_number(field) for field in fields[named:]]
         except ValueError:
             return None
         known = [time for time in times if not np.isnan(time)]
@@ -238,5 +184,5 @@ def _trains(names: Sequence[str], columns: Sequence[Sequence[str]]) -> Trains | 
         if any(not np.isnan(time) for time in times[len(known) :]) or known != sorted(known):
             return None
         fractions = fractions or any(time % 1 for time in known)
-        trains.append((name, known))
-    return trains if fractions and any(times for _, times in trains) else None
+        found.append((name or f"channel{i + 1}", known))
+    return found if fractions else None
