@@ -81,6 +81,17 @@ def fit_similarity(
     return Similarity(rotation, scale, target_mean - scale * rotation @ source_mean)
 
 
+def similarity_freedom(n_points: int, dimensions: int, *, scaling: bool = True) -> int:
+    """Return the degrees of freedom of the residuals of a similarity, at least 0."""
+    k = dimensions
+    return max(0, n_points * k - k - k * (k - 1) // 2 - scaling)
+
+
+def extent(points: NDArray[np.float64]) -> float:
+    """Return the root of the summed variance of the coordinates. points (n, k)."""
+    return float(np.sqrt(np.sum(np.var(points, axis=0))))
+
+
 def noise_scale(residuals: NDArray[np.float64], dimensions: int) -> float:
     """Estimate the standard deviation per coordinate from lengths of residuals, robustly.
 

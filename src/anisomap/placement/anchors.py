@@ -11,12 +11,13 @@ from scipy.special import fdtri
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
 from anisomap.numerics.neighbours import nearest_others
-from anisomap.numerics.procrustes import SINGULAR
+from anisomap.numerics.procrustes import SINGULAR, similarity_freedom
+from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import METRES
 from anisomap.placement.handedness import (
     PRIOR_FREEDOM,
     Known,
-    Normals,
+    Tied,
     choose_hand,
     field_kernel,
     fit_scaled,
@@ -207,66 +208,61 @@ class AnchorFit:
     reflected: bool
     handed: bool
 
+    @property
+    def how(self) -> str:
+        """How the map was transformed."""
+        return "similarity and smooth field" if self.warped else "similarity"
+
 
 def fit_anchors(
-    positions: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    known: Known,
-    normals: Normals | None = None,
+    tied: Tied, known: Known, normals: tuple[Points, Points] | None = None
 ) -> AnchorFit:
     """Transform a map to the frame of its anchors.
 
     A similarity and a smooth field of corrections are fitted together. The scale is weighted by the
     precision of the anchors and of prior knowledge. With `MIN_LEFT_OUT` anchors or more, another
     field is used if it predicts anchors that were left out better.
-
-    positions (N, k), targets (n, k).
     """
-    _check_spread(positions, sensors, known.spacing)
-    _check_extent(targets)
-    reflected, handed = choose_hand(positions, sensors, targets, known, normals)
-    x, y = positions[sensors], targets
+    x, y = tied.anchors, tied.targets
+    _check_spread(x, known.spacing)
+    _check_extent(y)
+    reflected, handed = choose_hand(tied, known, normals)
     fit = fit_scaled(x, y, known, reflected)
     n, k = y.shape
-    usual = field_kernel(fit.apply(positions), _REACH, _NOISE)
-    kernel = usual
+    kernel = usual = field_kernel(fit.apply(tied.positions), _REACH, _NOISE)
     left_out = np.full(n, np.nan)
-    spacing = fit.scale * known.spacing
-    freedom = n * k - k - k * (k - 1) // 2 - int(not np.isfinite(known.scale_sigma))
+    freedom = similarity_freedom(n, k, scaling=not np.isfinite(known.scale_sigma))
     variance = (fit.scale * known.sigma) ** 2 * PRIOR_FREEDOM
     if n >= MIN_LEFT_OUT:
-        size = usual.reach / _REACH
-        reaches = sorted({max(factor * size, _MIN_REACH * spacing) for factor in _REACHES})
+        shortest = _MIN_REACH * (fit.scale * known.spacing)
+        reaches = sorted({max(factor * (usual.reach / _REACH), shortest) for factor in _REACHES})
         kernels = [usual, *(Kernel(reach, noise) for reach in reaches for noise in _NOISES)]
         kernel, predictions, relative = _choose_kernel(x, y, known, reflected, kernels)
         left_out = np.linalg.norm(predictions - y, axis=1)
         variance += float(np.sum(left_out**2 / relative)) * freedom / (n * k)
     else:
         variance += float(np.sum((fit.apply(x) - y) ** 2))
-    variance /= PRIOR_FREEDOM + max(freedom, 0)
-    found = krige(x, y, positions, fit, known, kernel=kernel, validated=kernel is not usual)
-    quantile = fdtri(k, PRIOR_FREEDOM + max(freedom, 0), COVERAGE)
+    variance /= PRIOR_FREEDOM + freedom
+    warped = kernel is not usual
+    found = krige(x, y, tied.positions, fit, known, kernel=kernel, validated=warped)
+    quantile = fdtri(k, PRIOR_FREEDOM + freedom, COVERAGE)
     return AnchorFit(
         positions=found.positions,
         errors=np.sqrt(variance * found.relative * k * quantile),
         residuals=np.linalg.norm(fit.apply(x) - y, axis=1),
         left_out=left_out,
-        warped=kernel is not usual,
+        warped=warped,
         reflected=reflected,
         handed=handed,
     )
 
 
-def _check_spread(
-    positions: NDArray[np.float64], sensors: NDArray[np.intp], spacing: float
-) -> None:
-    n, k = len(sensors), positions.shape[1]
+def _check_spread(anchors: Points, spacing: float) -> None:
+    n, k = anchors.shape
     if n < k:
         raise InputError(f"positions in {k} coordinates need at least {k} anchors, got {n}")
-    anchors = positions[sensors] - positions[sensors].mean(axis=0)
-    spread = np.linalg.svd(anchors, compute_uv=False)[k - 2] / np.sqrt(n)
-    if spread < spacing / 2:
+    widths = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
+    if widths[k - 2] / np.sqrt(n) < spacing / 2:
         where = "at one place" if k == 2 else "on a line"
         raise InputError(
             f"the {n} anchors lie {where} on the map, so the rotation is unknown; give another "
@@ -274,7 +270,7 @@ def _check_spread(
         )
 
 
-def _check_extent(targets: NDArray[np.float64]) -> None:
+def _check_extent(targets: Points) -> None:
     """Check that anchors are apart, and that products of four lengths do not overflow."""
     furthest = float(np.abs(targets).max())
     if not furthest < _MAX_LENGTH:
@@ -290,12 +286,8 @@ def _check_extent(targets: NDArray[np.float64]) -> None:
 
 
 def _choose_kernel(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    known: Known,
-    reflected: bool,
-    kernels: list[Kernel],
-) -> tuple[Kernel, NDArray[np.float64], NDArray[np.float64]]:
+    x: Points, y: Points, known: Known, reflected: bool, kernels: list[Kernel]
+) -> tuple[Kernel, Points, NDArray[np.float64]]:
     """Choose a field of corrections by leaving anchors out.
 
     Another field than the first is used only if it lowers the squared error of anchors that were

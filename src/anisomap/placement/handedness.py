@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,14 @@ from scipy.special import logsumexp
 
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
-from anisomap.numerics.procrustes import SINGULAR, Similarity, fit_similarity
+from anisomap.numerics.procrustes import (
+    SINGULAR,
+    Similarity,
+    extent,
+    fit_similarity,
+    similarity_freedom,
+)
+from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import median_spacing
 from anisomap.sensor_map import SensorMap
 
@@ -29,6 +37,20 @@ degrees of freedom it is .40.
 ERROR_EVEN, ERROR_UNEVEN = 0.06, 0.25
 
 
+@dataclass(frozen=True, eq=False)
+class Tied:
+    """A map with anchors: positions (N, k), rows of the anchors (n,), and their places (n, k)."""
+
+    positions: Points
+    sensors: NDArray[np.intp]
+    targets: Points
+
+    @property
+    def anchors(self) -> Points:
+        """Positions of the anchors on the map."""
+        return self.positions[self.sensors]
+
+
 @dataclass(frozen=True)
 class Known:
     """What is known of a map before anchors are used.
@@ -43,10 +65,10 @@ class Known:
 
     spacing: float
     size: float
-    uneven: bool = False
-    scale_sigma: float = np.inf
-    evidence: float = 0.0
-    handedness: bool | None = None
+    uneven: bool
+    scale_sigma: float
+    evidence: float
+    handedness: bool | None
 
     @classmethod
     def of(
@@ -57,8 +79,7 @@ class Known:
         evidence: float = 0.0,
     ) -> Known:
         """Measure a map of one component."""
-        positions = sensor_map.positions[sensor_map.placed]
-        size = float(np.sqrt(np.sum(np.var(positions, axis=0))))
+        size = extent(sensor_map.positions[sensor_map.placed])
         spacing = median_spacing(sensor_map)
         return cls(spacing, size, sensor_map.uneven, scale_sigma, evidence, handedness)
 
@@ -68,13 +89,8 @@ class Known:
         return (ERROR_UNEVEN if self.uneven else ERROR_EVEN) * self.size
 
 
-def fit_scaled(
-    x: NDArray[np.float64], y: NDArray[np.float64], known: Known, reflected: bool
-) -> Similarity:
-    """Fit a similarity of given handedness; its scale is weighted with what is known of it.
-
-    x, y (n, k).
-    """
+def fit_scaled(x: Points, y: Points, known: Known, reflected: bool) -> Similarity:
+    """Fit a similarity of given handedness; its scale is weighted with what is known of it."""
     free = fit_similarity(x, y, reflection=reflected)
     if not np.isfinite(known.scale_sigma):
         return free
@@ -85,14 +101,12 @@ def fit_scaled(
     return Similarity(rigid.rotation, scale, rigid.translation)
 
 
-def field_kernel(placed: NDArray[np.float64], reach: float, noise: float) -> Kernel:
+def field_kernel(placed: Points, reach: float, noise: float) -> Kernel:
     """Return the covariance of a field of which the reach is given in sizes of a placed map."""
-    size = float(np.sqrt(np.sum(np.var(placed, axis=0))))
-    return Kernel(max(reach * size, float(np.finfo(float).tiny)), noise)
+    return Kernel(max(reach * extent(placed), float(np.finfo(float).tiny)), noise)
 
 
-@dataclass(frozen=True, eq=False)
-class Kriged:
+class Kriged(NamedTuple):
     """Predicted positions.
 
     positions (m, k): In the frame of the anchors.
@@ -101,15 +115,15 @@ class Kriged:
         variance of the map times the degrees of freedom.
     """
 
-    positions: NDArray[np.float64]
+    positions: Points
     relative: NDArray[np.float64]
     squares: float
 
 
 def krige(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    positions: NDArray[np.float64],
+    x: Points,
+    y: Points,
+    positions: Points,
     fit: Similarity,
     known: Known,
     *,
@@ -118,9 +132,7 @@ def krige(
 ) -> Kriged:
     """Predict positions by universal kriging, with small changes of a similarity as the drift.
 
-    x, y (n, k), positions (m, k).
-
-    Chiles & Delfiner (2012), Geostatistics, section 3.4.
+    x, y (n, k), positions (m, k). Chiles & Delfiner (2012), Geostatistics, section 3.4.
     """
     anchors, placed = fit.apply(x), fit.apply(positions)
     centre, k = anchors.mean(axis=0), anchors.shape[1]
@@ -157,7 +169,7 @@ def krige(
     )
 
 
-def _derivatives(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _derivatives(points: Points) -> NDArray[np.float64]:
     """Return derivatives of points by shift, rotation and scale of a similarity, (n, k, p)."""
     n, k = points.shape
     shift = np.tile(np.eye(k), (n, 1, 1))
@@ -198,43 +210,28 @@ succession, since none of those 62 maps was."""
 _CONCENTRATION, _REVERSED, _ASTRAY, _INWARD = 8.0, 0.15, 0.05, 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Normals:
-    """Outward unit normals of a skin.
-
-    estimated (N, 3): At the sensors of the map.
-    measured (n, 3): At the anchors on the robot; NaN if unknown.
-    """
-
-    estimated: NDArray[np.float64]
-    measured: NDArray[np.float64]
-
-
 def choose_hand(
-    positions: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    known: Known,
-    normals: Normals | None,
+    tied: Tied, known: Known, normals: tuple[Points, Points] | None
 ) -> tuple[bool, bool]:
-    """Decide between a map and its mirror image."""
-    flat, evidence, irrelevant = is_flat(positions), known.evidence, True
+    """Decide whether a map is a mirror image, and return whether that is known.
+
+    normals: Outward unit normals at the anchors, estimated from the map and measured on the robot,
+        both (n, 3); NaN if unknown.
+    """
+    flat, evidence, irrelevant = is_flat(tied.positions), known.evidence, True
     if not flat:
-        found = _evidence(positions, sensors, targets, known)
-        evidence, irrelevant = evidence + found.value, found.irrelevant
-    if irrelevant and positions.shape[1] == 3:
+        found, irrelevant = _evidence(tied, known)
+        evidence += found
+    dimensions = tied.targets.shape[1]
+    if irrelevant and dimensions == 3:
         # Two rotations put one plane on another; the maps that they place are mirror images of each
         # other. The fit takes the better rotation, so anchors must show that it is the right one.
-        within = _evidence(in_plane(positions), sensors, in_plane(targets), known)
-        if abs(within.value) < DECISIVE and not within.irrelevant:
-            raise InputError(_undecided(len(sensors), 2, known.uneven, sides=True))
+        plane = Tied(in_plane(tied.positions), tied.sensors, in_plane(tied.targets))
+        within, either = _evidence(plane, known)
+        if abs(within) < DECISIVE and not either:
+            raise InputError(_undecided(len(tied.sensors), 2, known.uneven, sides=True))
     if normals is not None:
-        same, mirror = (
-            fit_scaled(positions[sensors], targets, known, reflected) for reflected in (False, True)
-        )
-        evidence += normals_evidence(
-            (same, mirror), normals.estimated[sensors], normals.measured, sided=flat
-        )
+        evidence += normals_evidence(_both_hands(tied, known), *normals, sided=flat)
     if known.handedness is not None:
         against = evidence if known.handedness else -evidence
         if against > DECISIVE:
@@ -246,7 +243,7 @@ def choose_hand(
         return evidence < 0, True
     if irrelevant:
         return evidence < 0, False
-    raise InputError(_undecided(len(sensors), positions.shape[1], known.uneven))
+    raise InputError(_undecided(len(tied.sensors), dimensions, known.uneven))
 
 
 def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False) -> str:
@@ -266,45 +263,29 @@ def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False
     )
 
 
-@dataclass(frozen=True)
-class _Evidence:
-    """Log likelihood ratio of a map against its mirror image, and whether both agree anyway."""
-
-    value: float
-    irrelevant: bool
+def _both_hands(tied: Tied, known: Known) -> list[Similarity]:
+    return [fit_scaled(tied.anchors, tied.targets, known, hand) for hand in (False, True)]
 
 
-def _evidence(
-    positions: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    known: Known,
-) -> _Evidence:
-    """Compare how well anchors fit a map and its mirror image."""
-    n, k = targets.shape
-    x = positions[sensors]
-    fits = [fit_scaled(x, targets, known, reflected) for reflected in (False, True)]
+def _evidence(tied: Tied, known: Known) -> tuple[float, bool]:
+    """Compare how well anchors fit a map and its mirror image.
+
+    Returns the log likelihood ratio, and whether both agree anyway.
+    """
+    x, y, fits = tied.anchors, tied.targets, _both_hands(tied, known)
     # Errors are those of the map, so residuals are converted to its unit, by one factor for both
     # hands: the fitted scale of the wrong hand is too small, which would make its errors too small.
-    unit = np.sum((x - x.mean(axis=0)) ** 2) / np.sum((targets - targets.mean(axis=0)) ** 2)
+    unit = float(np.sum((x - x.mean(axis=0)) ** 2) / np.sum((y - y.mean(axis=0)) ** 2))
+    placed = [fit.apply(tied.positions) for fit in fits]
+    kernels = [field_kernel(points, FIELD_REACH, FIELD_NOISE) for points in placed]
     same, mirror = (
-        float(unit)
-        * krige(
-            x,
-            targets,
-            x,
-            fit,
-            known,
-            kernel=field_kernel(fit.apply(positions), FIELD_REACH, FIELD_NOISE),
-        ).squares
-        for fit in fits
+        unit * krige(x, y, x, fit, known, kernel=kernel).squares
+        for fit, kernel in zip(fits, kernels, strict=True)
     )
-    freedom = n * k - k - k * (k - 1) // 2 - 1
+    freedom = similarity_freedom(*y.shape)
     value = mirror_evidence((same, mirror), freedom, known.size, uneven=known.uneven)
-    better = int(mirror < same)
-    apart = fits[0].apply(positions) - fits[1].apply(positions)
-    error = fits[better].scale * ERROR_EVEN * known.size
-    return _Evidence(value, float(np.mean(apart**2)) < error**2)
+    error = fits[int(mirror < same)].scale * ERROR_EVEN * known.size
+    return value, float(np.mean((placed[0] - placed[1]) ** 2)) < error**2
 
 
 def mirror_evidence(
@@ -322,40 +303,32 @@ def mirror_evidence(
 
     def log_likelihood(value: float) -> float:
         peaks = PRIOR_FREEDOM / 2 * np.log(prior)
-        tails = (PRIOR_FREEDOM + max(freedom, 0)) / 2 * np.log(prior + value)
+        tails = (PRIOR_FREEDOM + freedom) / 2 * np.log(prior + value)
         return float(logsumexp(peaks - tails, b=[1 - doubt, doubt]))
 
     return log_likelihood(squares[0]) - log_likelihood(squares[1])
 
 
-def is_flat(positions: NDArray[np.float64]) -> bool:
+def is_flat(positions: Points) -> bool:
     """Return whether points in space are in a plane, up to rounding."""
     widths = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     return positions.shape[1] == 3 and bool(widths[-1] <= SINGULAR * widths[0])
 
 
-def in_plane(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def in_plane(points: Points) -> Points:
     """Return the coordinates of points in the plane fitted to them, shape (n, 2)."""
     centred = points - points.mean(axis=0)
     return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T)
 
 
 def normals_evidence(
-    fits: tuple[Similarity, Similarity],
-    estimated: NDArray[np.float64],
-    measured: NDArray[np.float64],
-    *,
-    sided: bool,
+    fits: list[Similarity], estimated: Points, measured: Points, *, sided: bool
 ) -> float:
-    """Compare normals of a map and of its mirror image with normals that were measured.
-
-    estimated (n, 3), measured (n, 3).
-    """
+    """Compare normals of a map and of its mirror image with normals that were measured."""
     known = np.isfinite(measured).all(axis=1)
     if not known.any():
         return 0.0
-    wrong = 0.0 if sided else _REVERSED
-    inward = 0.0 if sided else _INWARD
+    wrong, inward = (0.0, 0.0) if sided else (_REVERSED, _INWARD)
     likelihoods = []
     for fit in fits:
         cosines = np.einsum("ni,ni->n", estimated[known] @ fit.rotation.T, measured[known])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,32 +77,10 @@ class KinematicTree:
                 raise InputError(f"two joints have the name {joint.name!r}")
             self._above[joint.child] = self._joints[joint.name] = joint
         self._links = {link for joint in joints for link in (joint.parent, joint.child)}
-        rooted: set[str] = set()
-        for link in self._links:
-            path, here = [], link
-            while here in self._above and here not in rooted:
-                path.append(here)
-                here = self._above[here].parent
-                if len(path) > len(self._above):
-                    raise InputError(f"the joints above link {link!r} form a loop")
-            rooted.update(path)
-
-    def path(self, link: str, other: str) -> tuple[list[Joint], list[Joint]]:
-        """Return the joints from the last common link to each of two links, from the top.
-
-        Raises
-        ------
-        InputError
-            If a link is unknown, or no chain of joints connects them.
-        """
-        chains = [self._chain(name) for name in (link, other)]
-        roots = [chain[0].parent if chain else name
-                 for chain, name in zip(chains, (link, other), strict=True)]  # fmt: skip
-        if roots[0] != roots[1]:
-            raise InputError(f"no joints connect the links {link!r} and {other!r}")
-        while all(chains) and chains[0][0] is chains[1][0]:
-            chains = [chain[1:] for chain in chains]
-        return chains[0], chains[1]
+        try:
+            TopologicalSorter({joint.child: [joint.parent] for joint in joints}).prepare()
+        except CycleError as error:
+            raise InputError(f"the joints above link {error.args[1][0]!r} form a loop") from error
 
     def relative_pose(
         self, link: str, other: str, angles: Mapping[str, NDArray[np.float64]]
@@ -127,12 +106,19 @@ class KinematicTree:
             If a link is unknown, an angle is missing, or a joint between the links is neither
             fixed, revolute, continuous nor prismatic.
         """
-        to_link, to_other = self.path(link, other)
+        to_link, to_other = self._chain(link), self._chain(other)
+        roots = {chain[0].parent if chain else name
+                 for chain, name in ((to_link, link), (to_other, other))}  # fmt: skip
+        if len(roots) > 1:
+            raise InputError(f"no joints connect the links {link!r} and {other!r}")
+        while to_link and to_other and to_link[0] is to_other[0]:
+            to_link, to_other = to_link[1:], to_other[1:]
         return np.asarray(
             np.linalg.inv(self._along(to_link, angles)) @ self._along(to_other, angles)
         )
 
     def _chain(self, link: str) -> list[Joint]:
+        """Return the joints above a link, from the top."""
         if link not in self._links:
             raise InputError(
                 f"the robot has no link {link!r}; its links are {', '.join(sorted(self._links))}"

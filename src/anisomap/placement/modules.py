@@ -10,14 +10,23 @@ import string
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.numerics.neighbours import nearest_distances
-from anisomap.numerics.procrustes import Evidence, Poses, fit_poses, fit_similarity
+from anisomap.numerics.neighbours import nearest_distances, padded
+from anisomap.numerics.procrustes import (
+    Evidence,
+    Poses,
+    extent,
+    fit_poses,
+    fit_similarity,
+    similarity_freedom,
+)
+from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import METRES, mirrored
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import noun_and_items
@@ -26,10 +35,6 @@ NO_MODULE = -1
 """Index of the module, or of the pad, of a sensor without one."""
 
 _MAX_DIGITS = 9  # longer numbers are serial numbers, not positions on a cable
-
-
-def _no_template() -> NDArray[np.float64]:
-    return np.empty((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +64,7 @@ class Modules:
     index: NDArray[np.intp]
     pads: NDArray[np.intp]
     labels: tuple[str, ...]
-    template: NDArray[np.float64] = field(default_factory=_no_template)
+    template: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     units: str = ""
 
     def __post_init__(self) -> None:
@@ -78,16 +83,25 @@ class Modules:
             raise InputError(f"modules must be numbered from 0 to {len(self.labels) - 1}, or -1")
         if template.ndim != 2 or template.shape[1] not in (2, 3):
             raise InputError(f"a template must have shape (P, 2) or (P, 3), got {template.shape}")
-        _check_pads(index, pads, tuple(self.labels), template)
-        for array in (index, pads, template):
+        object.__setattr__(self, "labels", tuple(self.labels))
+        for name, array in (("index", index), ("pads", pads), ("template", template)):
             array.setflags(write=False)
-        for name, value in {
-            "index": index,
-            "pads": pads,
-            "labels": tuple(self.labels),
-            "template": template,
-        }.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, array)
+        self._check_pads()
+
+    def _check_pads(self) -> None:
+        """Check that no two sensors share a pad, and that the template has all pads, if known."""
+        taken = Counter(zip(self.index.tolist(), self.pads.tolist(), strict=True))
+        exists = set(np.flatnonzero(np.isfinite(self.template).all(axis=1)).tolist())
+        for (module, pad), count in taken.items():
+            if module != NO_MODULE and count > 1:
+                label = self.labels[module]
+                raise InputError(f"{count} sensors share pad {pad} of module {label}")
+            if module != NO_MODULE and len(self.template) and pad not in exists:
+                raise InputError(
+                    f"a sensor is pad {pad} of module {self.labels[module]}, but the template has "
+                    f"no such pad (it has {len(exists)})"
+                )
 
     @property
     def n_modules(self) -> int:
@@ -143,26 +157,6 @@ class Modules:
     def select(self, sensors: NDArray[np.intp]) -> Modules:
         """Return the modules of some sensors, in that order; modules keep their numbers."""
         return replace(self, index=self.index[sensors], pads=self.pads[sensors])
-
-
-def _check_pads(
-    index: NDArray[np.intp],
-    pads: NDArray[np.intp],
-    labels: tuple[str, ...],
-    template: NDArray[np.float64],
-) -> None:
-    """Check that no two sensors share a pad, and that the template has all pads, if known."""
-    taken = Counter(zip(index.tolist(), pads.tolist(), strict=True))
-    for (module, pad), count in taken.items():
-        if module != NO_MODULE and count > 1:
-            raise InputError(f"{count} sensors share pad {pad} of module {labels[module]}")
-    exists = set(np.flatnonzero(np.isfinite(template).all(axis=1)).tolist())
-    for module, pad in taken:
-        if len(template) and module != NO_MODULE and pad not in exists:
-            raise InputError(
-                f"a sensor is pad {pad} of module {labels[module]}, but the template has no such "
-                f"pad (it has {len(exists)})"
-            )
 
 
 def modules_by_size(names: Sequence[str], size: int, first: int | None = None) -> Modules:
@@ -281,7 +275,8 @@ _REACH = 4.0  # pitches between sensors whose distance on the map is used
 _MIN_NOISE = 1e-3  # pitches; keeps weights finite on exact maps
 _MAX_STRETCH = 2.0  # of a module on the map, relative to the median of all
 
-_MIN_PADS = 3  # placed pads that determine the pose of a module
+MIN_PADS = 3
+"""Number of placed pads that determine the pose of a module."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,50 +335,35 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
     k = sensor_map.dimensions
     if k not in (2, 3) or len(sensor_map.component_sizes) != 1:
         raise InputError("modules are fitted to one component of a map of 2 or 3 dimensions")
-    if template.shape[1] > k and np.ptp(template[:, 2][np.isfinite(template[:, 2])]) > 0:
+    pads = template[np.isfinite(template).all(axis=1)]
+    if template.shape[1] > k and np.ptp(pads[:, 2]) > 0:
         raise InputError("modules that are not flat need a map of three dimensions")
-    offsets = np.pad(modules.offsets[:, :k], ((0, 0), (0, max(0, k - template.shape[1]))))
-    placed = sensor_map.placed
-    fitted = [
-        m
-        for m in range(modules.n_modules)
-        if np.count_nonzero(placed & (modules.index == m)) >= _MIN_PADS
-    ]
-    if not fitted:
-        raise InputError(f"no module has {_MIN_PADS} sensors with a position on the map")
+    offsets, placed = padded(modules.offsets[:, :k], k), sensor_map.placed
+    counts = np.bincount(modules.index[placed] + 1, minlength=modules.n_modules + 1)[1:]
+    fitted = np.flatnonzero(counts >= MIN_PADS)
+    if not fitted.size:
+        raise InputError(f"no module has {MIN_PADS} sensors with a position on the map")
     number = np.full(modules.n_modules + 1, NO_MODULE)  # the last is for sensors on no module
     number[fitted] = np.arange(len(fitted))
     body = number[modules.index]
-    evidence = _handedness(sensor_map.positions, offsets, body, placed)
+    groups = [np.flatnonzero(placed & (body == b)) for b in range(len(fitted))]
+    evidence = _handedness(sensor_map.positions, offsets, groups)
     chosen = mirrored(sensor_map) if evidence < 0 else sensor_map
-    pitch = _pitch(template)
-    positions, rms = _refined(chosen.positions, offsets, body, placed, pitch)
-    known = np.isfinite(positions).all(axis=1)
-    left_out = {int(m) for m in np.unique(modules.index[placed])} - {NO_MODULE, *fitted}
+    pitch = float(np.median(nearest_distances(pads)))
+    alone = _fit_alone(chosen.positions, offsets, groups, pitch)
+    positions = _refined(chosen, offsets, body, alone, pitch)
+    component = np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED)
     return ModuleFit(
-        map=replace(
-            chosen,
-            positions=positions,
-            component=np.where(known, 0, UNPLACED),
-            units=modules.units,
-        ),
-        rms=rms,
+        map=replace(chosen, positions=positions, component=component, units=modules.units),
+        rms=alone.rms,
         evidence=evidence,
-        left_out=tuple(modules.labels[m] for m in sorted(left_out)),
+        left_out=tuple(
+            modules.labels[m] for m in np.flatnonzero((counts > 0) & (counts < MIN_PADS))
+        ),
     )
 
 
-def _pitch(template: NDArray[np.float64]) -> float:
-    pads = template[np.isfinite(template).all(axis=1)]
-    return float(np.median(nearest_distances(pads)))
-
-
-def _handedness(
-    positions: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    body: NDArray[np.intp],
-    placed: NDArray[np.bool_],
-) -> float:
+def _handedness(positions: Points, offsets: Points, groups: list[NDArray[np.intp]]) -> float:
     """Compare the errors of modules on the map and on its mirror image, as a log likelihood ratio.
 
     Modules are scaled to the map one by one, so its distortion does not count as an error. The
@@ -391,8 +371,7 @@ def _handedness(
     """
     squares = np.zeros(2)
     freedom = 0
-    for b in range(int(body.max()) + 1):
-        members = np.flatnonzero(placed & (body == b))
+    for members in groups:
         source, target = offsets[members], positions[members]
         size = float(np.mean((target - target.mean(axis=0)) ** 2))
         if not size > 0:
@@ -400,90 +379,66 @@ def _handedness(
         for i, reflection in enumerate((False, True)):
             fit = fit_similarity(source, target, reflection=reflection)
             squares[i] += float(np.sum((fit.apply(source) - target) ** 2)) / size
-        k = target.shape[1]
-        freedom += max(0, target.size - k - k * (k - 1) // 2 - 1)
+        freedom += similarity_freedom(*target.shape)
     if not freedom or not squares.any():
         return 0.0
     same, mirror = np.maximum(squares, np.finfo(float).eps)
     return float(freedom / 2 * np.log(mirror / same))
 
 
-@dataclass(frozen=True, eq=False)
-class _Alone:
+class _Alone(NamedTuple):
     """Each module fitted to the map by itself.
 
-    log_scales (B,): Units of the template per unit of the map, where each module is.
-    uncertainty (B,): Standard deviation of `log_scales` from the noise of the map.
+    log_scale: Median logarithm of the units of the template per unit of the map.
+    distortion: Standard deviation of the logarithm that noise does not explain.
+    shrunk (B,): Logarithm where each module is, moved towards the median as far as noise explains.
     noise: Standard deviation of a coordinate on the map, in units of the template.
     rms: Root mean square distance between modules and map, in units of the template.
     """
 
-    log_scales: NDArray[np.float64]
-    uncertainty: NDArray[np.float64]
+    log_scale: float
+    distortion: float
+    shrunk: NDArray[np.float64]
     noise: float
     rms: float
 
-    @property
-    def typical(self) -> float:
-        """Median logarithm of the scale."""
-        return float(np.median(self.log_scales))
-
-    @property
-    def distortion(self) -> float:
-        """Standard deviation of the logarithm of the scale that noise does not explain."""
-        observed = float(np.mean((self.log_scales - self.typical) ** 2))
-        return float(np.sqrt(max(0.0, observed - float(np.mean(self.uncertainty**2)))))
-
-    @property
-    def shrunk(self) -> NDArray[np.float64]:
-        """Logarithms of scales, moved towards their median as far as noise explains them."""
-        between = self.distortion**2
-        weights = between / np.maximum(between + self.uncertainty**2, np.finfo(float).tiny)
-        limit = np.log(_MAX_STRETCH)
-        deviations = np.clip(self.log_scales - self.typical, -limit, limit)
-        return np.asarray(self.typical + weights * deviations)
-
 
 def _fit_alone(
-    positions: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    groups: list[NDArray[np.intp]],
-    pitch: float,
+    positions: Points, offsets: Points, groups: list[NDArray[np.intp]], pitch: float
 ) -> _Alone:
-    scales, spreads = [], []
+    found, spreads = [], []
     squares, count, freedom = 0.0, 0, 0
-    k = positions.shape[1]
+    tiny = float(np.finfo(float).tiny)
     for members in groups:
         # Noise of the map lowers this scale; the scale of the inverse fit, which it does not lower,
         # was 1 to 6 % too large on maps of the tuning, as they shrink short distances.
         fit = fit_similarity(positions[members], offsets[members], reflection=False)
-        scales.append(max(fit.scale, float(np.finfo(float).tiny)))
+        found.append(max(fit.scale, tiny))
         residual = fit.apply(positions[members]) - offsets[members]
         centred = offsets[members] - offsets[members].mean(axis=0)
         spreads.append(float(np.sum(centred**2)))
         squares, count = squares + float(np.sum(residual**2)), count + len(members)
-        freedom += max(0, members.size * k - k - k * (k - 1) // 2 - 1)
+        freedom += similarity_freedom(*residual.shape)
     noise = max(float(np.sqrt(squares / max(freedom, 1))), _MIN_NOISE * pitch)
-    return _Alone(
-        np.log(np.array(scales)),
-        noise / np.sqrt(np.maximum(spreads, np.finfo(float).tiny)),
-        noise,
-        float(np.sqrt(squares / count)),
-    )
+    scales = np.log(np.array(found))
+    uncertainty = noise / np.sqrt(np.maximum(spreads, tiny))
+    typical = float(np.median(scales))
+    observed = float(np.mean((scales - typical) ** 2))
+    distortion = float(np.sqrt(max(0.0, observed - float(np.mean(uncertainty**2)))))
+    weights = distortion**2 / np.maximum(distortion**2 + uncertainty**2, tiny)
+    limit = np.log(_MAX_STRETCH)
+    shrunk = typical + weights * np.clip(scales - typical, -limit, limit)
+    return _Alone(typical, distortion, shrunk, noise, float(np.sqrt(squares / count)))
 
 
 def _refined(
-    positions: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    body: NDArray[np.intp],
-    placed: NDArray[np.bool_],
-    pitch: float,
-) -> tuple[NDArray[np.float64], float]:
-    """Return positions in units of the template, and the misfit of modules on the map."""
-    n_modules, k = int(body.max()) + 1, positions.shape[1]
+    sensor_map: SensorMap, offsets: Points, body: NDArray[np.intp], alone: _Alone, pitch: float
+) -> Points:
+    """Return positions in units of the template."""
+    positions, placed = sensor_map.positions, sensor_map.placed
+    n_modules, k = len(alone.shrunk), positions.shape[1]
     groups = [np.flatnonzero(placed & (body == b)) for b in range(n_modules)]
-    alone = _fit_alone(positions, offsets, groups, pitch)
-    scaled = np.exp(alone.typical) * positions
+    scaled = np.exp(alone.log_scale) * positions
     free = np.flatnonzero(placed & (body == NO_MODULE))
     bodies = body.copy()
     bodies[free] = n_modules + np.arange(len(free))
@@ -502,10 +457,9 @@ def _refined(
     lengths = apart * np.exp(stretch[bodies[pairs]].mean(axis=1))
     # Distortions of the scale add up from module to module like the steps of a random walk.
     pads = max(len(members) for members in groups)
-    size = float(np.sqrt(np.sum(np.var(scaled[here], axis=0))))
     step = float(np.sqrt(np.median([np.sum(np.var(scaled[m], axis=0)) for m in groups])))
     # All modules share such a drift, so their positions are as good as those of one module.
-    drift = n_modules * alone.distortion**2 * size * step
+    drift = n_modules * alone.distortion**2 * extent(scaled[here]) * step
     poses = fit_poses(
         Poses(rotation, translation),
         arms,
@@ -522,4 +476,4 @@ def _refined(
     found = np.full_like(positions, np.nan)
     known = bodies >= 0
     found[known] = poses.points(arms[known], bodies[known])
-    return found, alone.rms
+    return found

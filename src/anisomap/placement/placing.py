@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.surfaces import Points
 from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     METRES,
     check_placeable,
     mirrored,
-    pad_to_3d,
     rescaled,
     scaled_to_spacing,
     surface_normals,
 )
-from anisomap.placement.handedness import DECISIVE, Known, Normals
-from anisomap.placement.modules import NO_MODULE, Modules, fit_modules
+from anisomap.placement.handedness import DECISIVE, Known, Tied
+from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules, fit_modules
 from anisomap.placement.surface import (
     Surface,
     bend_to_surface,
@@ -36,7 +38,6 @@ from anisomap.wording import join_items
 # Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on the iCub hexagon and
 # on simulated hexagons, seeds 201 to 203; that of the spacing is a guess on the safe side.
 _MODULE_SCALE, _SPACING_SCALE = 0.04, 0.2
-_MIN_PADS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +115,20 @@ def place(
             "the map has no scale: give anchors, modules, or the spacing of the sensors "
             "(--anchors, --module-layout or --spacing)"
         )
-    parts = [_scaled(part, modules, spacing) for part in _components(sensor_map)]
+    parts = []
+    for label in range(len(sensor_map.component_sizes)):
+        members = sensor_map.component == label
+        positions = np.where(members[:, None], sensor_map.positions, np.nan)
+        component = np.where(members, 0, UNPLACED)
+        part = replace(sensor_map, positions=positions, component=component)
+        parts.append(_scaled(part, modules, spacing))
     if anchors is None:
         return _unanchored(sensor_map, parts, stated)
     surface = None if mesh is None else Surface(mesh)
     return _anchored(sensor_map, parts, anchors, _Shape(modules, surface, stated))
 
 
-@dataclass(frozen=True, eq=False)
-class _Shape:
+class _Shape(NamedTuple):
     """What is known of the shape of the skin, and its stated handedness."""
 
     modules: Modules | None
@@ -130,8 +136,7 @@ class _Shape:
     mirrored: bool | None
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
+class _Part(NamedTuple):
     """A component of the map: all sensors, placed or not, and what is known of it.
 
     rigid: Whether it was fitted by its modules.
@@ -140,28 +145,22 @@ class _Part:
     map: SensorMap
     scale_sigma: float = np.inf
     evidence: float = 0.0
-    how: str = ""
+    how: str = "not placed: no module has 3 of its sensors"
     rigid: bool = False
 
-
-def _components(sensor_map: SensorMap) -> list[SensorMap]:
-    """Return each component with all sensors, those of other components without a position."""
-    parts = []
-    for label in range(len(sensor_map.component_sizes)):
-        members = sensor_map.component == label
-        positions = np.where(members[:, None], sensor_map.positions, np.nan)
-        parts.append(
-            replace(sensor_map, positions=positions, component=np.where(members, 0, UNPLACED))
-        )
-    return parts
+    def fresh(self, whole: SensorMap, label: int) -> NDArray[np.bool_]:
+        """Mask its sensors, without those that another component of the map places."""
+        return np.asarray(self.map.placed & (whole.placed <= (whole.component == label)))
 
 
 def _scaled(part: SensorMap, modules: Modules | None, spacing: tuple[float, str] | None) -> _Part:
     """Scale a component by its modules, else by its spacing."""
-    if modules is not None and _has_module(part, modules):
-        fit = fit_modules(part, modules)
-        scaled, evidence = _in_metres(fit.map), abs(fit.evidence)
-        return _Part(scaled, _MODULE_SCALE, evidence, "scaled by its modules", rigid=True)
+    if modules is not None:
+        on_module = modules.index[part.placed & (modules.index != NO_MODULE)]
+        if np.bincount(on_module, minlength=1).max() >= MIN_PADS:
+            fit = fit_modules(part, modules)
+            how, evidence = "scaled by its modules", abs(fit.evidence)
+            return _Part(_in_metres(fit.map), _MODULE_SCALE, evidence, how, rigid=True)
     if spacing is not None and np.count_nonzero(part.placed) > 1:
         scaled = _in_metres(scaled_to_spacing(part, *spacing))
         return _Part(scaled, _SPACING_SCALE, how="scaled by its spacing")
@@ -169,11 +168,6 @@ def _scaled(part: SensorMap, modules: Modules | None, spacing: tuple[float, str]
         how = f"in {part.units}, converted to m"
         return _Part(_in_metres(part), _SPACING_SCALE, how=how)
     return _Part(part)
-
-
-def _has_module(part: SensorMap, modules: Modules) -> bool:
-    on_module = modules.index[part.placed & (modules.index != NO_MODULE)]
-    return bool(on_module.size) and int(np.bincount(on_module).max()) >= _MIN_PADS
 
 
 def _in_metres(sensor_map: SensorMap) -> SensorMap:
@@ -185,47 +179,31 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
     positions = np.full_like(sensor_map.positions, np.nan)
     covariances = np.full((*positions.shape, positions.shape[1]), np.nan)
     component = np.full(sensor_map.n_sensors, UNPLACED)
-    methods, handed, mirror = [], True, sensor_map.mirrored
+    handed, mirror = True, sensor_map.mirrored
     for label, part in enumerate(parts):
         if part.map.units != "m":
-            methods.append("not placed: no module has 3 of its sensors")
             continue
-        known = part.map
-        hand = part.evidence >= DECISIVE
+        known, hand = part.map, part.evidence >= DECISIVE
         if not hand and stated is not None:
             known, hand = (mirrored(known) if stated else known), True
         handed = handed and hand
         mirror = known.mirrored if label == 0 else mirror
-        fresh = known.placed & (sensor_map.placed <= (sensor_map.component == label))
+        fresh = part.fresh(sensor_map, label)
         positions[fresh], component[fresh] = known.positions[fresh], label
         if known.covariances is not None:
             covariances[fresh] = known.covariances[fresh]
-        methods.append(part.how)
     labels = np.unique(component[component != UNPLACED])
-    renumbered = np.where(component == UNPLACED, UNPLACED, np.searchsorted(labels, component))
-    missing = _missing(sensor_map, renumbered)
     result = replace(
         sensor_map,
         positions=positions,
-        component=renumbered,
+        component=np.where(component == UNPLACED, UNPLACED, np.searchsorted(labels, component)),
         covariances=None if sensor_map.covariances is None else covariances,
         units="m",
         handed=handed,
         mirrored=mirror,
-        notes=(*sensor_map.notes, *_left_out_note(missing)),
     )
-    empty = np.empty(0)
-    return Placement(result, (), empty, empty, tuple(methods), missing)
-
-
-@dataclass(frozen=True, eq=False)
-class _PlacedPart:
-    """A component in the frame of the robot."""
-
-    fit: AnchorFit
-    positions: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    method: str
+    found = Placement(result, (), np.empty(0), np.empty(0), tuple(part.how for part in parts), ())
+    return _with_missing(found, sensor_map)
 
 
 def _place_part(
@@ -234,35 +212,37 @@ def _place_part(
     anchored: NDArray[np.intp],
     anchors: Anchors,
     shape: _Shape,
-) -> _PlacedPart:
-    """Place the sensors `members` of a component by the anchors of its sensors `anchored`."""
-    targets = anchors.positions
-    k = targets.shape[1]
-    points = part.map.positions[members]
-    points = points if k == points.shape[1] else pad_to_3d(points)
-    index, evidence = np.searchsorted(members, anchored), part.evidence
-    if shape.surface is not None and len(index) >= k:
-        evidence += surface_evidence(points, index, targets, shape.surface)
+) -> tuple[AnchorFit, Points, Points, str]:
+    """Place the sensors `members` of a component by the anchors of its sensors `anchored`.
+
+    Returns the fit, positions and normals (n, 3), and how they were found.
+    """
+    k = anchors.positions.shape[1]
+    points, index = part.map.positions[members], np.searchsorted(members, anchored)
+    tied, evidence, surface = (
+        Tied(padded(points, k), index, anchors.positions),
+        part.evidence,
+        shape.surface,
+    )
+    if surface is not None and len(index) >= k:
+        evidence += surface_evidence(tied, surface)
     known = Known.of(part.map, shape.mirrored, part.scale_sigma, evidence)
     measured = None
     if anchors.normals is not None:
-        measured = Normals(surface_normals(part.map)[members], anchors.normals)
-    fit = fit_anchors(points, index, targets, known, measured)
+        measured = surface_normals(part.map)[anchored], anchors.normals
+    fit = fit_anchors(tied, known, measured)
     positions, normals = fit.positions, np.full((len(members), 3), np.nan)
-    how = "similarity and smooth field" if fit.warped else "similarity"
-    if shape.surface is not None:
+    how = fit.how
+    if surface is not None:
         if not fit.warped:
-            positions = fit_to_surface(
-                points, index, targets, shape.surface, reflection=fit.reflected
-            )
-        check_near_surface(positions, fit.errors, shape.surface)
-        bent = bend_to_surface(positions, index, targets, shape.surface)
-        positions, normals = shape.surface.nearest(bent)
+            positions = fit_to_surface(tied, surface, reflection=fit.reflected)
+        check_near_surface(positions, fit.errors, surface)
+        positions, normals = surface.nearest(bend_to_surface(positions, tied, surface))
         how += " on the mesh"
     if part.rigid and shape.modules is not None:
         how += " of rigid modules"
         positions = _rigid(positions, shape.modules.select(members))
-    return _PlacedPart(fit, positions, normals, f"{how}, {len(index)} anchors")
+    return fit, positions, normals, f"{how}, {len(index)} anchors"
 
 
 def _anchored(
@@ -270,53 +250,63 @@ def _anchored(
 ) -> Placement:
     """Place each component by its anchors, all in one frame."""
     where = _rows(sensor_map, anchors, shape)
-    k = max(anchors.positions.shape[1], sensor_map.dimensions)
-    n_sensors = sensor_map.n_sensors
+    n_sensors, k = sensor_map.n_sensors, max(anchors.positions.shape[1], sensor_map.dimensions)
     positions, normals = np.full((n_sensors, k), np.nan), np.full((n_sensors, 3), np.nan)
     errors = np.full(n_sensors, np.nan)
-    residuals, left_out = (np.full(len(where), np.nan) for _ in range(2))
-    methods, placed, failures = [], [], []
-    mirror: bool | None = None
+    residuals, left_out = np.full((2, len(where)), np.nan)
+    methods, failures = [], []
+    handed, mirror = True, []
     for label, part in enumerate(parts):
-        here = part.map.placed & (sensor_map.placed <= (sensor_map.component == label))
+        here = part.fresh(sensor_map, label)
         mine, members = np.flatnonzero(here[where]), np.flatnonzero(here)
         try:
-            found = _place_part(part, members, where[mine], anchors.select(mine), shape)
+            fit, positions[members], normals[members], how = _place_part(
+                part, members, where[mine], anchors.select(mine), shape
+            )
         except InputError as error:
             failures.append(error)
             methods.append(f"not placed: {error}")
             continue
-        placed.append(found.fit)
-        if mirror is None:
-            mirror = part.map.mirrored != found.fit.reflected
-        methods.append(found.method)
-        positions[members], normals[members] = found.positions, found.normals
-        errors[members] = found.fit.errors
-        residuals[mine], left_out[mine] = found.fit.residuals, found.fit.left_out
-    if not placed:
+        mirror.append(part.map.mirrored != fit.reflected)
+        handed = handed and fit.handed
+        methods.append(how)
+        errors[members] = fit.errors
+        residuals[mine], left_out[mine] = fit.residuals, fit.left_out
+    if not mirror:
         raise failures[0]
     if shape.modules is None:
         # What was measured is worth more than the map; modules stay rigid instead.
         measured = np.isfinite(residuals)
         positions[where[measured]] = anchors.positions[measured]
         errors[where[measured]] = 0.0
-    component = np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED)
-    missing = _missing(sensor_map, component)
     result = replace(
         sensor_map,
         positions=positions,
-        component=component,
+        component=np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED),
         errors=errors,
         covariances=None,  # errors contain them
         normals=None if shape.surface is None else normals,
         units="m",
-        handed=all(fit.handed for fit in placed),
+        handed=handed,
         anchored=True,
-        mirrored=bool(mirror),
-        notes=(*sensor_map.notes, *_left_out_note(missing)),
+        mirrored=mirror[0],
         provenance={**sensor_map.provenance, "anchors": len(where), "placed_by": methods[0]},
     )
-    return Placement(result, anchors.names, residuals, left_out, tuple(methods), missing)
+    found = Placement(result, anchors.names, residuals, left_out, tuple(methods), ())
+    return _with_missing(found, sensor_map)
+
+
+def _with_missing(found: Placement, before: SensorMap) -> Placement:
+    """Name the sensors that were left out, also in a note."""
+    after = found.map
+    missing = tuple(before.names[i] for i in np.flatnonzero(before.placed & ~after.placed))
+    if not missing:
+        return found
+    note = (
+        f"{len(missing)} sensors were left out when the map was placed, since their component "
+        f"could not be: {join_items(missing)}"
+    )
+    return replace(found, map=replace(after, notes=(*before.notes, note)), left_out=missing)
 
 
 def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.intp]:
@@ -333,31 +323,14 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
     return rows
 
 
-def _rigid(positions: NDArray[np.float64], modules: Modules) -> NDArray[np.float64]:
+def _rigid(positions: Points, modules: Modules) -> Points:
     """Give the modules of a warped map their shape again."""
     k = positions.shape[1]
-    template = modules.offsets[:, :k] * METRES[modules.units]
-    offsets = np.pad(template, ((0, 0), (0, k - template.shape[1])))
+    offsets = padded(modules.offsets[:, :k] * METRES[modules.units], k)
     found = positions.copy()
     for module in np.unique(modules.index[modules.index != NO_MODULE]):
         members = np.flatnonzero(modules.index == module)
-        if len(members) >= _MIN_PADS:
-            rigid = fit_similarity(
-                offsets[members], positions[members], scaling=False, reflection=False
-            )
-            found[members] = rigid.apply(offsets[members])
+        if len(members) >= MIN_PADS:
+            own, target = offsets[members], positions[members]
+            found[members] = fit_similarity(own, target, scaling=False, reflection=False).apply(own)
     return found
-
-
-def _missing(sensor_map: SensorMap, component: NDArray[np.intp]) -> tuple[str, ...]:
-    lost = sensor_map.placed & (component == UNPLACED)
-    return tuple(sensor_map.names[i] for i in np.flatnonzero(lost))
-
-
-def _left_out_note(missing: tuple[str, ...]) -> tuple[str, ...]:
-    if not missing:
-        return ()
-    return (
-        f"{len(missing)} sensors were left out when the map was placed, since their component "
-        f"could not be: {join_items(missing)}",
-    )

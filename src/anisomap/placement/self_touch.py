@@ -18,9 +18,10 @@ from anisomap.numerics.procrustes import (
     fit_similarity,
     noise_scale,
 )
+from anisomap.numerics.surfaces import Points
 from anisomap.placement.anchors import COVERAGE, fit_anchors
 from anisomap.placement.frames import METRES, check_placeable, median_spacing, pad_to_3d
-from anisomap.placement.handedness import Known
+from anisomap.placement.handedness import Known, Tied
 from anisomap.placement.kinematics import KinematicTree
 from anisomap.placement.placing import Placement
 from anisomap.recording import Recording, match_names
@@ -151,15 +152,14 @@ def place_by_self_touch(
         known = Known.of(sensor_map, stated)
         used = _consistent(places, targets)
         members = np.flatnonzero(sensor_map.placed)
+        n_members = len(members)
         points = np.vstack([pad_to_3d(sensor_map.positions[members]), places])
-        fit = fit_anchors(points, len(members) + np.flatnonzero(used), targets[used], known)
-        residuals = np.linalg.norm(fit.positions[len(members) :] - targets, axis=1)
-        positions = np.full((sensor_map.n_sensors, 3), np.nan)
-        errors = np.full(sensor_map.n_sensors, np.nan)
-        positions[members] = fit.positions[: len(members)]
-        errors[members] = fit.errors[: len(members)]
-        how = "similarity and smooth field" if fit.warped else "similarity"
-        handed, reflected = fit.handed, fit.reflected
+        tied = Tied(points, n_members + np.flatnonzero(used), targets[used])
+        fit = fit_anchors(tied, known)
+        residuals = np.linalg.norm(fit.positions[n_members:] - targets, axis=1)
+        positions, errors = (np.full((sensor_map.n_sensors, *n), np.nan) for n in ((3,), ()))
+        positions[members], errors[members] = fit.positions[:n_members], fit.errors[:n_members]
+        how, handed, reflected = fit.how, fit.handed, fit.reflected
     method = f"{how}, {int(used.sum())} of {len(used)} contacts"
     placed = replace(
         sensor_map,
@@ -196,7 +196,7 @@ def _check(sensor_map: SensorMap, other: SensorMap, *, exact: bool, handedness: 
 
 def _contacts(
     sensor_map: SensorMap, touches: SelfTouch, other: SensorMap
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+) -> tuple[Points, Points, NDArray[np.intp]]:
     """Return the centres of contacts on the map and in the frame of its link, and their frames."""
     n_frames = touches.recording.n_frames
     pose = touches.robot.relative_pose(touches.link, touches.other_link, touches.angles)
@@ -213,7 +213,7 @@ def _contacts(
     own, depth = _centres(sensor_map, touches.recording, "the map")
     across, _ = _centres(other, touches.recording, "the other patch")
     parts = np.hstack([own, across, pose.reshape(n_frames, -1)])
-    both: NDArray[np.bool_] = np.all(np.isfinite(parts), axis=1)
+    both = np.flatnonzero(np.isfinite(parts).all(axis=1))
     frames = _distinct(own, depth, both, _APART * median_spacing(sensor_map))
     if len(frames) < MIN_PLACES:
         raise InputError(
@@ -233,7 +233,7 @@ def _contacts(
 
 def _centres(
     patch: SensorMap, recording: Recording, what: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Points, NDArray[np.float64]]:
     """Return the centre of contact in each frame, NaN without one, and the total depth."""
     columns = match_names(patch.names, recording.names)
     rows = np.flatnonzero(patch.placed & (columns >= 0))
@@ -248,7 +248,6 @@ def _centres(
     total = depth.sum(axis=1)
     depth /= max(deepest, float(np.finfo(float).tiny))
     touched = np.count_nonzero(depth, axis=1) >= _MIN_SENSORS
-    weights = depth / np.where(touched, total, np.nan)[:, None]
     # Depths are squared: at the edge of a patch, the part of a contact beyond the edge has no
     # sensors, which draws the centre inwards; squares reduce this.
     squares = np.where(touched[:, None], depth, np.nan) ** 2
@@ -257,13 +256,9 @@ def _centres(
 
 
 def _distinct(
-    centres: NDArray[np.float64],
-    depth: NDArray[np.float64],
-    both: NDArray[np.bool_],
-    apart: float,
+    centres: Points, depth: NDArray[np.float64], active: NDArray[np.intp], apart: float
 ) -> NDArray[np.intp]:
     """Choose frames of different contacts: of each run the deepest ones that are apart."""
-    active = np.flatnonzero(both)
     found: list[int] = []
     for run in np.split(active, np.flatnonzero(np.diff(active) > 1) + 1):
         kept: list[int] = []
@@ -275,9 +270,7 @@ def _distinct(
     return np.sort(np.array(found, dtype=np.intp))
 
 
-def _check_agreement(
-    places: NDArray[np.float64], targets: NDArray[np.float64], *, scaling: bool
-) -> None:
+def _check_agreement(places: Points, targets: Points, *, scaling: bool) -> None:
     """Refuse contacts that agree no better than pairs of the places of different contacts.
 
     A permutation test of the sum of squared residuals. Targets far from the others are left out, as
@@ -289,9 +282,8 @@ def _check_agreement(
     rng = np.random.default_rng(0)
 
     def misfit(order: NDArray[np.intp]) -> float:
-        return float(
-            np.sum((fit_similarity(x, y[order], scaling=scaling).apply(x) - y[order]) ** 2)
-        )
+        fit = fit_similarity(x, y[order], scaling=scaling)
+        return float(np.sum((fit.apply(x) - y[order]) ** 2))
 
     own = misfit(np.arange(len(x)))
     chance = sum(misfit(rng.permutation(len(x))) <= own for _ in range(_SHUFFLES))
@@ -303,7 +295,7 @@ def _check_agreement(
         )
 
 
-def _consistent(places: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _consistent(places: Points, targets: Points) -> NDArray[np.bool_]:
     """Return which contacts are as far from their neighbours in space as on the map.
 
     No similarity transform takes a map to a bent skin, but among neighbours one nearly does.

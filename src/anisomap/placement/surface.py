@@ -9,8 +9,9 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.numerics.kriging import Kernel
-from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.surfaces import TriangleSearch
+from anisomap.numerics.procrustes import extent, fit_similarity
+from anisomap.numerics.surfaces import Points, TriangleSearch
+from anisomap.placement.handedness import Tied
 from anisomap.scene import Mesh
 
 # Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.
@@ -52,47 +53,39 @@ class Surface:
         self._points = np.einsum("cs,scd->sd", weights, corners[drawn])
         self._normals = doubled[drawn] / areas[drawn, None]
         self._tree = KDTree(self._points)
-        self._search = TriangleSearch(mesh)
+        self.nearest = TriangleSearch(mesh).nearest
 
-    def nearest(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Find the nearest points on the mesh, and the normals there, both of shape (n, 3)."""
-        return self._search.nearest(points)
+    def goal(self, placed: Points, tied: Tied) -> Points:
+        """Return where placed sensors ought to be: anchors at their places, others near here.
 
-    def nearly_nearest(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Project points onto the planes of the nearest drawn points, shape (n, 3)."""
-        found = np.asarray(self._tree.query(points)[1])
+        Others are projected onto the planes of the nearest drawn points.
+        """
+        found = np.asarray(self._tree.query(placed)[1])
         normals = self._normals[found]
-        height = np.einsum("nd,nd->n", points - self._points[found], normals)
-        return np.asarray(points - height[:, None] * normals)
+        height = np.einsum("nd,nd->n", placed - self._points[found], normals)
+        projected = np.asarray(placed - height[:, None] * normals)
+        projected[tied.sensors] = tied.targets
+        return projected
 
 
-def surface_evidence(
-    positions: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    surface: Surface,
-) -> float:
+def surface_evidence(tied: Tied, surface: Surface) -> float:
     """Compare how well a map and its mirror image fit a surface.
-
-    positions (N, 3), targets (n, 3).
 
     Besl & McKay (1992), IEEE Trans. PAMI 14(2): 239-256, from the fit to the anchors.
     """
-    size = float(np.sqrt(np.sum(np.var(targets, axis=0))))
-    misfits = [_misfit(positions, sensors, targets, surface, hand) for hand in (False, True)]
-    same, mirrored = np.maximum(misfits, np.finfo(float).eps * size)
+    misfits = []
+    weights = np.ones(len(tied.positions))
+    weights[tied.sensors] = _ANCHOR_WEIGHT
+    for hand in (False, True):
+        placed = fit_to_surface(tied, surface, reflection=hand, anchor_weight=_ANCHOR_WEIGHT)
+        squares = np.sum((placed - surface.goal(placed, tied)) ** 2, axis=1)
+        misfits.append(float(np.sqrt(weights @ squares / weights.sum())))
+    same, mirrored = np.maximum(misfits, np.finfo(float).eps * extent(tied.targets))
     return float(_INDEPENDENT * np.log(mirrored / same))
 
 
-def check_near_surface(
-    positions: NDArray[np.float64], errors: NDArray[np.float64], surface: Surface
-) -> None:
-    """Check that placed sensors are near a surface, before a map is bent to it.
-
-    positions (N, 3), errors (N,).
-    """
+def check_near_surface(positions: Points, errors: NDArray[np.float64], surface: Surface) -> None:
+    """Check that placed sensors are near a surface, before a map is bent to it."""
     off = np.linalg.norm(surface.nearest(positions)[0] - positions, axis=1)
     if np.median(off - errors) > 0:
         raise InputError(
@@ -103,36 +96,23 @@ def check_near_surface(
 
 
 def fit_to_surface(
-    positions: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    surface: Surface,
-    *,
-    reflection: bool,
-    anchor_weight: float | None = None,
-) -> NDArray[np.float64]:
+    tied: Tied, surface: Surface, *, reflection: bool, anchor_weight: float | None = None
+) -> Points:
     """Fit a similarity to anchors and to the nearest points of a surface. Returns (N, 3)."""
-    n_sensors = len(positions)
+    positions, n_sensors = tied.positions, len(tied.positions)
     weights = np.ones(n_sensors)
-    weights[sensors] = n_sensors / len(sensors) if anchor_weight is None else anchor_weight
-    placed = fit_similarity(positions[sensors], targets, reflection=reflection).apply(positions)
+    weights[tied.sensors] = anchor_weight or n_sensors / len(tied.sensors)
+    placed = fit_similarity(tied.anchors, tied.targets, reflection=reflection).apply(positions)
     size = float(np.ptp(placed))
     for _ in range(_MAX_ITERATIONS):
-        goal = surface.nearly_nearest(placed)
-        goal[sensors] = targets
-        before = placed
+        goal, before = surface.goal(placed, tied), placed
         placed = fit_similarity(positions, goal, weights, reflection=reflection).apply(positions)
         if np.abs(placed - before).max() < _CONVERGED * size:
             break
     return placed
 
 
-def bend_to_surface(
-    placed: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    surface: Surface,
-) -> NDArray[np.float64]:
+def bend_to_surface(placed: Points, tied: Tied, surface: Surface) -> Points:
     """Bend a placed map smoothly to a surface and to its anchors.
 
     placed (N, 3) -> (N, 3).
@@ -141,42 +121,15 @@ def bend_to_surface(
     non-rigid iterated closest points (Amberg, Romdhani & Vetter 2007,
     doi:10.1109/CVPR.2007.383165). Here the field is a Gaussian process of which the reach shrinks.
     """
-    size = float(np.sqrt(np.sum(np.var(placed, axis=0))))
-    noise = np.full(len(placed), _BEND_NOISE)
-    noise[sensors] = _BEND_NOISE / _BEND_ANCHOR_WEIGHT
+    size, noise = extent(placed), np.full(len(placed), _BEND_NOISE)
+    noise[tied.sensors] = _BEND_NOISE / _BEND_ANCHOR_WEIGHT
     bent = placed
     for reach in _BEND_REACHES:
         covariance = Kernel(reach * size, _BEND_NOISE).between(placed, placed)
         factor = cho_factor(covariance + np.diag(noise))
         for _ in range(_BEND_ITERATIONS):
-            goal = surface.nearly_nearest(bent)
-            goal[sensors] = targets
-            before = bent
+            goal, before = surface.goal(bent, tied), bent
             bent = placed + covariance @ cho_solve(factor, goal - placed)
             if np.abs(bent - before).max() < _BEND_CONVERGED * size:
                 break
     return np.asarray(bent)
-
-
-def _misfit(
-    positions: NDArray[np.float64],
-    sensors: NDArray[np.intp],
-    targets: NDArray[np.float64],
-    surface: Surface,
-    reflection: bool,
-) -> float:
-    """Return the weighted RMS distance from the surface and the anchors."""
-    placed = fit_to_surface(
-        positions,
-        sensors,
-        targets,
-        surface,
-        reflection=reflection,
-        anchor_weight=_ANCHOR_WEIGHT,
-    )
-    goal = surface.nearly_nearest(placed)
-    goal[sensors] = targets
-    weights = np.ones(len(positions))
-    weights[sensors] = _ANCHOR_WEIGHT
-    squares = np.sum((placed - goal) ** 2, axis=1)
-    return float(np.sqrt(weights @ squares / weights.sum()))
