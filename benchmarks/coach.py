@@ -28,8 +28,8 @@ from anisomap.live.quick_map import QuickMapper, TouchStatistics
 from anisomap.live.sources.replay import BOUT_FRAMES
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
+from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
-from anisomap.simulation.rubbing import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from benchmarks.contacts import contacts_by_frame
 from benchmarks.harness import options, read_rows, write_csv, write_rows
 

@@ -20,10 +20,8 @@ import anisomap
 from anisomap.comparison import spanned_dimensions, touched
 from anisomap.errors import InputError
 from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
-from anisomap.simulation import BODIES, find_body, find_scenario, simulate, solids
-from anisomap.simulation.bodies import Body
-from anisomap.simulation.bodies.lattice import CYLINDER_LENGTH, CYLINDER_RADIUS, midpoints
-from anisomap.simulation.bodies.poisson_disc import covered
+from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate, solids
+from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS, covered, midpoints
 from benchmarks.harness import files_in, heading, line, markdown_table, options, quietly, write_rows
 
 FIRST_SEED = 631

@@ -21,7 +21,7 @@ from anisomap.errors import AnisomapError, AnisomapWarning
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation.bodies import Body, load_body
+from anisomap.simulation import Body, load_body
 from anisomap.tracking import map_evidence
 from fuzzing.subjects import map_suffixes, recording_suffixes
 

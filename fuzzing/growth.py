@@ -24,7 +24,7 @@ from anisomap import io
 from anisomap.errors import AnisomapError, AnisomapWarning
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation.bodies import load_body
+from anisomap.simulation import load_body
 
 MAX_RATIO = 9.0
 """Largest ratio of times, far from those of linear and of quadratic growth."""

@@ -24,7 +24,7 @@ from anisomap.large.checkpoints import Checkpoint
 from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
+from anisomap.simulation.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 from anisomap.tracking import gather_evidence
 
 Tree: TypeAlias = Mapping[str, bytes]

@@ -6,8 +6,8 @@ from benchmarks import coach
 from benchmarks.coach import Row
 
 from anisomap.simulation import find_body
+from anisomap.simulation.kinematic import GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
-from anisomap.simulation.rubbing import GuidedHand, RubbingOptions
 
 
 def rows(errors, way):

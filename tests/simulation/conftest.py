@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation import Body
+from anisomap.simulation.bodies import BODIES, sphere
 from anisomap.simulation.bombardment import BombardmentOptions, Flight, simulate_flight
-from anisomap.simulation.sensing import read_balls
+from anisomap.simulation.kinematic import read_balls
 
 
 @dataclass(frozen=True)

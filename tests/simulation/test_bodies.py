@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.simulation import find_body, solids
-from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.lattice import CYLINDER_PLACEMENTS, sphere
+from anisomap.simulation import Body, find_body, solids
+from anisomap.simulation.bodies import BODIES, CYLINDER_PLACEMENTS, sphere
 
 
 @pytest.mark.parametrize("name", BODIES)

@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning
-from anisomap.simulation import simulate, solids
-from anisomap.simulation.bodies import Body
-from anisomap.simulation.bodies.lattice import sphere
-from anisomap.simulation.bodies.poisson_disc import holed_plate
-from anisomap.simulation.bombardment import BombardmentOptions, Flight, bombardment, simulate_flight
-from anisomap.simulation.engine import ElasticContact, add_fixed_solids
+from anisomap.simulation import Body, simulate, solids
+from anisomap.simulation.bodies import holed_plate, sphere
+from anisomap.simulation.bombardment import (
+    BombardmentOptions,
+    Flight,
+    add_fixed_solids,
+    bombardment,
+    simulate_flight,
+)
 from anisomap.simulation.options import options_for
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -172,13 +175,12 @@ def test_a_contact_with_a_wall_is_elastic_and_has_the_expected_depth_and_duratio
                 before, after = speed[bounce[0] - 2], speed[bounce[-1] + 1]
                 if before < 0.5 or not inside[bounce].all():
                     continue
-                contact = ElasticContact(options.softness, options.speed)
                 depth = options.softness * np.sqrt(before / options.speed)
                 assert after == pytest.approx(before, rel=5e-3)
                 # MuJoCo's impedance does not start at 0, so the spring is slightly stiffer.
                 assert -gap[bounce].min() == pytest.approx(depth, rel=0.05)
                 # Proportional to depth / speed, so to speed^(-1/2); resolved to two steps.
-                duration = contact.duration * np.sqrt(options.speed / before)
+                duration = options.contact_duration * np.sqrt(options.speed / before)
                 assert bounce.size * STEP == pytest.approx(duration, abs=2 * STEP)
                 bounces += 1
     assert bounces >= 4
@@ -300,20 +302,14 @@ def test_the_default_step_is_valid_for_all_speeds_and_softnesses(
 ) -> None:
     options = BombardmentOptions(speed=speed, softness=softness, frame_interval=1.0)
     BombardmentOptions(speed=speed, softness=softness, timestep=options.step)
-    assert options.step > options.contact.duration / 20
-
-
-class DampedContact(ElasticContact):
-    """MuJoCo's default contact, a damped spring that starts abruptly."""
-
-    solref = (0.02, 1.0)
-    solimp = (0.9, 0.95, 0.001, 0.5, 2.0)
+    assert options.step > options.contact_duration / 20
 
 
 class DampedOptions(BombardmentOptions):
     @property
-    def contact(self) -> ElasticContact:
-        return DampedContact(self.softness, self.speed)
+    def contact(self) -> dict[str, Any]:
+        """MuJoCo's default contact, a damped spring that starts abruptly."""
+        return {"condim": 1, "solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}
 
 
 def test_a_change_of_energy_gives_a_warning() -> None:

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.simulation.faults import (
+from anisomap.simulation.injection import (
     FAULTS,
     FRAME_FAULTS,
+    RANGES,
     Fault,
     fault_mask,
     inject,
     injected_faults,
     parse_fault,
 )
-from anisomap.simulation.faults.forms import RANGES
 
 seeds = st.integers(0, 2**32 - 1)
 RANDOM = {"stuck", "saturating", "noisy", "drifting", "gain-spread", "nan-bursts"}

@@ -12,7 +12,7 @@ import pytest
 
 from anisomap.errors import FileError
 from anisomap.mesh_files import read_mesh
-from anisomap.simulation.bodies import load_body
+from anisomap.simulation import load_body
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -129,7 +129,7 @@ def test_damage_to_normals_prints_nothing(tmp_path: Path) -> None:
     """Normals are not read from files; a handler of pytest would hide the log of trimesh."""
     text = trimesh.creation.box().export(file_type="stl_ascii")
     (tmp_path / "skin.stl").write_text(text.replace("facet normal 0", "facet normal !0", 1))
-    code = "import sys; from pathlib import Path; from anisomap.simulation.bodies import load_body;"
+    code = "import sys; from pathlib import Path; from anisomap.simulation import load_body;"
     code += "print(load_body(Path(sys.argv[1]), 9).n_sensors)"
     ran = subprocess.run(
         [sys.executable, "-c", code, tmp_path / "skin.stl"],

@@ -7,11 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.simulation import simulate, solids
-from anisomap.simulation.bodies import body_from_mesh, body_from_points, load_body
-from anisomap.simulation.bodies.body import surface_distances
-from anisomap.simulation.bodies.lattice import sphere
-from anisomap.simulation.bodies.poisson_disc import hand
+from anisomap.simulation import body_from_mesh, body_from_points, load_body, simulate, solids
+from anisomap.simulation.bodies import hand, sphere
+from anisomap.simulation.body import surface_distances
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from anisomap.errors import AnisomapWarning
-from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.bodies.lattice import cylinder, sphere
+from anisomap.simulation.bodies import BODIES, cylinder, sphere
 from anisomap.simulation.locomotion import Journey, LocomotionOptions, locomotion, simulate_journey
 from anisomap.simulation.options import options_for
 

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.lattice import plane, sphere, y_shape
+from anisomap.simulation import Body
+from anisomap.simulation.bodies import BODIES, plane, sphere, y_shape
 from anisomap.simulation.options import count_steps, options_for
+from anisomap.simulation.solids import support
 from anisomap.simulation.strokes import (
     Cluster,
     StrokeOptions,
@@ -21,7 +22,6 @@ from anisomap.simulation.strokes import (
     sample_skin,
     settle,
     smooth_random,
-    support,
 )
 
 seeds = st.integers(0, 2**32 - 1)

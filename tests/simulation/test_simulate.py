@@ -22,7 +22,7 @@ from anisomap.simulation import (
     simulate,
     simulate_runs,
 )
-from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation.bodies import sphere
 
 pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

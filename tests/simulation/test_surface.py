@@ -9,11 +9,16 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.simulation import solids
-from anisomap.simulation.bodies import Body
-from anisomap.simulation.bodies.body import surface_distances
-from anisomap.simulation.bodies.lattice import cylinder, great_circles, sphere
-from anisomap.simulation.bodies.poisson_disc import MAX_DENSITY, covered, uneven_sphere
+from anisomap.simulation import Body, solids
+from anisomap.simulation.bodies import (
+    MAX_DENSITY,
+    covered,
+    cylinder,
+    great_circles,
+    sphere,
+    uneven_sphere,
+)
+from anisomap.simulation.body import surface_distances
 from anisomap.simulation.solids import sample_surface, spread
 
 

@@ -9,7 +9,7 @@ from anisomap import io
 from anisomap.errors import InputError
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import BODIES, Body, body_from_points, find_body, load_body
-from anisomap.simulation.bodies.imported import MESH_SUFFIXES, MODEL_SUFFIXES
+from anisomap.simulation.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 
 
 def find(body: str, sensors: str | None, **options: Any) -> Body:

@@ -3,17 +3,18 @@
 Running a simulation needs the extra ``simulation`` (MuJoCo); importing the package does not.
 """
 
-from anisomap.simulation.bodies import (
-    BODIES,
-    Body,
+from anisomap.simulation.bodies import BODIES
+from anisomap.simulation.body import Body
+from anisomap.simulation.bombardment import BombardmentOptions
+from anisomap.simulation.coverage import CoverageCurve, coverage_curve
+from anisomap.simulation.faults import dead, noisy, saturating
+from anisomap.simulation.imported import (
     body_from_mesh,
     body_from_mjcf,
     body_from_points,
     load_body,
 )
-from anisomap.simulation.bombardment import BombardmentOptions
-from anisomap.simulation.coverage import CoverageCurve, coverage_curve
-from anisomap.simulation.faults import (
+from anisomap.simulation.injection import (
     FAULTS,
     FRAME_FAULTS,
     Fault,
@@ -22,11 +23,14 @@ from anisomap.simulation.faults import (
     injected_faults,
     parse_fault,
 )
-from anisomap.simulation.faults.channels import dead, noisy, saturating
+from anisomap.simulation.kinematic import (
+    PressingOptions,
+    PulsesOptions,
+    RollerOptions,
+    RubbingOptions,
+    SelfTouchOptions,
+)
 from anisomap.simulation.locomotion import LocomotionOptions
-from anisomap.simulation.pressing import PressingOptions
-from anisomap.simulation.pulses import PulsesOptions
-from anisomap.simulation.rubbing import RollerOptions, RubbingOptions
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,
@@ -36,7 +40,6 @@ from anisomap.simulation.scenarios import (
     simulate,
     simulate_runs,
 )
-from anisomap.simulation.self_touch import SelfTouchOptions
 
 __all__ = [
     "BODIES",

@@ -8,19 +8,21 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.scene import Prop
 from anisomap.simulation import solids
-from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT, at_least
-from anisomap.simulation.engine import ElasticContact, add_fixed_solids, load_mujoco, total_energy
+from anisomap.simulation.kinematic import read_balls
 from anisomap.simulation.options import (
     REACH,
     PhysicsOptions,
@@ -32,11 +34,15 @@ from anisomap.simulation.options import (
     report_frames,
     static_props,
 )
-from anisomap.simulation.sensing import read_balls
+from anisomap.simulation.solids import Solid, load_mujoco
 
 ENERGY_TOLERANCE = 0.02
 """Relative change of energy above which a run is returned with a warning."""
 
+_LEMNISCATE = 2.6220575542921198  # duration of a contact with a cubic spring, x depth / speed
+_WIDTH = 3  # x softness: the depth of a ball nine times as fast as `speed`
+# Impedance rises linearly with depth. The first is the least that MuJoCo allows.
+_IMPEDANCE_AT_SURFACE, _IMPEDANCE_INSIDE = 0.0001, 0.01
 _STEPS_PER_CONTACT = 16
 _MIN_STEPS_PER_CONTACT = 10  # energy varies by 0.2 % over 2,000 frames with 10, by 14 % with 7
 _MAX_SOFTNESS = 0.25  # x radius of the smallest ball
@@ -131,14 +137,41 @@ class BombardmentOptions(PhysicsOptions):
         return np.asarray(self.speed * share / np.sqrt(np.mean(share**2)))
 
     @property
-    def contact(self) -> ElasticContact:
-        """Contact of balls with one another, the body and the walls."""
-        return ElasticContact(self.softness, self.speed)
+    def contact(self) -> dict[str, Any]:
+        """Parameters of contacts in MuJoCo, with the force of a cubic spring and no friction.
+
+        MuJoCo's contacts can gain energy for two reasons. Both depend on the impedance d (see
+        "Solver parameters" in MuJoCo's documentation):
+
+        - With d near 1, the solver prescribes the separating velocity of each contact, independent
+          of other contacts of the same balls. When a ball touches two objects at once, it can gain
+          or lose more than half its energy, for any step size. With d near 0, the forces of
+          contacts add up like those of springs.
+        - The force of a linear spring starts abruptly, and the integrator's error depends on the
+          phase of the step. With d rising from almost 0 in proportion to depth x, the acceleration
+          is ``stiffness (x / width)^2 x``, which starts smoothly.
+
+        Measured with 40 balls over 2,000 frames of 0.05 s at steps of 1 ms, energy varies by up to
+        5 % with d near 1, by 3 % with d near 0, and by 0.02 % with d rising.
+        """
+        width = _WIDTH * self.softness
+        stiffness = 2 * (self.speed * width / self.softness**2) ** 2
+        midpoint, power = 0.5, 1.0
+        return {
+            "condim": 1,
+            "solref": [-stiffness, 0.0],  # no damping
+            "solimp": [_IMPEDANCE_AT_SURFACE, _IMPEDANCE_INSIDE, width, midpoint, power],
+        }
+
+    @property
+    def contact_duration(self) -> float:
+        """Duration of a contact at `speed`, in s."""
+        return _LEMNISCATE * self.softness / self.speed
 
     @property
     def shortest_contact(self) -> float:
         """Duration of a contact of the smallest, fastest balls, in s."""
-        return self.contact.duration * math.sqrt(self.speed / float(self.speeds.max()))
+        return self.contact_duration * math.sqrt(self.speed / float(self.speeds.max()))
 
     @property
     def longest_step(self) -> float:
@@ -231,7 +264,10 @@ def simulate_flight(
             mujoco.mj_step(model, data, nstep=options.steps_per_frame)
         mujoco.mj_forward(model, data)
         flight.centres[frame] = data.qpos.reshape(-1, 3)
-        flight.energies[frame] = total_energy(data, options.step, masses)
+        # The energy stored in contacts of cubic springs, of which efc_pos is minus the depth.
+        stored = -data.efc_force @ data.efc_pos / 4
+        velocities = data.qvel + options.step / 2 * data.qacc
+        flight.energies[frame] = masses @ velocities**2 / 2 + stored
         flight.overlaps[frame] = max(0.0, -data.efc_pos.min(initial=0.0))
     return flight
 
@@ -282,8 +318,7 @@ def _build_model(mujoco: ModuleType, body: Body, options: BombardmentOptions) ->
     spec.option.gravity = [0, 0, 0]
     spec.option.timestep = options.step
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # symplectic: energy does not drift
-    contact = options.contact
-    surface = {"condim": 1, "solref": contact.solref, "solimp": contact.solimp}
+    surface = options.contact
     add_fixed_solids(mujoco, spec, body.solids, surface, _MESH_THICKNESS * body.reach)
     for radius, mass in zip(options.radii, options.masses, strict=True):
         ball = spec.worldbody.add_body()
@@ -295,7 +330,35 @@ def _build_model(mujoco: ModuleType, body: Body, options: BombardmentOptions) ->
                 axis=axis,
                 limited=mujoco.mjtLimited.mjLIMITED_TRUE,
                 range=[-limit, limit],
-                solref_limit=contact.solref,
-                solimp_limit=contact.solimp,
+                solref_limit=surface["solref"],
+                solimp_limit=surface["solimp"],
             )
     return spec.compile()
+
+
+def add_fixed_solids(
+    mujoco: ModuleType,
+    spec: Any,
+    fixed: Sequence[Solid],
+    surface: Mapping[str, Any],
+    thickness: float,
+) -> None:
+    """Add solids that do not move to a model.
+
+    MuJoCo replaces a mesh geom by its convex hull. A flexible surface pinned to the world keeps
+    its triangles, whose contact forces add up.
+    """
+    for i, solid in enumerate(fixed):
+        if solid.kind == "mesh":
+            flex = spec.add_flex(
+                name=f"mesh{i}", dim=2, radius=thickness, vertbody=["world"], **surface
+            )
+            flex.vert = solid.outline.vertices.ravel()
+            flex.elem = solid.outline.faces.ravel()
+            continue
+        spec.worldbody.add_geom(
+            **solid.geom(mujoco),
+            pos=solid.centre,
+            quat=Rotation.from_matrix(solid.rotation).as_quat(scalar_first=True),
+            **surface,
+        )

@@ -23,7 +23,7 @@ from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
-from anisomap.simulation.bodies import Body
+from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
 from anisomap.simulation.scenarios import simulate_runs
 

@@ -21,8 +21,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.numerics.surfaces import Points, TriangleSearch
 from anisomap.scene import Mesh, Prop, frozen
-from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.engine import geom_shape, load_mujoco
+from anisomap.simulation.body import Body
 from anisomap.simulation.options import (
     REACH,
     SPACING,
@@ -33,6 +32,7 @@ from anisomap.simulation.options import (
     positive,
     report_frames,
 )
+from anisomap.simulation.solids import load_mujoco
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
 
@@ -330,7 +330,7 @@ def _build_model(
     )
     rolling = spec.worldbody.add_body()
     rolling.add_freejoint()
-    rolling.add_geom(**geom_shape(mujoco, body.solids[0]), mass=1, **surface)
+    rolling.add_geom(**body.solids[0].geom(mujoco), mass=1, **surface)
     return spec.compile()
 
 

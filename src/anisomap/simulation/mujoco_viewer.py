@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.errors import AnisomapError
 from anisomap.scene import Mesh, Prop, Scene
-from anisomap.simulation.engine import load_mujoco
-from anisomap.simulation.solids import coarse_ball
+from anisomap.simulation.solids import coarse_ball, load_mujoco
 
 _COLOURS = {
     "ground": (0.72, 0.78, 0.66, 1.0),

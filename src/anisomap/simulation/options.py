@@ -17,39 +17,30 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.recording import Scalar
 from anisomap.scene import Prop
-from anisomap.simulation.bodies.body import Body
-from anisomap.simulation.bodies.lattice import sphere
+from anisomap.simulation.bodies import sphere
+from anisomap.simulation.body import Body
 from anisomap.simulation.checks import POSITIVE, Range
 
 REACH = "reach"
 SPACING = "spacing"
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Range of an option, its unit in messages, and what it depends on.
+def option(
+    default: float | None, values: Range, unit: str = "", per: str = "", below: str = ""
+) -> Any:
+    """Declare an option with a default for a sphere of 1 m; None if other options determine it.
 
+    unit: In messages.
     per: Length of the body with which the default scales: `REACH`, `SPACING` or none.
     below: Name of an option that it must not reach, if any.
     """
-
-    values: Range
-    unit: str = ""
-    per: str = ""
-    below: str = ""
+    limits = {"values": values, "unit": unit, "per": per, "below": below}
+    return field(default=default, metadata=limits)
 
 
-def option(default: float | None, values: Range, *limits: str, **named: str) -> Any:
-    """Declare an option with a default for a sphere of 1 m; see `Limits`.
-
-    Without a default, it is derived from other options.
-    """
-    return field(default=default, metadata={"limits": Limits(values, *limits, **named)})
-
-
-def positive(default: float | None, *limits: str, **named: str) -> Any:
-    """Declare an option that must be positive; see `Limits`."""
-    return option(default, POSITIVE, *limits, **named)
+def positive(default: float | None, unit: str = "", per: str = "", below: str = "") -> Any:
+    """Declare an option that must be positive; see `option`."""
+    return option(default, POSITIVE, unit, per, below)
 
 
 @dataclass(frozen=True)
@@ -60,38 +51,37 @@ class ScenarioOptions:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            limits, value = entry.metadata["limits"], getattr(self, entry.name)
+            value, unit = getattr(self, entry.name), entry.metadata["unit"]
             if value is None:
                 continue
-            limits.values.check(entry.name, value, limits.unit)
-            if limits.below and value >= (highest := getattr(self, limits.below)):
+            entry.metadata["values"].check(entry.name, value, unit)
+            below = entry.metadata["below"]
+            if below and value >= (highest := getattr(self, below)):
                 raise InputError(
-                    f"{entry.name} must be below {limits.below} ({highest:g} {limits.unit}), "
-                    f"got {value:g} {limits.unit}"
+                    f"{entry.name} must be below {below} ({highest:g} {unit}), got {value:g} {unit}"
                 )
 
     def scaled(self, factor: float) -> Self:
         """Scale all lengths by `factor`, as for a larger body or another unit of length."""
-        lengths = [entry.name for entry in fields(self) if entry.metadata["limits"].per]
+        lengths = [entry.name for entry in fields(self) if entry.metadata["per"]]
         return replace(self, **{name: factor * getattr(self, name) for name in lengths})
 
 
 def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = None) -> Any:
     """Create the options of a scenario, with defaults scaled to a body where none are given."""
     known = {entry.name: entry for entry in fields(kind)}
-    values = dict(given or {})
-    for name in values:
+    for name in given or {}:
         if name not in known:
             raise InputError(
                 f"the scenario has no parameter {name!r}; choose from {', '.join(known)}"
             )
     reference = sphere()
-    for name, entry in known.items():
-        per = entry.metadata["limits"].per
-        if per and name not in values:
-            growth = getattr(body, per) / getattr(reference, per)
-            values[name] = entry.default * growth
-    return kind(**values)
+    scaled = {
+        name: entry.default * (getattr(body, per) / getattr(reference, per))
+        for name, entry in known.items()
+        if (per := entry.metadata["per"])
+    }
+    return kind(**(scaled | dict(given or {})))
 
 
 def count_steps(length: float, longest: float) -> int:

@@ -19,17 +19,25 @@ from anisomap._version import __version__
 from anisomap.errors import InputError
 from anisomap.recording import Recording, Scalar
 from anisomap.scene import Scene
-from anisomap.simulation.bodies import BODIES, Body
-from anisomap.simulation.bodies.body import surface_distances
+from anisomap.simulation.bodies import BODIES
+from anisomap.simulation.body import Body, surface_distances
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.engine import load_mujoco
+from anisomap.simulation.kinematic import (
+    PressingOptions,
+    PulsesOptions,
+    RollerOptions,
+    RubbingOptions,
+    SelfTouchOptions,
+    pressing,
+    pulses,
+    roller,
+    rubbing,
+    self_touch,
+)
 from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
-from anisomap.simulation.pressing import PressingOptions, pressing
-from anisomap.simulation.pulses import PulsesOptions, pulses
-from anisomap.simulation.rubbing import RollerOptions, RubbingOptions, roller, rubbing
-from anisomap.simulation.self_touch import SelfTouchOptions, self_touch
+from anisomap.simulation.solids import load_mujoco
 from anisomap.wording import join_items
 
 Entry = TypeVar("Entry")

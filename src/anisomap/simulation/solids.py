@@ -5,11 +5,12 @@ Solids are primitives in closed form and closed triangle meshes. Distances are n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
-from typing import TypeAlias
+from types import ModuleType
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,9 @@ from anisomap.numerics.surfaces import TriangleSearch
 from anisomap.scene import Mesh, frozen
 
 Points: TypeAlias = NDArray[np.float64]
+Density: TypeAlias = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
+
+_logger = logging.getLogger(__name__)
 
 MAX_LENGTH = 1e10
 """Maximum of coordinates and sizes: trimesh merges vertices on a grid of 1e-8, counted in int64."""
@@ -28,6 +32,9 @@ _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
 _N_PROJECTIONS = 4
 _MIN_RATIO = 1e-9  # of the half axes of an ellipsoid
+_CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
+_MAX_ROUNDS = 50  # of rejection sampling
+_ROUNDING = 1e-9  # x reach
 _MAX_NEWTON, _NEWTON_CONVERGED = 100, 1e-15  # steps; the last one, relative to the root
 
 
@@ -66,6 +73,27 @@ class Solid:
         if self.kind == "mesh":
             return self._search.signed_distance(local)
         return _DISTANCES[self.kind](local, self.size)
+
+    def support(self, directions: Points) -> Points:
+        """Evaluate the support function. directions (T, 3) -> (T,)."""
+        if self.kind == "mesh":
+            return np.asarray((directions @ self.outline.vertices.T).max(axis=1))
+        local, size = directions @ self.rotation, self.size
+        middle = directions @ self.centre
+        if self.kind in ("capsule", "cylinder"):
+            middle += size[1] * np.abs(local[:, 2])
+        if self.kind == "box":
+            return np.asarray(middle + np.abs(local) @ np.array(size))
+        if self.kind == "ellipsoid":
+            return np.asarray(middle + np.linalg.norm(local * size, axis=1))
+        if self.kind == "cylinder":
+            return np.asarray(middle + size[0] * np.hypot(local[:, 0], local[:, 1]))
+        return np.asarray(middle + size[0])
+
+    def geom(self, mujoco: ModuleType) -> dict[str, Any]:
+        """Return the type and size of MuJoCo's geom for a primitive solid."""
+        size = [*self.size, *[0.0] * (3 - len(self.size))]
+        return {"type": getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"), "size": size}
 
     def to_local(self, points: ArrayLike) -> Points:
         """Transform points (n, 3) to local coordinates."""
@@ -126,6 +154,22 @@ class Solid:
         if self.shape is None:
             raise InputError(f"a solid of kind {self.kind!r} must have a shape")
         return TriangleSearch(self.shape)
+
+
+def load_mujoco() -> ModuleType:
+    """Import MuJoCo. All other functions of the package work without it.
+
+    Its warnings are logged; by default it prints them and appends them to ``MUJOCO_LOG.TXT`` in
+    the working folder. A handler that the caller has set is kept.
+    """
+    mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(_log_warning)
+    return mujoco
+
+
+def _log_warning(message: str) -> None:
+    _logger.info("MuJoCo warns: %s", message)
 
 
 def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
@@ -215,6 +259,11 @@ def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
     return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
 
 
+def support(solids: Sequence[Solid], directions: Points) -> Points:
+    """Evaluate the support function of a union of solids. directions (T, 3) -> (T,)."""
+    return np.asarray(np.max([solid.support(directions) for solid in solids], axis=0))
+
+
 def project(solids: Sequence[Solid], points: ArrayLike) -> Points:
     """Project points along the normals onto the surface, shape (n, 3)."""
     moved = np.array(points, dtype=np.float64)
@@ -223,12 +272,8 @@ def project(solids: Sequence[Solid], points: ArrayLike) -> Points:
     return moved
 
 
-def _ball_distance(points: Points, size: tuple[float, ...]) -> Points:
-    return np.asarray(np.linalg.norm(points, axis=1) - size[0])
-
-
 def _capsule_distance(points: Points, size: tuple[float, ...]) -> Points:
-    along = np.clip(points[:, 2], -size[1], size[1])
+    along = np.clip(points[:, 2], -sum(size[1:]), sum(size[1:]))  # 0 for a ball
     axis = np.column_stack([np.zeros((len(points), 2)), along])
     return np.asarray(np.linalg.norm(points - axis, axis=1) - size[0])
 
@@ -273,15 +318,13 @@ def _ellipsoid_distance(points: Points, size: tuple[float, ...]) -> Points:
     return np.asarray(sign * np.linalg.norm(outer - feet, axis=1))
 
 
-_DISTANCES: Mapping[str, Callable[[Points, tuple[float, ...]], Points]] = MappingProxyType(
-    {
-        "sphere": _ball_distance,
-        "capsule": _capsule_distance,
-        "cylinder": _cylinder_distance,
-        "box": _box_distance,
-        "ellipsoid": _ellipsoid_distance,
-    }
-)
+_DISTANCES = {
+    "sphere": _capsule_distance,
+    "capsule": _capsule_distance,
+    "cylinder": _cylinder_distance,
+    "box": _box_distance,
+    "ellipsoid": _ellipsoid_distance,
+}
 
 
 def rotation_to(axis: Points) -> Points:
@@ -344,13 +387,6 @@ def revolved(
     last = np.stack([north, index[-1], np.roll(index[-1], -1)], axis=1)
     poles = [[0, 0, outline[0, 1]], [0, 0, outline[-1, 1]]]
     return Mesh(np.vstack([vertices, poles]), np.vstack([first, *faces, last]))
-
-
-Density = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
-
-_CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
-_MAX_ROUNDS = 50  # of rejection sampling
-_ROUNDING = 1e-9  # x reach
 
 
 def sample_surface(

@@ -8,7 +8,6 @@ a source were chosen by hand.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +16,10 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances
-from anisomap.simulation.bodies.body import ON_SURFACE, Body
+from anisomap.simulation.body import ON_SURFACE, Body
 from anisomap.simulation.checks import between
 from anisomap.simulation.options import REACH, ScenarioOptions, count_steps, option, positive
-from anisomap.simulation.solids import Points, Solid, sample_surface
+from anisomap.simulation.solids import Points, sample_surface
 
 _N_SAMPLES = 4000
 _MIN_FACING = 0.5  # cosine between the normals of a surface point and of its nearest sensor
@@ -35,6 +34,9 @@ _CIRCLE_RADIUS = (0.15, 0.35)  # x stroke length
 _CIRCLE_TURNS = (1.0, 2.0)
 _PRESSURE_PERIOD = 0.5  # seconds between independent pressures
 _LIFT_PROFILE = np.array([1, 2, 3]) / 3
+_TOLERANCE = 1e-9  # x radius
+_N_AXIS_POINTS = 9
+_LIFT_HEIGHT = 1.5  # of a lifted stimulus, x detection radius: out of range of all sensors
 
 
 @dataclass(frozen=True)
@@ -159,25 +161,28 @@ def draw_strokes(
         stroke = _draw_stroke(walk, state, n_frames - n_done, rng)
         n_strokes += bool(len(stroke))
         failures = 0 if len(stroke) else failures + 1
-        parts, heights = [stroke], [np.zeros(len(stroke))]
+        frames.append(stroke)
+        lifts.append(np.zeros(len(stroke)))
         if len(stroke):
             state = stroke[-1]
             walk.count_visits(stroke[:, 0])
         if failures == _MAX_FAILURES or rng.random() < options.lift_share:
             landing = _set_down(walk, rng)
-            parts += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
-            heights += [_LIFT_PROFILE, _LIFT_PROFILE[::-1]]
+            frames += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
+            lifts += [_LIFT_PROFILE, _LIFT_PROFILE[::-1]]
             state, failures = landing, 0
-        frames += parts
-        lifts += heights
-        n_done += sum(len(part) for part in parts)
-    return _project_path(
-        body,
-        np.concatenate(frames)[:n_frames],
-        np.concatenate(lifts)[:n_frames],
-        smooth_random(n_frames, _PRESSURE_PERIOD / options.frame_interval, rng),
-        n_strokes,
-    )
+        n_done = sum(map(len, frames))
+    places, headings, _ = np.concatenate(frames)[:n_frames].swapaxes(0, 1)
+    presses = smooth_random(n_frames, _PRESSURE_PERIOD / options.frame_interval, rng)
+    # One step along the gradient of the distance is exact, except near edges between solids.
+    normals = body.normals_at(places)
+    points = places - body.distance(places)[:, None] * normals
+    off = np.abs(body.distance(points)) > ON_SURFACE * body.reach
+    if off.any():
+        points[off] = body.project(points[off])
+        normals[off] = body.normals_at(points[off])
+    heights = np.concatenate(lifts)[:n_frames]
+    return StrokePath(points, normals, tangent(headings, normals), heights, presses, n_strokes)
 
 
 def smooth_random(n_frames: int, period: float, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -288,33 +293,6 @@ def rotate_about(
     return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))
 
 
-def _project_path(
-    body: Body,
-    frames: Points,
-    lifts: NDArray[np.float64],
-    presses: NDArray[np.float64],
-    n_strokes: int,
-) -> StrokePath:
-    """Move a path from the sampled points to the exact surface."""
-    # One step along the gradient of the distance is exact, except near edges between solids.
-    points = frames[:, 0]
-    normals = body.normals_at(points)
-    points = points - body.distance(points)[:, None] * normals
-    off = np.abs(body.distance(points)) > ON_SURFACE * body.reach
-    if off.any():
-        points[off] = body.project(points[off])
-        normals[off] = body.normals_at(points[off])
-    headings = tangent(frames[:, 1], normals)
-    return StrokePath(points, normals, headings, lifts, presses, n_strokes)
-
-
-_TOLERANCE = 1e-9  # x radius
-_N_AXIS_POINTS = 9
-
-LIFT_HEIGHT = 1.5
-"""Height of a lifted stimulus, x detection radius: out of range of all sensors."""
-
-
 @dataclass(frozen=True, eq=False)
 class Cluster:
     """Balls or capsules that move together.
@@ -363,7 +341,12 @@ def settle(
             rise = _required_rise(cluster, t, around, normal, depths[t])
             heights[t] += rise if may_sink else max(rise, 0.0)
             may_sink = False
-    return heights + _excess_depth(body, path, cluster, heights, depths)
+    # The depth beyond `depths` by exact distances.
+    points = cluster.placed(path, heights)[:, :, None]
+    if cluster.axes is not None:
+        points = points + np.linspace(-1, 1, _N_AXIS_POINTS)[:, None] * cluster.axes[:, :, None]
+    clear = body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
+    return np.asarray(heights + np.maximum((cluster.radii - clear).max(axis=1) - depths, 0))
 
 
 def follow(
@@ -377,22 +360,7 @@ def follow(
 ) -> Points:
     """Move a cluster along a path, pressed into the skin or lifted out of range; (T, B, 3)."""
     heights = settle(body, sample, path, cluster, options.press_depth * path.presses)
-    return cluster.placed(path, heights + path.lifts * LIFT_HEIGHT * detection_radius)
-
-
-def _excess_depth(
-    body: Body,
-    path: StrokePath,
-    cluster: Cluster,
-    heights: NDArray[np.float64],
-    depths: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the depth beyond `depths` by exact distances; shape (T,)."""
-    points = cluster.placed(path, heights)[:, :, None]
-    if cluster.axes is not None:
-        points = points + np.linspace(-1, 1, _N_AXIS_POINTS)[:, None] * cluster.axes[:, :, None]
-    clear = body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
-    return np.asarray(np.maximum((cluster.radii - clear).max(axis=1) - depths, 0))
+    return cluster.placed(path, heights + path.lifts * _LIFT_HEIGHT * detection_radius)
 
 
 def _required_rise(
@@ -403,36 +371,10 @@ def _required_rise(
     up = from_middle @ normal
     across = from_middle - up[..., None] * normal
     if cluster.axes is not None:
-        across -= _nearest_on_axes(across, cluster.axes[frame])
+        axes = cluster.axes[frame]
+        along = np.einsum("sbd,bd->sb", across, axes) / np.einsum("bd,bd->b", axes, axes)
+        across -= np.clip(along, -1, 1)[..., None] * axes
     squared = (cluster.radii - depth) ** 2 - np.einsum("sbd,sbd->sb", across, across)
     half = np.sqrt(np.maximum(squared, 0))
     tops = (up + half)[up < half - _TOLERANCE * cluster.radii]
     return float(tops.max()) if tops.size else 0.0
-
-
-def _nearest_on_axes(points: Points, axes: Points) -> Points:
-    along = np.einsum("sbd,bd->sb", points, axes) / np.einsum("bd,bd->b", axes, axes)
-    return np.asarray(np.clip(along, -1, 1)[..., None] * axes)
-
-
-def support(solids: Sequence[Solid], directions: Points) -> NDArray[np.float64]:
-    """Evaluate the support function of a union of solids. directions (T, 3) -> (T,)."""
-    return np.asarray(np.max([_support_of_one(solid, directions) for solid in solids], axis=0))
-
-
-def _support_of_one(solid: Solid, directions: Points) -> NDArray[np.float64]:
-    middle = directions @ solid.centre
-    local = directions @ solid.rotation
-    size = solid.size
-    if solid.kind == "mesh":
-        return np.asarray((directions @ solid.outline.vertices.T).max(axis=1))
-    if solid.kind == "box":
-        return np.asarray(middle + np.abs(local) @ np.array(size))
-    if solid.kind == "sphere":
-        return np.asarray(middle + size[0])
-    if solid.kind == "ellipsoid":
-        return np.asarray(middle + np.linalg.norm(local * size, axis=1))
-    ends = middle + size[1] * np.abs(local[:, 2])
-    if solid.kind == "capsule":
-        return np.asarray(ends + size[0])
-    return np.asarray(ends + size[0] * np.hypot(local[:, 0], local[:, 1]))

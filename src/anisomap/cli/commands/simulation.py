@@ -306,7 +306,7 @@ def spoil(
     from anisomap import io, route
     from anisomap.cli.outputs import Outputs
     from anisomap.simulation import inject, injected_faults, parse_fault
-    from anisomap.simulation.faults import ALL_SENSORS
+    from anisomap.simulation.injection import ALL_SENSORS
 
     requests = [parse_fault(text) for text in fault]
     Outputs(recording=output, inputs=[recording])

@@ -16,9 +16,9 @@ from anisomap.io.stream import Block
 from anisomap.live.batches import Batch, Item, Notice, Source
 from anisomap.recording import default_names
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation.bodies import Body
+from anisomap.simulation import Body
+from anisomap.simulation.kinematic import GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
-from anisomap.simulation.rubbing import GuidedHand, RubbingOptions
 
 DEFAULT_RATE_HZ = 50.0
 """Rate of recordings that state none; that of the iCub's skin."""

@@ -57,7 +57,7 @@ class Body:
     geodesic : callable, optional
         Function of positions (N, 3) that returns their distances along the surface (N, N), if
         there is a closed form. Otherwise, see
-        `anisomap.simulation.bodies.body.surface_distances`.
+        `anisomap.simulation.body.surface_distances`.
 
     Raises
     ------

@@ -28,10 +28,9 @@ from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation import solids
-from anisomap.simulation.bodies.body import Body
+from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.engine import load_mujoco
-from anisomap.simulation.solids import Points, Solid, spread
+from anisomap.simulation.solids import Points, Solid, load_mujoco, spread
 
 MAX_ELEMENTS = 10_000
 """The time in which MuJoCo 3.9 compiles a model is quadratic: 9 s for so many geoms or bodies."""

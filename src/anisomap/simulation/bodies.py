@@ -1,0 +1,324 @@
+"""The named bodies: those of the paper, with sensors on lattices, and harder ones.
+
+To add a body, add one function and one line to `BODIES`. All functions raise InputError if
+`n_sensors` is not a positive integer or does not fit the lattice. Positions are reproducible.
+
+The first four are the simulated bodies of McGregor et al. (2011), section "Geometries" and Figure
+5. The paper gives no lengths; those here, in m, give each body a reach of about 1 m. The hexagon is
+the hardware patch of six IIT triangles, each with 12 capacitive pads, two of which are thermal and
+not used as sensors (Maiolino et al. 2013, "A flexible and robust large scale capacitive tactile
+system for robots", IEEE Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149). The
+others are closed, with holes, thin, branching or unevenly covered; their sensors are a maximal
+Poisson-disc sample of the whole surface unless stated otherwise. Their lengths were chosen by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from anisomap.errors import InputError
+from anisomap.simulation import solids
+from anisomap.simulation.body import Body, straight_lines
+from anisomap.simulation.checks import COUNT
+from anisomap.simulation.solids import Density, Points, Solid, spread
+
+_GOLDEN_ANGLE = float(np.pi * (3 - np.sqrt(5)))  # between points of a Fibonacci lattice
+
+SPHERE_RADIUS = 1.0  # the reference of all other lengths
+# With 10 columns of 6, the spacing is 0.31 around the cylinder and 0.33 along it.
+CYLINDER_RADIUS, CYLINDER_LENGTH, _CYLINDER_COLUMNS = 0.5, 2.0, 10
+# With 7 rings of 5, the spacing is 0.13 along an arm and 0.15 around it.
+_Y_ARMS, _Y_ARM_LENGTH, _Y_ARM_RADIUS, _Y_RING_SENSORS = 3, 1.0, 0.13, 5
+_Y_FIRST_RING = 0.22  # beyond 0.13 / sin(60 deg) = 0.15, where the surfaces of two arms meet
+_PLANE_EDGE, _PLANE_THICKNESS = 2.0, 0.2
+_TORUS_RADIUS, _TORUS_TUBE = 0.75, 0.3
+_CUBE_EDGE = 1.4
+_HOLE_RADIUS, _PLATE_RADIUS, _PLATE_THICKNESS = 0.4, 1.0, 0.2
+MAX_DENSITY = 8.0
+"""Ratio of the densities of sensors at the two poles of the uneven sphere."""
+
+_SEED = 20110  # arbitrary
+_MESH_AROUND = 64  # vertices per circle
+_FACE_MARGIN = 1e-9  # tolerance for points on a face
+
+
+def sphere(n_sensors: int = 60) -> Body:
+    """Make a sphere with evenly spaced sensors.
+
+    Sensors form a Fibonacci lattice (Gonzalez 2010, Mathematical Geosciences 42: 49-64,
+    doi:10.1007/s11004-009-9257-x): each represents the same area, and distances between
+    neighbours differ by a few per cent.
+    """
+    COUNT.check("n_sensors", n_sensors)
+    normals = fibonacci_cap(n_sensors)
+    return Body(
+        name="sphere",
+        positions=SPHERE_RADIUS * normals,
+        normals=normals,
+        solids=[solids.ball(SPHERE_RADIUS)],
+        geodesic=great_circles,
+    )
+
+
+def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) -> Body:
+    """Make a cylinder with sensors on its side and none on its ends."""
+    if placement not in CYLINDER_PLACEMENTS:
+        raise InputError(
+            f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
+        )
+    COUNT.check("n_sensors", n_sensors)
+    angles, heights = CYLINDER_PLACEMENTS[placement](n_sensors, np.random.default_rng(seed))
+    around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
+    return Body(
+        name="cylinder" if placement == "columns" else f"cylinder-{placement}",
+        positions=CYLINDER_RADIUS * around + heights[:, None] * [0, 0, 1],
+        normals=around,
+        solids=[solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)],
+    )
+
+
+def _columns(n_sensors: int, _: np.random.Generator) -> tuple[Points, Points]:
+    n_rows = _divided(n_sensors, _CYLINDER_COLUMNS, "number of columns")
+    angles = 2 * np.pi * np.arange(_CYLINDER_COLUMNS) / _CYLINDER_COLUMNS
+    heights = midpoints(n_rows, CYLINDER_LENGTH)
+    return np.repeat(angles.astype(np.float64), n_rows), np.tile(heights, _CYLINDER_COLUMNS)
+
+
+def _fibonacci(n_sensors: int, _: np.random.Generator) -> tuple[Points, Points]:
+    angles = np.asarray(_GOLDEN_ANGLE * np.arange(n_sensors), dtype=np.float64)
+    return angles, midpoints(n_sensors, CYLINDER_LENGTH)
+
+
+def _random(n_sensors: int, rng: np.random.Generator) -> tuple[Points, Points]:
+    angles = rng.uniform(0, 2 * np.pi, n_sensors)
+    return angles, rng.uniform(-CYLINDER_LENGTH / 2, CYLINDER_LENGTH / 2, n_sensors)
+
+
+CYLINDER_PLACEMENTS: Mapping[str, Callable[[int, np.random.Generator], tuple[Points, Points]]] = (
+    MappingProxyType({"columns": _columns, "fibonacci": _fibonacci, "random": _random})
+)
+"""Angles and heights of the sensors of a cylinder, given their number and a generator."""
+
+
+def y_shape(n_sensors: int = 105) -> Body:
+    """Make a Y-shape of three round arms with rings of sensors around each."""
+    n_rings = _divided(n_sensors, _Y_ARMS * _Y_RING_SENSORS, "number of sensors per ring of 3 arms")
+    arms = ring_directions(_Y_ARMS)
+    # A ring in the frame of its arm, which lies along x.
+    ring = np.roll(ring_directions(_Y_RING_SENSORS), 1, axis=1)
+    along = np.linspace(_Y_FIRST_RING, _Y_ARM_LENGTH, n_rings) if n_rings > 1 else [_Y_ARM_LENGTH]
+    positions, normals = [], []
+    for arm in arms:
+        frame = np.column_stack([arm, np.cross([0, 0, 1], arm), [0, 0, 1]])
+        for distance in along:
+            normals.append(ring @ frame.T)
+            positions.append(distance * arm + _Y_ARM_RADIUS * normals[-1])
+    return Body(
+        name="y-shape",
+        positions=np.vstack(positions),
+        normals=np.vstack(normals),
+        solids=[solids.capsule(_Y_ARM_RADIUS, np.zeros(3), _Y_ARM_LENGTH * arm) for arm in arms],
+    )
+
+
+def plane(n_sensors: int = 169) -> Body:
+    """Make a cuboid with a square grid of sensors on its upper face."""
+    COUNT.check("n_sensors", n_sensors)
+    side = round(np.sqrt(n_sensors))
+    if side**2 != n_sensors:
+        raise InputError(
+            f"n_sensors of a plane must be a square number such as {side**2}, got {n_sensors}"
+        )
+    grid = midpoints(side, _PLANE_EDGE)
+    places = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    return _flat("plane", places, _PLANE_EDGE / 2, _PLANE_THICKNESS / 2)
+
+
+def _flat(name: str, places: Points, half: float, height: float, names: Sequence[str] = ()) -> Body:
+    """Make a square box with sensors on its upper face. places (N, 2), half of the edge, height."""
+    return Body(
+        name=name,
+        positions=np.column_stack([places, np.full(len(places), height)]),
+        normals=np.tile([0.0, 0.0, 1.0], (len(places), 1)),
+        solids=[solids.box((half, half, height))],
+        names=tuple(names),
+        geodesic=straight_lines,
+    )
+
+
+def fibonacci_cap(n: int, lowest: float = -1.0) -> Points:
+    """Return n evenly spaced unit vectors with z of at least `lowest`, shape (n, 3)."""
+    index = np.arange(n)
+    height = 1 - (1 - lowest) * (index + 0.5) / n
+    angle = _GOLDEN_ANGLE * index
+    radius = np.sqrt(1 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+def great_circles(positions: Points) -> Points:
+    """Compute the distances along a sphere centred at the origin, shape (N, N)."""
+    radius = np.linalg.norm(positions, axis=1).mean()
+    chords = straight_lines(positions)
+    return np.asarray(2 * radius * np.arcsin(np.clip(chords / (2 * radius), 0, 1)))
+
+
+def ring_directions(n: int) -> Points:
+    """Return n unit vectors in the x-y plane at equal angles, starting at x; shape (n, 3)."""
+    angle = 2 * np.pi * np.arange(n) / n
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(n)])
+
+
+def midpoints(n: int, length: float) -> Points:
+    """Return the midpoints of n equal parts of an interval centred at 0; shape (n,)."""
+    return np.asarray(length * ((np.arange(n) + 0.5) / n - 0.5))
+
+
+def _divided(n_sensors: int, groups: int, meaning: str) -> int:
+    COUNT.check("n_sensors", n_sensors)
+    if n_sensors % groups:
+        raise InputError(
+            f"n_sensors must be a multiple of {groups}, the {meaning}; got {n_sensors}"
+        )
+    return n_sensors // groups
+
+
+_TRIANGLES, _THERMAL_PADS = 6, (6, 10)
+# Pads in the order of their channels, in mm, relative to the middle of the triangle. They lie on a
+# triangular lattice with a pitch of 6.533 mm, except for the thermal pads.
+_PADS_X = (6.533, 9.8, 3.267, 0.0, -3.267, -9.8, -6.51, -6.533, -3.267, 0.0, 0.0, 3.267)
+_PADS_Y = (0.0, -5.66, -5.66, 0.0, -5.66, -5.66, -3.75, 0.0, 5.66, 11.317, 7.507, 5.66)
+_APEX_MM = 18.6  # from the middle of a triangle, with edges of 32.2 mm, to its corner
+_MARGIN_MM = 8.0  # between the outer pads and the edge of the patch; chosen by hand
+_THICKNESS_MM = 5.0  # chosen by hand
+_MM = 1e-3
+
+
+def hexagon(n_sensors: int = 60) -> Body:
+    """Make a hexagonal patch of six triangles with ten sensors each (the paper counts twelve)."""
+    sensing = [pad for pad in range(len(_PADS_X)) if pad not in _THERMAL_PADS]
+    names = [f"t{i}p{pad}" for i in range(_TRIANGLES) for pad in sensing]
+    if n_sensors != len(names):
+        raise InputError(f"n_sensors of the hexagonal patch must be {len(names)}, got {n_sensors}")
+    # Each triangle has a corner in the middle of the patch.
+    triangle = np.column_stack([_PADS_X, _PADS_Y]) - [0, _APEX_MM]
+    angles = np.arange(_TRIANGLES) * np.pi / 3
+    turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
+    places = _MM * np.vstack([(triangle @ turn.T)[sensing] for turn in turns])
+    half = float(np.abs(places).max() + _MM * _MARGIN_MM)
+    return _flat("hexagon", places, half, _MM * _THICKNESS_MM / 2, names)
+
+
+def torus(n_sensors: int = 120) -> Body:
+    """Make a torus with evenly spread sensors."""
+    x, z, _ = _TORUS_TUBE * ring_directions(_MESH_AROUND // 2).T
+    return covered("torus", [_ring(np.column_stack([_TORUS_RADIUS + x, z]))], n_sensors)
+
+
+def cube(n_sensors: int = 120) -> Body:
+    """Make a cube with evenly spread sensors on all faces."""
+    return covered("cube", [solids.box(3 * (_CUBE_EDGE / 2,))], n_sensors)
+
+
+def hemisphere(n_sensors: int = 80) -> Body:
+    """Make a hemisphere with sensors on its dome and none on its flat side."""
+    angle = np.linspace(0, np.pi / 2, _MESH_AROUND // 4 + 1)
+    dome = SPHERE_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
+    dome[-1, 0] = 0
+    half = solids.revolved(np.vstack([[0, 0], dome]), _MESH_AROUND)
+    solid = solids.mesh(half.vertices - [0, 0, SPHERE_RADIUS / 2], half.faces)
+    flat_side = -SPHERE_RADIUS / 2 + _FACE_MARGIN
+    return covered("hemisphere", [solid], n_sensors, lambda points: points[:, 2] > flat_side)
+
+
+def hand(n_sensors: int = 160) -> Body:
+    """Make a hand with a palm, four fingers and a thumb, covered on all sides.
+
+    Fingers are closer to one another in space than along the skin.
+    """
+    across = np.array([-0.36, -0.12, 0.12, 0.36])
+    lengths = np.array([0.6, 0.72, 0.75, 0.55])
+    fingers = [
+        solids.capsule(0.1, (x, 0.2, 0), (1.5 * x, 0.2 + length, 0))
+        for x, length in zip(across, lengths, strict=True)
+    ]
+    thumb = solids.capsule(0.12, (0.35, -0.45, 0), (0.85, -0.05, 0.1))
+    palm = solids.box((0.46, 0.45, 0.12), (0, -0.25, 0))
+    return covered("hand", [palm, *fingers, thumb], n_sensors)
+
+
+def tube(n_sensors: int = 100) -> Body:
+    """Make a cylinder with sensors on its side and its ends."""
+    return covered("tube", [solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)], n_sensors)
+
+
+def holed_plate(n_sensors: int = 120) -> Body:
+    """Make a round plate with a round hole and sensors on its upper face.
+
+    Paths along the skin around the hole are longer than the straight line.
+    """
+    top = _PLATE_THICKNESS / 2
+    corners = [
+        (_HOLE_RADIUS, -top),
+        (_PLATE_RADIUS, -top),
+        (_PLATE_RADIUS, top),
+        (_HOLE_RADIUS, top),
+    ]
+    upper = top - _FACE_MARGIN
+    ring = _ring(np.array(corners))
+    return covered("holed-plate", [ring], n_sensors, lambda points: points[:, 2] > upper)
+
+
+def uneven_sphere(n_sensors: int = 100) -> Body:
+    """Make a sphere with sensors that are denser towards one pole.
+
+    The density rises linearly along the axis, by a factor of `MAX_DENSITY`.
+    """
+    body = covered(
+        "uneven-sphere",
+        [solids.ball(SPHERE_RADIUS)],
+        n_sensors,
+        lambda points: 1 + (MAX_DENSITY - 1) * (points[:, 2] / SPHERE_RADIUS + 1) / 2,
+    )
+    return replace(body, geodesic=great_circles)
+
+
+def covered(
+    name: str,
+    parts: Sequence[Solid],
+    n_sensors: int,
+    density: Density | None = None,
+    rng: np.random.Generator | int = _SEED,
+) -> Body:
+    """Make a body from solids and spread sensors over it."""
+    COUNT.check("n_sensors", n_sensors)
+    positions, normals = spread(parts, n_sensors, np.random.default_rng(rng), density)
+    return Body(name, positions, normals, parts)
+
+
+def _ring(profile: Points) -> Solid:
+    """Revolve a closed outline (radius, height) that does not meet the axis about z."""
+    surface = solids.revolved(profile, _MESH_AROUND, is_ring=True)
+    return solids.mesh(surface.vertices, surface.faces)
+
+
+BODIES: Mapping[str, Callable[..., Body]] = MappingProxyType(
+    {
+        "sphere": sphere,
+        "cylinder": cylinder,
+        "y-shape": y_shape,
+        "plane": plane,
+        "hexagon": hexagon,
+        "torus": torus,
+        "cube": cube,
+        "hemisphere": hemisphere,
+        "hand": hand,
+        "tube": tube,
+        "holed-plate": holed_plate,
+        "uneven-sphere": uneven_sphere,
+    }
+)
+"""Functions ``make(n_sensors)`` with a default number of sensors. The paper's bodies come first."""
