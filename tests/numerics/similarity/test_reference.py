@@ -75,6 +75,18 @@ def test_readings_of_local_contacts_stay_as_they_are(seed):
 
 
 @given(SEEDS)
+def test_sensors_without_the_common_signal_keep_their_readings(seed):
+    readings = sharing(seed, 0.7)
+    rng = np.random.default_rng([seed, 1])
+    readings[:, :2] = rng.standard_normal((len(readings), 2))
+    left, share = without_common_signal(readings)
+    assert share > 0.5
+    own = [np.corrcoef(left[:, i], readings[:, i])[0, 1] for i in range(2)]
+    assert min(own) > 0.98
+    assert abs(typical(left[:, :2])) < 0.1
+
+
+@given(SEEDS)
 def test_few_sensors_stay_as_they_are(seed):
     readings = sharing(seed, 0.5, 7)
     assert without_common_signal(readings)[0] is readings

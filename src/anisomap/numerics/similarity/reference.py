@@ -41,8 +41,11 @@ def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
     estimates the signal, and is subtracted with the weight ``sqrt(s)``, the share of its amplitude,
     with s from `common_share`. With a weight of 1, it is the average reference of
     electroencephalography: Offner (1950), Electroencephalography and Clinical Neurophysiology 2:
-    213-214; Bertrand, Perrin & Pernier (1985), ibid. 62: 462-464. Where contacts are local, most
-    pairs are uncorrelated, the share is 0, and the readings themselves are returned.
+    213-214; Bertrand, Perrin & Pernier (1985), ibid. 62: 462-464. From a sensor that contains less
+    of the mean than others do, such as one at the edge of a sole, only what it contains is
+    subtracted, by linear regression: otherwise all such sensors would share its negative. Where
+    contacts are local, most pairs are uncorrelated, the share is 0, and the readings themselves are
+    returned.
     """
     n_frames, n_sensors = readings.shape
     some = readings[:: -(-n_frames // _MAX_FRAMES), :: -(-n_sensors // _MAX_SAMPLED)]
@@ -55,5 +58,7 @@ def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
     amplitude = values.std(axis=0)
     varies = amplitude > 0
     mean = (values[:, varies] / amplitude[varies]).mean(axis=1)
-    values -= math.sqrt(share) * mean[:, None] * amplitude
+    size = max(float(mean @ mean), np.finfo(float).tiny)
+    own = np.clip(mean @ values / np.where(varies, amplitude, 1) / size, 0, 1)
+    values -= math.sqrt(share) * mean[:, None] * (own * amplitude)
     return values, share
