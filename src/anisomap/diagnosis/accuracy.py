@@ -92,7 +92,7 @@ def differences_from_steps(
     graph = neighbour_graph(
         readings, positions, similarity=pairs.correlation, changes=pairs.changes
     )
-    steps = shortest_path(graph.adjacency.astype(np.float64), unweighted=True)
+    steps = shortest_path(graph.astype(np.float64), unweighted=True)
     # Classical scaling as start: this map must not inherit a fold of the given one.
     found = smacof(steps, dimensions=positions.shape[1]).positions
     return np.asarray(fit_similarity(found, positions).apply(found) - positions)

@@ -241,7 +241,7 @@ def _is_uneven(
         return False
     similarity = found.similarity[np.ix_(sensors, sensors)]
     graph = neighbour_graph(found.excerpt.readings[:, sensors], positions, similarity=similarity)
-    return unevenness(positions, graph.adjacency) > MAX_UNEVENNESS
+    return unevenness(positions, graph) > MAX_UNEVENNESS
 
 
 def _check_unit(chunk: NDArray[Any]) -> None:

@@ -2,92 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist
 
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
-    Explained,
-    HeightSimilarity,
     explained_share,
-    height_halves,
-)
-from anisomap.numerics.geodesic.height_map import (
-    HeightMap,
-    fit_height_map,
+    height_links,
     linear_share,
-    weakest_link,
+    peak_lengths,
 )
 from anisomap.numerics.geodesic.neighbours import local_dimension
-from anisomap.numerics.geodesic.path_lengths import refine_by_contact_peaks
+from anisomap.numerics.geodesic.path_lengths import fit_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import EXACT, MIN_FRAMES, MIN_SENSORS, Proposal
 
-# At most 1.49 on rolling cylinders of 60 and 120 sensors that are thresholded; at least 1.98 on
-# other skins, simulated (seed 1) and real, and 1.66 on a strip of 3 x 20 sensors.
-_MAX_CURVE_DIMENSION = 1.55
+_HALF = 0.5
+"""Reliability of the heights, share of them that a map explains, and share of a map that is a
+linear image of another, from which each is taken to hold.
 
-_CONFIRMED = 0.9  # Mantel r of two maps by heights that confirm each other
+Maps explained at most .39 of the heights on rolling cylinders, and at least .89 on other simulated
+skins. Maps of rolling cylinders were linear images of the maps by heights by .38 (where heights do
+not resolve a gap) to 1, those of other recordings whose heights they did not explain by .12 to .35,
+or by .8 on soles and on a retina, where the maps by heights explained hardly more.
+"""
+
+_MAX_UNEXPLAINED = 0.25
+"""Share of the heights that a map left unexplained which remains in a better one: at most .15 on
+rolling cylinders and swept skins, at least .5 on soles and on a retina."""
+
+_MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
+_CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
 _MAX_EXAMINED = 250  # evenly chosen sensors; their 31,000 pairs tell whether heights contradict
-_MAX_FRAMES = 10_000  # of blocks at even intervals, in which heights are examined first
+_MAX_FRAMES = 10_000  # of blocks at even intervals, in which heights are examined
 
 _LONG_CONTACTS = "contacts appear to be long in one direction"
 _USED = (
     f"{_LONG_CONTACTS}, so lengths were taken from the heights of contacts that pass over "
     "neighbours; this assumes that ground or touch is equally rough in both directions"
 )
-_UNRESOLVED = (
-    f"{_LONG_CONTACTS}, and the heights of contacts do not resolve it reliably: do not trust the "
-    "map's scale along one direction relative to another, nor the map as a whole"
-)
 _CURVE = (
     "the sensors lie along a curve on the map: unless they form a line on the skin, "
     f"{_LONG_CONTACTS}, and the map must not be trusted"
 )
-
-
-@dataclass(frozen=True)
-class HeightOptions:
-    """Conditions under which the heights of contacts correct a map.
-
-    Tuned on rolling cylinders with sensors on columns, at even and at random places, seeds 1 to 5,
-    and on 49 other simulated and 9 real recordings, of seed 1.
-
-    min_sharing: Correlation of readings above which two sensors share contacts.
-    min_reliability: Minimum `Explained.reliability`.
-    max_explained: `Explained.share` below which heights contradict a map. It was at most 0.37 on
-        compressed maps of rolling cylinders, and at least 0.58 on other skins except walking feet
-        (0.37), where no map explains heights.
-    min_explained: Minimum `Explained.share` of a map that explains heights: at least 0.79 on
-        rolling cylinders.
-    min_gain: Minimum difference of the shares that both maps explain: at least 0.54 on rolling
-        cylinders, at most 0.42 under walking feet.
-    min_compressed: Minimum `linear_share` at which the given map is taken for a compressed image of
-        that map: long contacts compress a map, and do not rearrange it. It was at most 0.22 where
-        spikes or noise of read-out boards made heights similar.
-    min_linear: Minimum `linear_share` at which that map replaces the given one.
-    min_weakest: Minimum `weakest_link` of a map that is trusted.
-    min_agreement: Minimum Mantel r of the maps of both halves, of a map that is trusted.
-    min_trusted_linear: Minimum `linear_share` of a map that is trusted.
-    """
-
-    min_sharing: float = 0.05
-    min_reliability: float = 0.6
-    max_explained: float = 0.5
-    min_explained: float = 0.74
-    min_gain: float = 0.48
-    min_compressed: float = 0.4
-    min_linear: float = 0.7
-    min_weakest: float = 0.43
-    min_agreement: float = 0.85
-    min_trusted_linear: float = 0.9
 
 
 def by_heights(
@@ -97,109 +58,65 @@ def by_heights(
 
     They do if their similarity is the same in both halves of the recording and distances on the
     map do not explain it. The map is replaced if a map with lengths from heights explains it, and
-    the given map is a compressed image of that one.
+    the given map is a compressed image of that one: long contacts compress a map, and do not
+    rearrange it.
     """
     readings = pairs.readings
     if readings is None or len(readings) < MIN_FRAMES or len(positions) < MIN_SENSORS:
         return None
     if positions.shape[1] == 1:  # a line has no directions
         return None
-    given, options = np.asarray(positions, dtype=np.float64), HeightOptions()
-    found = _corrected(pairs, given, options) if _contradicted(pairs, given, options) else None
-    applied = found is not None and found.precision == EXACT
-    final = given if found is None else found.positions
-    curved = bool(local_dimension(final) < _MAX_CURVE_DIMENSION)
-    distorted = curved or (found is not None and found.distorted)
-    notes = () if found is None else found.notes
-    facts = {"contact_heights": applied, "curved": curved}
+    given = np.asarray(positions, dtype=np.float64)
+    found = _corrected(pairs, given)
+    final = given if found is None else found
+    curved = bool(local_dimension(final) < _CURVE_DIMENSION)
+    facts = {"contact_heights": found is not None, "curved": curved}
     return Proposal(
         final,
-        EXACT if applied else 0.0,
-        notes=(*notes, _CURVE) if curved else notes,
+        0.0 if found is None else EXACT,
+        notes=(() if found is None else (_USED,)) + ((_CURVE,) if curved else ()),
         facts={name: True for name, holds in facts.items() if holds},
-        distorted=distorted,
-        elongated=distorted or applied,
+        distorted=curved,
+        elongated=curved or found is not None,
     )
 
 
-def _contradicted(pairs: PairStatistics, given: Reals, options: HeightOptions) -> bool:
-    """Return whether heights of some sensors in some frames contradict a map."""
-    readings = np.asarray(pairs.readings)
-    n_frames, n_sensors = readings.shape
+def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
+    """Map the heights of contacts; None if they do not show a compressed map. given (n, k)."""
+    n_sensors = len(given)
     some = np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_EXAMINED)).astype(np.intp)
-    if n_frames > _MAX_FRAMES:
-        begins = np.linspace(0, n_frames, N_BLOCKS, endpoint=False).astype(np.intp)
-        frames = np.add.outer(begins, np.arange(_MAX_FRAMES // N_BLOCKS)).ravel()
-        readings = at_frames(readings, frames)
-    heights = ContactHeights.of(pairs.rest.select(some).depth(readings[:, some]))
-    if not heights.usable:
-        return False
-    sharing = _sharing(readings[:, some], options)
-    return _is_contradiction(explained_share(heights.halves, given[some], sharing), options)
-
-
-def _is_contradiction(explained: Explained, options: HeightOptions) -> bool:
-    reliable = explained.reliability >= options.min_reliability
-    return reliable and explained.share < options.max_explained
-
-
-def _sharing(readings: NDArray[np.generic], options: HeightOptions) -> NDArray[np.bool_]:
-    """Pairs of sensors that are touched in the same frames, shape (n, n)."""
-    return pearson(readings) > options.min_sharing
-
-
-def _corrected(pairs: PairStatistics, given: Reals, options: HeightOptions) -> Proposal | None:
-    """Map the heights of all contacts; None if they do not show a compressed map."""
-    readings = np.asarray(pairs.readings)
-    heights = ContactHeights.of(pairs.rest.depth(readings))
-    sharing = _sharing(readings, options)
-    explained = explained_share(heights.halves, given, sharing)
-    if not (heights.usable and _is_contradiction(explained, options)):
+    heights, sharing = _heights(pairs, some)
+    explained = explained_share(heights.halves, given[some], sharing)
+    contradicted = explained.reliability > _HALF > explained.share
+    if not (heights.usable and contradicted):
         return None
-    whole = heights.compare()
-    maps = _maps(pairs, whole, given)
-    confirmed = len(maps) > 1 and _agreement(*(one.positions for one in maps)) >= _CONFIRMED
-    resolved = weakest_link(whole, maps[-1].links) >= options.min_weakest
-    least = max(options.min_explained, explained.share + options.min_gain)
-    compressed = {
-        linear_share(one.positions, given): one
-        for one in (maps[::-1] if resolved and not confirmed else maps)
-        if explained_share(heights.halves, one.positions, sharing).share >= least
-    }
-    if not any(share >= options.min_compressed for share in compressed):
+    if len(some) < n_sensors:
+        heights, sharing = _heights(pairs, np.arange(n_sensors))
+    links = height_links(heights.compare())
+    lengths = peak_lengths(heights, links)
+    known = np.isfinite(lengths)
+    if not known.any():
         return None
-    for share, one in compressed.items():
-        if share < options.min_linear:
-            continue
-        trusted = confirmed or (
-            weakest_link(whole, one.links) >= options.min_weakest
-            and share >= options.min_trusted_linear
-            and _halves_agree(heights, given, options)
+    typical = float(np.median(lengths[known]))
+    fitted = fit_path_lengths(np.where(known, lengths, typical * links) / typical, given.shape[1])
+    left = 1 - explained_share(heights.halves, fitted, sharing).share
+    if left > _MAX_UNEXPLAINED * (1 - explained.share) or linear_share(fitted, given) < _HALF:
+        return None
+    return _scaled(fitted, given)
+
+
+def _heights(
+    pairs: PairStatistics, sensors: NDArray[np.intp]
+) -> tuple[ContactHeights, NDArray[np.bool_]]:
+    """Return the heights of contacts of sensors, and which of them share contacts, (n, n)."""
+    readings = np.asarray(pairs.readings)[:, sensors]
+    if len(readings) > _MAX_FRAMES:
+        begins = np.linspace(0, len(readings), N_BLOCKS, endpoint=False).astype(np.intp)
+        readings = at_frames(
+            readings, np.add.outer(begins, np.arange(_MAX_FRAMES // N_BLOCKS)).ravel()
         )
-        notes = (_USED,) if trusted else (_USED, _UNRESOLVED)
-        return Proposal(_scaled(one.positions, given), EXACT, notes=notes, distorted=not trusted)
-    return Proposal(given, notes=(_UNRESOLVED,), distorted=True)
-
-
-def _maps(pairs: PairStatistics, whole: HeightSimilarity, given: Reals) -> list[HeightMap]:
-    """Return the maps by heights: by peaks on a graph of neighbours, if it has one, and by all."""
-    fitted = fit_height_map(whole, given)
-    passed = refine_by_contact_peaks(
-        np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.changes
-    )
-    if not passed.applied:
-        return [fitted]
-    return [HeightMap(passed.positions, passed.graph.adjacency), fitted]
-
-
-def _halves_agree(heights: ContactHeights, given: Reals, options: HeightOptions) -> bool:
-    halves = height_halves(heights, len(heights.ranks))
-    first, second = (fit_height_map(half, given).positions for half in halves)
-    return _agreement(first, second) >= options.min_agreement
-
-
-def _agreement(first: Reals, second: Reals) -> float:
-    return float(np.corrcoef(pdist(first), pdist(second))[0, 1])
+    heights = ContactHeights.of(pairs.rest.select(sensors).depth(readings))
+    return heights, pearson(readings) > _MIN_SHARING
 
 
 def _scaled(positions: Reals, given: Reals) -> Reals:

@@ -29,10 +29,10 @@ def by_even_spacing(
     if positions.shape[1] == 1:  # a line has no directions
         return None
     spaced = refine_by_even_spacing(readings, positions, similarity=pairs.correlation)
-    if not spaced.applied:
+    if spaced is None:
         return Proposal(positions, notes=(_NOT_EVEN,), facts={"even_spacing": False})
     return Proposal(
-        spaced.positions,
+        spaced,
         EXACT,
         notes=(_EVEN,),
         facts={"even_spacing": True},

@@ -14,12 +14,8 @@ from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
     HeightSimilarity,
     explained_share,
-    height_halves,
-)
-from anisomap.numerics.geodesic.height_map import (
-    fit_height_map,
+    height_links,
     linear_share,
-    weakest_link,
 )
 from anisomap.numerics.geodesic.neighbours import local_dimension
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -116,7 +112,7 @@ def test_thresholded_readings_have_no_heights():
 def test_a_map_explains_heights_unless_it_is_compressed_or_scrambled(seed):
     places = scattered(seed)
     readings = swept(places, seed=seed)
-    halves = height_halves(heights_of(readings), len(readings))
+    halves = heights_of(readings).halves
     sharing = np.corrcoef(readings.T) > 0.05
     right = explained_share(halves, places, sharing)
     assert right.reliability > 0.7
@@ -134,23 +130,9 @@ def test_heights_without_common_variation_explain_nothing():
     assert np.isnan(explained_share([flat] * 2, lattice(8, 8), ~none).share)
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.5, 1.0])
-def test_exact_similarities_give_the_map_from_a_compressed_guide(factor):
+def test_exact_similarities_link_neighbours_only():
     places = scattered(301)
-    found = fit_height_map(exact(places), compressed(places, factor))
-    assert mantel_r(found.positions, places) > 0.99
-    lengths = cdist(places, places)[found.links]
-    assert lengths.max() < 2.5, "no shortcuts"
-
-
-def test_the_weakest_link_is_the_similarity_of_the_longest_gap():
-    far = lattice(4, 4)
-    far[:, 0] += 9
-    gap, even = np.concatenate([lattice(4, 4), far]), lattice(8, 8)
-    for places, reach, expected in ((gap, 4.0, np.exp(-((5.5 / 4) ** 2))), (even, 2.0, 0.77)):
-        heights = exact(places, reach)
-        found = weakest_link(heights, fit_height_map(heights, places).links)
-        assert found == pytest.approx(expected, abs=0.05)
+    assert cdist(places, places)[height_links(exact(places))].max() < 2.5, "no shortcuts"
 
 
 @given(st.integers(0, 99))

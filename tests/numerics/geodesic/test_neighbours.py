@@ -19,10 +19,6 @@ from anisomap.numerics.reliability.blending import blended_correlation
 from skins import flat_skin, lattice, rubbed
 
 
-def adjacency_of(*arguments, **options):
-    return neighbour_graph(*arguments, **options).adjacency
-
-
 def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
     """Readings without spatial structure, which must still give a connected graph."""
     rng = np.random.default_rng(seed)
@@ -34,7 +30,7 @@ def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
 @given(st.integers(3, 200), st.integers(2, 12), st.integers(0, 99))
 def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors, seed):
     readings = smooth_noise(n_frames, n_sensors, seed)
-    joined = adjacency_of(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
+    joined = neighbour_graph(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
     assert np.array_equal(joined, joined.T)
     assert not np.diag(joined).any()
     assert connected_components(joined, directed=False)[0] == 1
@@ -44,9 +40,9 @@ def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors,
 def test_the_graph_is_equivariant_to_labels(seed):
     readings, rng = smooth_noise(120, 10, seed), np.random.default_rng(seed)
     positions, order = rng.normal(size=(10, 3)), rng.permutation(10)
-    joined = adjacency_of(readings, positions)
+    joined = neighbour_graph(readings, positions)
     np.testing.assert_array_equal(
-        adjacency_of(readings[:, order], positions[order]), joined[np.ix_(order, order)]
+        neighbour_graph(readings[:, order], positions[order]), joined[np.ix_(order, order)]
     )
 
 
@@ -54,7 +50,7 @@ def test_the_graph_is_equivariant_to_labels(seed):
 def test_the_graph_does_not_depend_on_gain_and_offset(seed):
     readings, rng = smooth_noise(120, 8, seed), np.random.default_rng(seed)
     other = readings * rng.uniform(0.1, 10, 8) + rng.normal(size=8)
-    np.testing.assert_array_equal(adjacency_of(other), adjacency_of(readings))
+    np.testing.assert_array_equal(neighbour_graph(other), neighbour_graph(readings))
 
 
 def test_a_rubbed_lattice_is_recovered():
@@ -62,35 +58,30 @@ def test_a_rubbed_lattice_is_recovered():
     readings = rubbed(positions, 3000)
     near = cdist(positions, positions) < 1.01
     np.fill_diagonal(near, val=False)
-    joined = adjacency_of(readings, positions)
+    joined = neighbour_graph(readings, positions)
     assert (joined & near).sum() > 0.98 * joined.sum(), "hardly a shortcut"
     assert unevenness(positions, joined) < 0.1
     assert split_half_agreement(readings, positions) > 0.95
 
 
-@pytest.mark.parametrize(("sign", "forced"), [(1, 0.0), (-1, 1.0)])
-def test_a_link_between_opposites_is_forced(sign, forced):
+@pytest.mark.parametrize("sign", [1, -1])
+def test_two_sensors_are_linked_even_if_they_are_opposites(sign):
     first = np.random.default_rng(0).standard_normal((300, 1))
     links = neighbour_graph(np.hstack([first, sign * first + 0.1 * first[::-1]]))
-    assert links.adjacency.tolist() == [[False, True], [True, False]]
-    assert links.forced_share == forced
-
-
-def test_few_links_of_a_rubbed_lattice_are_forced():
-    assert neighbour_graph(rubbed(lattice(), 2000)).forced_share < 0.02
+    assert links.tolist() == [[False, True], [True, False]]
 
 
 def test_a_given_similarity_replaces_that_of_the_readings():
     readings = flat_skin().readings
     np.testing.assert_array_equal(
-        adjacency_of(readings, similarity=blended_correlation(readings)),
-        adjacency_of(readings),
+        neighbour_graph(readings, similarity=blended_correlation(readings)),
+        neighbour_graph(readings),
     )
 
 
 def test_only_edges_of_the_tree_have_much_stronger_detours():
     readings = smooth_noise(400, 14, 3)
-    joined = adjacency_of(readings)
+    joined = neighbour_graph(readings)
     partial = partial_correlation(blended_correlation(readings), 0.1)
     weak = [
         (i, j)
@@ -127,4 +118,4 @@ def test_halves_of_noise_or_of_few_frames_do_not_agree():
 )
 def test_mismatched_shapes_are_refused(readings, positions):
     with pytest.raises(InputError, match="shape"):
-        adjacency_of(readings, positions)
+        neighbour_graph(readings, positions)

@@ -1,6 +1,4 @@
-"""Link lengths estimated from the heights of contact peaks.
-
-Similarity of sensors by the heights of their contacts, and how well a map explains it.
+"""Similarity of sensors by the heights of their contacts, and how well a map explains it.
 
 Correlations of readings are high where sensors are touched in the same frames. A contact that is
 long in one direction touches distant sensors at once, and their correlations do not resolve that
@@ -19,10 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist
 
-from anisomap.errors import InputError
-from anisomap.numerics.columns import columns, mean_ranks
+from anisomap.numerics.columns import mean_ranks
+from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.reliability.split_half import split_blocks
-from anisomap.numerics.similarity.rest import estimate_rest
+
+Matrix = NDArray[np.float64]
+Peaks = tuple[NDArray[np.intp], NDArray[np.float64]]
 
 MIN_PEAKS = 8
 """Minimum number of matched peaks from which a length is estimated; chosen by hand."""
@@ -30,12 +30,6 @@ MIN_PEAKS = 8
 _CONTACT_THRESHOLD = 0.1  # of a sensor's range; separates contacts from tremor. Chosen by hand
 _RANGE_QUANTILE = 0.995  # top of the range; excludes outliers. Chosen by hand
 _MIN_DIFFERENCE = 0.05  # of 1 - rho; keeps lengths above 0. Chosen by hand
-
-
-def contact_peaks(raised: ArrayLike) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Find the peak of each contact of one sensor. raised (T,) -> frames, heights (n,)."""
-    frames, heights, _ = contacts_of(raised)
-    return frames, heights
 
 
 def contacts_of(
@@ -54,61 +48,6 @@ def contacts_of(
     return touched[highest[first]], heights, np.asarray(durations)
 
 
-def peak_lengths(readings: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
-    """Estimate the lengths of links from the differences between contact peaks.
-
-    readings (T, N) -> (N, N).
-
-    ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
-    mutually nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
-    1246-1266) of the ground. On a rolling body, i and j touch the ground in one frame (along the
-    axis) or some frames apart (around it), and the heights of their peaks differ as much as the
-    ground over that distance. Lengths in both directions are therefore comparable if the ground,
-    or any other object that touches the skin, is isotropic. Beyond the correlation length of the
-    ground, rho is 0 and distances are indistinguishable.
-    """
-    values = np.asarray(readings, dtype=np.float64)
-    mask = np.asarray(adjacency, dtype=bool)
-    if values.ndim != 2 or mask.shape != (values.shape[1],) * 2:
-        raise InputError(
-            f"the adjacency matrix of shape {mask.shape} does not fit readings of shape "
-            f"{values.shape}"
-        )
-    rest = estimate_rest(values)
-    peaks = [
-        contact_peaks(side * (column - value))
-        for column, value, side in zip(columns(values), rest.value, rest.side, strict=True)
-    ]
-    lengths = np.full(mask.shape, np.nan)
-    for i, j in np.argwhere(np.triu(mask, 1)):
-        lengths[i, j] = lengths[j, i] = _peak_difference(*peaks[i], *peaks[j])
-    return lengths
-
-
-def _peak_difference(
-    frames: NDArray[np.intp],
-    heights: NDArray[np.float64],
-    other_frames: NDArray[np.intp],
-    other_heights: NDArray[np.float64],
-) -> float:
-    if min(len(frames), len(other_frames)) < MIN_PEAKS:
-        return np.nan
-    match = _nearest(frames, other_frames)
-    mutual = _nearest(other_frames, frames)[match] == np.arange(len(frames))
-    first, second = heights[mutual], other_heights[match[mutual]]
-    if len(first) < MIN_PEAKS or np.ptp(first) == 0 or np.ptp(second) == 0:
-        return np.nan
-    rho = np.corrcoef(mean_ranks(first), mean_ranks(second))[0, 1]
-    return float(np.sqrt(max(1 - rho, _MIN_DIFFERENCE)))
-
-
-def _nearest(frames: NDArray[np.intp], among: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the index in `among` of the frame nearest to each of `frames`."""
-    return np.asarray(np.searchsorted((among[1:] + among[:-1]) / 2, frames))
-
-
-Matrix = NDArray[np.float64]
-
 _WINDOW = 0.75  # of the median duration of contacts, to each side of a peak; chosen by hand
 _MIN_HEIGHTS = 4  # distinct heights per sensor; readings with fewer levels have no order of heights
 _MIN_VARIANCE = 1e-9  # of relative ranks, whose variance is 1/12 without ties; rounding error
@@ -117,6 +56,12 @@ _MIN_TOUCHED = 0.5  # share of a sensor's contacts that another shares, to be it
 _MAX_SHARING = 48  # sensors given which a pair is correlated; a surface has fewer around a sensor
 _TINY = 1e-12  # standard deviation of ranks that are all equal
 _MIN_PAIRS = 50  # of which the explained share is computed; chosen by hand
+_INDIRECT = 0.1  # share of S in the strength of links, as in `direct_dissimilarity`
+_MIN_STRENGTH = 1e-3  # of links; keeps lengths finite
+_ROUNDING = 1e-9  # relative
+# Of a link to the longest step of the best path between its sensors: with 1.1, maps lack links;
+# with 1.3, some have links across the body.
+_MAX_STEP_RATIO = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,12 +96,12 @@ class Explained:
 class ContactHeights:
     """Heights of the contacts of all sensors.
 
-    peaks: Frames of the peaks of the contacts of each sensor.
+    contacts: Frames and heights of the peaks of the contacts of each sensor.
     graded: Sensors with contacts of different heights.
     ranks: Relative rank, in (0, 1], of the highest reading of each sensor around each frame.
     """
 
-    peaks: tuple[NDArray[np.intp], ...]
+    contacts: tuple[Peaks, ...]
     graded: NDArray[np.bool_]
     ranks: NDArray[np.float32]
 
@@ -173,12 +118,12 @@ class ContactHeights:
         ranks = np.empty(by_sensor.shape, np.float32)
         for row, depth in zip(ranks, by_sensor, strict=True):
             row[:] = mean_ranks(_highest_around(depth, half)) / len(depth)
-        return cls(peaks, np.array(graded), ranks.T)
+        return cls(tuple(zip(peaks, heights, strict=True)), np.array(graded), ranks.T)
 
     @cached_property
     def halves(self) -> list[HeightSimilarity]:
         """Similarity in the halves of the recording (`split_blocks`), without partial ones."""
-        return height_halves(self, len(self.ranks), partial=False)
+        return [self.compare(frames, partial=False) for frames in split_blocks(len(self.ranks))]
 
     @property
     def usable(self) -> bool:
@@ -199,7 +144,7 @@ class ContactHeights:
         sums, squares, products = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
         partials, counts = np.zeros((n, n)), np.zeros(n)
         lowest = self.ranks.min(axis=0) if partial else np.zeros(n)
-        for i, peaks in enumerate(self.peaks):
+        for i, (peaks, _) in enumerate(self.contacts):
             at = peaks[used[peaks]]
             ranks = self.ranks[at].astype(np.float64)
             counts[i] = len(at)
@@ -241,13 +186,6 @@ class ContactHeights:
         return found
 
 
-def height_halves(
-    heights: ContactHeights, n_frames: int, *, partial: bool = True
-) -> list[HeightSimilarity]:
-    """Compare the heights in the two halves of a recording (`split_blocks`)."""
-    return [heights.compare(frames, partial=partial) for frames in split_blocks(n_frames)]
-
-
 def explained_share(
     halves: Sequence[HeightSimilarity], positions: ArrayLike, sharing: ArrayLike
 ) -> Explained:
@@ -274,6 +212,70 @@ def explained_share(
     residuals = [x - isotonic_regression(x, increasing=False).x for x in (first, second)]
     unexplained = float(np.cov(*residuals)[0, 1] / np.cov(first, second)[0, 1])
     return Explained(reliability, 1 - unexplained)
+
+
+def linear_share(positions: ArrayLike, of: ArrayLike) -> float:
+    """Return the share of the variance of a map that a linear image of another map explains.
+
+    positions (N, k), of (N, m).
+    """
+    source, target = (np.asarray(x, dtype=np.float64) for x in (positions, of))
+    source, target = source - source.mean(axis=0), target - target.mean(axis=0)
+    residual = target - source @ np.linalg.lstsq(source, target, rcond=None)[0]
+    total = float((target**2).sum())
+    return 1 - float((residual**2).sum()) / total if total > 0 else 0.0
+
+
+def peak_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Matrix:
+    """Estimate the lengths of links. links (N, N) -> (N, N), NaN elsewhere.
+
+    ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
+    mutually nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
+    1246-1266) of the ground. On a rolling body, i and j touch the ground in one frame (along the
+    axis) or some frames apart (around it), and the heights of their peaks differ as much as the
+    ground over that distance. Lengths in both directions are therefore comparable if the ground,
+    or any other object that touches the skin, is isotropic. Beyond the correlation length of the
+    ground, rho is 0 and distances are indistinguishable. Lengths of links with too few matching
+    peaks are NaN.
+    """
+    lengths = np.full(links.shape, np.nan)
+    for i, j in np.argwhere(np.triu(links, 1)):
+        lengths[i, j] = lengths[j, i] = _peak_difference(heights.contacts[i], heights.contacts[j])
+    return lengths
+
+
+def _peak_difference(first: Peaks, second: Peaks) -> float:
+    (frames, heights), (other_frames, other_heights) = first, second
+    if min(len(frames), len(other_frames)) < MIN_PEAKS:
+        return np.nan
+    match = _nearest(frames, other_frames)
+    mutual = _nearest(other_frames, frames)[match] == np.arange(len(frames))
+    own, others = heights[mutual], other_heights[match[mutual]]
+    if len(own) < MIN_PEAKS or np.ptp(own) == 0 or np.ptp(others) == 0:
+        return np.nan
+    rho = np.corrcoef(mean_ranks(own), mean_ranks(others))[0, 1]
+    return float(np.sqrt(max(1 - rho, _MIN_DIFFERENCE)))
+
+
+def _nearest(frames: NDArray[np.intp], among: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the index in `among` of the frame nearest to each of `frames`."""
+    return np.asarray(np.searchsorted((among[1:] + among[:-1]) / 2, frames))
+
+
+def height_links(similarity: HeightSimilarity) -> NDArray[np.bool_]:
+    """Link neighbours by the heights of their contacts; returns (N, N).
+
+    Two sensors are linked if ``M_ij <= 1.2 m_ij`` with ``M = (S (Q + S / 10))^(-1/4)``, the
+    similarity S of heights, their partial correlations Q, and the longest steps m of the best
+    paths (`minimax_paths`). The graph is connected.
+    """
+    positive = np.clip(similarity.similarity, _MIN_STRENGTH, 1.0)
+    mixed = np.clip(similarity.partial + _INDIRECT * similarity.similarity, _MIN_STRENGTH, 1.0)
+    lengths = (positive * mixed) ** -0.25
+    np.fill_diagonal(lengths, 0.0)
+    links = lengths <= _MAX_STEP_RATIO * minimax_paths(lengths) * (1 + _ROUNDING)
+    np.fill_diagonal(links, val=False)
+    return np.asarray(links | links.T)
 
 
 def _highest_around(depths: Matrix, half: int) -> Matrix:

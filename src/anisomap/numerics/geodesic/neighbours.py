@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import shortest_path
@@ -30,28 +28,17 @@ _N_NEAREST = 16  # neighbours, of `local_dimension`; 12 gave a smaller margin
 _MIN_SENSORS = 3  # three pairs, the fewest that correlate
 
 
-@dataclass(frozen=True, eq=False)
-class NeighbourGraph:
-    """A connected graph of adjacent sensors.
-
-    adjacency: Symmetric, False on the diagonal, connected.
-    forced_share: Share of the links that were added only to connect the graph, in [0, 1].
-    """
-
-    adjacency: NDArray[np.bool_]
-    forced_share: float
-
-
 def neighbour_graph(
     readings: ArrayLike,
     positions: ArrayLike | None = None,
     *,
     similarity: ArrayLike | None = None,
     changes: ArrayLike | None = None,
-) -> NeighbourGraph:
+) -> NDArray[np.bool_]:
     """Link adjacent sensors, with few links between sensors that are not adjacent.
 
-    readings (T, N), positions (N, k), similarity (N, N), changes (N, N).
+    readings (T, N), positions (N, k), similarity (N, N), changes (N, N) -> (N, N), symmetric and
+    connected.
 
     With the partial correlations Q of S, sensors i and j are linked if ``Q_ij > 0`` and
 
@@ -84,9 +71,7 @@ def neighbour_graph(
     np.fill_diagonal(adjacent, val=False)
     direct = _without_detours(adjacent, partial, _SLACK)
     # Pairs with positive partial correlation precede all others, which are ordered by similarity.
-    connected = direct | spanning_tree(-np.where(partial > 0, partial, correlation - 3))
-    forced_share = 1 - float(np.count_nonzero(direct) / np.count_nonzero(connected))
-    return NeighbourGraph(connected, forced_share)
+    return np.asarray(direct | spanning_tree(-np.where(partial > 0, partial, correlation - 3)))
 
 
 def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
@@ -135,7 +120,7 @@ def split_half_agreement(readings: ArrayLike, positions: ArrayLike | None = None
     points = None if positions is None else np.asarray(positions)[varying]
     pairs = np.triu_indices(n_compared, 1)
     graphs = [neighbour_graph(half[:, varying], points) for half in halves]
-    first, second = (shortest_path(graph.adjacency, unweighted=True)[pairs] for graph in graphs)
+    first, second = (shortest_path(graph, unweighted=True)[pairs] for graph in graphs)
     if np.ptp(first) == 0 or np.ptp(second) == 0:
         return 0.0
     return float(np.corrcoef(first, second)[0, 1])

@@ -7,17 +7,13 @@ estimated.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.geodesic.contact_heights import peak_lengths
 from anisomap.numerics.geodesic.neighbours import (
-    NeighbourGraph,
     edge_distances,
     neighbour_graph,
     split_half_agreement,
@@ -28,39 +24,16 @@ from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, sm
 Matrix = NDArray[np.float64]
 
 _MIN_PATH = 0.3  # typical links; bounds the largest weight. Chosen by hand
-_EQUAL_LOG = 1e-9  # difference of log distances; a few hundred times the rounding error
 _SCALE_ITERATIONS = 3  # alternations between positions and the scale of the guide; chosen by hand
 
 
 _POWER = 6.0  # weight H^-p of a path of length H; 4 to 8 give similar maps
 _GUIDE_WEIGHT = 0.003
 _MIN_AGREEMENT = 0.5  # of halves, at which the graph replaces a rejected map
-# Share of forced links: where the ends of a body are hardly touched, their sensors are linked
-# arbitrarily. At most .04 on cylinders without sensors on their ends, at least .18 with them.
-_MAX_FORCED_SHARE = 0.1
-_MIN_MEASURED_SHARE = 0.5  # of the links, with a length by contact peaks
-# `log_log_slope` of peak lengths over map distances: at most .2 on 50 rolling cylinders (.31 with
-# 200 sensors), at least .5 on skins that touch themselves, for which uneven maps are correct.
-_MAX_SLOPE = 0.35
 _STOPPING = SmacofOptions(1e-6, 500)
 
 MAX_UNEVENNESS = 0.5
 """`unevenness` beyond which the distances of a map are rejected; .4 to .7 gave the same maps."""
-
-
-@dataclass(frozen=True, eq=False)
-class GeodesicRefinement:
-    """A map, and whether the refinement was applied to it.
-
-    positions (N, k): The given positions if not `applied`.
-    graph: Neighbours by the readings and the given map.
-    unevenness: `unevenness` of the given map.
-    """
-
-    positions: Matrix
-    applied: bool
-    graph: NeighbourGraph
-    unevenness: float
 
 
 def fit_path_lengths(
@@ -113,74 +86,17 @@ def fit_path_lengths(
 
 def refine_by_even_spacing(
     readings: ArrayLike, positions: ArrayLike, *, similarity: ArrayLike | None = None
-) -> GeodesicRefinement:
+) -> Matrix | None:
     """Refine a map under the declared prior that neighbours are evenly spaced.
 
-    readings (T, N), positions (N, k), similarity (N, N).
+    readings (T, N), positions (N, k), similarity (N, N) -> (N, k); None if the map is uneven and
+    the halves of the recording disagree about which sensors are neighbours.
     """
     given = np.asarray(positions, dtype=np.float64)
-    graph = neighbour_graph(readings, given, similarity=similarity)
-    uneven = unevenness(given, graph.adjacency)
-    lengths = None
-    if uneven <= MAX_UNEVENNESS or split_half_agreement(readings, given) >= _MIN_AGREEMENT:
-        lengths = graph.adjacency.astype(np.float64)
-    return _refined(given, graph, uneven, lengths)
-
-
-def refine_by_contact_peaks(
-    readings: ArrayLike,
-    positions: ArrayLike,
-    *,
-    similarity: ArrayLike | None = None,
-    changes: ArrayLike | None = None,
-) -> GeodesicRefinement:
-    """Refine an uneven map with link lengths estimated from contact peaks. changes (N, N)."""
-    given = np.asarray(positions, dtype=np.float64)
-    graph = neighbour_graph(readings, given, similarity=similarity, changes=changes)
-    uneven = unevenness(given, graph.adjacency)
-    lengths = None
-    if (
-        uneven > MAX_UNEVENNESS
-        and graph.forced_share <= _MAX_FORCED_SHARE
-        and split_half_agreement(readings, given) >= _MIN_AGREEMENT
-    ):
-        lengths = _lengths_by_peaks(readings, given, graph.adjacency)
-    return _refined(given, graph, uneven, lengths)
-
-
-def _lengths_by_peaks(
-    readings: ArrayLike, given: Matrix, adjacency: NDArray[np.bool_]
-) -> Matrix | None:
-    """Return relative lengths of links; None if few are measured or they confirm the map."""
-    lengths = peak_lengths(readings, adjacency)
-    known = np.isfinite(lengths)
-    least = max(1.0, _MIN_MEASURED_SHARE * np.count_nonzero(adjacency))
-    if np.count_nonzero(known) < least or log_log_slope(given, lengths) > _MAX_SLOPE:
+    adjacency = neighbour_graph(readings, given, similarity=similarity)
+    uneven = unevenness(given, adjacency) > MAX_UNEVENNESS
+    if uneven and split_half_agreement(readings, given) < _MIN_AGREEMENT:
         return None
-    relative = np.where(known, lengths / np.median(lengths[known]), 1.0)
-    return np.where(adjacency, relative, 0.0)
-
-
-def log_log_slope(positions: ArrayLike, lengths: ArrayLike) -> float:
-    """Regress log lengths of links on the logarithms of their distances on a map.
-
-    positions (N, k), lengths (N, N).
-    """
-    measured = np.asarray(lengths, dtype=np.float64)
-    known = np.isfinite(measured)
-    log_distances = np.log(edge_distances(positions, known))
-    centred = log_distances - log_distances.mean()
-    if not (np.abs(centred) > _EQUAL_LOG).any():
-        return 0.0
-    return float(centred @ np.log(measured[np.triu(known, 1)])) / float(centred @ centred)
-
-
-def _refined(
-    given: Matrix, graph: NeighbourGraph, uneven: float, lengths: Matrix | None
-) -> GeodesicRefinement:
-    """Fit a map to lengths of links, in the unit of the given one, if there are any."""
-    if lengths is None:
-        return GeodesicRefinement(given, False, graph, uneven)
-    fitted = fit_path_lengths(lengths, guide=given)
-    before, after = (np.log(edge_distances(x, lengths > 0)).mean() for x in (given, fitted))
-    return GeodesicRefinement(np.exp(before - after) * fitted, True, graph, uneven)
+    fitted = fit_path_lengths(adjacency.astype(np.float64), guide=given)
+    before, after = (np.log(edge_distances(x, adjacency)).mean() for x in (given, fitted))
+    return np.asarray(np.exp(before - after) * fitted)
