@@ -8,6 +8,7 @@ formats than text hold the matrix as the readings of a recording.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import warnings
@@ -155,11 +156,12 @@ def _may_be_square(file: Path) -> bool:
             return len(shape) == 2 and shape[0] == shape[1]
         if head.startswith(delimited_text.SIGNATURE) or not delimited_text.recognises(file, head):
             return False
+        sample = delimited.read_sample(file)
+        rows = list(delimited.records(sample, _delimiter(sample)))
+        n_columns = max((len(fields) for _, fields in rows), default=0)
         with open_text(file) as text:
-            sample = delimited.read_sample(text)
-            rows = list(delimited.records(sample, _delimiter(sample)))
-            n_columns = max((len(fields) for _, fields in rows), default=0)
-            n_rows = len(rows) + sum(1 for _, _ in zip(range(n_columns), text, strict=False))
+            more = itertools.islice(text, len(sample), len(sample) + n_columns)
+            n_rows = len(rows) + sum(1 for _ in more)
         return n_columns > 2 and n_columns - 1 <= n_rows <= n_columns + 1
     return False
 

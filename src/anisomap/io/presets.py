@@ -7,7 +7,6 @@ line in `PRESETS`.
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -16,8 +15,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import InputError
 from anisomap.io.parsing.naming import cells_of
+from anisomap.io.parsing.source import warn
 from anisomap.recording import Recording, default_names
 
 UNITS = "spacings"
@@ -66,12 +66,9 @@ def _without_empty_cells(recording: Recording) -> Recording:
     empty = ~np.isfinite(recording.readings).any(axis=0)
     if not empty.any() or empty.all():
         return recording
-    warnings.warn(
-        f"{recording.source}: {np.count_nonzero(empty)} of {recording.n_sensors} cells of the grid "
-        "have no reading; they are taken as silent",
-        AnisomapWarning,
-        stacklevel=2,
-    )
+    n_empty = np.count_nonzero(empty)
+    problem = f"{n_empty} of {recording.n_sensors} cells of the grid have no reading"
+    warn(recording.source, f"{problem}; they are taken as silent")
     return replace(recording, readings=np.where(empty, 0, recording.readings))
 
 

@@ -7,17 +7,16 @@ at the same time, and `choose` selects the recording in files that hold several.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.io.parsing.source import DamagedError, error_reason
+from anisomap.errors import FileError, InputError
+from anisomap.io.parsing.source import DamagedError, warn, warn_of_loss
 from anisomap.recording import Recording, Scalar, default_names
 from anisomap.wording import join_items
 
@@ -40,12 +39,8 @@ def increasing_times(
     frame = int(np.argmin(valid))
     where = f" ({locate(frame)})" if locate else ""
     after = f" after {float(values[frame - 1])!r}" if frame else ""
-    warnings.warn(
-        f"{path}: times must strictly increase, but frame {frame}{where} is at "
-        f"{float(values[frame])!r}{after}; the times are ignored",
-        AnisomapWarning,
-        stacklevel=2,
-    )
+    place = f"frame {frame}{where} is at {float(values[frame])!r}{after}"
+    warn(path, f"times must strictly increase, but {place}; the times are ignored")
     return None
 
 
@@ -118,7 +113,6 @@ BLOCK_BYTES = 1 << 22
 memory, and large enough that the work of a block does not count."""
 
 _GROWTH = 0.25
-_MIN_REPORTED_LOSS = 0.005
 
 
 @dataclass(frozen=True)
@@ -281,27 +275,42 @@ def rechunk(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
         yield _joined(held)
 
 
-def salvage(
-    blocks: Iterator[Block], path: Path, damage: tuple[type[Exception], ...] = (DamagedError,)
-) -> Iterator[Block]:
+def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
     """Yield the blocks before the first damage, and warn about the lost rest."""
     n_frames, fraction = 0, 0.0
     try:
         for block in blocks:
             n_frames, fraction = n_frames + len(block.readings), block.fraction
             yield block
-    except damage as error:
+    except DamagedError as error:
         if not n_frames:
             raise
-        reason = error_reason(error.__cause__ or error)
-        loss = 1 - fraction
-        lost = f" (about {loss:.0%} of the file)" if loss > _MIN_REPORTED_LOSS else ""
-        warnings.warn(
-            f"{path} is damaged or cut short ({reason}): read the {n_frames} frames before the "
-            f"damage, lost the rest{lost}",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+        warn_of_loss(path, error.__cause__ or error, f"{n_frames} frames", fraction)
+
+
+Frame: TypeAlias = tuple[NDArray[np.float64], float | None, float]
+"""Readings, shape (N,), time, and the fraction of the file read so far."""
+
+
+def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
+    """Collect single frames in blocks; times are dropped from a block that lacks some."""
+    held: list[Frame] = []
+    for frame in frames:
+        held.append(frame)
+        if len(held) * frame[0].nbytes >= BLOCK_BYTES:
+            yield _stacked(held)
+            held = []
+    if held:
+        yield _stacked(held)
+
+
+def _stacked(frames: list[Frame]) -> Block:
+    times = [time for _, time, _ in frames if time is not None]
+    return Block(
+        to_float32_if_exact(np.array([readings for readings, _, _ in frames])),
+        frames[-1][2],
+        np.array(times) if len(times) == len(frames) else None,
+    )
 
 
 class _GrowingArray:

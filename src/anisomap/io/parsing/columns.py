@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning
+from anisomap.io.parsing.source import warn
 
 ROWS_LOOKED_AT = 1000
 """Rows at the start of a file that determine the roles of its columns."""
@@ -142,12 +141,10 @@ def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
     """Warn about columns without a known name that `roles_by_name` took as time or counter."""
     for column in roles.guessed:
         role = "a frame counter" if column == roles.counter else "time"
-        warnings.warn(
-            f"{path}: column {column + 1} ({header[column]}) increases steadily and is taken as "
-            f"{role}; if it is a sensor, name it like the other sensors",
-            AnisomapWarning,
-            stacklevel=2,
+        problem = (
+            f"column {column + 1} ({header[column]}) increases steadily and is taken as {role}"
         )
+        warn(path, f"{problem}; if it is a sensor, name it like the other sensors")
 
 
 def words_of(name: str) -> list[str]:

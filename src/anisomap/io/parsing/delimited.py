@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import csv
+import functools
 import itertools
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TextIO
+from pathlib import Path
 
 from anisomap.errors import InputError
-from anisomap.io.parsing.source import GZIP_ERRORS
-from anisomap.io.parsing.table import is_number, is_skipped
+from anisomap.io.parsing.source import GZIP_ERRORS, open_text
+from anisomap.io.parsing.table import Table, is_number, is_skipped
 
 Record = tuple[int, list[str]]
 """First line of a record, from 1, and its fields."""
@@ -33,34 +33,6 @@ _MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
 _MIN_TEXT_CELLS = 2
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Layout of a delimited file of numbers.
-
-    delimiter: Field separator; None for any run of white space.
-    header: Column names; empty without a header.
-    n_columns: Number of columns, 0 if there is no line of numbers.
-    trailing: Number of surplus delimiters at the end of every line.
-    first_line: The line after the header, from 1; 1 without a header.
-    text_columns: Columns with text and no number in the sample.
-    """
-
-    delimiter: str | None
-    header: tuple[str, ...]
-    n_columns: int
-    trailing: int
-    first_line: int
-    text_columns: tuple[int, ...] = ()
-
-    def clean(self, line: str) -> str:
-        """Replace decimal commas by points, and drop trailing delimiters."""
-        if self.delimiter != ",":
-            line = line.replace(",", ".")
-        for _ in range(self.trailing):
-            line = line.rstrip(" \r\n").removesuffix(self.delimiter or "")
-        return line
-
-
 def guard_formula(name: str) -> str:
     """Precede a name that a spreadsheet would run as a formula with an apostrophe.
 
@@ -77,11 +49,11 @@ def unguard_formula(field: str) -> str:
     return field[1:] if guarded else field
 
 
-def read_sample(stream: TextIO) -> list[str]:
+def read_sample(path: Path) -> list[str]:
     """Read the first lines of a file to detect its layout, up to the first gzip damage."""
     sample: list[str] = []
     characters = longest = 0
-    with suppress(*GZIP_ERRORS):
+    with open_text(path) as stream, suppress(*GZIP_ERRORS):
         for line in itertools.islice(stream, _SAMPLE_LINES):
             sample.append(line)
             characters += len(line)
@@ -169,8 +141,13 @@ def _is_numeric(line: str, delimiter: str | None) -> bool:
     return numeric and len(fields) > 1 and any(field.strip() for field in fields)
 
 
-def find_layout(sample: Sequence[str], *, own_delimiter: str = "") -> Layout:
-    """Detect the layout of a file of numbers."""
+def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = None) -> Table:
+    """Detect the layout of a file of numbers; `n_columns` is 0 if there is no line of numbers.
+
+    Files with an own delimiter have a header, no column of text and no metadata above the table.
+    """
+    preamble = count_preamble(sample) if own_delimiter is None else 0
+    sample = sample[preamble:]
     delimiter = own_delimiter or find_delimiter(sample)
     found = list(itertools.islice(records(sample, delimiter), _SAMPLE_RECORDS))
     rows = [fields for _, fields in found]
@@ -178,14 +155,37 @@ def find_layout(sample: Sequence[str], *, own_delimiter: str = "") -> Layout:
     numeric = [[f for i, f in enumerate(row) if i not in text] for row in rows[:2]]
     has_header = bool(rows) and (bool(own_delimiter) or _looks_like_header(delimiter, *numeric))
     header, body = (rows[0], rows[1:]) if has_header else ([], rows)
-    first_line = _line_after_header(sample, delimiter) if has_header else 1
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
-    if not header:
-        return Layout(delimiter, (), width - empty, empty, first_line, text)
-    named = header[: len(header) - empty_columns([header])]
-    if 0 <= width - len(named) <= empty:
-        return Layout(delimiter, tuple(named), len(named), width - len(named), first_line, text)
-    return Layout(delimiter, tuple(header), len(header) if body else 0, 0, first_line, text)
+    if header:
+        named = header[: len(header) - empty_columns([header])]
+        trailing = width - len(named)
+        header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
+        n_columns = len(header) if body else 0
+        because = f"the header names {n_columns}"
+        first_line = _line_after_header(sample, delimiter)
+    else:
+        n_columns, trailing, first_line = width - empty, empty, 1
+        because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
+    changed = delimiter != "," or trailing
+    return Table(
+        path,
+        delimiter,
+        n_columns,
+        because,
+        preamble + first_line,
+        tuple(header),
+        functools.partial(_clean, delimiter, trailing) if changed else None,
+        text,
+    )
+
+
+def _clean(delimiter: str | None, n_trailing: int, line: str) -> str:
+    """Replace decimal commas by points, and drop trailing delimiters."""
+    if delimiter != ",":
+        line = line.replace(",", ".")
+    for _ in range(n_trailing):
+        line = line.rstrip(" \r\n").removesuffix(delimiter or "")
+    return line
 
 
 def _text_columns(

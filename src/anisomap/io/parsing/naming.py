@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from anisomap.errors import AnisomapWarning
-from anisomap.io.parsing.source import quote_if_needed
+from anisomap.io.parsing.source import quote_if_needed, warn
 from anisomap.wording import noun_and_items
 
 # At most 15 digits, so that the number of a name is exact and converted in linear time.
@@ -31,12 +29,11 @@ def distinct_names(path: Path, names: Sequence[str]) -> tuple[str, ...]:
         seen.add(unique)
         found.append(unique)
     repeated = [quote_if_needed(name) for name in counts]
-    example = next(name for name in counts)
-    warnings.warn(
-        f"{path}: several sensors have the {noun_and_items('name', repeated)}; they are numbered "
-        f"in order, as in {quote_if_needed(example)} and {quote_if_needed(f'{example}_2')}",
-        AnisomapWarning,
-        stacklevel=2,
+    example = next(iter(counts))
+    warn(
+        path,
+        f"several sensors have the {noun_and_items('name', repeated)}; they are numbered in order, "
+        f"as in {quote_if_needed(example)} and {quote_if_needed(f'{example}_2')}",
     )
     return tuple(found)
 

@@ -7,15 +7,15 @@ import gzip
 import io
 import json
 import re
+import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from anisomap.errors import AnisomapError, FileError, InputError
+from anisomap.errors import AnisomapError, AnisomapWarning, FileError, InputError
 from anisomap.files import open_regular
 from anisomap.memory import Budget
 from anisomap.wording import printable, shortened
@@ -24,6 +24,7 @@ Item = TypeVar("Item")
 Line = TypeVar("Line", str, bytes)
 
 _MAX_REASON = 200
+_MIN_REPORTED_LOSS = 0.005
 
 
 class DamagedError(FileError):
@@ -60,6 +61,19 @@ def error_reason(error: BaseException) -> str:
     """Return the message of an exception on one line, shortened to printable characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return printable(shortened(text, _MAX_REASON))
+
+
+def warn(path: Path | str, problem: str) -> None:
+    """Warn about a file, of which the map or recording is used all the same."""
+    warnings.warn(f"{path}: {problem}", AnisomapWarning, stacklevel=3)
+
+
+def warn_of_loss(path: Path, error: BaseException, found: str, fraction: float) -> None:
+    """Warn that only a fraction of a file could be read, such as ``"3 frames"``."""
+    loss = 1 - fraction
+    lost = f" (about {loss:.0%} of the file)" if loss > _MIN_REPORTED_LOSS else ""
+    problem = f"damaged or cut short ({error_reason(error)})"
+    warn(path, f"{problem}: read the {found} before the damage, lost the rest{lost}")
 
 
 HEAD_BYTES = 1 << 16
@@ -141,20 +155,28 @@ def _open(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
             yield io.BufferedReader(decompressed), raw
 
 
-class _Lines(io.TextIOWrapper):
-    """UTF-8 text whose lines have a maximum length when it is iterated."""
+class TextLines(io.TextIOWrapper):
+    """UTF-8 text whose lines have a maximum length when it is iterated.
 
-    def __init__(self, path: Path, stream: io.BufferedReader) -> None:
+    last: The last line that was read.
+    """
+
+    def __init__(self, path: Path, stream: io.BufferedReader, raw: io.BufferedReader) -> None:
         super().__init__(stream, encoding="utf-8-sig", newline="")
-        self._path = path
+        self.last = ""
+        self._path, self._raw, self._size = path, raw, max(path.stat().st_size, 1)
 
     def __next__(self) -> str:  # type: ignore[override]
-        line = self.readline(_MAX_LINE)
+        line = self.last = self.readline(_MAX_LINE)
         if not line:
             raise StopIteration
         if len(line) == _MAX_LINE:
             raise _long_line(self._path)
         return line
+
+    def fraction(self) -> float:
+        """Return the fraction of the file that was read, from 0 to 1."""
+        return self._raw.tell() / self._size
 
 
 def binary_lines(path: Path, stream: io.BufferedReader) -> Iterator[bytes]:
@@ -169,24 +191,9 @@ def _long_line(path: Path) -> FileError:
     return FileError(f"{path} has a line of more than {_MAX_LINE} characters; it is not a table")
 
 
-@dataclass(frozen=True)
-class Text:
-    """An open text file: its lines, and a function for the fraction read so far, from 0 to 1."""
-
-    lines: io.TextIOWrapper
-    fraction: Callable[[], float]
-
-
 @contextmanager
-def open_text(path: Path) -> Iterator[io.TextIOWrapper]:
+def open_text(path: Path) -> Iterator[TextLines]:
     """Open a file as UTF-8 text: decompressed, without byte order mark, with its line ends."""
-    with open_text_with_progress(path) as text:
-        yield text.lines
-
-
-@contextmanager
-def open_text_with_progress(path: Path) -> Iterator[Text]:
-    """Open a file as `open_text` does, and report the fraction read."""
     with _open(path) as (stream, raw):
         start = _read_start(stream)
         if start.startswith(_UTF16):
@@ -194,9 +201,8 @@ def open_text_with_progress(path: Path) -> Iterator[Text]:
         if b"\0" in start:
             raise FileError(f"{path} is binary, not text")
         stream.seek(0)
-        size = max(path.stat().st_size, 1)
-        with _Lines(path, stream) as text:
-            yield Text(text, lambda: raw.tell() / size)
+        with TextLines(path, stream, raw) as text:
+            yield text
 
 
 def is_gzipped(path: Path) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,15 +14,16 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import FileError
 from anisomap.io.parsing.source import (
     GZIP_ERRORS,
-    error_reason,
+    TextLines,
     open_binary,
     open_text,
-    open_text_with_progress,
     quote,
     quote_if_needed,
+    warn,
+    warn_of_loss,
 )
 
 Item = TypeVar("Item")
@@ -47,64 +47,29 @@ class LineError(FileError):
         self.line = line
 
 
-class Lines:
-    """Lines of a file, which know whether an error in the last one is a truncation.
-
-    lines: With their line ends.
-    """
-
-    def __init__(self, path: Path, lines: Iterator[str]) -> None:
-        self._path, self._lines, self._last = path, lines, ""
-
-    def __iter__(self) -> Iterator[str]:
-        """Return the iterator itself."""
-        return self
-
-    def __next__(self) -> str:
-        """Return the next line."""
-        self._last = next(self._lines)
-        return self._last
-
-    def end_early(self, error: Exception, n_read: int, noun: str) -> None:
-        """Warn that the last line is dropped if it is incomplete, else raise its error again."""
-        last = self._last
-        if not n_read or last.endswith(("\n", "\r")) or next(self._lines, None) is not None:
-            raise error
-        warnings.warn(
-            f"{self._path}: the last line is truncated and dropped; read the {n_read} {noun} "
-            "before it",
-            AnisomapWarning,
-            stacklevel=2,
-        )
-
-
 def read_undamaged(
-    path: Path, parse: Callable[[Lines], Iterator[Item]], noun: str
+    path: Path, parse: Callable[[TextLines], Iterator[Item]], noun: str
 ) -> Iterator[Item]:
-    """Yield what is parsed from the lines of a file before any damage, and warn about the rest."""
+    """Yield what is parsed from the lines of a file before any damage, and warn about the rest.
+
+    A truncated last line is dropped with a warning.
+    """
     n_read = 0
-    try:
-        with open_text(path) as stream:
-            lines = Lines(path, stream)
-            try:
-                for item in parse(lines):
-                    yield item
-                    n_read += 1
-            except (LineError, csv.Error) as error:
-                lines.end_early(error, n_read, noun)
-    except GZIP_ERRORS as error:
-        if not n_read:
-            raise
-        warnings.warn(
-            f"{path} is damaged or cut short ({error_reason(error)}): read the {n_read} {noun} "
-            "before the damage, lost the rest",
-            AnisomapWarning,
-            stacklevel=2,
-        )
-
-
-def _unchanged(line: str) -> str:
-    return line
+    with open_text(path) as lines:
+        try:
+            for item in parse(lines):
+                yield item
+                n_read += 1
+        except (LineError, csv.Error):
+            whole = lines.last.endswith(("\n", "\r"))
+            if not n_read or whole or next(lines, None) is not None:
+                raise
+            problem = "the last line is truncated and dropped"
+            warn(path, f"{problem}; read the {n_read} {noun} before it")
+        except GZIP_ERRORS as error:
+            if not n_read:
+                raise
+            warn_of_loss(path, error, f"{n_read} {noun}", lines.fraction())
 
 
 @dataclass(frozen=True)
@@ -126,35 +91,36 @@ class Table:
     because: str
     first_line: int = 1
     names: tuple[str, ...] = ()
-    clean: Callable[[str], str] = _unchanged
+    clean: Callable[[str], str] | None = None
     text_columns: tuple[int, ...] = ()
 
 
 def read_blocks(
-    table: Table, *, warn_if_truncated: bool = True
+    table: Table, *, quietly: bool = False
 ) -> Iterator[tuple[NDArray[np.float64], float]]:
-    """Read lines of numbers in blocks.
+    """Read lines of numbers in blocks, each with the fraction of the file read so far.
 
     Blank lines and comments, from ``#`` to the end of the line, are skipped; an empty field is
-    NaN. A truncated last line is dropped with a warning.
+    NaN. A truncated last line and what is behind damage are dropped with a warning, or `quietly`.
     """
     first_line, n_rows = table.first_line, 0
-    with open_text_with_progress(table.path) as text:
-        lines = itertools.islice(text.lines, first_line - 1, None)
-        for block, damage in _line_blocks(lines):
-            rows = _parse_without_truncated_line(
-                block,
-                table,
-                first_line,
-                n_before=n_rows,
-                later=lines,
-                warn_if_truncated=warn_if_truncated,
-            )
-            first_line, n_rows = first_line + len(block), n_rows + len(rows)
-            if len(rows):
-                yield rows, text.fraction()
-            if damage:
-                raise damage
+    with open_text(table.path) as text:
+        lines = itertools.islice(text, first_line - 1, None)
+        try:
+            for block, damage in _line_blocks(lines):
+                rows, problem = _parse_whole_lines(block, table, first_line, n_rows, lines)
+                first_line, n_rows = first_line + len(block), n_rows + len(rows)
+                if problem and not quietly:
+                    warn(table.path, problem)
+                if len(rows):
+                    yield rows, text.fraction()
+                if damage:
+                    raise damage
+        except GZIP_ERRORS as error:
+            if not n_rows and not quietly:
+                raise
+            if not quietly:
+                warn_of_loss(table.path, error, f"{n_rows} frames", text.fraction())
 
 
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
@@ -164,11 +130,10 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
     """
     n_rows = min(n_rows, max(_MIN_FIRST_ROWS, _MAX_FIRST_CELLS // max(table.n_columns, 1)))
     held = [np.empty((0, table.n_columns))]
-    with suppress(*GZIP_ERRORS):
-        for rows, _ in read_blocks(table, warn_if_truncated=False):
-            held.append(rows)
-            if sum(map(len, held)) >= n_rows:
-                break
+    for rows, _ in read_blocks(table, quietly=True):
+        held.append(rows)
+        if sum(map(len, held)) >= n_rows:
+            break
     return np.concatenate(held)[:n_rows]
 
 
@@ -190,18 +155,12 @@ def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | 
             yield block, None
 
 
-def _parse_without_truncated_line(
-    lines: list[str],
-    table: Table,
-    first_line: int,
-    *,
-    n_before: int,
-    later: Iterator[str],
-    warn_if_truncated: bool,
-) -> NDArray[np.float64]:
-    """Parse lines; drop an incomplete last line of the file that has no line end."""
+def _parse_whole_lines(
+    lines: list[str], table: Table, first_line: int, n_before: int, later: Iterator[str]
+) -> tuple[NDArray[np.float64], str]:
+    """Parse lines without an incomplete last line of the file, which a message tells of."""
     try:
-        return _parse_fast(lines, table, first_line)
+        return _parse_fast(lines, table, first_line), ""
     except LineError as error:
         *whole, broken = lines
         is_last = error.line == first_line + len(whole) and next(later, None) is None
@@ -211,14 +170,10 @@ def _parse_without_truncated_line(
         rows = _parse_fast(whole, table, first_line)
         if not n_before + len(rows):
             raise
-        if warn_if_truncated:
-            warnings.warn(
-                f"{table.path}: the last line ({error.line}) is truncated in field {n_fields} of "
-                f"{table.n_columns} and dropped; read the {n_before + len(rows)} frames before it",
-                AnisomapWarning,
-                stacklevel=2,
-            )
-        return rows
+        return rows, (
+            f"the last line ({error.line}) is truncated in field {n_fields} of "
+            f"{table.n_columns} and dropped; read the {n_before + len(rows)} frames before it"
+        )
 
 
 def least_rows(path: Path) -> int:
@@ -298,7 +253,7 @@ def _text_to_nan(field: str) -> float:
 
 
 def _parse_fast(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
-    cleaned = [table.clean(line) for line in lines] if table.clean is not _unchanged else lines
+    cleaned = list(map(table.clean, lines)) if table.clean else lines
     if all(map(is_skipped, cleaned)):
         return _parse_lines(lines, table, first_line)
     try:
@@ -327,7 +282,7 @@ def _parse_lines(lines: list[str], table: Table, first_line: int) -> NDArray[np.
 
 
 def _row(line: str, table: Table, number: int) -> list[float]:
-    fields = _fields(table.clean(line), table.delimiter)
+    fields = _fields(table.clean(line) if table.clean else line, table.delimiter)
     if len(fields) != table.n_columns:
         raise LineError(
             table.path,

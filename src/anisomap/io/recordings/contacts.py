@@ -157,8 +157,7 @@ def is_text(path: Path, head: bytes) -> bool:
 @contextmanager
 def open_text_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes."""
-    with open_text(path) as stream:
-        sample = delimited.read_sample(stream)
+    sample = delimited.read_sample(path)
     layout = _find_layout(sample) or _find_bare_layout(sample)
     if layout is None:
         raise FileError(f"{path} lacks a header that names a time and the sensors")
@@ -175,8 +174,7 @@ def stream_columns(path: Path, options: ReadOptions) -> Stream:
 
     `options.select` names the columns, or gives their numbers from 1, as ``event:taxel``.
     """
-    with open_text(path) as stream:
-        sample = delimited.read_sample(stream)
+    sample = delimited.read_sample(path)
     delimiter = delimited.find_delimiter(sample)
     first = next((fields for _, fields in delimited.records(sample, delimiter)), [])
     named = not all(is_number(field, delimiter) for field in first)

@@ -28,9 +28,9 @@ from pathlib import Path
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.source import GZIP_ERRORS, open_text
+from anisomap.io.parsing.source import open_text
 from anisomap.io.parsing.table import LineError, Table, first_rows, line_of, read_blocks
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage, to_float32_if_exact
+from anisomap.io.stream import Block, ReadOptions, Stream, to_float32_if_exact
 
 _WHOLE = re.compile(r"\d{1,9}")
 _TIME = re.compile(r"\d{1,15}(?:\.\d{1,15})?(?:e[+-]?\d{1,2})?")
@@ -76,7 +76,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     yield Stream(
         path,
         len(layout.addresses),
-        salvage(_blocks(table, layout), path, GZIP_ERRORS),
+        _blocks(table, layout),
         names=layout.addresses,
         source=path.name,
         metadata={"format": "CySkin"},

@@ -17,16 +17,13 @@ import io
 import itertools
 import logging
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import FileError, InputError
 from anisomap.io.parsing import delimited
 from anisomap.io.parsing import facts as comments
 from anisomap.io.parsing.columns import (
@@ -36,34 +33,28 @@ from anisomap.io.parsing.columns import (
     roles_by_name,
     warn_of_guesses,
 )
-from anisomap.io.parsing.source import (
-    GZIP_ERRORS,
-    is_gzipped,
-    open_text,
-    open_text_with_progress,
-    quote,
-    quote_if_needed,
-)
+from anisomap.io.parsing.source import TextLines, is_gzipped, quote, quote_if_needed, warn
 from anisomap.io.parsing.table import (
     LineError,
-    Lines,
     Table,
     first_rows,
+    is_number,
     least_rows,
     line_of,
     parse_number,
     read_blocks,
+    read_undamaged,
 )
 from anisomap.io.recordings import contacts
 from anisomap.io.recordings import spikes as spike_tables
 from anisomap.io.stream import (
-    BLOCK_BYTES,
     Block,
     Content,
+    Frame,
     ReadOptions,
     Stream,
     choose,
-    salvage,
+    stack_frames,
     to_float32_if_exact,
 )
 from anisomap.memory import SENSOR_BYTES, Budget, bytes_kept
@@ -74,125 +65,6 @@ _ROWS_LOOKED_AT = 50
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LENGTH, _MIN_ROWS = 3, 2
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
-
-
-@dataclass(frozen=True)
-class ListColumn:
-    """A column of lists.
-
-    column: From 0.
-    length: Number of readings per list.
-    """
-
-    column: int
-    length: int
-
-
-def find_list_columns(sample: Sequence[str], layout: delimited.Layout) -> dict[str, ListColumn]:
-    """Find the columns with lists of equal length in all rows."""
-    try:
-        found = delimited.records(sample, layout.delimiter)
-        rows = [fields for _, fields in itertools.islice(found, _ROWS_LOOKED_AT)]
-    except csv.Error:
-        return {}
-    rows = rows[1:] if layout.header else rows
-    lists = {}
-    for column in range(min(map(len, rows), default=0)):
-        lengths = {_length(row[column]) for row in rows}
-        if len(rows) >= _MIN_ROWS and len(lengths) == 1 and (length := lengths.pop()):
-            named = layout.header[column].strip() if column < len(layout.header) else ""
-            lists[named or str(column + 1)] = ListColumn(column, length)
-    return lists
-
-
-def contents_of_lists(lists: Mapping[str, ListColumn]) -> tuple[Content, ...]:
-    """List the columns for display."""
-    return tuple(
-        Content(name, f"lists of {column.length} numbers") for name, column in lists.items()
-    )
-
-
-def stream_lists(table: Table, chosen: ListColumn, roles: Roles, *, preamble: int) -> Stream:
-    """Create a stream of the lists of a column."""
-    named = chosen.column < len(table.names)
-    name = table.names[chosen.column].strip() if named else str(chosen.column + 1)
-    return Stream(
-        table.path,
-        chosen.length,
-        salvage(_blocks_of_lists(table, chosen, roles, preamble), table.path, GZIP_ERRORS),
-        source=f"{table.path.name}:{name}",
-        metadata={"format": "delimited text, lists", "column": name},
-        from_zero=True,
-    )
-
-
-def _length(cell: str) -> int:
-    """Return the length of a list of numbers; 0 for anything else."""
-    fields = _fields(cell)
-    try:
-        for field in fields:
-            parse_number(field)
-    except ValueError:
-        return 0
-    return len(fields) if len(fields) >= _MIN_LENGTH else 0
-
-
-def _fields(cell: str) -> list[str]:
-    return [field for field in _BETWEEN.split(cell) if field]
-
-
-def _blocks_of_lists(
-    table: Table, chosen: ListColumn, roles: Roles, preamble: int
-) -> Iterator[Block]:
-    step = max(1, BLOCK_BYTES // (8 * chosen.length))
-    with open_text_with_progress(table.path) as text:
-        lines = Lines(table.path, itertools.islice(text.lines, preamble, None))
-        rows = _rows(table, chosen, roles, lines, preamble)
-        damage: Exception | None = None
-        while not damage:
-            frames: list[tuple[NDArray[np.float64], float]] = []
-            try:
-                frames.extend(itertools.islice(rows, step))
-            except GZIP_ERRORS as error:
-                damage = error
-            if frames:
-                readings = to_float32_if_exact(np.array([values for values, _ in frames]))
-                times = np.array([time for _, time in frames]) / roles.per_second
-                yield Block(readings, text.fraction(), None if roles.time is None else times)
-            elif not damage:
-                return
-        raise damage
-
-
-def _rows(
-    table: Table, chosen: ListColumn, roles: Roles, lines: Lines, preamble: int
-) -> Iterator[tuple[NDArray[np.float64], float]]:
-    n_read = 0
-    try:
-        records = delimited.records(lines, table.delimiter)
-        for line, fields in itertools.islice(records, 1 if table.names else 0, None):
-            yield _row(table, chosen, roles, preamble + line, fields)
-            n_read += 1
-    except (LineError, csv.Error) as error:
-        lines.end_early(error, n_read, "frames")
-
-
-def _row(
-    table: Table, chosen: ListColumn, roles: Roles, line: int, fields: Sequence[str]
-) -> tuple[NDArray[np.float64], float]:
-    unnamed = bool(table.names) and chosen.column >= len(table.names)
-    if unnamed or len(fields) <= max(chosen.column, roles.time or 0):
-        raise LineError(table.path, line, f" has {len(fields)} fields, but {table.because}")
-    values = _fields(fields[chosen.column])
-    if len(values) != chosen.length:
-        problem = f", column {chosen.column + 1}: the list has {len(values)} numbers"
-        raise LineError(table.path, line, f"{problem}; the lists before have {chosen.length}")
-    try:
-        readings = np.array([parse_number(value) for value in values])
-        return readings, 0.0 if roles.time is None else parse_number(fields[roles.time])
-    except ValueError as error:
-        problem = f": {quote(str(error))} is not a number"
-        raise LineError(table.path, line, problem) from None
 
 
 TITLE = "anisomap recording"
@@ -230,47 +102,43 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     if options.bin_s is not None and not known:
         yield spike_tables.stream_table(path, options.bin_s)
         return
-    preamble = 0 if known else delimited.count_preamble(sample)
-    layout = delimited.find_layout(
-        sample[preamble:], own_delimiter=_DELIMITERS.get(str(known.get("fields")), "")
-    )
+    own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
+    table = delimited.find_table(path, sample, own)
     budget = Budget(path)
-    n_least = layout.n_columns - len(layout.text_columns) - _MAX_CLOCKS
+    n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
     budget.check(SENSOR_BYTES * n_least, "its list of sensors")
-    if not known and (lists := find_list_columns(sample[preamble:], layout)):
-        table = _table(path, layout, sample, preamble)
-        chosen = choose(path, contents_of_lists(lists), options.select, "list column")
-        yield stream_lists(
-            table, lists[chosen.name], _roles_beside_lists(table, lists), preamble=preamble
-        )
+    if not known and (lists := _find_lists(sample, table)):
+        chosen = choose(path, _contents_of(lists), options.select, "list column").name
+        yield _stream_lists(table, lists, chosen)
         return
     if options.select:
         raise FileError(
             f"{path} (delimited text) holds a single recording; leave out --select "
             f"{options.select}, or select the columns of a time and of sensors, as in time:id"
         )
-    if not layout.n_columns:
-        content = "only a header" if layout.header else "no line of numbers"
+    if not table.n_columns:
+        content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
-    table = _table(path, layout, sample, preamble)
     parse_name = delimited.unguard_formula if known else str.strip
-    names = tuple(map(parse_name, layout.header))
-    _warn_of_text(table)
-    if not known and layout.delimiter != ",":
-        _warn_of_commas(path, sample[preamble:])
+    names = tuple(map(parse_name, table.names))
+    if table.text_columns:
+        columns = join_items([_column_label(table, column) for column in table.text_columns])
+        warn(path, f"skipped text in {columns}")
+    if not known and table.delimiter != ",":
+        _warn_of_commas(path, sample)
     roles = _own_roles(known) if known else _detected_roles(table, names)
-    if len(roles.non_sensors) == layout.n_columns:
+    n_sensors = table.n_columns - len(roles.non_sensors)
+    if not n_sensors:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
     if is_gzipped(path):
         # Counting lines is far faster than parsing them, and takes no memory.
-        n_rows = least_rows(path) - table.first_line
-        n_readings = n_rows * (layout.n_columns - len(roles.non_sensors))
+        n_readings = (least_rows(path) - table.first_line) * n_sensors
         budget.check(n_readings * bytes_kept(np.dtype(np.float32)), "its table of readings")
     rate_hz = known.get("rate_hz")
     yield Stream(
         path,
-        layout.n_columns - len(roles.non_sensors),
-        salvage(_blocks(table, roles), path, GZIP_ERRORS),
+        n_sensors,
+        _blocks(table, roles),
         names=tuple(name for i, name in enumerate(names) if i not in roles.non_sensors),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
@@ -282,9 +150,75 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the columns that hold a list of readings per frame; empty for a table of numbers."""
     sample, known, _ = _read_start(path)
-    preamble = 0 if known else delimited.count_preamble(sample)
-    layout = delimited.find_layout(sample[preamble:])
-    return () if known else contents_of_lists(find_list_columns(sample[preamble:], layout))
+    return () if known else _contents_of(_find_lists(sample, delimited.find_table(path, sample)))
+
+
+def _find_lists(sample: Sequence[str], table: Table) -> dict[str, tuple[int, int]]:
+    """Find the columns with lists of equal length in all rows: index and length, by name."""
+    try:
+        found = delimited.records(sample[table.first_line - 1 :], table.delimiter)
+        rows = [fields for _, fields in itertools.islice(found, _ROWS_LOOKED_AT)]
+    except csv.Error:
+        return {}
+    lists = {}
+    for column in range(min(map(len, rows), default=0)):
+        lengths = {_length(row[column]) for row in rows}
+        if len(rows) >= _MIN_ROWS and len(lengths) == 1 and (length := lengths.pop()):
+            named = table.names[column].strip() if column < len(table.names) else ""
+            lists[named or str(column + 1)] = column, length
+    return lists
+
+
+def _contents_of(lists: Mapping[str, tuple[int, int]]) -> tuple[Content, ...]:
+    return tuple(Content(name, f"lists of {length} numbers") for name, (_, length) in lists.items())
+
+
+def _length(cell: str) -> int:
+    """Return the length of a list of numbers; 0 for anything else."""
+    fields = _fields(cell)
+    listed = len(fields) >= _MIN_LENGTH and all(map(is_number, fields))
+    return len(fields) if listed else 0
+
+
+def _fields(cell: str) -> list[str]:
+    return [field for field in _BETWEEN.split(cell) if field]
+
+
+def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str) -> Stream:
+    """Create a stream of the lists of a column."""
+    column, length = lists[name]
+    text = tuple(sorted({*table.text_columns, *(place for place, _ in lists.values())}))
+    roles = Roles()
+    if len(text) < table.n_columns:
+        roles = _detected_roles(dataclasses.replace(table, text_columns=text), table.names)
+    before = table.first_line - 1
+
+    def parse(lines: TextLines) -> Iterator[Frame]:
+        rows = itertools.islice(lines, before, None)
+        for number, fields in delimited.records(rows, table.delimiter):
+            line, unnamed = before + number, 0 < len(table.names) <= column
+            if unnamed or len(fields) <= max(column, roles.time or 0):
+                raise LineError(table.path, line, f" has {len(fields)} fields, but {table.because}")
+            values = _fields(fields[column])
+            if len(values) != length:
+                problem = f", column {column + 1}: the list has {len(values)} numbers"
+                raise LineError(table.path, line, f"{problem}; the lists before have {length}")
+            try:
+                time = None if roles.time is None else parse_number(fields[roles.time])
+                readings = np.array([parse_number(value) for value in values])
+            except ValueError as error:
+                problem = f": {quote(str(error))} is not a number"
+                raise LineError(table.path, line, problem) from None
+            yield readings, None if time is None else time / roles.per_second, lines.fraction()
+
+    return Stream(
+        table.path,
+        length,
+        stack_frames(read_undamaged(table.path, parse, "frames")),
+        source=f"{table.path.name}:{name}",
+        metadata={"format": "delimited text, lists", "column": name},
+        from_zero=True,
+    )
 
 
 def write_recording(recording: Recording, path: Path) -> None:
@@ -295,12 +229,8 @@ def write_recording(recording: Recording, path: Path) -> None:
     """
     delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
     if recording.positions is not None:
-        warnings.warn(
-            f"{path.suffix} cannot store positions, so those of the recording are not written; "
-            "use .npz to keep them",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+        problem = "text cannot store positions, so those of the recording are not written"
+        warn(path.suffix, f"{problem}; use .npz to keep them")
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(
             header_text(
@@ -353,46 +283,18 @@ def header_text(
 
 def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Scalar]]:
     """Read the first lines, and the entries and metadata of a file written by anisomap."""
-    with open_text(path) as stream:
-        sample = delimited.read_sample(stream)
-    if _is_titled(sample, MAP_TITLE):
+    sample = delimited.read_sample(path)
+    title = sample[0] if sample else ""
+    if title.startswith(f"# {MAP_TITLE}"):
         raise FileError(f"{path} is a map, not a recording; read it with read_map")
-    return sample, *_own_comments(sample)
-
-
-def _is_titled(sample: list[str], title: str) -> bool:
-    return bool(sample) and sample[0].startswith(f"# {title}")
-
-
-def _own_comments(sample: list[str]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
-    """Read entries and metadata from the comments of a file written by anisomap."""
-    if not _is_titled(sample, TITLE):
-        return {}, {}
+    if not title.startswith(f"# {TITLE}"):
+        return sample, {}, {}
     leading = itertools.takewhile(lambda line: line.startswith("#"), sample)
     entries, metadata = comments.read_comments(leading, "metadata")
-    return dict(entries), metadata
+    return sample, dict(entries), metadata
 
 
-def _table(path: Path, layout: delimited.Layout, sample: list[str], preamble: int) -> Table:
-    if layout.header:
-        because = f"the header names {layout.n_columns}"
-    else:
-        first = next(delimited.records(sample[preamble:], layout.delimiter))[0]
-        because = f"line {preamble + first} has {layout.n_columns}"
-    table = Table(
-        path,
-        layout.delimiter,
-        layout.n_columns,
-        because,
-        preamble + layout.first_line,
-        layout.header,
-        text_columns=layout.text_columns,
-    )
-    unchanged = layout.delimiter == "," and not layout.trailing
-    return table if unchanged else dataclasses.replace(table, clean=layout.clean)
-
-
-def _own_roles(known: dict[str, Scalar]) -> Roles:
+def _own_roles(known: Mapping[str, Scalar]) -> Roles:
     timed = known.get("times") == _IN_FIRST_COLUMN
     return Roles(time=0, non_sensors=(0,)) if timed else Roles()
 
@@ -415,35 +317,13 @@ def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
     return roles
 
 
-def _roles_beside_lists(table: Table, lists: Mapping[str, ListColumn]) -> Roles:
-    columns = {each.column for each in lists.values()}
-    text = tuple(sorted({*table.text_columns, *columns}))
-    if len(text) == table.n_columns:
-        return Roles()
-    return _detected_roles(dataclasses.replace(table, text_columns=text), table.names)
-
-
 def _warn_of_commas(path: Path, sample: list[str]) -> None:
     """Warn if all numbers with a comma could also have thousands separators."""
     found = [match for line in sample for match in _WITH_COMMA.findall(line)]
     if found and all(_THOUSANDS.fullmatch(number) for number in found):
-        warnings.warn(
-            f"{path}: commas are read as decimal commas ({found[0]} as "
-            f"{found[0].replace(',', '.')}); remove thousands separators from the file",
-            AnisomapWarning,
-            stacklevel=2,
-        )
-
-
-def _warn_of_text(table: Table) -> None:
-    if not table.text_columns:
-        return
-    columns = join_items([_column_label(table, column) for column in table.text_columns])
-    warnings.warn(
-        f"{table.path}: skipped text in {columns}",
-        AnisomapWarning,
-        stacklevel=2,
-    )
+        shown = f"{found[0]} as {found[0].replace(',', '.')}"
+        problem = f"commas are read as decimal commas ({shown})"
+        warn(path, f"{problem}; remove thousands separators from the file")
 
 
 def _column_label(table: Table, column: int) -> str:
@@ -454,19 +334,17 @@ def _column_label(table: Table, column: int) -> str:
 def _blocks(table: Table, roles: Roles) -> Iterator[Block]:
     for values, fraction in read_blocks(table):
         times = None if roles.time is None else values[:, roles.time] / roles.per_second
-        yield Block(
-            to_float32_if_exact(np.delete(values, roles.non_sensors, axis=1)), fraction, times
-        )
+        readings = np.delete(values, roles.non_sensors, axis=1)
+        yield Block(to_float32_if_exact(readings), fraction, times)
 
 
 def _column_metadata(table: Table, roles: Roles) -> dict[str, Scalar]:
     """Name the columns that are not sensors, in the metadata and in the log."""
     metadata: dict[str, Scalar] = {}
     for key, column in (("time_column", roles.time), ("counter_column", roles.counter)):
-        if column is None:
-            continue
-        metadata[key] = _column_label(table, column)
-        _logger.info("%s: %s is the %s", table.path, metadata[key], key.replace("_", " "))
+        if column is not None:
+            metadata[key] = _column_label(table, column)
+            _logger.info("%s: %s is the %s", table.path, metadata[key], key.replace("_", " "))
     if table.text_columns:
         metadata["text_columns"] = ", ".join(_column_label(table, i) for i in table.text_columns)
     return metadata

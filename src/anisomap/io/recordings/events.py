@@ -6,7 +6,6 @@ A frame is one moment, or counts events in a bin of constant width.
 from __future__ import annotations
 
 import math
-import warnings
 from array import array
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +15,9 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import FileError
 from anisomap.io.parsing.naming import numbers_of
+from anisomap.io.parsing.source import warn
 from anisomap.io.stream import BLOCK_BYTES, Block, Stream
 from anisomap.memory import Budget
 from anisomap.recording import Scalar
@@ -138,12 +138,8 @@ def stream_events(
         needs_bins = bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
     if bin_s is None and needs_bins:
         bin_s = DEFAULT_BIN_S
-        warnings.warn(
-            f"{path}: events are counted in bins of {bin_s:g} s, the default width; choose another "
-            "with --bin-width (bin_s in Python)",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+        problem = f"events are counted in bins of {bin_s:g} s, the default width"
+        warn(path, f"{problem}; choose another with --bin-width (bin_s in Python)")
     facts: dict[str, Scalar] = dict(metadata or {})
     times: NDArray[np.float64] | None = None
     if bin_s is None:

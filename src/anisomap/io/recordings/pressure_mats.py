@@ -19,9 +19,9 @@ Cells marked ``B`` are outside the sensor.
 
 from __future__ import annotations
 
-import io
+import functools
+import itertools
 import re
-import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,10 +30,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError
-from anisomap.io.parsing.source import GZIP_ERRORS, Text, open_text_with_progress, quote
+from anisomap.errors import FileError
+from anisomap.io.parsing.source import TextLines, open_text, quote, warn
+from anisomap.io.parsing.table import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
-from anisomap.io.stream import Block, ReadOptions, Stream, salvage, to_float32_if_exact
+from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
 
 # Possessive quantifiers keep the time linear in the length of a line.
 _FRAME = re.compile(r'\s*+"?frame"?[\s:,;#]*+"?\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)
@@ -48,7 +49,6 @@ _SIZES = {"rows": "rows", "cols": "columns", "columns": "columns"}
 _OUTSIDE = re.compile(r"\b[Bb]\b")
 _LENGTHS = {"mm": "mm", "millimeters": "mm", "cm": "cm", "centimeters": "cm", "m": "m"}
 _MAX_HEADER, _MAX_CELLS = 1000, 1 << 22
-_BLOCK_BYTES = 1 << 20
 _DAY_S = 86400.0
 
 
@@ -60,15 +60,7 @@ class _Header:
     rows: int
     columns: int
     delimiter: str | None
-    outside: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    """A frame, and the time of day in its header, in seconds."""
-
-    cells: NDArray[np.float64]
-    clock: float | None
+    inside: NDArray[np.bool_]
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -89,17 +81,16 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     spacing in the header, or in spacings without one.
     """
     header = _read_header(path)
-    inside = ~header.outside
     names = grid_names(header.rows, header.columns)
     positions, units = _positions(header)
     period, _ = header.entries.get("seconds per frame", (0.0, ""))
     yield Stream(
         path,
-        int(np.count_nonzero(inside)),
-        salvage(_blocks(path, header), path, GZIP_ERRORS),
-        names=tuple(name for name, kept in zip(names, inside, strict=True) if kept),
+        int(np.count_nonzero(header.inside)),
+        stack_frames(read_undamaged(path, functools.partial(_frames, path, header), "frames")),
+        names=tuple(itertools.compress(names, header.inside)),
         rate_hz=1 / period if period > 0 else None,
-        positions=positions[inside],
+        positions=positions[header.inside],
         units=units,
         source=path.name,
         metadata={"format": "pressure mat", "rows": header.rows, "columns": header.columns},
@@ -108,18 +99,16 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 def _read_header(path: Path) -> _Header:
-    with open_text_with_progress(path) as text:
-        entries = _read_entries(path, text.lines)
+    with open_text(path) as lines:
+        entries = _read_entries(path, lines)
         rows, columns = (int(entries.get(key, (0, ""))[0]) for key in ("rows", "columns"))
         if rows * columns > _MAX_CELLS:
-            raise FileError(
-                f"{path}: the header gives {rows} x {columns} cells; at most {_MAX_CELLS} are "
-                "supported"
-            )
-        first = _first_frame(text.lines, rows)
+            size = f"{rows} x {columns} cells"
+            raise FileError(f"{path}: the header gives {size}; at most {_MAX_CELLS} are supported")
+        first = _first_frame(lines, rows)
     if not first:
         raise FileError(f"{path} has no frame")
-    delimiter = _delimiter(first[0])
+    delimiter = next((mark for mark in (";", "\t", ",") if mark in _plain(first[0])), None)
     table = _parsed(path, first, delimiter)
     rows, columns = rows or table.shape[0], columns or table.shape[1]
     if table.shape != (rows, columns):
@@ -127,20 +116,18 @@ def _read_header(path: Path) -> _Header:
             f"{path}: the first frame has {table.shape[0]} x {table.shape[1]} cells, "
             f"but the header says {rows} x {columns}"
         )
-    outside = np.isnan(table.ravel())
-    if outside.all():
+    inside = ~np.isnan(table.ravel())
+    if not inside.any():
         raise FileError(f"{path}: all cells of the first frame are outside the sensor")
-    return _Header(entries, rows, columns, delimiter, outside)
+    return _Header(entries, rows, columns, delimiter, inside)
 
 
 def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, str]]:
     """Read numbers with names and units up to the first line of the first frame."""
     entries: dict[str, tuple[float, str]] = {}
-    for number, line in enumerate(lines, start=1):
+    for line in itertools.islice(lines, _MAX_HEADER):
         if _FRAME.match(line):
             return entries
-        if number > _MAX_HEADER:
-            break
         if match := _ENTRY.match(line):
             key = match[1].strip().lower().replace("_", " ")
             entries[_SIZES.get(key, key)] = (_number(match[2]), match[3].lower())
@@ -160,63 +147,30 @@ def _first_frame(lines: Iterable[str], rows: int) -> list[str]:
     return first
 
 
-def _blocks(path: Path, header: _Header) -> Iterator[Block]:
-    inside = ~header.outside
-    at_once = max(1, _BLOCK_BYTES // (8 * header.outside.size))
-    with open_text_with_progress(path) as text:
-        frames: list[_Frame] = []
-        damage: Exception | None = None
-        try:
-            for frame in _frames(path, text, header):
-                frames.append(frame)
-                if len(frames) == at_once:
-                    yield _block(frames, inside, text.fraction())
-                    frames = []
-        except GZIP_ERRORS as error:
-            damage = error
-        if frames:
-            yield _block(frames, inside, text.fraction())
-        if damage:
-            raise damage
-
-
-def _block(frames: list[_Frame], inside: NDArray[np.bool_], fraction: float) -> Block:
-    cells = np.array([frame.cells for frame in frames])[:, inside]
-    clocks = [frame.clock for frame in frames if frame.clock is not None]
-    times = np.array(clocks) if len(clocks) == len(frames) else None
-    return Block(to_float32_if_exact(cells), fraction, times)
-
-
-def _frames(path: Path, text: Text, header: _Header) -> Iterator[_Frame]:
+def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
     lines: list[str] = []
     clock: float | None = None
     before, started, n_frames = 0.0, 0, 0
-    for number, line in enumerate(text.lines, start=1):
+    for number, line in enumerate(text, start=1):
         if _FRAME.match(line):
             if started and lines:
                 raise _size_error(path, started, lines, header)
             started, lines, clock = number, [], None
         elif started and (match := _CLOCK.match(line)):
-            clock = 3600.0 * int(match[1]) + 60.0 * int(match[2]) + _number(match[3])
-            clock += _DAY_S * (clock < before - _DAY_S / 2)  # after midnight
-            before = clock
+            clock = before = _after(before, match)
         elif started and _is_data(line):
             lines.append(line)
             if len(lines) == header.rows:
                 cells = _parsed(path, lines, header.delimiter, first_line=number - header.rows + 1)
                 if cells.shape[1] != header.columns:
                     raise _size_error(path, started, lines, header)
-                yield _Frame(cells.ravel(), clock)
+                yield cells.ravel()[header.inside], clock, text.fraction()
                 lines, n_frames = [], n_frames + 1
     if lines:
         if not n_frames:
             raise _size_error(path, started, lines, header)
-        warnings.warn(
-            f"{path}: the last frame is truncated in row {len(lines)} of {header.rows} and "
-            f"dropped; read the {n_frames} frames before it",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+        what = f"truncated in row {len(lines)} of {header.rows} and dropped"
+        warn(path, f"the last frame is {what}; read the {n_frames} frames before it")
 
 
 def _size_error(path: Path, line: int, lines: list[str], header: _Header) -> FileError:
@@ -226,14 +180,16 @@ def _size_error(path: Path, line: int, lines: list[str], header: _Header) -> Fil
     )
 
 
+def _after(before: float, clock: re.Match[str]) -> float:
+    """Return a time of day in seconds, on the next day if it is far before the one before."""
+    time = 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + _number(clock[3])
+    return time + _DAY_S * (time < before - _DAY_S / 2)
+
+
 def _is_data(line: str) -> bool:
     """Return whether a line is a row of cells, by its first field."""
     field = re.split(r"[,;\s]", line.strip().lstrip('"'), maxsplit=1)[0].strip('"')
     return bool(field) and (field in "Bb" or field.replace(".", "").lstrip("+-").isdecimal())
-
-
-def _delimiter(line: str) -> str | None:
-    return next((mark for mark in (";", "\t", ",") if mark in _plain(line)), None)
 
 
 def _plain(line: str) -> str:
@@ -248,14 +204,12 @@ def _parsed(
 ) -> NDArray[np.float64]:
     cleaned = [_OUTSIDE.sub("nan", _plain(line)).strip().rstrip(delimiter or "") for line in lines]
     try:
-        return np.loadtxt(
-            io.StringIO("\n".join(cleaned)), np.float64, delimiter=delimiter, comments=None, ndmin=2
-        )
+        return np.loadtxt(cleaned, np.float64, delimiter=delimiter, comments=None, ndmin=2)
     except ValueError as error:
         where = f" of lines {first_line} to {first_line + len(lines) - 1}" if first_line else ""
-        raise FileError(
-            f"{path}: the frame{where} is not a table of numbers: {quote(lines[0].strip())} ..."
-        ) from error
+        shown = quote(lines[0].strip())
+        message = f"{path}: the frame{where} is not a table of numbers: {shown} ..."
+        raise FileError(message) from error
 
 
 def _positions(header: _Header) -> tuple[NDArray[np.float64], str]:

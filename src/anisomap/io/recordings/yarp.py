@@ -16,9 +16,10 @@ import functools
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,6 @@ from anisomap.io.stream import (
     Stream,
     choose,
     join_streams,
-    salvage,
     to_float32_if_exact,
 )
 from anisomap.recording import Scalar
@@ -56,88 +56,70 @@ PARTS = (
 """Names of skin parts by number, as the library of the robot defines them."""
 
 _STAMPS = re.compile(r"\s*+(\d++)((?:\s++\d[\d.eE+-]*+){1,2})\s*+")
-_START = re.compile(r"\s*+\d++(?:\s++\d[\d.eE+-]*+){1,2}\s*+\(\(")
+_START = re.compile(_STAMPS.pattern + r"\(\(")
+_CONTACT = re.compile(r"\(((?:[^()]|\([^()]*+\))*+)\)")
+_ITEM = re.compile(r"\(([^()]*+)\)|([^()\s]++)")
 _INTEGERS = re.compile(r"(?:\s*+[0-9]{1,9}(?![0-9]))*+\s*+")
 _STAMPED_ONLY = re.compile(r"[\d.eE+\-\s]*+(?:\(\s*+\)\s*+)?")
 _MAX_STAMPED = 3
 _FIELDS, _WITH_NAMES = 8, 9
 _TAXELS_AT, _PART_AT = 6, 3
 
-
-@dataclass(frozen=True)
-class _Frame:
-    """The stamps of a line, and its active taxels by skin part."""
-
-    stamps: tuple[float, ...]
-    taxels: tuple[tuple[str, tuple[int, ...]], ...]
+_Frame: TypeAlias = tuple[tuple[float, ...], list[tuple[str, list[int]]]]
+"""The stamps of a line, and its active taxels by skin part."""
 
 
-def is_contact_log(path: Path) -> bool:
+def _is_contact_log(path: Path) -> bool:
     """Return whether the first line of a log with any value holds contacts."""
-    try:
-        with open_text(path) as stream:
-            for line in stream:
-                if is_skipped(line) or _has_no_value(line):
-                    continue
+    with open_text(path) as stream, suppress(*GZIP_ERRORS):
+        for line in stream:
+            # A line may hold no more than a sequence number, two stamps and an empty list.
+            n_numbers = len(line.partition("(")[0].split())
+            without_value = _STAMPED_ONLY.fullmatch(line) and n_numbers <= _MAX_STAMPED
+            if not is_skipped(line) and not without_value:
                 return bool(_START.match(line))
-    except GZIP_ERRORS:
-        pass
     return False
 
 
-def _has_no_value(line: str) -> bool:
-    """Return whether a line holds at most a sequence number, two stamps and an empty list."""
-    n_numbers = len(line.partition("(")[0].split())
-    return bool(_STAMPED_ONLY.fullmatch(line)) and n_numbers <= _MAX_STAMPED
-
-
-def contents_of_log(path: Path) -> tuple[Content, ...]:
+def _skin_parts(path: Path) -> tuple[Content, ...]:
     """List the skin parts that were touched."""
-    counts: dict[str, set[int]] = {}
-    for frame in _frames(path):
-        for part, taxels in frame.taxels:
-            counts.setdefault(part, set()).update(taxels)
-    return tuple(
-        Content(part, f"contacts of {len(taxels)} taxels") for part, taxels in counts.items()
-    )
+    touched: dict[str, set[int]] = {}
+    for _, contacts in _contact_frames(path):
+        for part, taxels in contacts:
+            touched.setdefault(part, set()).update(taxels)
+    return tuple(Content(part, f"contacts of {len(each)} taxels") for part, each in touched.items())
 
 
-def stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> Stream:
+def _stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> Stream:
     """Create a stream of the contacts of some skin parts."""
     found = EventList[tuple[str, int]](path)
-    wanted = set(parts)
-    for frame in _frames(path):
-        active = [
-            (part, taxel) for part, taxels in frame.taxels if part in wanted for taxel in taxels
-        ]
+    for stamps, contacts in _contact_frames(path):
+        active = [(part, taxel) for part, taxels in contacts if part in parts for taxel in taxels]
         # A line without contact is a frame too.
-        found.add(frame.stamps[0], active, frame.stamps[-1])
-    order = {part: i for i, part in enumerate(parts)}
-    sensors = sorted(found.sensors, key=lambda s: (order[s[0]], s[1]))
-    index = {sensor: i for i, sensor in enumerate(sensors)}
-    one = len(parts) == 1
+        found.add(stamps[0], active, stamps[-1])
+    sensors = sorted(found.sensors, key=lambda sensor: (parts.index(sensor[0]), sensor[1]))
     sent, received = np.array(found.moments), np.array(found.values)
     events = Events(
         sent if (np.diff(sent) >= 0).all() else received,
-        found.indices(index),
-        tuple(f"taxel{taxel}" if one else f"{part}/taxel{taxel}" for part, taxel in sensors),
+        found.indices({sensor: i for i, sensor in enumerate(sensors)}),
+        tuple(f"{part}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for part, i in sensors),
     )
     metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}
     return stream_events(path, events, bin_s=bin_s, contacts=True, metadata=metadata)
 
 
-def _frames(path: Path) -> Iterator[_Frame]:
+def _contact_frames(path: Path) -> Iterator[_Frame]:
     """Yield the frames of a log, up to damage of a gzipped file or a truncated last line."""
 
     def parse(lines: Iterable[str]) -> Iterator[_Frame]:
         for number, line in enumerate(lines, start=1):
             if not is_skipped(line):
-                yield _parsed(path, number, line)
+                yield _contacts_of(path, number, line)
 
     return read_undamaged(path, parse, "frames")
 
 
-def _parsed(path: Path, number: int, line: str) -> _Frame:
+def _contacts_of(path: Path, number: int, line: str) -> _Frame:
     match = _STAMPS.match(line)
     if not match:
         raise LineError(path, number, ": must start with a sequence number and a stamp")
@@ -145,45 +127,17 @@ def _parsed(path: Path, number: int, line: str) -> _Frame:
         stamps = tuple(float(word) for word in match[2].split())
     except ValueError:
         raise LineError(path, number, f": {quote(match[2].strip())} must be stamps") from None
-    rest = line[match.end() :].strip()
-    contacts = _lists(rest)
+    text = line[match.end() :]
+    listed = [
+        [item[2] if item[1] is None else item[1] for item in _ITEM.finditer(contact)]
+        for contact in _CONTACT.findall(text)
+    ]
     # An empty list may be written as such.
-    if contacts is None or any(len(contact) and _part(contact) is None for contact in contacts):
-        raise LineError(
-            path, number, ": must hold contacts, each of 8 lists and numbers in brackets"
-        )
-    found = [(_part(contact), _taxels(contact)) for contact in contacts if contact]
-    return _Frame(stamps, tuple((part, taxels) for part, taxels in found if part is not None))
-
-
-def _lists(text: str) -> list[list[str]] | None:
-    """Split ``((1 2) (3) 4) (...)`` into the items of each list; None if brackets do not match.
-
-    Items keep the text inside their own brackets, of one level.
-    """
-    found: list[list[str]] = []
-    depth, start = 0, 0
-    for i, character in enumerate(text):
-        if character == "(":
-            depth += 1
-            if depth == 1:
-                found.append([])
-            start = i + 1
-        elif character == ")":
-            depth -= 1
-            if depth == 1:
-                found[-1].append(text[start:i])
-            elif depth == 0:
-                found[-1] += text[start:i].split()
-            else:
-                return None
-            start = i + 1
-        elif character.isspace() and depth == 1:
-            found[-1] += text[start:i].split()
-            start = i + 1
-        if depth > 2 or (depth == 0 and character not in ") \t\r\n"):
-            return None
-    return found if depth == 0 else None
+    contacts = [(_part(items), items) for items in listed if items]
+    if _CONTACT.sub("", text).strip() or any(part is None for part, _ in contacts):
+        problem = ": must hold contacts, each of 8 lists and numbers in brackets"
+        raise LineError(path, number, problem)
+    return stamps, [(part, [*map(int, c[_TAXELS_AT].split())]) for part, c in contacts if part]
 
 
 def _part(contact: Sequence[str]) -> str | None:
@@ -195,10 +149,6 @@ def _part(contact: Sequence[str]) -> str | None:
         return None
     part = numbers[_PART_AT]
     return PARTS[int(part)] if len(part) < 3 and int(part) < len(PARTS) else f"part{part}"
-
-
-def _taxels(contact: Sequence[str]) -> tuple[int, ...]:
-    return tuple(int(word) for word in contact[_TAXELS_AT].split())
 
 
 _FILE, _INFO = "data.log", "info.log"
@@ -236,8 +186,9 @@ def recognises(path: Path, head: bytes) -> bool:
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the ports of a session, or the skin parts of a log of contacts; empty for readings."""
     if log := _single(path):
-        return contents_of_log(log) if is_contact_log(log) else ()
-    return tuple(Content(_folder(path, log), _port(log) or "no info.log") for log in _logs(path))
+        return _skin_parts(log) if _is_contact_log(log) else ()
+    logs = _logs(path).items()
+    return tuple(Content(folder, _port(log) or "no info.log") for folder, log in logs)
 
 
 @contextmanager
@@ -254,28 +205,21 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         source = f"{path.name}/{_FILE}" if path.is_dir() else path.name
         yield replace(_stream(log, options.bin_s, wanted), source=source)
         return
-    ports = contents(path, options)
-    by_port = tuple(replace(content, name=content.summary) for content in ports)
-    if all(any(port.name == name for port in by_port) for name in wanted):
-        chosen = [ports[by_port.index(choose(path, by_port, name, "port"))].name for name in wanted]
-    else:
-        chosen = [choose(path, ports, name, "port").name for name in wanted]
-    logs = {_folder(path, log): log for log in _logs(path)}
-    streams = {name: _stream(logs[name], options.bin_s) for name in chosen}
-    stream = join_streams(streams) if len(streams) > 1 else streams[chosen[0]]
-    yield replace(stream, source=f"{path.name}/{', '.join(chosen)}")
+    ports, logs, streams = contents(path, options), _logs(path), dict[str, Stream]()
+    for name in wanted:
+        named = [content for content in ports if content.summary == name]
+        chosen = named[0] if len(named) == 1 else choose(path, ports, name, "port")
+        streams[chosen.name] = _stream(logs[chosen.name], options.bin_s)
+    stream = join_streams(streams) if len(streams) > 1 else next(iter(streams.values()))
+    yield replace(stream, source=f"{path.name}/{', '.join(streams)}")
 
 
-def _logs(folder: Path) -> list[Path]:
-    """Find the logs of a folder or a session, at most two folders deep."""
-    here = folder / _FILE
-    if here.is_file():
-        return [here]
-    return sorted(log for depth in ("*", "*/*") for log in folder.glob(f"{depth}/{_FILE}"))
-
-
-def _folder(session: Path, log: Path) -> str:
-    return log.parent.relative_to(session).as_posix()
+def _logs(session: Path) -> dict[str, Path]:
+    """Find the logs of a folder or a session, at most two folders deep, by their folders."""
+    here = session / _FILE
+    deeper = (log for depth in ("*", "*/*") for log in session.glob(f"{depth}/{_FILE}"))
+    logs = [here] if here.is_file() else sorted(deeper)
+    return {log.parent.relative_to(session).as_posix(): log for log in logs}
 
 
 def _port(log: Path) -> str:
@@ -302,10 +246,10 @@ def _single(path: Path) -> Path | None:
 
 def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream:
     """Create a stream of a log; `parts` selects the skin parts of contacts, all by default."""
-    if is_contact_log(log):
-        found = contents_of_log(log)
+    if _is_contact_log(log):
+        found = _skin_parts(log)
         names = [choose(log, found, part, "skin part").name for part in parts]
-        return stream_contacts(log, names or [each.name for each in found], bin_s)
+        return _stream_contacts(log, names or [each.name for each in found], bin_s)
     table = _table(log)
     n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
     n_sensors = table.n_columns - 1 - n_stamps
@@ -317,7 +261,7 @@ def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream
     return Stream(
         log,
         n_sensors,
-        salvage(_blocks(table, n_stamps), log, GZIP_ERRORS),
+        _blocks(table, n_stamps),
         metadata=metadata,
         from_zero=True,
         locate=functools.partial(line_of, table),
