@@ -192,8 +192,7 @@ def check_checkpoint(path: Path, found: Findings, rng: Generator) -> None:
     """Resume from a checkpoint."""
     checkpoint = _within_memory(found, "Checkpoint", lambda: Checkpoint(path, "a computation"))
     if checkpoint is not None:
-        found.attempt("verify", lambda: checkpoint.verify("total", "0f"))
-        found.attempt("progress", lambda: checkpoint.progress("total"))
+        found.attempt("remaining", lambda: checkpoint.remaining([], "total"))
     del rng
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from anisomap import io
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large.checkpoints import Checkpoint
+from anisomap.large.map_reduce import map_reduce
 from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
@@ -237,8 +238,8 @@ def _bodies(folder: Path) -> list[Subject]:
 def _checkpoint(folder: Path) -> Subject:
     path = folder / "counts.npz"
     checkpoint = Checkpoint(path, "a computation")
-    checkpoint.update("total", 2, "0f", Moments.of(example_recording().readings))
-    checkpoint.write()
+    readings = example_recording().readings
+    map_reduce(lambda: iter([readings]), Moments.of, checkpoint=checkpoint)
     return Subject("checkpoint", "checkpoint", [_tree(path)])
 
 

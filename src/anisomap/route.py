@@ -176,9 +176,9 @@ def read_in_blocks(
 
     Dropped sensors and the seed affect approximate maps only.
     """
+    from anisomap.large import ApproximateOptions  # noqa: PLC0415
     from anisomap.large.approximation import build_similarity_graph  # noqa: PLC0415
     from anisomap.large.map_reduce import WorkerPool  # noqa: PLC0415
-    from anisomap.large.sketch import ApproximateOptions  # noqa: PLC0415
     from anisomap.large.streaming import stream_similarity  # noqa: PLC0415
 
     chosen = options or MethodOptions()

@@ -6,9 +6,8 @@ import pytest
 import anisomap
 from anisomap import Recording, mantel, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.large import reconstruct_approximately
+from anisomap.large import ApproximateOptions, reconstruct_approximately
 from anisomap.large.approximation import build_similarity_graph
-from anisomap.large.sketch import ApproximateOptions
 from skins import lattice, rubbed
 
 PLACES = lattice(15, 16)
@@ -24,7 +23,7 @@ def made(readings=READINGS, dimensions=2, **options):
 
 @pytest.fixture(scope="module")
 def found():
-    with pytest.warns(AnisomapWarning, match="approximate"):
+    with pytest.warns(AnisomapWarning, match=r"this map is approximate.* 60 landmarks"):
         return made()
 
 
@@ -40,17 +39,12 @@ def test_approximate_maps_resemble_exact_maps(dimensions):
     assert agreement(approximate, PLACES) > agreement(exact, PLACES) - 0.01
 
 
-def test_approximate_maps_are_labelled(found):
-    assert found.method == "r-anisomap"
+def test_the_seed_determines_the_map_and_is_recorded(found):
+    np.testing.assert_array_equal(made().positions, found.positions)
     facts = dict(found.provenance)
-    assert found.approximate
+    assert (found.method, found.approximate) == ("r-anisomap", True)
     assert (facts["approximate_n_landmarks"], facts["approximate_seed"]) == (60, 0)
     assert facts["frames"] == len(READINGS)
-    assert any("this map is approximate" in note and "60 landmarks" in note for note in found.notes)
-
-
-def test_the_seed_determines_the_map(found):
-    np.testing.assert_array_equal(made().positions, found.positions)
     other = made(approximate=ApproximateOptions(n_candidates=30, n_landmarks=60, seed=1))
     assert not np.allclose(other.positions, found.positions)
     assert agreement(other, found) > 0.99
@@ -133,12 +127,6 @@ def test_the_health_of_many_sensors_is_that_of_few(monkeypatch):
     assert [sensor.status for sensor in many] == [sensor.status for sensor in whole]
     best = [[sensor.best_match for sensor in health] for health in (many, whole)]
     np.testing.assert_allclose(*best, atol=1e-5)
-
-
-def test_a_known_best_match_is_used():
-    known = np.linspace(0.4, 0.9, 6)
-    found = anisomap.assess(Recording(READINGS[:, :6].astype(float)), best_match=known)
-    assert [sensor.best_match for sensor in found] == known.tolist()
 
 
 def test_mantel_r_of_very_many_sensors_uses_a_sample(found, monkeypatch):

@@ -70,7 +70,7 @@ def test_killed_processes_resume_to_the_same_result(tmp_path):
             process.kill()
     parts = np.split(READINGS, 60)
     progress = Checkpoint(file, "moments")
-    assert progress.progress("total")[0] >= 2, "every run added to what was done"
+    assert progress.stages["total"].n_chunks >= 2, "every run added to what was done"
     found = map_reduce(lambda: iter(parts), Moments.of, checkpoint=progress)
     expected = map_reduce(lambda: iter(parts), Moments.of)
     np.testing.assert_array_equal(found.comoment, expected.comoment)
@@ -172,36 +172,13 @@ def test_damaged_files_are_refused_unless_the_damage_is_harmless(held, tmp_path_
 def rewritten(content, **changes):
     """Return the archive with other arrays."""
     with np.load(io.BytesIO(content)) as archive:
-        arrays = dict(archive)
-    for name, array in changes.items():
-        if array is None:
-            del arrays[name]
-        else:
-            arrays[name] = array
+        arrays = {k: v for k, v in (dict(archive) | changes).items() if v is not None}
     stream = io.BytesIO()
     np.savez(stream, **arrays)
     return stream.getvalue()
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"pairs/chunks": None},
-        {"pairs/kind": np.array("Checkpoint")},
-        {"pairs/counts": np.array(["a"])},
-        {"values/sizes": np.array([1])},
-        {"values/counts": None},
-    ],
-    ids=lambda changes: "-".join(f"{k}={v}" for k, v in changes.items())[:40],
-)
-def test_changed_archives_are_refused(held, tmp_path, changes):
-    file = tmp_path / "counts.npz"
-    file.write_bytes(rewritten(held[0], **changes))
-    with pytest.raises(FileError):
-        similarity(SMALL, file)
-
-
-def object_array():
+def object_array(_):
     """Return an archive of a pickle, which must never be loaded."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive, archive.open("subject.npy", "w") as member:
@@ -217,17 +194,24 @@ def compressed(content):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("kind", ["empty", "cut", "text", "no member", "pickle", "compressed"])
-def test_other_files_are_refused(tmp_path, held, kind):
-    content = {
-        "empty": b"",
-        "cut": held[0][:-200],
-        "text": b"no archive at all",
-        "no member": b"PK\5\6" + bytes(18),
-        "pickle": object_array(),
-        "compressed": compressed(held[0]),
-    }[kind]
-    file = tmp_path / "counts.npz"
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda _: b"",
+        lambda content: content[:-200],
+        lambda _: b"no archive at all",
+        lambda _: b"PK\5\6" + bytes(18),
+        object_array,
+        compressed,
+        lambda content: rewritten(content, **{"pairs/chunks": None}),
+        lambda content: rewritten(content, **{"pairs/kind": np.array("Checkpoint")}),
+        lambda content: rewritten(content, **{"pairs/counts": np.array(["a"])}),
+        lambda content: rewritten(content, **{"values/counts sizes": np.array([1])}),
+        lambda content: rewritten(content, **{"values/counts": None}),
+    ],
+)
+def test_other_files_are_refused_and_left_alone(tmp_path, held, damage):
+    file, content = tmp_path / "counts.npz", damage(held[0])
     file.write_bytes(content)
     with pytest.raises(FileError, match="damaged or not a checkpoint"):
         similarity(SMALL, file)

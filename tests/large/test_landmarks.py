@@ -8,7 +8,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.large import landmark_kernels
 from anisomap.large.landmark_mds import (
     Targets,
     paths_from,
@@ -18,19 +17,18 @@ from anisomap.large.landmark_mds import (
     triangulate,
 )
 from anisomap.large.sensor_graph import (
+    ApproximateOptions,
+    SensorPairs,
     adjacency_matrix,
     bridge_components,
     build_graph,
     component_labels,
-    edge_lengths,
-)
-from anisomap.large.sketch import (
-    ApproximateOptions,
-    SensorPairs,
     compute_sketch,
     correlations,
+    edge_lengths,
     pairs_of,
 )
+from anisomap.numerics.compiled import landmarks as loops
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
 from anisomap.numerics.graph import neighbour_graphs as search
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
@@ -193,7 +191,7 @@ def test_the_stress_of_landmark_pairs_and_its_gradient():
     targets = rng.uniform(0.5, 2, (20, 7))
     slope, pulled = np.zeros((2, 20)), np.zeros((2, 7))
     single = [array.astype(np.float32) for array in (points, anchors, targets)]
-    raw = landmark_kernels.add_rows_stress(*single, (0, 20), (slope, pulled))
+    raw = loops.add_rows_stress(*single, (0, 20), (slope, pulled))
     distances = cdist(points.T, anchors.T)
     assert raw == pytest.approx(((distances - targets) ** 2).sum(), rel=1e-5)
     share = (distances - targets) / np.maximum(distances, 1e-9)

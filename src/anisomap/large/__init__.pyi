@@ -1,4 +1,4 @@
 from .approximation import reconstruct_approximately as reconstruct_approximately
 from .map_reduce import WorkerPool as WorkerPool
-from .sketch import ApproximateOptions as ApproximateOptions
+from .sensor_graph import ApproximateOptions as ApproximateOptions
 from .streaming import reconstruct_chunks as reconstruct_chunks

@@ -25,18 +25,16 @@ from anisomap.large.chunks import (
 )
 from anisomap.large.landmark_mds import PlacedComponent, place_component
 from anisomap.large.sensor_graph import (
+    ApproximateOptions,
     SensorGraph,
+    SensorPairs,
+    Sketch,
     adjacency_matrix,
     bridge_components,
     build_graph,
-    edge_lengths,
-)
-from anisomap.large.sketch import (
-    ApproximateOptions,
-    SensorPairs,
-    Sketch,
     compute_sketch,
     correlations,
+    edge_lengths,
     pairs_of,
 )
 from anisomap.numerics.graph.neighbour_graphs import most_similar
@@ -49,8 +47,7 @@ logger = logging.getLogger(__name__)
 APPROXIMATED = "r-anisomap"
 """The method of approximate maps."""
 
-EXCERPT_READINGS = 1 << 27
-"""Number of readings from which sensor health is assessed; many sensors require many."""
+EXCERPT_READINGS = 1 << 27  # from which sensor health is assessed; many sensors require many
 
 _UNEXAMINED = (
     "approximate maps do not show whether the skin is flat, so the map has 3 dimensions: for a "
@@ -162,7 +159,8 @@ def build_similarity_graph(
     )
     excerpt = segments.recording(like)
     dropped = sensor_mask(excerpt.names, drop)
-    sketch = _without(sketch, dropped)
+    projections = np.where(dropped[:, None], np.float32(0), sketch.projections)
+    sketch = replace(sketch, varying=sketch.varying & ~dropped, projections=projections)
     logger.info("searching for the most similar sensors")
     links = correlations(small_chunks(), sketch, _candidates(sketch, chosen))
     graph, bridging = bridge_components(
@@ -208,18 +206,13 @@ def map_similarity_graph(
     rng = np.random.default_rng(found.options.seed)
     placed: list[PlacedComponent] = []
     for members in _members(component):
+        edges = graph[members][:, members]
         placed.append(
-            place_component(
-                graph[members][:, members],
-                n_dimensions,
-                n_landmarks=found.options.n_landmarks,
-                options=chosen.smacof,
-                rng=rng,
-            )
+            place_component(edges, n_dimensions, found.options.n_landmarks, chosen.smacof, rng)
         )
         positions[members] = placed[-1].positions
-    raw_stress, spread = sum(part.raw_stress for part in placed), sum(p.spread for p in placed)
-    n_iterations = max(part.iterations for part in placed)
+    _, raw_stress, spread, converged, iterations = zip(*placed, strict=True)
+    n_iterations = max(iterations)
     made = SensorMap(
         positions,
         names=found.excerpt.names,
@@ -228,7 +221,7 @@ def map_similarity_graph(
         similarity="pearson",
         approximate=True,
         n_iterations=n_iterations,
-        stress=np.sqrt(raw_stress / spread) if spread > 0 else 0.0,
+        stress=np.sqrt(sum(raw_stress) / sum(spread)) if sum(spread) > 0 else 0.0,
         notes=(_UNEXAMINED,) if dimensions == AUTO else (),
         provenance={
             "anisomap": __version__,
@@ -239,14 +232,14 @@ def map_similarity_graph(
             "iterations": n_iterations,
         },
     )
-    converged = all(part.converged for part in placed)
-    return found.complete(made, _notes(found, component, converged=converged), found.dropped)
-
-
-def _without(sketch: Sketch, dropped: NDArray[np.bool_]) -> Sketch:
-    """Mark dropped sensors as constant."""
-    projections = np.where(dropped[:, None], np.float32(0), sketch.projections)
-    return replace(sketch, varying=sketch.varying & ~dropped, projections=projections)
+    sizes = found.options
+    approximate = (
+        f"this map is approximate: r was computed for each sensor with {sizes.n_candidates} "
+        f"candidates only, found by a sketch of {sizes.sketch_size} numbers; shortest paths use "
+        f"the best {sizes.n_neighbours} of them and lead to {sizes.n_landmarks} landmarks only"
+    )
+    notes = caveats(component, found.excerpt.names, converged=all(converged))
+    return found.complete(made, (approximate, *notes), found.dropped)
 
 
 def _candidates(
@@ -295,15 +288,3 @@ def _members(component: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     order = np.argsort(component, kind="stable")
     order = order[component[order] != UNPLACED]
     return np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
-
-
-def _notes(
-    found: SimilarityGraph, component: NDArray[np.intp], *, converged: bool
-) -> Iterator[str]:
-    options = found.options
-    yield (
-        f"this map is approximate: r was computed for each sensor with {options.n_candidates} "
-        f"candidates only, found by a sketch of {options.sketch_size} numbers; shortest paths use "
-        f"the best {options.n_neighbours} of them and lead to {options.n_landmarks} landmarks only"
-    )
-    yield from caveats(component, found.excerpt.names, converged=converged)

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from hashlib import blake2b
 from io import BufferedReader
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -31,32 +32,12 @@ A killed run loses the work on one chunk, or of ten times the duration of a writ
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
 
 
-class _Stage(NamedTuple):
-    n_chunks: int
-    digest: str
-    total: Accumulator
+class Stage(NamedTuple):
+    """Progress of a reduction: chunks that are done, a digest of them, and their accumulator."""
 
-
-class ChunkDigests:
-    """Cumulative digests that identify chunks: each covers all chunks up to it.
-
-    seed: Included in every digest.
-    """
-
-    def __init__(self, seed: str = "") -> None:
-        self._hash = blake2b(seed.encode(), digest_size=16)
-        self._digests = [""]
-
-    def follow(self, chunks: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
-        """Yield the chunks, and record the digest after each."""
-        for chunk in chunks:
-            _update(self._hash, chunk)
-            self._digests.append(self._hash.hexdigest())
-            yield chunk
-
-    def up_to(self, n_chunks: int) -> str:
-        """Return the digest of the first `n_chunks`, or of all if there are fewer."""
-        return self._digests[min(n_chunks, len(self._digests) - 1)]
+    n_chunks: int = 0
+    digest: str = ""
+    total: Any = None
 
 
 class Checkpoint:
@@ -71,27 +52,37 @@ class Checkpoint:
 
     def __init__(self, path: Path, subject: str) -> None:
         self._path, self._subject = check_target(path), subject
-        self._stages: dict[str, _Stage] = self._read() if path.exists() else {}
+        self.stages: dict[str, Stage] = self._read() if path.exists() else {}
+        self._digests = [""]
         self._next_write = time.monotonic()
 
-    def progress(self, stage: str) -> tuple[int, Accumulator | None]:
-        """Return the number of chunks that a stage has processed, and its accumulator."""
-        known = self._stages.get(stage)
-        return (known.n_chunks, known.total) if known else (0, None)
+    def remaining(
+        self, chunks: Iterable[NDArray[Any]], stage: str, after: str = ""
+    ) -> Iterator[NDArray[Any]]:
+        """Skip the chunks that a stage has processed, and return the others.
 
-    def digest(self, stage: str) -> str:
-        """Return the digest of the chunks that a stage has processed; see `ChunkDigests`."""
-        known = self._stages.get(stage)
-        return known.digest if known else ""
+        Digests cover all chunks up to each, and those of the stage before. Raises `FileError` if
+        other chunks were processed.
+        """
+        digest = blake2b(self.stages.get(after, Stage()).digest.encode(), digest_size=16)
+        self._digests = [""]
 
-    def verify(self, stage: str, digest: str) -> None:
-        """Raise `FileError` if the stage has processed chunks with another digest."""
-        if stage in self._stages and digest != self._stages[stage].digest:
+        def follow() -> Iterator[NDArray[Any]]:
+            for chunk in chunks:
+                _update(digest, chunk)
+                self._digests.append(digest.hexdigest())
+                yield chunk
+
+        known, rest = self.stages.get(stage, Stage()), follow()
+        for _ in islice(rest, known.n_chunks):
+            pass
+        if self._digests[-1] != known.digest:
             raise self._mismatch("other readings")
+        return rest
 
-    def update(self, stage: str, n_chunks: int, digest: str, total: Accumulator) -> None:
+    def update(self, stage: str, n_chunks: int, total: Accumulator) -> None:
         """Set the progress of a stage; write the file if `WRITE_SHARE` permits."""
-        self._stages[stage] = _Stage(n_chunks, digest, total)
+        self.stages[stage] = Stage(n_chunks, self._digests[n_chunks], total)
         if time.monotonic() >= self._next_write:
             self.write()
 
@@ -99,7 +90,7 @@ class Checkpoint:
         """Write the progress of all stages."""
         started = time.monotonic()
         arrays: dict[str, Any] = {"subject": np.array(self._subject)}
-        for name, stage in self._stages.items():
+        for name, stage in self.stages.items():
             arrays[f"{name}/chunks"] = np.array(stage.n_chunks)
             arrays[f"{name}/digest"] = np.array(stage.digest)
             arrays[f"{name}/kind"] = np.array(type(stage.total).__name__)
@@ -110,7 +101,8 @@ class Checkpoint:
         ended = time.monotonic()
         self._next_write = ended + (ended - started) / WRITE_SHARE
 
-    def _read(self) -> dict[str, _Stage]:
+    def _read(self) -> dict[str, Stage]:
+        damaged = f"{self._path} is damaged or not a checkpoint; delete it to start again"
         try:
             with warnings.catch_warnings(), open_regular(self._path) as file:
                 warnings.simplefilter("ignore")  # of numpy, about headers of other versions
@@ -124,15 +116,12 @@ class Checkpoint:
         except FileError:
             raise
         except Exception as error:  # what numpy raises for a damaged archive is undocumented
-            raise FileError(self._damaged()) from error
+            raise FileError(damaged) from error
         if not intact:
-            raise FileError(self._damaged())
+            raise FileError(damaged)
         if subject != self._subject:
             raise self._mismatch(subject)
         return found
-
-    def _damaged(self) -> str:
-        return f"{self._path} is damaged or not a checkpoint; delete it to start again"
 
     def _mismatch(self, subject: str) -> FileError:
         return FileError(
@@ -166,33 +155,22 @@ def _update(digest: blake2b, array: NDArray[Any]) -> None:
 
 
 def _pack(total: Accumulator) -> dict[str, NDArray[Any]]:
-    """Return the fields of an accumulator as arrays."""
-    fields: dict[str, Any] = {**vars(total)}
-    if isinstance(total, ValueCounts):
-        fields["sizes"] = [values.size for values in total.values]
-        fields["values"] = np.concatenate(total.values)
-        fields["counts"] = np.concatenate(total.counts)
-    if isinstance(total, StoredCodes):
-        fields["parts"] = total.whole()
-    return {name: np.asarray(value) for name, value in fields.items()}
+    """Return the fields of an accumulator as arrays; tuples of arrays are concatenated."""
+    fields: dict[str, NDArray[Any]] = {}
+    for name, value in vars(total).items():
+        if isinstance(value, tuple):
+            fields[f"{name} sizes"] = np.array([len(part) for part in value])
+        fields[name] = np.concatenate(value) if isinstance(value, tuple) else np.asarray(value)
+    return fields
 
 
-def _unpack(kind: str, arrays: Mapping[str, NDArray[Any]]) -> Accumulator:
-    """Make an accumulator of the arrays that `_pack` returned."""
-    fields: dict[str, Any] = {
-        name: array if array.ndim else int(array) for name, array in arrays.items()
-    }
-    if kind == ValueCounts.__name__:
-        cuts = np.cumsum(fields.pop("sizes"))[:-1]
-        for name in ("values", "counts"):
-            fields[name] = tuple(np.split(fields[name], cuts))
-    if kind == StoredCodes.__name__:
-        fields["parts"] = (fields["parts"],)
-    total: Accumulator = _KINDS[kind](**fields)
-    return total
-
-
-def _read_stage(arrays: Mapping[str, NDArray[Any]], stage: str) -> _Stage:
+def _read_stage(arrays: Mapping[str, NDArray[Any]], stage: str) -> Stage:
     own = {n.split("/")[1]: array for n, array in arrays.items() if n.startswith(f"{stage}/")}
-    n_chunks, digest = int(own.pop("chunks")), str(own.pop("digest"))
-    return _Stage(n_chunks, digest, _unpack(str(own.pop("kind")), own))
+    n_chunks, digest, kind = (own.pop(name) for name in ("chunks", "digest", "kind"))
+    fields: dict[str, Any] = {}
+    for name, array in own.items():
+        if f"{name} sizes" in own:
+            fields[name] = tuple(np.split(array, np.cumsum(own[f"{name} sizes"])[:-1]))
+        elif not name.endswith(" sizes"):
+            fields[name] = array if array.ndim else int(array)
+    return Stage(int(n_chunks), str(digest), _KINDS[str(kind)](**fields))

@@ -70,7 +70,7 @@ class Chunked:
         outcomes, layout = self.recode(values, bins)
         recoding = Recoding.of(values.values, outcomes, outcomes[0].dtype.type)
         if layout is None:
-            return partial(_map_scores, recoding)
+            return _Recoded(recoding, Moments.of)
         if self.can_store:
             stored, counted = values.n_frames * values.n_sensors, layout.n_series**2
             counted *= _BYTES_PER_COUNT
@@ -80,8 +80,8 @@ class Chunked:
                 "use fewer bins, or a method based on Pearson's r",
             )
             if stored <= counted and counted > _MAX_COUNT_BYTES:
-                return partial(_store_codes, recoding)
-        return partial(_count_codes, recoding, layout)
+                return _Recoded(recoding, StoredCodes.of)
+        return _Recoded(recoding, partial(CoOccurrences.of, layout=layout))
 
     def of_values(self, found: JointValues, bins: int) -> Reals:
         """Compute the similarity from joint counts of values, if it needs values."""
@@ -94,16 +94,15 @@ class Chunked:
         return self.finish(Moments(found.single.n_frames, means, found.comoments(outcomes)))
 
 
-def _map_scores(scores: Recoding, chunk: NDArray[Any]) -> Moments:
-    return Moments.of(scores(chunk))
+@dataclass(frozen=True)
+class _Recoded:
+    """Recodes a chunk, then makes an accumulator of it."""
 
+    recode: Recoding
+    make: Mapper
 
-def _count_codes(codes: Recoding, layout: Layout, chunk: NDArray[Any]) -> CoOccurrences:
-    return CoOccurrences.of(codes(chunk), layout)
-
-
-def _store_codes(codes: Recoding, chunk: NDArray[Any]) -> StoredCodes:
-    return StoredCodes.of(codes(chunk))
+    def __call__(self, chunk: NDArray[Any]) -> Any:
+        return self.make(self.recode(chunk))
 
 
 def _ranks(values: ValueCounts, _: int) -> Outcomes:

@@ -24,20 +24,12 @@ from anisomap.numerics.gaps import (
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.sensor_map import SensorMap
 
-CHUNK_READINGS = 1 << 23
-"""Number of readings per chunk, unless that is fewer than `CHUNK_FRAMES`; chosen by hand."""
-
-CHUNK_FRAMES = 4096
-"""Minimum number of frames per chunk: below, merging results costs more than computing them."""
-
-MAX_CHUNK_READINGS = 1 << 27
-"""Maximum number of readings per chunk, for any number of sensors; bounds the memory."""
-
-EXCERPT_READINGS = 1 << 22
-"""Number of readings from which sensor health is assessed; chosen by hand."""
-
-SEGMENT_FRAMES = 512
-"""Consecutive frames in each segment of an excerpt; chosen by hand."""
+# Chosen by hand.
+CHUNK_READINGS = 1 << 23  # per chunk, unless that is fewer than `CHUNK_FRAMES`
+CHUNK_FRAMES = 4096  # with fewer per chunk, merging results costs more than computing them
+MAX_CHUNK_READINGS = 1 << 27  # per chunk, for any number of sensors; bounds the memory
+EXCERPT_READINGS = 1 << 22  # from which sensor health is assessed
+SEGMENT_FRAMES = 512  # consecutive frames in each segment of an excerpt
 
 Chunks: TypeAlias = Callable[[], Iterable[ArrayLike]]
 """Returns an iterator over all frames, from the first, as arrays of shape (t, N)."""

@@ -8,26 +8,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from anisomap.large.sketch import loops
-from anisomap.numerics.compiled.parallel import parallel_map
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.scaling.stress_solvers import Floats, SolverResult, minimise_lbfgs
 
 logger = logging.getLogger(__name__)
 
-MIN_TOLERANCE = 1e-7
-"""Smallest tolerance of the refinement: path lengths are stored in float32."""
-
-SOURCES_PER_TASK = 64
-"""Number of landmarks from which paths are computed together; chosen by hand."""
-
-ROWS_PER_BLOCK = 4096
-"""Sensors that are triangulated together; bounds the memory of float64 copies."""
-
-N_TASKS = 32
-"""Number of parallel tasks; fixed, so that sums are the same on every machine."""
+MIN_TOLERANCE = 1e-7  # of the refinement: path lengths are stored in float32
+SOURCES_PER_TASK = 64  # landmarks from which paths are computed together; chosen by hand
+ROWS_PER_BLOCK = 4096  # sensors that are triangulated together; bounds memory
+N_TASKS = 32  # parallel; fixed, so that sums are the same on every machine
 
 
 class Targets(NamedTuple):
@@ -99,12 +91,13 @@ def _stress(targets: Targets, positions: Floats, map_tasks: Any) -> tuple[float,
     anchor_slopes = np.zeros((N_TASKS, *anchors.shape))
     cuts = np.linspace(0, n_points, N_TASKS + 1).astype(int).tolist()
     edges = targets.edges.indptr.astype(np.int64), targets.edges.indices, targets.edges.data
+    loops = load_loops("landmarks")
 
     def add(task: int) -> float:
         rows = cuts[task], cuts[task + 1]
-        near = loops().add_edges_stress(exact, edges, targets.share, slopes, rows)
+        near = loops.add_edges_stress(exact, edges, targets.share, slopes, rows)
         both = slopes, anchor_slopes[task]
-        far = loops().add_rows_stress(points, anchors, targets.rows, rows, both)
+        far = loops.add_rows_stress(points, anchors, targets.rows, rows, both)
         return float(near + far)
 
     raw = sum(map_tasks(add, range(N_TASKS)))
@@ -130,7 +123,6 @@ class PlacedComponent(NamedTuple):
 def place_component(
     graph: csr_array[Any, tuple[int, int]],
     dimensions: int,
-    *,
     n_landmarks: int,
     options: SmacofOptions,
     rng: np.random.Generator,
@@ -167,7 +159,9 @@ def place_component(
 def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.float32]:
     """Compute the lengths of the shortest paths from landmarks to all sensors. graph (N, N)."""
     sources = np.asarray(landmarks, dtype=np.int64)
-    order = bandwidth_order(graph.indptr, graph.indices)
+    # Neighbours follow one another, so that a sweep extends paths far. The result is the same in
+    # any order.
+    order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
     edges = (
         graph.indptr.astype(np.int64),
         graph.indices.astype(np.int64),
@@ -175,41 +169,17 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
     )
     found = np.empty((graph.shape[0], len(sources)), dtype=np.float32)
     # Landmarks that are adjacent in this order are close, so their sweeps converge together.
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    ranked = np.argsort(rank[sources], kind="stable")
+    ranked = np.argsort(np.argsort(order)[sources], kind="stable")
 
     def relax(begin: int) -> None:
         chosen = ranked[begin : begin + SOURCES_PER_TASK]
         tile = np.empty((len(found), len(chosen)), dtype=np.float32)
-        loops().relax_from(tile, sources[chosen], order, edges)
+        load_loops("landmarks").relax_from(tile, sources[chosen], order, edges)
         found[:, chosen] = tile
 
     with parallel_map(len(found)) as map_tasks:
         map_tasks(relax, range(0, len(sources), SOURCES_PER_TASK))
     return found
-
-
-def bandwidth_order(
-    offsets: NDArray[np.integer[Any]], ends: NDArray[np.integer[Any]]
-) -> NDArray[np.int64]:
-    """Order nodes so that neighbours are close together; a sweep then extends paths far.
-
-    Edges in both directions, by start node. Cuthill & McKee (1969),
-    doi:10.1145/800195.805928: breadth first, by increasing degree. Nodes of equal degree follow
-    each other as they are numbered; scipy sorts degrees with an unstable sort, which orders them
-    differently on different processors.
-    """
-    n_nodes = len(offsets) - 1
-    by_degree = np.argsort(np.diff(offsets), kind="stable")
-    graph = csr_array((np.ones(len(ends)), ends, offsets), shape=(n_nodes, n_nodes))
-    joined: Any = graph[by_degree][:, by_degree]
-    # One search visits all components, which are joined by their first nodes.
-    first = np.unique(connected_components(joined, directed=False)[1], return_index=True)[1]
-    joined += csr_array((np.ones(len(first) - 1), (first[:-1], first[1:])), shape=joined.shape)
-    joined.sort_indices()
-    order = breadth_first_order(joined, 0, directed=False, return_predecessors=False)
-    return np.asarray(by_degree[order], dtype=np.int64)
 
 
 def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:

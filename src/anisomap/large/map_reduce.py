@@ -18,14 +18,11 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError, import_extra
-from anisomap.large.checkpoints import Checkpoint, ChunkDigests
+from anisomap.large.checkpoints import Checkpoint, Stage
 
-ANSWER_S = 10.0
-"""Longest time until a scheduler answers; one that runs takes milliseconds, chosen by hand."""
-
-WORKERS_S = 30.0
-"""Longest time without any worker, in which a cluster may replace a lost one; chosen by hand."""
-
+# Chosen by hand.
+ANSWER_S = 10.0  # until a scheduler answers; one that runs takes milliseconds
+WORKERS_S = 30.0  # without any worker, in which a cluster may replace a lost one
 _CHUNKS_PER_WORKER = 2  # one in progress and one queued; bounds the memory of chunks and results
 _SCHEMES = ("tcp", "tls", "ws", "wss")
 _POLL_S = 1.0
@@ -73,24 +70,18 @@ def map_reduce(
     after: str = "",
 ) -> Any:
     """Apply a function to every chunk and merge the results."""
-    total = None
-    if checkpoint is None:
-        for result in _results(chunks(), mapper, pool):
-            total = result if total is None else total.merged(result)
-    else:
-        done, total = checkpoint.progress(stage)
-        digests = ChunkDigests(checkpoint.digest(after))
-        remaining = digests.follow(chunks())
-        for _ in islice(remaining, done):
-            pass
-        checkpoint.verify(stage, digests.up_to(done))
-        try:
-            for result in _results(remaining, mapper, pool):
-                total, done = result if total is None else total.merged(result), done + 1
-                checkpoint.update(stage, done, digests.up_to(done), total)
-        finally:
-            if total is not None:
-                checkpoint.write()
+    done, total, remaining = 0, None, chunks()
+    if checkpoint is not None:
+        done, _, total = checkpoint.stages.get(stage, Stage())
+        remaining = checkpoint.remaining(remaining, stage, after)
+    try:
+        for result in _results(remaining, mapper, pool):
+            total, done = result if total is None else total.merged(result), done + 1
+            if checkpoint is not None:
+                checkpoint.update(stage, done, total)
+    finally:
+        if checkpoint is not None and total is not None:
+            checkpoint.write()
     if total is None:
         raise InputError("the recording has no frames")
     return total

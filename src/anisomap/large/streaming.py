@@ -115,15 +115,8 @@ def reconstruct_chunks(
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     chosen = options or MethodOptions()
-    found = stream_similarity(
-        chunks,
-        method,
-        chosen,
-        like=names,
-        missing=missing,
-        pool=pool,
-        checkpoint=checkpoint,
-    )
+    settings: dict[str, Any] = {"missing": missing, "pool": pool, "checkpoint": checkpoint}
+    found = stream_similarity(chunks, method, chosen, like=names, **settings)
     return map_streamed_similarity(found, method, dimensions, options=chosen, drop=drop)
 
 

@@ -1,8 +1,4 @@
-"""Compiled inner loops of approximate maps.
-
-The module is imported on first use, like those of `anisomap.numerics.compiled`. Loops do not check
-their arguments, and release the global interpreter lock.
-"""
+"""Compiled loops of approximate maps: products of pairs, paths from landmarks, and stress."""
 
 from __future__ import annotations
 
@@ -10,14 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.jit import loop
+from anisomap.numerics.compiled.stress import REORDERED
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # half-open
-
-# Allows sums in any order, for vectorisation; infinities keep their meaning.
-REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
 @loop(fastmath=REORDERED)
@@ -51,54 +45,40 @@ def add_products(
 
 
 @loop()
-def sweep_nodes(
-    tile: Singles, order: Ints, edges: tuple[Ints, Ints, Singles], stamps: Ints, clock: int
-) -> bool:
-    """Relax the edges of all nodes once; return whether a path became shorter.
-
-    Row u of `tile` contains the lengths of the paths to node u. ``stamps[u]`` contains the times
-    of the last improvement and of the last visit of node u: neighbours that have not improved
-    since the visit are skipped.
-    """
-    offsets, ends, lengths = edges
-    any_shorter = False
-    for node in order:
-        clock += 1
-        row = tile[node]
-        shorter = 0
-        for edge in range(offsets[node], offsets[node + 1]):
-            if stamps[ends[edge], 0] > stamps[node, 1]:
-                other, length = tile[ends[edge]], lengths[edge]
-                for source in range(len(row)):
-                    through = other[source] + length
-                    shorter |= through < row[source]
-                    row[source] = min(row[source], through)
-        stamps[node, 1] = clock
-        if shorter:
-            stamps[node, 0] = clock
-            any_shorter = True
-    return any_shorter
-
-
-@loop()
 def relax_from(
     tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
 ) -> None:
     """Fill ``tile[u, s]`` with the length of the shortest path from ``sources[s]`` to node u.
 
     Bellman-Ford from several sources: sweeps over the nodes in alternating `order` until no path
-    becomes shorter.
+    becomes shorter. ``stamps[u]`` contains the times of the last improvement and of the last visit
+    of node u: neighbours that have not improved since the visit are skipped.
     """
+    offsets, ends, lengths = edges
     tile[:] = np.inf
     stamps = np.zeros((len(tile), 2), np.int64)
     for column in range(len(sources)):
         tile[sources[column], column] = 0
         stamps[sources[column], 0] = 1
-    backwards = order[::-1].copy()
-    sweep, clock = 0, 1
-    while sweep_nodes(tile, order if sweep % 2 == 0 else backwards, edges, stamps, clock):
-        sweep += 1
-        clock += len(tile)
+    clock, step, any_shorter = 1, 1, True
+    while any_shorter:
+        any_shorter = False
+        for node in order[::step]:
+            clock += 1
+            row = tile[node]
+            shorter = 0
+            for edge in range(offsets[node], offsets[node + 1]):
+                if stamps[ends[edge], 0] > stamps[node, 1]:
+                    other, length = tile[ends[edge]], lengths[edge]
+                    for source in range(len(row)):
+                        through = other[source] + length
+                        shorter |= through < row[source]
+                        row[source] = min(row[source], through)
+            stamps[node, 1] = clock
+            if shorter:
+                stamps[node, 0] = clock
+                any_shorter = True
+        step = -step
 
 
 @loop(fastmath=REORDERED, error_model="numpy")
