@@ -29,10 +29,10 @@ from anisomap.recording import Scalar
 from anisomap.tracking import Evidence
 from anisomap.tracking.pair_sums import PairSums
 
-SUFFIX = ".statistics.npz"
-"""End of the name of the file beside a map."""
-
+_SUFFIX = ".statistics.npz"
 _KIND = "anisomap statistics 1"
+_WHAT = "statistics of a map"
+_FIELDS = tuple(field.name for field in fields(PairSums))
 _SYMMETRIC = ("products", "weights", "precision")
 _LARGEST = 1e150  # of sums, and of the inverse of weights: products of two do not overflow
 _NON_NEGATIVE = ("squares", "weights", "precision")
@@ -41,7 +41,7 @@ _NON_NEGATIVE = ("squares", "weights", "precision")
 def statistics_beside(path: str | os.PathLike[str]) -> Path:
     """Return the path of the statistics of a map: ``skin.statistics.npz`` of ``skin.csv``."""
     file = Path(path)
-    return file.with_name(f"{file.stem if file.suffix else file.name}{SUFFIX}")
+    return file.with_name(f"{file.stem if file.suffix else file.name}{_SUFFIX}")
 
 
 def write_statistics(evidence: Evidence, path: str | os.PathLike[str]) -> None:
@@ -62,18 +62,17 @@ def write_statistics(evidence: Evidence, path: str | os.PathLike[str]) -> None:
     upper = np.triu_indices(len(evidence.names))
     arrays: dict[str, Any] = {
         "kind": _KIND,
-        "names": np.array(evidence.names, dtype=str),
+        "names": evidence.names,
         "method": evidence.method,
         "dimensions": evidence.dimensions,
         "options": to_json(_flattened(evidence.options)),
         "frames": evidence.n_frames,
-        "recordings": np.array(evidence.recordings, dtype=str),
+        "recordings": evidence.recordings,
         "single_contacts": int(evidence.single_contacts),
     }
     for key, sums in evidence.sums.items():
-        for field in fields(sums):
-            matrix = getattr(sums, field.name)
-            arrays[f"{key}.{field.name}"] = matrix[upper] if field.name in _SYMMETRIC else matrix
+        for name, matrix in vars(sums).items():
+            arrays[f"{key}.{name}"] = matrix[upper] if name in _SYMMETRIC else matrix
     with atomic_write(file) as temporary:
         write_arrays(arrays, temporary)
 
@@ -96,19 +95,19 @@ def read_statistics(path: str | os.PathLike[str]) -> Evidence:
     """
     file = Path(path)
     with file_errors(file), open_archive(file) as archive:
-        archive.require("kind", "statistics of a map")
+        archive.require("kind", _WHAT)
         if archive.text("kind") != _KIND:
-            raise FileError(
-                f"{file} holds statistics of another version of anisomap; make the map again"
-            )
+            problem = "holds statistics of another version of anisomap; make the map again"
+            raise FileError(f"{file} {problem}")
         for name in ("names", "method", "dimensions", "options", "frames", "recordings"):
-            archive.require(name, "statistics of a map")
-        names = distinct_names(file, archive.texts("names"))
+            archive.require(name, _WHAT)
+        names, method = distinct_names(file, archive.texts("names")), archive.text("method")
         try:
+            find_method(method)
             return Evidence(
                 names=names,
                 sums=_read_sums(archive, len(names)),
-                method=_known_method(archive.text("method")),
+                method=method,
                 dimensions=_whole(archive, "dimensions"),
                 options=_options(archive.mapping("options")),
                 n_frames=_whole(archive, "frames"),
@@ -116,36 +115,26 @@ def read_statistics(path: str | os.PathLike[str]) -> Evidence:
                 single_contacts=bool(archive.number("single_contacts")),
             )
         except TypeError as error:
-            raise FileError(
-                f"{file} has options that this version of anisomap does not know ({error}); make "
-                "the map again"
-            ) from error
-        except InputError as error:
-            raise FileError(f"{file} is damaged: {error}") from error
+            problem = f"has options that this version of anisomap does not know ({error})"
+            raise FileError(f"{file} {problem}; make the map again") from error
 
 
 def _read_sums(archive: Archive, n_sensors: int) -> dict[str, PairSums]:
-    found = {}
-    for key in SIMILARITIES:
-        if f"{key}.products" not in archive.names:
-            continue
-        for field in fields(PairSums):
-            archive.require(f"{key}.{field.name}", "statistics of a map")
-        found[key] = PairSums(
-            *(_matrix(archive, key, field.name, n_sensors) for field in fields(PairSums))
-        )
-    if not found:
+    held = [key for key in SIMILARITIES if f"{key}.products" in archive.names]
+    if not held:
         raise InputError("it holds no sums of pairs of sensors")
-    return found
+    return {
+        key: PairSums(*(_matrix(archive, key, name, n_sensors) for name in _FIELDS)) for key in held
+    }
 
 
 def _matrix(archive: Archive, key: str, name: str, n_sensors: int) -> NDArray[np.float64]:
-    full = (n_sensors, n_sensors)
+    label, full = f"{key}.{name}", (n_sensors, n_sensors)
+    archive.require(label, _WHAT)
     shape = (n_sensors * (n_sensors + 1) // 2,) if name in _SYMMETRIC else full
-    label = f"{key}.{name}"
-    if archive.shape(label, NUMBERS) != shape:
+    if archive.shape(label) != shape:
         raise InputError(f"array {label} must have shape {shape}")
-    values = np.asarray(archive.required(label, NUMBERS), dtype=np.float64)
+    values = archive.required(label, NUMBERS).astype(np.float64, copy=False)
     valid = np.abs(values) < _LARGEST
     if name in _NON_NEGATIVE:
         valid &= (values == 0) | (values > 1 / _LARGEST)
@@ -153,16 +142,9 @@ def _matrix(archive: Archive, key: str, name: str, n_sensors: int) -> NDArray[np
         raise InputError(f"array {label} has values that no recording gives")
     if name not in _SYMMETRIC:
         return values
-    matrix = np.zeros(full)
-    upper = np.triu_indices(n_sensors)
-    matrix[upper] = values
-    matrix.T[upper] = values
+    matrix, upper = np.zeros(full), np.triu_indices(n_sensors)
+    matrix[upper] = matrix.T[upper] = values
     return matrix
-
-
-def _known_method(name: str) -> str:
-    find_method(name)
-    return name
 
 
 def _whole(archive: Archive, name: str) -> int:
@@ -177,8 +159,7 @@ def _flattened(options: MethodOptions) -> dict[str, Scalar]:
 
     Defaults are left out, so that the file can be read by versions with other options.
     """
-    found: dict[str, Scalar] = {}
-    usual = asdict(MethodOptions())
+    found, usual = dict[str, Scalar](), asdict(MethodOptions())
     for name, value in asdict(options).items():
         if isinstance(value, Mapping):
             changed = {key: entry for key, entry in value.items() if entry != usual[name][key]}
@@ -190,12 +171,14 @@ def _flattened(options: MethodOptions) -> dict[str, Scalar]:
 
 def _options(stored: Mapping[str, Scalar]) -> MethodOptions:
     """Restore options; `TypeError` or `InputError` if they are not those of a method."""
-    options = MethodOptions()
-    whole: dict[str, Any] = {key: value for key, value in stored.items() if "." not in key}
-    for name in {key.partition(".")[0] for key in stored if "." in key}:
-        part = getattr(options, name, None)
-        if part is None or not is_dataclass(part) or isinstance(part, type):
-            raise InputError(f"there is no option {name}")
-        own = {k.partition(".")[2]: v for k, v in stored.items() if k.startswith(f"{name}.")}
-        whole[name] = replace(part, **own)
+    options, parts = MethodOptions(), dict[str, dict[str, Any]]()
+    for key, value in stored.items():
+        stage, _, name = key.rpartition(".")
+        parts.setdefault(stage, {})[name] = value
+    whole = parts.pop("", {})
+    for stage, changed in parts.items():
+        part = getattr(options, stage, None)
+        if not is_dataclass(part) or isinstance(part, type):
+            raise InputError(f"there is no option {stage}")
+        whole[stage] = replace(part, **changed)
     return replace(options, **whole)

@@ -117,6 +117,7 @@ def stream_events(
     spikes: bool = False,
     contacts: bool = False,
     positions: NDArray[np.float64] | None = None,
+    units: str = "",
     metadata: Mapping[str, Scalar] | None = None,
 ) -> Stream:
     """Create a stream of frames from events.
@@ -162,6 +163,7 @@ def stream_events(
         names=events.names,
         rate_hz=None if bin_s is None else 1 / bin_s,
         positions=positions,
+        units=units,
         source=path.name,
         metadata=facts,
         from_zero=True,
