@@ -26,9 +26,6 @@ from anisomap.simulation.solids import (
     union_distance,
 )
 
-UNITS = "m"
-"""Unit of the lengths of all bodies in `BODIES`."""
-
 ON_SURFACE = 1e-6
 """Maximum distance of a sensor from the surface, as a fraction of the reach of the body."""
 
@@ -70,7 +67,7 @@ class Body:
     normals: Points
     solids: Sequence[Solid]
     names: tuple[str, ...] = ()
-    units: str = UNITS
+    units: str = "m"
     origin: Points = field(default_factory=lambda: frozen(np.zeros(3)))
     is_whole: bool = True
     geodesic: Callable[[Points], Points] | None = None
@@ -87,16 +84,21 @@ class Body:
                 f"normals of the body {self.name} must have the shape of the positions "
                 f"{positions.shape}, got {normals.shape}"
             )
-        for i, row in enumerate(np.column_stack([positions, normals])):
-            if not np.isfinite(row).all():
-                raise InputError(
-                    f"sensor {i} of the body {self.name} must have a finite position and normal"
-                )
-        object.__setattr__(self, "positions", positions)
-        object.__setattr__(self, "normals", normals)
-        object.__setattr__(self, "origin", frozen(self.origin))
-        object.__setattr__(self, "solids", tuple(self.solids))
-        object.__setattr__(self, "names", tuple(self.names) or default_names(len(positions)))
+        finite = np.isfinite(np.column_stack([positions, normals])).all(axis=1)
+        if not finite.all():
+            raise InputError(
+                f"sensor {finite.argmin()} of the body {self.name} must have a finite position and "
+                "normal"
+            )
+        changed = {
+            "positions": positions,
+            "normals": normals,
+            "origin": frozen(self.origin),
+            "solids": tuple(self.solids),
+            "names": tuple(self.names) or default_names(len(positions)),
+        }
+        for name, value in changed.items():
+            object.__setattr__(self, name, value)
         off = np.abs(self.distance(positions))
         if off.max() > ON_SURFACE * self.reach:
             worst = int(off.argmax())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -120,24 +121,27 @@ def coverage_curve(
     recordings = simulate_runs(
         body, scenario, chosen, workers=workers, n_frames=int(lengths[-1]), **parameters
     )
-    first = recordings[0]
-    neighbours = neighbouring_pairs(first)
+    neighbours = neighbouring_pairs(recordings[0])
     active = [estimate_rest(run.readings).active(run.readings) for run in recordings]
-    cells = [(n, run, on[:n]) for n in lengths for run, on in zip(recordings, active, strict=True)]
-    shape = (len(lengths), len(chosen))
-    return CoverageCurve(
-        n_frames=_frozen(lengths),
-        rate_hz=first.rate_hz or 1.0,
-        touched=_frozen([on.any(axis=0).mean() for _, _, on in cells], shape),
-        contacts=_frozen(
-            [np.quantile(count_contacts(on), QUANTILES) for _, _, on in cells], (*shape, -1)
-        ),
-        n_pairs=len(neighbours),
-        pairs=_frozen(
-            [np.count_nonzero(count_joint_contacts(on, neighbours)) for _, _, on in cells], shape
-        ),
-        mantel_r=_frozen([_mantel_r(run, n, method, dimensions) for n, run, _ in cells], shape),
+    cells = [
+        [
+            (
+                on[:n].any(axis=0).mean(),
+                np.quantile(count_contacts(on[:n]), QUANTILES),
+                np.count_nonzero(count_joint_contacts(on[:n], neighbours)),
+                _mantel_r(run, n, method, dimensions),
+            )
+            for run, on in zip(recordings, active, strict=True)
+        ]
+        for n in lengths
+    ]
+    touched, contacts, pairs, mantel_r = (
+        np.array([[cell[i] for cell in row] for row in cells]) for i in range(4)
     )
+    for array in (lengths, touched, contacts, pairs, mantel_r):
+        array.setflags(write=False)
+    rate_hz = recordings[0].rate_hz or 1.0
+    return CoverageCurve(lengths, rate_hz, touched, contacts, len(neighbours), pairs, mantel_r)
 
 
 def neighbouring_pairs(recording: Recording) -> NDArray[np.intp]:
@@ -158,18 +162,9 @@ def _mantel_r(recording: Recording, n_frames: int, method: str | None, dimension
     if method is None or recording.positions is None:
         return float("nan")
     beginning = replace(recording, readings=recording.readings[:n_frames])
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), suppress(InputError):
         # Short recordings give warnings about what the curve measures.
         warnings.simplefilter("ignore", AnisomapWarning)
-        try:
-            found = reconstruct(beginning, method, dimensions)
-            return score(found, recording.positions, permutations=0).mantel.r
-        except InputError:
-            return float("nan")
-
-
-def _frozen(values: Any, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-    array = np.array(values)
-    array = array if shape is None else array.reshape(shape)
-    array.setflags(write=False)
-    return array
+        found = reconstruct(beginning, method, dimensions)
+        return score(found, recording.positions, permutations=0).mantel.r
+    return float("nan")

@@ -9,10 +9,8 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from multiprocessing import get_context
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,19 +83,16 @@ def _render_here(
 ) -> list[NDArray[np.uint8]]:
     os.environ["MUJOCO_GL"] = "egl"  # must be set before MuJoCo is imported
     mujoco = load_mujoco()
-    visual = _build(mujoco, scene, width, height)
+    visual = _VisualModel(mujoco, scene, width, height)
     model = visual.model
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
-    camera.azimuth, camera.elevation, camera.distance = (
-        120,
-        -25,
-        _CAMERA_DISTANCE * model.stat.extent,
-    )
+    camera.azimuth, camera.elevation = 120, -25
+    camera.distance = _CAMERA_DISTANCE * model.stat.extent
     pixels = []
     with mujoco.Renderer(model, height, width, max_geom=model.ngeom + 100) as renderer:
         for frame in frames:
-            _pose(mujoco, visual, scene, frame)
+            visual.pose(frame)
             renderer.update_scene(visual.data, camera)
             pixels.append(np.array(renderer.render(), dtype=np.uint8))
     return pixels
@@ -109,84 +104,82 @@ def show(scene: Scene, speed: float = 1.0) -> None:
         raise NoScreenError("MuJoCo's viewer needs a display, and none is available")
     mujoco = load_mujoco()
     viewer = importlib.import_module("mujoco.viewer")
-    visual = _build(mujoco, scene, 960, 720)
+    visual = _VisualModel(mujoco, scene)
     step = float(np.median(np.diff(scene.times))) if scene.n_frames > 1 else 1.0
     frame = 0
     with viewer.launch_passive(visual.model, visual.data) as window:
         while window.is_running():
-            _pose(mujoco, visual, scene, frame)
+            visual.pose(frame)
             window.sync()
             time.sleep(step / speed)
             frame = (frame + 1) % scene.n_frames
 
 
-@dataclass(frozen=True, eq=False)
 class _VisualModel:
     """A MuJoCo model for display: one mocap body per object, then one per sensor."""
 
-    model: Any
-    data: Any
-    objects: tuple[tuple[Prop, int], ...]
+    def __init__(
+        self, mujoco: ModuleType, scene: Scene, width: int = 960, height: int = 720
+    ) -> None:
+        self._mujoco, self._scene = mujoco, scene
+        self._spec = spec = mujoco.MjSpec()
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+        spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
+        spec.visual.headlight.diffuse = [0.6, 0.6, 0.6]
+        spec.add_texture(
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+            rgb1=[1, 1, 1],
+            width=64,
+            height=384,
+        )
+        self._objects: list[tuple[Prop, int]] = []
+        self._meshes: dict[tuple[int, float], str] = {}
+        for prop in scene.props:
+            if prop.role in _COLOURS:
+                count = prop.centres.shape[1]
+                for i, scale in enumerate(np.ones(count) if prop.scales is None else prop.scales):
+                    self._add(prop.mesh, float(scale), _COLOURS[prop.role])
+                    self._objects.append((prop, i))
+        marker = coarse_ball()
+        radius = _SENSOR_RADIUS * float(np.ptp(scene.sensors[0], axis=0).max())
+        for _ in range(scene.sensors.shape[1]):
+            self._add(marker, radius, tuple(_LOW))
+        corners = np.vstack([s for p in scene.props if p.role != "ground" for s in p.surfaces(0)])
+        spec.stat.extent = float(np.ptp(corners, axis=0).max())
+        spec.stat.center = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
 
-
-def _build(mujoco: ModuleType, scene: Scene, width: int, height: int) -> _VisualModel:
-    spec = mujoco.MjSpec()
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
-    spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
-    spec.visual.headlight.diffuse = [0.6, 0.6, 0.6]
-    sky = mujoco.mjtBuiltin.mjBUILTIN_FLAT
-    spec.add_texture(
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=sky, rgb1=[1, 1, 1], width=64, height=384
-    )
-    objects: list[tuple[Prop, int]] = []
-    meshes: dict[tuple[int, float], str] = {}
-
-    def add(mesh: Mesh, scale: float, colour: tuple[float, ...]) -> None:
-        key = (id(mesh), scale)
-        if key not in meshes:
-            meshes[key] = f"mesh{len(meshes)}"
+    def _add(self, mesh: Mesh, scale: float, colour: tuple[float, ...]) -> None:
+        spec, key = self._spec, (id(mesh), scale)
+        if key not in self._meshes:
+            self._meshes[key] = f"mesh{len(self._meshes)}"
             spec.add_mesh(
-                name=meshes[key],
+                name=self._meshes[key],
                 uservert=scale * mesh.vertices.ravel(),
                 userface=mesh.faces.ravel(),
-                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,  # the ground is an open mesh
+                # The ground is an open mesh.
+                inertia=self._mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
             )
-        body = spec.worldbody.add_body(mocap=True)
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=meshes[key],
+        spec.worldbody.add_body(mocap=True).add_geom(
+            type=self._mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=self._meshes[key],
             rgba=colour,
             contype=0,
             conaffinity=0,
         )
 
-    for prop in scene.props:
-        if prop.role in _COLOURS:
-            count = prop.centres.shape[1]
-            for i, scale in enumerate(np.ones(count) if prop.scales is None else prop.scales):
-                add(prop.mesh, float(scale), _COLOURS[prop.role])
-                objects.append((prop, i))
-    marker = coarse_ball()
-    radius = _SENSOR_RADIUS * float(np.ptp(scene.sensors[0], axis=0).max())
-    for _ in range(scene.sensors.shape[1]):
-        add(marker, radius, tuple(_LOW))
-    corners = np.vstack([s for p in scene.props if p.role != "ground" for s in p.surfaces(0)])
-    spec.stat.extent = float(np.ptp(corners, axis=0).max())
-    spec.stat.center = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    model = spec.compile()
-    return _VisualModel(model, mujoco.MjData(model), tuple(objects))
-
-
-def _pose(mujoco: ModuleType, visual: _VisualModel, scene: Scene, frame: int) -> None:
-    """Move objects and sensors to their places in a frame, and colour sensors by their readings."""
-    model, data, n_objects = visual.model, visual.data, len(visual.objects)
-    for index, (prop, i) in enumerate(visual.objects):
-        turn = np.eye(3)
-        if prop.rotations is not None:
-            turn = prop.rotations[frame % len(prop.rotations)][i]
-        data.mocap_pos[index] = prop.centres[frame % len(prop.centres)][i]
-        data.mocap_quat[index] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    data.mocap_pos[n_objects:] = scene.sensors[frame % len(scene.sensors)]
-    level = scene.readings[frame] / (float(np.nanmax(scene.readings)) or 1.0)
-    model.geom_rgba[n_objects:] = _LOW + np.nan_to_num(level)[:, None] * (_HIGH - _LOW)
-    mujoco.mj_forward(model, data)
+    def pose(self, frame: int) -> None:
+        """Move objects and sensors to their places in a frame; colour sensors by readings."""
+        scene, data, n_objects = self._scene, self.data, len(self._objects)
+        for index, (prop, i) in enumerate(self._objects):
+            turn = np.eye(3)
+            if prop.rotations is not None:
+                turn = prop.rotations[frame % len(prop.rotations)][i]
+            data.mocap_pos[index] = prop.centres[frame % len(prop.centres)][i]
+            data.mocap_quat[index] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
+        data.mocap_pos[n_objects:] = scene.sensors[frame % len(scene.sensors)]
+        level = scene.readings[frame] / (float(np.nanmax(scene.readings)) or 1.0)
+        self.model.geom_rgba[n_objects:] = _LOW + np.nan_to_num(level)[:, None] * (_HIGH - _LOW)
+        self._mujoco.mj_forward(self.model, data)

@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass, replace
 from inspect import signature
 from multiprocessing import get_context
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from anisomap._version import __version__
 from anisomap.errors import InputError
-from anisomap.recording import Recording, Scalar
+from anisomap.recording import Recording
 from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body, surface_distances
@@ -39,8 +39,6 @@ from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomoti
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
 from anisomap.simulation.solids import load_mujoco
 from anisomap.wording import join_items
-
-Entry = TypeVar("Entry")
 
 DEFAULT_FRAMES = 2000  # as in the paper
 DEFAULT_SEED = 1
@@ -201,7 +199,12 @@ def run_simulation(
         "body": given.name,
         "scenario": scenario,
         "seed": number,
-        **{name: _as_python(value) for name, value in result.facts.items() if value is not None},
+        **{
+            # Files cannot store numpy scalars.
+            name: value.item() if isinstance(value, np.generic) else value
+            for name, value in result.facts.items()
+            if value is not None
+        },
         "anisomap": __version__,
     }
     if chosen.uses_mujoco:
@@ -266,7 +269,9 @@ def simulate_runs(
 
 def find_scenario(name: str) -> Scenario:
     """Look up a scenario by name."""
-    return _find("scenario", SCENARIOS, name)
+    if name not in SCENARIOS:
+        raise InputError(f"there is no scenario {name!r}; choose from {', '.join(SCENARIOS)}")
+    return SCENARIOS[name]
 
 
 def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) -> Body:
@@ -293,24 +298,15 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
                 f"n_sensors must be left out: the body {body.name} has {body.n_sensors} sensors"
             )
         return body
-    make = _find("body", BODIES, body)
+    if body not in BODIES:
+        raise InputError(f"there is no body {body!r}; choose from {', '.join(BODIES)}")
+    make = BODIES[body]
     known = [name for name in signature(make).parameters if name != "n_sensors"]
     if unknown := [name for name in options if name not in known]:
         raise InputError(
             f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
         )
     return make(**options) if n_sensors is None else make(n_sensors, **options)
-
-
-def _find(kind: str, registry: Mapping[str, Entry], name: str) -> Entry:
-    if name not in registry:
-        raise InputError(f"there is no {kind} {name!r}; choose from {', '.join(registry)}")
-    return registry[name]
-
-
-def _as_python(value: Scalar) -> Scalar:
-    """Convert numpy scalars, which files cannot store, to Python scalars."""
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _seed_number(seed: int | np.random.Generator) -> int:

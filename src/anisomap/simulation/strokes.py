@@ -163,6 +163,7 @@ def draw_strokes(
         failures = 0 if len(stroke) else failures + 1
         frames.append(stroke)
         lifts.append(np.zeros(len(stroke)))
+        n_done += len(stroke)
         if len(stroke):
             state = stroke[-1]
             walk.count_visits(stroke[:, 0])
@@ -170,8 +171,7 @@ def draw_strokes(
             landing = _set_down(walk, rng)
             frames += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
             lifts += [_LIFT_PROFILE, _LIFT_PROFILE[::-1]]
-            state, failures = landing, 0
-        n_done = sum(map(len, frames))
+            state, failures, n_done = landing, 0, n_done + 2 * len(_LIFT_PROFILE)
     places, headings, _ = np.concatenate(frames)[:n_frames].swapaxes(0, 1)
     presses = smooth_random(n_frames, _PRESSURE_PERIOD / options.frame_interval, rng)
     # One step along the gradient of the distance is exact, except near edges between solids.
