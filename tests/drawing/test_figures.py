@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure
+from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure, touch_figure
 from anisomap.drawing.figures.panels import MAX_VECTOR_DOTS
-from anisomap.drawing.figures.touches import touch_figure
 from anisomap.drawing.view import (
     MAX_JOINED,
     VIEWS,
@@ -246,7 +245,7 @@ def test_the_same_map_gives_the_same_bytes_whatever_the_settings(kind, tmp_path)
 def test_matplotlib_is_imported_when_something_is_drawn():
     code = (
         "import sys, numpy, anisomap.drawing.figures as f;"
-        "from anisomap.drawing.figures import charts, displacements, panels, scenes, touches;"
+        "from anisomap.drawing.figures import charts, panels, scenes, sensors;"
         "from anisomap.sensor_map import SensorMap;"
         "assert 'matplotlib' not in sys.modules;"
         "f.map_figure(SensorMap(numpy.eye(3)));"
@@ -351,8 +350,8 @@ def test_aligned_components_have_the_errors_of_the_score(
     scored = score(sensor_map, truth, exclude=[3, 7], permutations=0)
     (component,) = drawn_components(sensor_map, scored)
     assert sorted(component.sensors) == list(range(9))
-    assert set(component.sensors[~component.compared]) == {3, 7}
-    errors = np.linalg.norm(component.points[component.compared] - component.truth, axis=1)
+    assert set(component.sensors[component.uncompared]) == {3, 7}
+    errors = np.linalg.norm(component.points[~component.uncompared] - component.truth, axis=1)
     np.testing.assert_allclose(errors, scored.alignment.errors)
     curved = true_dimensions == 3 and not planar
     assert component.dimensions == (3 if curved or dimensions == 3 else 2)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -12,8 +12,9 @@ from scipy.spatial import KDTree
 
 from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.evaluation import Score
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, is_faulty
 
+Points: TypeAlias = NDArray[np.float64]
 View: TypeAlias = tuple[float, float]
 """Direction of view: elevation above the x-y plane and azimuth, in degrees."""
 
@@ -38,7 +39,7 @@ _CONES_TO_RGB = np.array(
 )
 
 
-def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> NDArray[np.float64]:
+def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> Points:
     """Encode positions as colours.
 
     Seen from `view`, up is light, right is yellow and left is blue: these two contrasts survive
@@ -60,7 +61,7 @@ def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> NDArray[np.float6
     return np.asarray(np.where(linear <= 0.0031308, 12.92 * linear, curved))
 
 
-def view_axes(view: View) -> NDArray[np.float64]:
+def view_axes(view: View) -> Points:
     """Return the unit vectors to the right, up, and towards the viewer, shape (3, 3)."""
     elevation, azimuth = np.radians(view)
     right = [-np.sin(azimuth), np.cos(azimuth), 0.0]
@@ -72,7 +73,7 @@ def view_axes(view: View) -> NDArray[np.float64]:
     return np.array([right, np.cross(towards, right), towards])
 
 
-def _spread(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spread(points: Points) -> Points:
     """Scale each axis to [-1, 1], short axes to less, so that noise does not become a colour."""
     lowest, highest = points.min(axis=0), points.max(axis=0)
     half = (highest - lowest) / 2
@@ -89,56 +90,73 @@ _N_NEIGHBOURS = 8
 _MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
 _PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
 _OUTLINE_POINTS = 33  # of a drawn ellipse
+_N_LABELS, _LABEL_ALL = 8, 24
+MAX_LABEL = 14
 _GREY = 0.72
 
 
 @dataclass(frozen=True, eq=False)
-class Component:
-    """A connected component of a map, prepared for drawing in 2D or 3D.
+class Panel:
+    """A component of a map, or true positions, prepared for drawing in 2D or 3D.
 
-    number: Number of the component, from 1 for the largest.
-    sensors: Indices of its sensors in the map; those that were compared with the truth come first.
     points (n, k): Positions, k = 2 or 3: aligned with the truth if it is known, else centred.
-    truth (m, k): True positions of the first m sensors; empty if the truth is unknown.
     colours (n, 3): sRGB in [0, 1] by true position if known, else by position; grey for sensors
         that were not compared.
     pairs: Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
     view: Elevation and azimuth in degrees.
     units: Unit of `points` and `truth`.
+    uncompared, faulty (n,): Sensors that the score excludes, and faulty ones, which are marked.
+    number: Number of the component, from 1 for the largest.
+    sensors: Indices of its sensors in the map; those that were compared with the truth come first.
+    truth (m, k): True positions of the first m sensors; empty if the truth is unknown.
     covariances (n, k, k): Covariances of the points.
+    labels: Names written beside points.
+    unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
     """
 
-    number: int
-    sensors: NDArray[np.intp]
-    points: NDArray[np.float64]
-    truth: NDArray[np.float64]
-    colours: NDArray[np.float64]
+    points: Points
+    colours: Points
     pairs: NDArray[np.intp]
     view: View
     units: str
-    covariances: NDArray[np.float64] | None = None
+    uncompared: NDArray[np.bool_]
+    faulty: NDArray[np.bool_]
+    sensors: NDArray[np.intp]
+    truth: Points
+    number: int = 1
+    covariances: Points | None = None
+    labels: Mapping[int, str] = field(default_factory=dict)
+    unplaced: Points | None = None
+    title: str = ""
 
     @property
     def dimensions(self) -> int:
         """Number of coordinates drawn, 2 or 3."""
         return int(self.points.shape[1])
 
-    @property
-    def compared(self) -> NDArray[np.bool_]:
-        """Mask of the sensors that were compared, shape (n,); all true without a truth."""
-        known = len(self.truth) or len(self.points)
-        return np.arange(len(self.points)) < known
+    def true(self) -> Panel:
+        """Return the panel of the true positions."""
+        n = len(self.truth)
+        return replace(
+            self,
+            points=self.truth,
+            colours=self.colours[:n],
+            uncompared=self.uncompared[:n],
+            faulty=self.faulty[:n],
+            labels={i: name for i, name in self.labels.items() if i < n},
+            covariances=None,
+        )
 
 
-def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Component]:
+def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Panel]:
     """Prepare the connected components of a map for drawing."""
     found = []
     for label in range(len(sensor_map.component_sizes)):
         sensors = np.flatnonzero(sensor_map.component == label)
         if label == 0 and score is not None:
-            found.append(_aligned(sensor_map, sensors, score))
+            found.append(_prepared(sensor_map, sensors, 1, score))
         elif len(sensors) > 1:
-            found.append(_centred(sensor_map, sensors, label + 1))
+            found.append(_prepared(sensor_map, sensors, label + 1))
     return found
 
 
@@ -170,7 +188,7 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
     return np.asarray(pairs[near], dtype=np.intp)
 
 
-def best_view(*configurations: NDArray[np.float64]) -> View:
+def best_view(*configurations: Points) -> View:
     """Choose the view that shows the largest projected area of 3D configurations.
 
     *configurations (n, 3).
@@ -180,7 +198,7 @@ def best_view(*configurations: NDArray[np.float64]) -> View:
     return VIEWS[int(np.argmax(areas))]
 
 
-def box_around(*configurations: NDArray[np.float64]) -> NDArray[np.float64]:
+def box_around(*configurations: Points) -> Points:
     """Return limits, shape (k, 2), that contain all configurations; thin boxes are thickened."""
     points = np.vstack(configurations)
     lowest, highest = points.min(axis=0), points.max(axis=0)
@@ -223,51 +241,67 @@ def printable(text: str, max_length: int | None = None) -> str:
     return clean[: max_length - 1] + "\N{HORIZONTAL ELLIPSIS}"
 
 
-def _aligned(sensor_map: SensorMap, sensors: NDArray[np.intp], score: Score) -> Component:
-    sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
-    alignment = score.alignment
-    points = alignment.apply(sensor_map.positions[sensors])
-    dimensions = min(max(points.shape[1], 2), 3)
-    if max(_true_dimensions(score), sensor_map.dimensions) < 3:
-        dimensions = 2
-    points, truth = _with_axes(points, dimensions), _with_axes(score.truth, dimensions)
-    view = best_view(truth, points) if dimensions == 3 else VIEWS[0]
-    grey = np.full((len(sensors) - len(truth), 3), _GREY)
-    return Component(
-        number=1,
-        sensors=sensors,
+def _prepared(
+    sensor_map: SensorMap, sensors: NDArray[np.intp], number: int, score: Score | None = None
+) -> Panel:
+    """Align a component with the truth, or centre it."""
+    if score is None:
+        points = sensor_map.positions[sensors]
+        points = points - points.mean(axis=0)
+        dimensions = min(max(points.shape[1], 2), 3)
+        truth, units = np.empty((0, dimensions)), sensor_map.units
+        linear = np.eye(sensor_map.dimensions)
+    else:
+        sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
+        alignment = score.alignment
+        points = alignment.apply(sensor_map.positions[sensors])
+        dimensions = min(max(points.shape[1], 2), 3)
+        if max(_true_dimensions(score), sensor_map.dimensions) < 3:
+            dimensions = 2
+        truth, units = _with_axes(score.truth, dimensions), score.units
+        linear = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
+    points = _with_axes(points, dimensions)
+    known = points if score is None else truth
+    view = VIEWS[0]
+    if dimensions == 3:
+        view = best_view(points) if score is None else best_view(truth, points)
+    labels = _sensors_to_label(known, view)
+    grey = np.full((len(points) - len(known), 3), _GREY)
+    colours = place_colours(points) if score is None else place_colours(truth, view)
+    return Panel(
         points=points,
-        truth=truth,
-        colours=np.vstack([place_colours(truth, view), grey]),
-        pairs=_joined(truth),
+        colours=np.vstack([colours, grey]),
+        pairs=neighbour_pairs(known if len(known) <= MAX_JOINED else known[:0]),
         view=view,
-        units=score.units,
-        covariances=_covariances(
-            sensor_map,
-            sensors,
-            dimensions,
-            alignment.scale * alignment.rotation[:, : sensor_map.dimensions],
-        ),
-    )
-
-
-def _centred(sensor_map: SensorMap, sensors: NDArray[np.intp], number: int) -> Component:
-    points = sensor_map.positions[sensors]
-    points = _with_axes(points - points.mean(axis=0), min(max(points.shape[1], 2), 3))
-    return Component(
-        number=number,
+        units=units,
+        uncompared=np.arange(len(points)) >= len(known),
+        faulty=np.array([is_faulty(sensor_map.health[i]) for i in sensors], dtype=bool),
         sensors=sensors,
-        points=points,
-        truth=np.empty((0, points.shape[1])),
-        colours=place_colours(points),
-        pairs=_joined(points),
-        view=best_view(points) if points.shape[1] == 3 else VIEWS[0],
-        units=sensor_map.units,
-        covariances=_covariances(sensor_map, sensors, points.shape[1]),
+        truth=truth,
+        number=number,
+        covariances=_turned(sensor_map.covariances, sensors, linear, dimensions),
+        labels={i: printable(sensor_map.names[sensors[i]], MAX_LABEL) for i in labels},
     )
 
 
-def outlines(component: Component, view: View | None = None) -> NDArray[np.float64]:
+def _sensors_to_label(points: Points, view: View) -> list[int]:
+    """Choose distant sensors, in 3D from the nearer half, by farthest-point sampling."""
+    candidates = np.arange(len(points))
+    if len(points) <= _LABEL_ALL:
+        return candidates.tolist()
+    if points.shape[1] == 3:
+        nearness = points @ view_axes(view)[2]
+        candidates = np.flatnonzero(nearness >= np.median(nearness))
+    chosen = [int(candidates[np.argmin(points[candidates].sum(axis=1))])]
+    distances = np.full(len(candidates), np.inf)
+    while len(chosen) < _N_LABELS:
+        step = np.linalg.norm(points[candidates] - points[chosen[-1]], axis=1)
+        distances = np.minimum(distances, step)
+        chosen.append(int(candidates[np.argmax(distances)]))
+    return chosen
+
+
+def outlines(component: Panel, view: View | None = None) -> Points:
     """Draw the ellipses of 95 % of the sensors of a component as closed lines. Returns (L, k)."""
     points, dimensions = component.points, component.dimensions
     if component.covariances is None or len(points) > MAX_JOINED:
@@ -276,7 +310,7 @@ def outlines(component: Component, view: View | None = None) -> NDArray[np.float
     points, found = points[known], component.covariances[known]
     turn = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS)
     circle = np.stack([np.cos(turn), np.sin(turn)])
-    axes: list[NDArray[np.float64]]
+    axes: list[Points]
     if view is None or dimensions == 2:
         lengths, directions = ellipses(found)
         half_axes = lengths[:, :, None] * directions
@@ -291,31 +325,26 @@ def outlines(component: Component, view: View | None = None) -> NDArray[np.float
     return _with_gaps(np.concatenate(lines))
 
 
-def segments(points: NDArray[np.float64], pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+def segments(points: Points, pairs: NDArray[np.intp]) -> Points:
     """Join pairs of points by lines, separated by NaN. points (n, k) -> (3 E, k)."""
     return _with_gaps(points[pairs])
 
 
-def _with_gaps(lines: NDArray[np.float64]) -> NDArray[np.float64]:
+def _with_gaps(lines: Points) -> Points:
     """Concatenate lines into one, separated by NaN. lines (E, L, k) -> (E (L + 1), k)."""
     gaps = np.full((len(lines), 1, lines.shape[2]), np.nan)
     return np.concatenate([lines, gaps], axis=1).reshape(-1, lines.shape[2])
 
 
-def _covariances(
-    sensor_map: SensorMap,
-    sensors: NDArray[np.intp],
-    dimensions: int,
-    linear: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64] | None:
+def _turned(
+    covariances: Points | None, sensors: NDArray[np.intp], linear: Points, dimensions: int
+) -> Points | None:
     """Transform covariances with the positions, and keep the coordinates that are drawn."""
-    if sensor_map.covariances is None:
+    if covariances is None:
         return None
-    chosen = sensor_map.covariances[sensors]
-    if linear is not None:
-        chosen = linear @ chosen @ linear.T
-    missing = max(0, dimensions - chosen.shape[1])
-    padded = np.pad(chosen, ((0, 0), (0, missing), (0, missing)))
+    turned = linear @ covariances[sensors] @ linear.T
+    missing = max(0, dimensions - turned.shape[1])
+    padded = np.pad(turned, ((0, 0), (0, missing), (0, missing)))
     return np.asarray(padded[:, :dimensions, :dimensions])
 
 
@@ -326,17 +355,13 @@ def _true_dimensions(score: Score) -> int:
     return 2 if planar else len(spans)
 
 
-def _joined(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    return neighbour_pairs(points if len(points) <= MAX_JOINED else points[:0])
-
-
-def _with_axes(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
+def _with_axes(points: Points, dimensions: int) -> Points:
     """Append zeros or drop the last coordinates, to a given number of coordinates."""
     missing = max(0, dimensions - points.shape[1])
     return np.asarray(np.pad(points, ((0, 0), (0, missing)))[:, :dimensions])
 
 
-def _area(view: View, configurations: Sequence[NDArray[np.float64]]) -> float:
+def _area(view: View, configurations: Sequence[Points]) -> float:
     """Product over configurations of the area of the ellipse that approximates the projection."""
     flat = [(points - points.mean(axis=0)) @ view_axes(view)[:2].T for points in configurations]
     return float(np.prod([np.linalg.svd(seen, compute_uv=False) for seen in flat]))

@@ -3,23 +3,21 @@
 from anisomap.drawing.figures.backend import KINDS, check_writable, figure_bytes, save_figure
 from anisomap.drawing.figures.charts import (
     plot_null_test,
+    plot_series,
     plot_shepard,
     plot_stress_per_point,
+    series_figure,
     stress_figure,
 )
-from anisomap.drawing.figures.displacements import (
+from anisomap.drawing.figures.maps import map_figure, plot, plot_distances, plot_map
+from anisomap.drawing.figures.sensors import (
     difference_figure,
     layout_figure,
     placement_figure,
     plot_difference,
     plot_layout,
     plot_placement,
-)
-from anisomap.drawing.figures.maps import map_figure, plot, plot_distances, plot_map
-from anisomap.drawing.figures.touches import (
-    plot_series,
     plot_touches,
-    series_figure,
     touch_figure,
 )
 

@@ -121,7 +121,9 @@ def panel(
         def plot(*args: P.args, **kwargs: P.kwargs) -> Axes:
             given = names.bind(*args, **kwargs).arguments
             data = next(iter(given.values()))
-            axes = _open(given.get("ax"), dimensions(data) if callable(dimensions) else dimensions)
+            axes = open_axes(
+                given.get("ax"), dimensions(data) if callable(dimensions) else dimensions
+            )
             draw(*args, **(kwargs | {"ax": axes}))  # type: ignore[arg-type]
             return axes
 
@@ -133,7 +135,8 @@ def panel(
     return decorate
 
 
-def _open(ax: Axes | None, dimensions: int) -> Axes:
+def open_axes(ax: Axes | None, dimensions: int) -> Axes:
+    """Check given axes, or create a figure with axes."""
     if ax is None:
         with drawing_style():
             return add_axes(new_figure(6.0, 5.4, layout="constrained"), dimensions)
@@ -184,32 +187,19 @@ def set_title(axes: Axes, title: str) -> None:
 
 def write_title(figure: Figure, title: str, *, x: float = 0.2, y: float = 0.12) -> None:
     """Write the title of a figure, `x` and `y` inches from its upper left corner."""
-    width, height = figure.get_size_inches()
-    figure.text(
-        x / width,
-        1 - y / height,
-        title,
-        va="top",
-        fontsize=14,
-        fontweight="bold",
-        color=INK,
-        parse_math=False,
-    )
+    top = figure.get_figheight() - y
+    _write(figure, title, x, top, va="top", fontsize=14, fontweight="bold", color=INK)
 
 
 def write_notes(figure: Figure, lines: list[str], *, x: float = 0.2, y: float = 0.1) -> None:
     """Write lines at the foot of a figure, `x` and `y` inches from its lower left corner."""
+    style = {"va": "bottom", "fontsize": 8.5, "color": FAINT, "linespacing": 1.35}
+    _write(figure, "\n".join(lines), x, y, **style)
+
+
+def _write(figure: Figure, text: str, x: float, y: float, **style: Any) -> None:
     width, height = figure.get_size_inches()
-    figure.text(
-        x / width,
-        y / height,
-        "\n".join(lines),
-        va="bottom",
-        fontsize=8.5,
-        color=FAINT,
-        linespacing=1.35,
-        parse_math=False,
-    )
+    figure.text(x / width, y / height, text, parse_math=False, **style)
 
 
 KINDS = ("png", "svg", "pdf")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,19 +20,26 @@ from anisomap.drawing.figures.backend import (
     load,
     new_figure,
     panel,
-    panel_figure,
     set_title,
     write_title,
 )
 from anisomap.drawing.view import printable
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard
+from anisomap.health import SensorHealth
+from anisomap.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Values: TypeAlias = NDArray[Any]
+
 _WIDTH, _HEAD = 12.0, 0.75  # inches
 _GAP = 1.0  # between groups, in widths of a method
+_SERIES_COLUMNS, _MAX_SERIES = 3, 12
+_INSTANTS = 600  # of a series; the range of the readings in each is drawn
+_MAX_DOTS = 3_000  # of a Shepard diagram
+_N_LABELS = 6  # of the sensors with the greatest stress
 _SPREAD = 0.22  # of the scores of a method, in its width
 
 
@@ -46,14 +52,12 @@ class MethodLook:
     marker: str
 
 
-METHOD_LOOKS: Mapping[str, MethodLook] = MappingProxyType(
-    {
-        "r-anisomap": MethodLook("r-ANISOMAP", PALETTE[0], MARKERS[0]),
-        "i-anisomap": MethodLook("I-ANISOMAP", PALETTE[1], MARKERS[1]),
-        "information-distance": MethodLook("information distance", PALETTE[2], MARKERS[2]),
-        "isomap": MethodLook("ISOMAP", PALETTE[3], MARKERS[3]),
-    }
-)
+METHOD_LOOKS = {
+    "r-anisomap": MethodLook("r-ANISOMAP", PALETTE[0], MARKERS[0]),
+    "i-anisomap": MethodLook("I-ANISOMAP", PALETTE[1], MARKERS[1]),
+    "information-distance": MethodLook("information distance", PALETTE[2], MARKERS[2]),
+    "isomap": MethodLook("ISOMAP", PALETTE[3], MARKERS[3]),
+}
 
 
 @dataclass(frozen=True)
@@ -107,12 +111,11 @@ def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
     """Draw scores as dots with their mean, and box plots of their nulls."""
     if not any(rows):
         raise InputError("there are no scores to draw")
+    used = {method for groups in rows for group in groups for method in group.scores}
     with drawing_style():
-        figure = _figure_with_head(_WIDTH, 0.9 + 3.6 * len(rows))
+        figure = _headed_figure(title, (_WIDTH, 0.9 + 3.6 * len(rows)), METHOD_LOOKS, used)
         for i, groups in enumerate(rows):
-            plot_scores(groups, ax=figure.add_subplot(len(rows), 1, i + 1))
-        scores = (group.scores for groups in rows for group in groups)
-        _write_head(figure, title, _used(METHOD_LOOKS, scores))
+            _draw_scores(figure.add_subplot(len(rows), 1, i + 1), groups)
         return figure
 
 
@@ -134,103 +137,111 @@ def curves_figure(
         raise InputError("there are no curves to draw")
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
+    used = {method for panel in panels for method in panel.curves}
     with drawing_style():
-        figure = _figure_with_head(max(4.2 * columns, 8.5), 0.9 + 3.0 * rows)
+        size = max(4.2 * columns, 8.5), 0.9 + 3.0 * rows
+        figure = _headed_figure(title, size, looks, used)
         first: Axes = None
         for i, panel in enumerate(panels):
             axes = figure.add_subplot(rows, columns, i + 1, sharey=first)
             first = first or axes
-            plot_curves(panel, logarithmic=logarithmic, looks=looks, ax=axes)
+            _draw_curves(axes, panel, looks)
+            if logarithmic:
+                axes.set_xscale("log")
+            _mark_values(axes, panel.x, [f"{value:g}" for value in panel.x])
             axes.set_xlabel(x_label)
             if i % columns == 0:
                 axes.set_ylabel(y_label)
-        _write_head(figure, title, _used(looks, (panel.curves for panel in panels)))
         return figure
 
 
-@panel()
-def plot_scores(groups: Sequence[ScoreGroup], *, ax: Axes = None) -> None:
-    """Plot one row of `scores_figure`."""
+def _headed_figure(
+    title: str, size: tuple[float, float], looks: Mapping[str, MethodLook], used: set[str]
+) -> Figure:
+    """Create a figure with a title, and a legend of the looks that are used."""
+    figure = new_figure(*size)
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / size[1]))
+    write_title(figure, title, x=0.15, y=0.1)
+    line = load("matplotlib.lines").Line2D
+    handles = [
+        line([], [], ls="none", marker=look.marker, color=look.colour, label=look.label)
+        for method, look in looks.items()
+        if method in used
+    ]
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(0.005, 1 - 0.38 / size[1]),
+        ncols=len(handles), frameon=False, fontsize=9.5,
+    )  # fmt: skip
+    return figure
+
+
+def _draw_scores(axes: Axes, groups: Sequence[ScoreGroup]) -> None:
     start, middles = 0.0, []
     for group in groups:
         for i, (method, scores) in enumerate(group.scores.items()):
             look, x = METHOD_LOOKS[method], start + i
             if method in group.nulls:
-                _draw_null(ax, x, group.nulls[method], look)
+                _draw_null(axes, x, group.nulls[method], look)
             shift = np.linspace(-_SPREAD, _SPREAD, len(scores)) if len(scores) > 1 else [0.0]
-            ax.plot(
+            axes.plot(
                 x + np.asarray(shift), scores, look.marker, color=look.colour, markersize=5,
                 alpha=0.75, markeredgewidth=0,
             )  # fmt: skip
             if len(scores) > 1:
-                ax.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
+                axes.plot([x - 0.36, x + 0.36], [np.mean(scores)] * 2, color=INK, linewidth=1.2)
         middles.append(start + (len(group.scores) - 1) / 2)
         start += len(group.scores) + _GAP
-    ax.set_xticks(middles, [group.label for group in groups], fontsize=9.5, color=INK)
-    ax.tick_params(axis="x", length=0)
-    ax.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.24, 1.04), ylabel="Mantel r")
-    ax.grid(axis="y")
-    ax.set_axisbelow(True)
-    ax.axhline(0, color=FAINT, linewidth=0.8)
+    axes.set_xticks(middles, [group.label for group in groups], fontsize=9.5, color=INK)
+    axes.tick_params(axis="x", length=0)
+    axes.set(xlim=(-0.9, start - _GAP - 0.1), ylim=(-0.24, 1.04), ylabel="Mantel r")
+    axes.grid(axis="y")
+    axes.set_axisbelow(True)
+    axes.axhline(0, color=FAINT, linewidth=0.8)
 
 
-@panel()
-def plot_curves(
-    curves: CurvePanel,
-    *,
-    logarithmic: bool = False,
-    looks: Mapping[str, MethodLook] = METHOD_LOOKS,
-    ax: Axes = None,
-) -> None:
-    """Plot one panel of `curves_figure`, without labels of the axes."""
+def _draw_curves(axes: Axes, curves: CurvePanel, looks: Mapping[str, MethodLook]) -> None:
     if curves.default is not None and curves.x.min() <= curves.default <= curves.x.max():
-        ax.axvline(curves.default, color=FAINT, linewidth=0.9, linestyle=":")
+        axes.axvline(curves.default, color=FAINT, linewidth=0.9, linestyle=":")
     for method, values in curves.curves.items():
-        plot_runs(ax, curves.x, values, colour=looks[method].colour, marker=looks[method].marker)
+        _draw_runs(axes, curves.x, values, looks[method].colour, looks[method].marker)
     if curves.marked:
-        ax.plot(
+        axes.plot(
             curves.marked, [0.04] * len(curves.marked), "*", color=INK, markersize=9,
-            transform=ax.get_xaxis_transform(),
+            transform=axes.get_xaxis_transform(),
         )  # fmt: skip
-    if logarithmic:
-        ax.set_xscale("log")
-    ax.set_xticks(curves.x, [f"{value:g}" for value in curves.x])
-    ax.minorticks_off()
-    set_title(ax, curves.title)
-    ax.grid()
-    ax.set_axisbelow(True)
+    set_title(axes, curves.title)
 
 
-def plot_runs(
-    axes: Axes,
-    x: NDArray[np.float64] | NDArray[np.intp],
-    values: NDArray[np.float64],
-    *,
-    colour: str,
-    marker: str,
-    label: str = "",
+def _draw_runs(
+    axes: Axes, x: Values, values: Values, colour: str, marker: str, **labelled: str
 ) -> None:
-    """Plot every run as a dot and their mean as a curve. x (L,), values (L, S)."""
+    """Draw every run as a dot and their mean as a curve. x (L,), values (L, S)."""
     axes.plot(x, values, ".", color=colour, alpha=0.35, markersize=4)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all runs may be NaN
         mean = np.nanmean(values, axis=1)
-    axes.plot(x, mean, color=colour, marker=marker, markersize=4.5, label=label or None)
+    axes.plot(x, mean, color=colour, marker=marker, markersize=4.5, **labelled)
+
+
+def _mark_values(axes: Axes, x: Values, labels: Sequence[str]) -> None:
+    axes.set_xticks(x, labels)
+    axes.minorticks_off()
+    axes.grid()
+    axes.set_axisbelow(True)
 
 
 def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
     line = {"color": look.colour, "linewidth": 1.0}
+    statistics = {
+        "med": box.median,
+        "q1": box.quartile_1,
+        "q3": box.quartile_3,
+        "whislo": box.whisker_low,
+        "whishi": box.whisker_high,
+        "fliers": list(box.outliers),
+    }
     axes.bxp(
-        [
-            {
-                "med": box.median,
-                "q1": box.quartile_1,
-                "q3": box.quartile_3,
-                "whislo": box.whisker_low,
-                "whishi": box.whisker_high,
-                "fliers": list(box.outliers),
-            }
-        ],
+        [statistics],
         positions=[x],
         widths=0.55,
         boxprops=line,
@@ -242,70 +253,27 @@ def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
     )
 
 
-def _figure_with_head(width: float, height: float) -> Figure:
-    figure = new_figure(width, height)
-    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / height))
-    return figure
-
-
-def _used(looks: Mapping[str, MethodLook], mappings: Iterable[Iterable[str]]) -> list[MethodLook]:
-    used = {method for mapping in mappings for method in mapping}
-    return [look for method, look in looks.items() if method in used]
-
-
-def _write_head(figure: Figure, title: str, looks: Sequence[MethodLook]) -> None:
-    write_title(figure, title, x=0.15, y=0.1)
-    line = load("matplotlib.lines").Line2D
-    handles = [
-        line([], [], ls="none", marker=look.marker, color=look.colour, label=look.label)
-        for look in looks
-    ]
-    figure.legend(
-        handles=handles, loc="upper left",
-        bbox_to_anchor=(0.005, 1 - 0.38 / figure.get_figheight()),
-        ncols=len(handles), frameon=False, fontsize=9.5,
-    )  # fmt: skip
-
-
 def coverage_figure(
-    title: str,
-    n_frames: NDArray[np.intp],
-    rate_hz: float,
-    shares: dict[str, NDArray[np.float64]],
+    title: str, n_frames: NDArray[np.intp], rate_hz: float, shares: dict[str, Values]
 ) -> Figure:
     """Draw shares over the length of a recording: every seed, and the mean over seeds.
 
     shares (L, S).
     """
-    return panel_figure(
-        plot_coverage, n_frames, rate_hz, shares, title=title, size=(7.2, 4.6), drawn=(0, 0.91)
-    )
-
-
-@panel()
-def plot_coverage(
-    n_frames: NDArray[np.intp],
-    rate_hz: float,
-    shares: dict[str, NDArray[np.float64]],
-    *,
-    ax: Axes = None,
-) -> None:
-    """Plot the panel of `coverage_figure`."""
-    for (name, values), colour, marker in zip(shares.items(), PALETTE, MARKERS, strict=False):
-        plot_runs(ax, n_frames, values, colour=colour, marker=marker, label=name)
-    ax.set_xscale("log")
-    ax.set_xticks(n_frames, [f"{n}\n{n / rate_hz:.3g} s" for n in n_frames])
-    ax.minorticks_off()
-    ax.set_ylim(-0.03, 1.03)
-    ax.grid()
-    ax.set_xlabel("length of the recording (frames, seconds)")
-    ax.set_ylabel("share; Mantel r")
-    ax.legend(loc="lower right", frameon=False)
-
-
-# Chosen by eye.
-_MAX_DOTS = 3_000
-_N_LABELS = 6
+    with drawing_style():
+        figure = new_figure(7.2, 4.6)
+        figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
+        axes = figure.add_subplot()
+        for (name, values), colour, marker in zip(shares.items(), PALETTE, MARKERS, strict=False):
+            _draw_runs(axes, n_frames, values, colour, marker, label=name)
+        axes.set_xscale("log")
+        _mark_values(axes, n_frames, [f"{n}\n{n / rate_hz:.3g} s" for n in n_frames])
+        axes.set_ylim(-0.03, 1.03)
+        axes.set_xlabel("length of the recording (frames, seconds)")
+        axes.set_ylabel("share; Mantel r")
+        axes.legend(loc="lower right", frameon=False)
+        write_title(figure, title)
+        return figure
 
 
 @panel()
@@ -327,13 +295,9 @@ def plot_stress_per_point(
     ax.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
     for rank, i in enumerate(order[:_N_LABELS].tolist(), start=1):
         ax.annotate(
-            f" {printable(labels[i])}",
-            (rank, values[i]),
-            fontsize=7,
-            color=INK,
-            rotation=30,
+            f" {printable(labels[i])}", (rank, values[i]), fontsize=7, color=INK, rotation=30,
             parse_math=False,
-        )
+        )  # fmt: skip
     ax.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
     ax.set(xlabel="rank of the sensor", ylabel="share of the stress, %")
     ax.set_ylim(bottom=0)
@@ -421,3 +385,35 @@ def stress_figure(
             plot_null_test(test, label="Stress-1", ax=axes[2])
         write_title(figure, title)
         return figure
+
+
+def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
+    """Draw the readings of sensors over time, as thumbnails."""
+    if not doubted:
+        raise InputError("there is no sensor to draw")
+    shown = list(doubted)[:_MAX_SERIES]
+    rows = -(-len(shown) // _SERIES_COLUMNS)
+    with drawing_style():
+        figure = new_figure(10.0, 0.3 + 1.5 * rows, layout="constrained")
+        for i, sensor in enumerate(shown):
+            axes = figure.add_subplot(rows, _SERIES_COLUMNS, i + 1)
+            readings = recording.readings[:, recording.names.index(sensor.name)]
+            plot_series(readings, rate_hz=recording.rate_hz, ax=axes)
+            set_title(axes, f"{printable(sensor.name)}: {sensor.status}")
+        return figure
+
+
+@panel()
+def plot_series(
+    readings: NDArray[np.floating], *, rate_hz: float | None = None, ax: Axes = None
+) -> None:
+    """Plot the range of the readings of a sensor over time. readings (T,)."""
+    step = -(-len(readings) // _INSTANTS)
+    starts = np.arange(0, len(readings), step)
+    known = np.where(np.isfinite(readings), readings, np.nan)
+    low = np.fmin.reduceat(known, starts)
+    high = np.fmax.reduceat(known, starts)
+    times = starts / (rate_hz or 1)
+    ax.fill_between(times, low, high, step="post", color=PALETTE[0], linewidth=0.8)
+    ax.set_xlabel("time (s)" if rate_hz else "frame")
+    ax.set_ylabel("reading")

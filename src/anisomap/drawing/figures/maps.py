@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from anisomap.drawing.figures.backend import (
     INK,
@@ -17,41 +17,39 @@ from anisomap.drawing.figures.backend import (
     drawing_style,
     load,
     new_figure,
+    open_axes,
     panel,
     set_title,
     write_notes,
     write_title,
 )
-from anisomap.drawing.figures.panels import Panel, draw_configuration, draw_distances
+from anisomap.drawing.figures.panels import draw_configuration, draw_distances
 from anisomap.drawing.view import (
     MAX_JOINED,
+    MAX_LABEL,
     VIEWS,
-    Component,
-    View,
+    Panel,
+    Points,
     box_around,
     drawn_components,
     layout_notes,
-    outlines,
     printable,
-    view_axes,
 )
 from anisomap.errors import InputError
 from anisomap.evaluation import Score
 from anisomap.evaluation import score as score_map
 from anisomap.recording import Recording
-from anisomap.sensor_map import SensorMap, is_faulty
+from anisomap.sensor_map import SensorMap
 from anisomap.wording import join_items
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from matplotlib.gridspec import GridSpec
+    from matplotlib.gridspec import SubplotSpec
 
 # Inches.
 _WIDTH, _NARROW, _HEAD, _ROW, _SMALL_ROW, _FOOT, _LINE = 14.0, 8.0, 0.5, 5.4, 4.2, 0.2, 0.17
 _COLUMNS, _MAX_SMALL_PANELS = 3, 9
-_SIDES = (1.0, 1.0, 1.0)
 _COMPARISON = (1.2, 1.2, 0.02, 0.95)  # the third is a gap for the z axis and its title
-_N_LABELS, _LABEL_ALL, _MAX_LABEL = 8, 24, 14
 _CHARACTERS_PER_INCH, _MAX_LINES = 13.5, 10
 
 
@@ -83,8 +81,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     MissingExtraError
         If matplotlib is not installed.
     """
-    _check_placed(sensor_map)
-    drawn = drawn_components(sensor_map, score)
+    drawn = _components(sensor_map, score)
     first = drawn[:1] if score is not None or len(drawn) == 1 else []
     others = drawn[len(first) :]
     small = others[:_MAX_SMALL_PANELS]
@@ -95,23 +92,24 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     height = _HEAD + main_row - (-len(small) // _COLUMNS) * _SMALL_ROW
     with drawing_style():
         figure = new_figure(width, height + _FOOT + _LINE * len(notes))
-        for component in first:
-            if score is None:
-                cells = _cells(figure, 0, _ROW, (1.0,) if flat else _SIDES)
-                _draw_alone(figure, sensor_map, component, cells)
-            else:
-                cells = _cells(figure, 0, _ROW, _COMPARISON)
-                _draw_comparison(figure, sensor_map, component, score, cells)
+        if first and score is not None:
+            cells = _cells(figure, 0, _ROW, _COMPARISON)
+            _draw_comparison(figure, first[0], score, cells)
+        elif first:
+            names = ("From the front", "From the right", "From above")
+            sides = [("", VIEWS[0])] if flat else list(zip(names, VIEWS, strict=True))
+            cells = _cells(figure, 0, _ROW, (1.0,) * len(sides))
+            for (title, view), cell in zip(sides, cells, strict=True):
+                _draw(figure, cell, replace(first[0], view=view), title)
         for i, component in enumerate(small):
             row, column = divmod(i, _COLUMNS)
             cells = _cells(figure, main_row + row * _SMALL_ROW, _SMALL_ROW, (1.0,) * _COLUMNS)
-            axes = add_axes(figure, component.dimensions, cells[0, column])
-            draw_configuration(axes, prepare_panel(sensor_map, component))
             count = len(component.points)
-            set_title(axes, f"Component {component.number}: {count} sensors, own coordinate frame")
+            title = f"Component {component.number}: {count} sensors, own coordinate frame"
+            _draw(figure, cells[column], component, title)
         write_title(figure, _title(sensor_map, score), x=0.28, y=0.2)
         write_notes(figure, notes, x=0.28, y=0.15)
-        _add_legend(figure, sensor_map, first + small)
+        _add_legend(figure, first + small)
         return figure
 
 
@@ -173,17 +171,10 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | No
     MissingExtraError
         If matplotlib is not installed.
     """
-    _check_placed(sensor_map)
-    drawn = drawn_components(sensor_map, score)
-    if not drawn:
-        raise InputError("every component of the map has a single sensor; there is nothing to draw")
-    return plot_component(prepare_panel(sensor_map, drawn[0]), ax=ax)
-
-
-@panel(lambda shown: shown.points.shape[1])
-def plot_component(shown: Panel, *, ax: Axes = None) -> None:
-    """Plot one component of a map."""
-    draw_configuration(ax, shown)
+    shown = largest_component(sensor_map, score)
+    axes = open_axes(ax, shown.dimensions)
+    draw_configuration(axes, shown)
+    return axes
 
 
 @panel()
@@ -198,16 +189,24 @@ def plot_distances(score: Score, *, ax: Axes = None) -> None:
     draw_distances(ax, score.truth, score.alignment.aligned, score.units)
 
 
-def _check_placed(sensor_map: SensorMap) -> None:
+def _components(sensor_map: SensorMap, score: Score | None) -> list[Panel]:
     if not sensor_map.placed.any():
         raise InputError("no sensor of the map has a position; there is nothing to draw")
+    return drawn_components(sensor_map, score)
 
 
-def _cells(figure: Figure, top: float, height: float, ratios: Sequence[float]) -> GridSpec:
+def largest_component(sensor_map: SensorMap, score: Score | None) -> Panel:
+    """Prepare the largest component of a map."""
+    if not (drawn := _components(sensor_map, score)):
+        raise InputError("every component of the map has a single sensor; there is nothing to draw")
+    return drawn[0]
+
+
+def _cells(figure: Figure, top: float, height: float, ratios: Sequence[float]) -> list[SubplotSpec]:
     """Create a row of cells for panels, `top` inches below the head."""
     total = figure.get_figheight()
     upper = total - _HEAD - top - 0.55
-    return figure.add_gridspec(
+    grid = figure.add_gridspec(
         1,
         len(ratios),
         left=0.045,
@@ -217,85 +216,29 @@ def _cells(figure: Figure, top: float, height: float, ratios: Sequence[float]) -
         wspace=0.2,
         width_ratios=ratios,
     )
+    return [grid[0, i] for i in range(len(ratios))]
+
+
+def _draw(
+    figure: Figure, cell: SubplotSpec, shown: Panel, title: str, limits: Points | None = None
+) -> None:
+    axes = add_axes(figure, shown.dimensions, cell)
+    draw_configuration(axes, shown, limits)
+    set_title(axes, title)
 
 
 def _draw_comparison(
-    figure: Figure, sensor_map: SensorMap, component: Component, score: Score, cells: GridSpec
+    figure: Figure, shown: Panel, score: Score, cells: Sequence[SubplotSpec]
 ) -> None:
-    alignment = score.alignment
-    how = "rotated, scaled and reflected" if alignment.reflected else "rotated and scaled"
+    how = "rotated, scaled and reflected" if score.alignment.reflected else "rotated and scaled"
     error = f"{score.rms:.3g} {printable(score.units, 24)}".strip()
     spacings = f" = {score.rms_in_spacings:.2g} sensor spacings" if score.spacing > 0 else ""
-    shown = prepare_panel(sensor_map, component)
-    n_compared = len(component.truth)
-    truth = replace(
-        shown,
-        points=component.truth,
-        colours=shown.colours[:n_compared],
-        uncompared=shown.uncompared[:n_compared],
-        faulty=shown.faulty[:n_compared],
-        labels={i: name for i, name in shown.labels.items() if i < n_compared},
-        outlines=None,
-    )
-    titles = ("True positions", f"Map, {how} to fit\nRMS error {error}{spacings}")
-    for column, (title, one) in enumerate(zip(titles, (truth, shown), strict=True)):
-        axes = add_axes(figure, component.dimensions, cells[0, column])
-        draw_configuration(axes, one, box_around(component.truth, component.points))
-        set_title(axes, title)
-    axes = figure.add_subplot(cells[0, len(_COMPARISON) - 1])
-    label = draw_distances(axes, score.truth, alignment.aligned, score.units)
+    limits = box_around(shown.truth, shown.points)
+    _draw(figure, cells[0], shown.true(), "True positions", limits)
+    _draw(figure, cells[1], shown, f"Map, {how} to fit\nRMS error {error}{spacings}", limits)
+    axes = figure.add_subplot(cells[-1])
+    label = draw_distances(axes, score.truth, score.alignment.aligned, score.units)
     set_title(axes, f"Distances: {_agreement(score)}\n{label}")
-
-
-def _draw_alone(
-    figure: Figure, sensor_map: SensorMap, component: Component, cells: GridSpec
-) -> None:
-    sides: tuple[tuple[str, View], ...] = (("", VIEWS[0]),)
-    if component.dimensions == 3:
-        sides = tuple(zip(("From the front", "From the right", "From above"), VIEWS, strict=True))
-    for column, (title, view) in enumerate(sides):
-        axes = add_axes(figure, component.dimensions, cells[0, column])
-        draw_configuration(axes, prepare_panel(sensor_map, component, view))
-        set_title(axes, title)
-
-
-def prepare_panel(sensor_map: SensorMap, component: Component, view: View | None = None) -> Panel:
-    """Prepare a component of a map for drawing, with the names of distant sensors."""
-    reference = component.truth if len(component.truth) else component.points
-    labelled = _sensors_to_label(reference, component.view)
-    view = view or component.view
-    return Panel(
-        points=component.points,
-        colours=component.colours,
-        pairs=component.pairs,
-        view=view,
-        units=component.units,
-        uncompared=~component.compared,
-        faulty=_faulty(sensor_map, component),
-        labels={i: printable(sensor_map.names[component.sensors[i]], _MAX_LABEL) for i in labelled},
-        outlines=outlines(component, view),
-    )
-
-
-def _faulty(sensor_map: SensorMap, component: Component) -> NDArray[np.bool_]:
-    return np.array([is_faulty(sensor_map.health[i]) for i in component.sensors], dtype=bool)
-
-
-def _sensors_to_label(points: NDArray[np.float64], view: View) -> list[int]:
-    """Choose distant sensors, in 3D from the nearer half, by farthest-point sampling."""
-    candidates = np.arange(len(points))
-    if len(points) <= _LABEL_ALL:
-        return candidates.tolist()
-    if points.shape[1] == 3:
-        nearness = points @ view_axes(view)[2]
-        candidates = np.flatnonzero(nearness >= np.median(nearness))
-    chosen = [int(candidates[np.argmin(points[candidates].sum(axis=1))])]
-    distances = np.full(len(candidates), np.inf)
-    while len(chosen) < _N_LABELS:
-        step = np.linalg.norm(points[candidates] - points[chosen[-1]], axis=1)
-        distances = np.minimum(distances, step)
-        chosen.append(int(candidates[np.argmax(distances)]))
-    return chosen
 
 
 def _title(sensor_map: SensorMap, score: Score | None) -> str:
@@ -317,23 +260,19 @@ def _agreement(score: Score) -> str:
 
 def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float) -> list[str]:
     joined = np.count_nonzero(sensor_map.component == 0) <= MAX_JOINED
-    if score is None:
-        lines = "Lines join nearest neighbours on the map. " if joined else ""
-        notes = [
-            f"The map is {sensor_map.pose}. {lines}A sensor has the same colour in every view."
-        ]
-    else:
-        lines = "Lines join true neighbours. " if joined else ""
-        notes = [
-            f"{lines}A sensor has the same colour in both panels. "
-            f"The map is {sensor_map.pose}, and was fitted to the truth."
-        ]
+    kind = "nearest neighbours on the map" if score is None else "true neighbours"
+    lines = f"Lines join {kind}. " if joined else ""
+    pose = f"The map is {sensor_map.pose}"
+    notes = [f"{pose}. {lines}A sensor has the same colour in every view."]
+    if score is not None:
+        same = f"{lines}A sensor has the same colour in both panels."
+        notes = [f"{same} {pose}, and was fitted to the truth."]
     if sensor_map.covariances is not None and joined:
         notes.append(
             "Ellipses hold 95 % of the true positions, on average over maps of known skins."
         )
     unplaced = [
-        printable(sensor_map.names[i], _MAX_LABEL) for i in np.flatnonzero(~sensor_map.placed)
+        printable(sensor_map.names[i], MAX_LABEL) for i in np.flatnonzero(~sensor_map.placed)
     ]
     if unplaced:
         notes.append(f"Without a position: {join_items(unplaced, 12)}.")
@@ -354,12 +293,12 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
     return wrapped
 
 
-def _add_legend(figure: Figure, sensor_map: SensorMap, drawn: Sequence[Component]) -> None:
+def _add_legend(figure: Figure, drawn: Sequence[Panel]) -> None:
     marks = []
     line = load("matplotlib.lines").Line2D
-    if any(_faulty(sensor_map, component).any() for component in drawn):
+    if any(component.faulty.any() for component in drawn):
         marks.append(line([], [], ls="none", marker="x", color="black", label="faulty"))
-    if any(not component.compared.all() for component in drawn):
+    if any(component.uncompared.any() for component in drawn):
         marks.append(
             line([], [], ls="none", marker="s", mfc="#b8b8b8", mec=INK, label="not compared")
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,6 @@ from anisomap.drawing.figures.backend import (
     drawing_style,
     load,
     new_figure,
-    panel,
     set_ticks,
     set_title,
     write_notes,
@@ -28,11 +27,14 @@ from anisomap.drawing.figures.backend import (
 )
 from anisomap.drawing.view import (
     VIEWS,
+    Panel,
+    Points,
     View,
     axis_title,
     best_view,
     box_around,
     neighbour_pairs,
+    outlines,
     place_colours,
     segments,
     view_axes,
@@ -57,7 +59,8 @@ _FEW_PAIRS = 200
 _OUTLINE = "#8a6d3b"
 _DOT_AREA = 75.0  # square points, for up to 60 sensors
 _CROWDED = 300
-
+_CROSS = {"marker": "x", "color": "black", "linewidths": 1.4}
+_SQUARE = {"marker": "s", "facecolors": "none", "edgecolors": INK, "linewidths": 0.8}
 
 # Inches.
 _HEAD, _LINE, _BELOW = 0.45, 0.17, 0.35
@@ -67,54 +70,22 @@ _FLAT_VIEW: View = (0.0, 0.0)  # ignored in 2D
 _OBLIQUE_VIEW: View = (38.0, -68.0)  # of flat bodies, so that bending of the map is visible
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A configuration, with its appearance.
-
-    points (n, k): Positions, k = 2 or 3.
-    colours (n, 3): sRGB in [0, 1].
-    pairs: Points joined by lines.
-    view: Elevation and azimuth in degrees.
-    units: Of the axes.
-    uncompared: Sensors that the score excludes, marked with a square.
-    faulty: Sensors marked with a cross.
-    labels: Names written beside points.
-    outlines (L, k): Lines around sensors, separated by NaN.
-    unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
-    """
-
-    points: NDArray[np.float64]
-    colours: NDArray[np.float64]
-    pairs: NDArray[np.intp]
-    view: View
-    units: str
-    uncompared: NDArray[np.bool_]
-    faulty: NDArray[np.bool_]
-    labels: Mapping[int, str] = field(default_factory=dict)
-    outlines: NDArray[np.float64] | None = None
-    unplaced: NDArray[np.float64] | None = None
-    title: str = ""
-
-
-def draw_configuration(axes: Axes, shown: Panel, limits: NDArray[np.float64] | None = None) -> None:
+def draw_configuration(axes: Axes, shown: Panel, limits: Points | None = None) -> None:
     """Draw a configuration with its neighbours joined, from back to front. limits (k, 2)."""
     points = shown.points
     limits = box_around(points) if limits is None else limits
     set_up_axes(axes, limits, shown.view, shown.units)
-    if points.shape[1] == 3:
+    nearness = np.ones(len(points))
+    if shown.dimensions == 3:
         depth = points @ view_axes(shown.view)[2]
         nearness = 1 - (depth.max() - depth) / np.ptp(limits, axis=1).max()
-    else:
-        nearness = np.ones(len(points))
-    if shown.outlines is not None and len(shown.outlines):
-        axes.plot(*shown.outlines.T, color=_OUTLINE, linewidth=0.6, alpha=0.7, zorder=0.5)
+    if len(ellipses := outlines(shown, shown.view)):
+        axes.plot(*ellipses.T, color=_OUTLINE, linewidth=0.6, alpha=0.7, zorder=0.5)
     _draw_layers(axes, shown, np.clip(nearness, 0, 1))
     write_labels(axes, shown, points)
 
 
-def draw_distances(
-    axes: Axes, truth: NDArray[np.float64], found: NDArray[np.float64], units: str
-) -> str:
+def draw_distances(axes: Axes, truth: Points, found: Points, units: str) -> str:
     """Draw the distance of every pair of sensors on the map against the true distance.
 
     Up to 3000 pairs are drawn as dots, more as a density. Of more than 1500 sensors, 1500 are
@@ -124,39 +95,32 @@ def draw_distances(
     """
     n_sensors = len(truth)
     kept = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_SENSORS)).astype(int))
-    true_distances, found_distances = pdist(truth[kept]), pdist(found[kept])
-    longest = 1.04 * max(float(true_distances.max()), float(found_distances.max()))
+    both = pdist(truth[kept]), pdist(found[kept])
+    n_pairs = both[0].size
+    longest = 1.04 * float(np.max(both))
+    label = f"{n_pairs} pairs of sensors"
     axes.plot([0, longest], [0, longest], color=INK, linewidth=1, linestyle="--", zorder=3)
-    if true_distances.size <= _MAX_DOTS:
+    if n_pairs <= _MAX_DOTS:
+        size = 4 if n_pairs > _FEW_PAIRS else 8
         axes.plot(
-            true_distances,
-            found_distances,
-            ".",
-            markersize=4 if true_distances.size > _FEW_PAIRS else 8,
-            alpha=0.5,
-            markeredgewidth=0,
-            color=PALETTE[0],
+            *both, ".", markersize=size, alpha=0.5, markeredgewidth=0, color=PALETTE[0],
             rasterized=True,
-        )
-        label = f"{true_distances.size} pairs of sensors"
+        )  # fmt: skip
     else:
         colors = load("matplotlib.colors")
-        cells, edges, _ = np.histogram2d(
-            true_distances, found_distances, bins=_DENSITY_CELLS, range=[[0, longest]] * 2
-        )
+        cells, edges, _ = np.histogram2d(*both, bins=_DENSITY_CELLS, range=[[0, longest]] * 2)
+        shades = ["#cfe3f1", PALETTE[0], "#001b2e"]
         axes.pcolormesh(
             edges,
             edges,
             np.ma.masked_equal(cells.T, 0),
             norm=colors.LogNorm(vmin=1),
-            cmap=colors.LinearSegmentedColormap.from_list(
-                "pairs", ["#cfe3f1", PALETTE[0], "#001b2e"]
-            ),
+            cmap=colors.LinearSegmentedColormap.from_list("pairs", shades),
             rasterized=True,
         )
-        label = f"{true_distances.size} pairs of sensors, as a density"
+        label += ", as a density"
     if len(kept) < n_sensors:
-        label = f"{true_distances.size} pairs among {len(kept)} of {n_sensors} sensors"
+        label = f"{n_pairs} pairs among {len(kept)} of {n_sensors} sensors"
     axes.set(xlim=(0, longest), ylim=(0, longest))
     axes.set_aspect("equal")
     axes.set_xlabel(axis_title("true distance", units), parse_math=False, color=INK)
@@ -165,7 +129,7 @@ def draw_distances(
     return label
 
 
-def set_up_axes(axes: Axes, limits: NDArray[np.float64], view: View, units: str) -> None:
+def set_up_axes(axes: Axes, limits: Points, view: View, units: str) -> None:
     """Set limits, an equal aspect, labels with units and the view of axes of positions.
 
     limits (k, 2).
@@ -176,14 +140,10 @@ def set_up_axes(axes: Axes, limits: NDArray[np.float64], view: View, units: str)
         getattr(axes, f"set_{name}label")(title, parse_math=False, color=INK)
     set_ticks(axes, np.ptp(limits, axis=1), 4)
     axes.set_aspect("equal")
-    if len(limits) == 3:
-        _set_up_3d(axes, limits, view)
-    else:
+    if len(limits) == 2:
         axes.grid(color="#e6e8eb", linewidth=0.6)
         axes.set_axisbelow(True)
-
-
-def _set_up_3d(axes: Axes, limits: NDArray[np.float64], view: View) -> None:
+        return
     axes.set_proj_type("ortho")
     axes.computed_zorder = False  # `_draw_layers` orders lines among dots
     axes.view_init(*view)
@@ -196,7 +156,7 @@ def _set_up_3d(axes: Axes, limits: NDArray[np.float64], view: View) -> None:
         axes.zaxis.set_ticklabels([])
 
 
-def _draw_layers(axes: Axes, shown: Panel, nearness: NDArray[np.float64]) -> None:
+def _draw_layers(axes: Axes, shown: Panel, nearness: Points) -> None:
     """Draw from back to front, because 3D axes do not sort lines among dots."""
     points = shown.points
     first, second = shown.pairs.T
@@ -227,14 +187,7 @@ def _draw_layers(axes: Axes, shown: Panel, nearness: NDArray[np.float64]) -> Non
             zorder=4 * layer + 2,
             **common,
         )
-        for marked, scale, style in (
-            (shown.faulty, 1.3, {"marker": "x", "color": "black", "linewidths": 1.4}),
-            (
-                shown.uncompared,
-                2.6,
-                {"marker": "s", "facecolors": "none", "edgecolors": INK, "linewidths": 0.8},
-            ),
-        ):
+        for marked, scale, style in ((shown.faulty, 1.3, _CROSS), (shown.uncompared, 2.6, _SQUARE)):
             if (marked & chosen).any():
                 axes.scatter(
                     *points[marked & chosen].T,
@@ -245,7 +198,7 @@ def _draw_layers(axes: Axes, shown: Panel, nearness: NDArray[np.float64]) -> Non
                 )
 
 
-def write_labels(axes: Axes, shown: Panel, points: NDArray[np.float64]) -> None:
+def write_labels(axes: Axes, shown: Panel, points: Points) -> None:
     """Write the names of a panel towards its middle. points (n, k)."""
     rightwards = view_axes(shown.view)[0] if points.shape[1] == 3 else np.array([1.0, 0.0])
     middle = box_around(points).mean(axis=1)
@@ -253,7 +206,7 @@ def write_labels(axes: Axes, shown: Panel, points: NDArray[np.float64]) -> None:
         write_label(axes, points[i], name, bool((points[i] - middle) @ rightwards > 0))
 
 
-def write_label(axes: Axes, point: NDArray[np.float64], name: str, leftwards: bool) -> None:
+def write_label(axes: Axes, point: Points, name: str, leftwards: bool) -> None:
     """Write a name to the left or right of a point, legible above everything else."""
     axes.text(
         *point,
@@ -279,12 +232,13 @@ def truth_panel(
 ) -> Panel:
     """Prepare a panel of the true positions. truth (N, k)."""
     places = np.asarray(truth, dtype=np.float64)
-    everywhere = np.ones(len(places), dtype=bool)
-    placed = everywhere if on_maps is None else np.asarray(on_maps, dtype=bool)
-    left_out = ~everywhere if excluded is None else np.asarray(excluded, dtype=bool)
-    drawn = _panel(
-        title, places, places, placed=placed, excluded=left_out, units=units, labels=labels or {}
+    placed = (
+        np.ones(len(places), dtype=bool) if on_maps is None else np.asarray(on_maps, dtype=bool)
     )
+    left_out = np.zeros(len(places), dtype=bool)
+    if excluded is not None:
+        left_out |= np.asarray(excluded, dtype=bool)
+    drawn = _panel(title, places, places, placed, left_out, units=units, labels=labels or {})
     return replace(drawn, unplaced=places[~placed])
 
 
@@ -305,8 +259,8 @@ def map_panel(
         title,
         score.alignment.apply(sensor_map.positions)[:, : places.shape[1]],
         places,
-        placed=sensor_map.placed & (sensor_map.component == 0),
-        excluded=np.isin(np.arange(sensor_map.n_sensors), score.excluded),
+        sensor_map.placed & (sensor_map.component == 0),
+        np.isin(np.arange(sensor_map.n_sensors), score.excluded),
         units=score.units,
         labels=labels or {},
     )
@@ -326,27 +280,17 @@ def gallery_figure(
     height = _HEAD + rows * size + foot + 0.2
     with drawing_style():
         figure = new_figure(width, height)
-        cells = figure.add_gridspec(
-            rows,
-            columns,
-            left=0.7 / width,
-            right=1 - 0.5 / width,
-            top=1 - (_HEAD + _BELOW) / height,
-            bottom=(foot + _BELOW + 0.2) / height,
-            wspace=0.22,
-            hspace=0.34,
-        )
+        sides = {"left": 0.7 / width, "right": 1 - 0.5 / width, "wspace": 0.22, "hspace": 0.34}
+        top, bottom = 1 - (_HEAD + _BELOW) / height, (foot + _BELOW + 0.2) / height
+        cells = figure.add_gridspec(rows, columns, top=top, bottom=bottom, **sides)
         for i, shown in enumerate(panels):
-            cell = cells[divmod(i, columns)]
-            plot_panel(shown, ax=add_axes(figure, shown.points.shape[1], cell))
+            _draw_panel(add_axes(figure, shown.dimensions, cells[divmod(i, columns)]), shown)
         write_title(figure, title)
         write_notes(figure, lines)
         return figure
 
 
-@panel(lambda shown: shown.points.shape[1])
-def plot_panel(shown: Panel, *, ax: Axes = None) -> None:
-    """Plot one panel."""
+def _draw_panel(ax: Axes, shown: Panel) -> None:
     rings = shown.points[:0] if shown.unplaced is None else shown.unplaced
     limits = box_around(shown.points, rings)
     draw_configuration(ax, shown, limits)
@@ -362,11 +306,11 @@ def plot_panel(shown: Panel, *, ax: Axes = None) -> None:
 
 def _panel(
     title: str,
-    points: NDArray[np.float64],
-    truth: NDArray[np.float64],
-    *,
+    points: Points,
+    truth: Points,
     placed: NDArray[np.bool_],
     excluded: NDArray[np.bool_],
+    *,
     units: str,
     labels: Mapping[int, str],
 ) -> Panel:
@@ -384,6 +328,8 @@ def _panel(
         units=units,
         uncompared=excluded[rows],
         faulty=np.zeros(len(rows), dtype=bool),
+        sensors=rows,
+        truth=truth[rows],
         labels={row_of[sensor]: name for sensor, name in labels.items() if sensor in row_of},
         title=title,
     )

@@ -73,16 +73,8 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
     _check_frame(scene, frame)
     with drawing_style():
         figure = new_figure(15.0, 5.6)
-        cells = figure.add_gridspec(
-            1,
-            3,
-            width_ratios=(1.15, 1.15, 1),
-            left=0.01,
-            right=0.94,
-            bottom=0.11,
-            top=0.84,
-            wspace=0.3,
-        )
+        edges = {"left": 0.01, "right": 0.94, "bottom": 0.11, "top": 0.84}
+        cells = figure.add_gridspec(1, 3, width_ratios=(1.15, 1.15, 1), wspace=0.3, **edges)
         write_title(figure, scene.title)
         axes = plot_scene(scene, frame, ax=add_axes(figure, 3, cells[0]))
         set_title(axes, f"Frame {frame} of {scene.n_frames}, {scene.times[frame]:.2f} s")
@@ -122,39 +114,21 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes = None) -> None:
     """
     _check_frame(scene, frame)
     ax.computed_zorder = False
-    visible = np.vstack(
-        [
-            vertices
-            for prop in scene.props
-            if prop.role != "ground"
-            for vertices in prop.surfaces(frame)
-        ]
-    )
+    parts = [(prop, vertices) for prop in scene.props for vertices in prop.surfaces(frame)]
+    visible = np.vstack([vertices for prop, vertices in parts if prop.role != "ground"])
     lowest, highest = visible.min(axis=0), visible.max(axis=0)
-    for prop in scene.props:
-        for vertices in prop.surfaces(frame) if prop.role == "room" else ():
+    for prop, vertices in parts:
+        if prop.role == "room":
             ax.add_collection3d(_sharp_edges(prop.mesh, vertices))
     for role in _FACES:
-        triangles = [
-            vertices[prop.mesh.faces]
-            for prop in scene.props
-            if prop.role == role
-            for vertices in prop.surfaces(frame)
-        ]
+        triangles = [vertices[prop.mesh.faces] for prop, vertices in parts if prop.role == role]
         if triangles:
             near = _within(np.vstack(triangles), lowest, highest)
             ax.add_collection3d(_surface(near, role), autolim=False)
     ax.scatter(
-        *scene.sensors[frame % len(scene.sensors)].T,
-        c=scene.readings[frame],
-        cmap=_READINGS,
-        norm=_norm(scene),
-        s=26,
-        edgecolors=INK,
-        linewidths=0.4,
-        depthshade=False,
-        zorder=10,
-    )
+        *scene.sensors[frame % len(scene.sensors)].T, c=scene.readings[frame], cmap=_READINGS,
+        norm=_norm(scene), s=26, edgecolors=INK, linewidths=0.4, depthshade=False, zorder=10,
+    )  # fmt: skip
     ax.set(xlim=(lowest[0], highest[0]), ylim=(lowest[1], highest[1]), zlim=(lowest[2], highest[2]))
     ax.set_box_aspect(np.maximum(highest - lowest, 1e-12), zoom=0.98)
     set_ticks(ax, highest - lowest, 4)
@@ -221,14 +195,10 @@ def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]
     checked_kind(path, (kind,), "rendered images")
     image = load("PIL.Image")
     first, *others = (image.fromarray(pixels) for pixels in images)
-    animated = {
-        "save_all": True,
-        "append_images": others,
-        "loop": 0,
-        "duration": 1000 // _FRAMES_PER_SECOND,
-    }
+    timing = {"loop": 0, "duration": 1000 // _FRAMES_PER_SECOND}
+    animated = {"save_all": True, "append_images": others, **timing} if others else {}
     with atomic_write(path) as temporary:
-        first.save(temporary, **(animated if others else {}))
+        first.save(temporary, **animated)
 
 
 def check_animation(path: str | os.PathLike[str]) -> None:

@@ -82,16 +82,7 @@ SUFFIXES = (".html", ".htm")
 
 
 def write_report(
-    path: str | os.PathLike[str],
-    sensor_map: SensorMap,
-    *,
-    score: Score | None = None,
-    health: Sequence[SensorHealth] = (),
-    summary: RecordingSummary | None = None,
-    figure_png: bytes | None = None,
-    touches: Touches | None = None,
-    origin: Mapping[str, str] | None = None,
-    title: str = TITLE,
+    path: str | os.PathLike[str], sensor_map: SensorMap, *, title: str = TITLE, **contents: Any
 ) -> None:
     """Write a report with an interactive view of the map, for any browser.
 
@@ -100,8 +91,11 @@ def write_report(
     path : path-like
         File name ending in .html or .htm. An existing file is replaced only when the new one is
         complete.
-    sensor_map, score, health, summary, figure_png, touches, origin, title
-        See `render_report`.
+    sensor_map : SensorMap
+    title : str
+    **contents
+        ``score``, ``health``, the ``summary`` of the recording, ``touches``, ``figure_png``, and
+        ``origin``: how the map came about, by name, such as the command and digests of its inputs.
 
     Raises
     ------
@@ -111,16 +105,7 @@ def write_report(
         If jinja2 or plotly is not installed.
     """
     check_writable(path)
-    text = render_report(
-        sensor_map,
-        score=score,
-        health=health,
-        summary=summary,
-        figure_png=figure_png,
-        touches=touches,
-        origin=origin,
-        title=title,
-    )
+    text = render_report(sensor_map, title=title, **contents)
     with atomic_write(path) as temporary:
         # A name read from a damaged file may contain a lone surrogate, which UTF-8 cannot encode.
         temporary.write_bytes(text.encode("utf-8", errors="replace"))

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -59,39 +60,6 @@ class Cell:
     key: str | float | None = None
 
 
-@dataclass(frozen=True)
-class Row:
-    """A sensor in the table; `printed` if it is listed on paper as well."""
-
-    name: str
-    status: str
-    reason: str
-    cells: tuple[Cell, ...]
-    printed: bool = False
-
-
-@dataclass(frozen=True)
-class SensorTable:
-    """Table of the sensors: those with problems first, otherwise in the order of the map.
-
-    columns: Titles and explanations of the cells, which follow name and status and precede the
-        reason.
-    rows: One per sensor, at most `MAX_ROWS`.
-    counts: Number of sensors with each status.
-    n_sensors: Number of sensors of the map.
-    """
-
-    columns: tuple[Fact, ...]
-    rows: tuple[Row, ...]
-    counts: str
-    n_sensors: int
-
-    @property
-    def n_printed(self) -> int:
-        """Number of sensors that are listed on paper."""
-        return sum(row.printed for row in self.rows)
-
-
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     """Format a number with some significant digits; a dash replaces an unknown number."""
     if value is None or not math.isfinite(value):
@@ -109,7 +77,18 @@ def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     """Tell the verdict and what is known of the errors; the first sentence is the headline."""
     sentences = [printable(sentence) for sentence in sensor_map.verdict.sentences]
     if score is not None:
-        sentences += _compared(sensor_map, score)
+        null = score.mantel.quantiles().get(0.95)
+        if null is not None and score.mantel.r <= null:
+            sentences.append(
+                "The map agrees with the true positions no better than random permutations of the "
+                "sensors."
+            )
+        worst = score.worst(_N_WORST)
+        farthest = [
+            f"{printable(sensor_map.names[i])} ({number(float(error), unit=score.units)})"
+            for i, error in zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
+        ]
+        sentences.append(f"Farthest from their true positions: {join_items(farthest)}.")
     sizes = sensor_map.component_sizes
     if len(sizes) > 1:
         sentences.append(
@@ -120,23 +99,6 @@ def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
         sentences.append("This map is approximate: only some pairs of sensors were compared.")
     fitted = "" if score is None else ", and was fitted to the true positions"
     return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
-
-
-def _compared(sensor_map: SensorMap, score: Score) -> list[str]:
-    sentences = []
-    null = score.mantel.quantiles().get(0.95)
-    if null is not None and score.mantel.r <= null:
-        sentences.append(
-            "The map agrees with the true positions no better than random permutations of the "
-            "sensors."
-        )
-    worst = score.worst(_N_WORST)
-    named = zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
-    farthest = [
-        f"{printable(sensor_map.names[i])} ({number(float(error), unit=score.units)})"
-        for i, error in named
-    ]
-    return [*sentences, f"Farthest from their true positions: {join_items(farthest)}."]
 
 
 def method_sentences(sensor_map: SensorMap) -> list[str]:
@@ -153,48 +115,34 @@ def method_sentences(sensor_map: SensorMap) -> list[str]:
 
 def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
     """List the figures of merit."""
-    placed = int(sensor_map.placed.sum())
     found = []
     if score is not None:
-        null = score.mantel.quantiles()
+        null, mantel = score.mantel.quantiles(), score.mantel
+        null_range = "not computed"
+        if null:
+            null_range = (
+                f"Mantel r of random permutations: min {null[0.0]:.3f}, median {null[0.5]:.3f}, "
+                f"max {null[1.0]:.3f}; p = {number(mantel.p_value, 2)}"
+            )
+        meaning = "correlation of the distances on the map with the true distances; at most 1"
+        in_spacings = (
+            f"or {number(score.rms_in_spacings, 2)} times the median spacing, "
+            f"{number(score.spacing, unit=score.units)}"
+        )
+        kept = "share of the true nearest neighbours that are also nearest on the map"
         found += [
-            Fact(
-                "Mantel r",
-                f"{score.mantel.r:.3f}",
-                "correlation of the distances on the map with the true distances; at most 1",
-            ),
-            Fact("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, _null_range(score)),
-            Fact(
-                "RMS error",
-                number(score.rms, unit=score.units),
-                f"or {number(score.rms_in_spacings, 2)} times the median spacing, "
-                f"{number(score.spacing, unit=score.units)}",
-            ),
-            Fact(
-                "Neighbours kept",
-                f"{score.neighbours_kept:.0%}",
-                "share of the true nearest neighbours that are also nearest on the map",
-            ),
+            Fact("Mantel r", f"{mantel.r:.3f}", meaning),
+            Fact("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, null_range),
+            Fact("RMS error", number(score.rms, unit=score.units), in_spacings),
+            Fact("Neighbours kept", f"{score.neighbours_kept:.0%}", kept),
         ]
-    found += [
-        Fact("Placed", f"{placed} of {sensor_map.n_sensors}", "sensors with a position on the map"),
-        Fact(
-            "Stress-1",
-            number(sensor_map.stress),
-            "misfit between the distances on the map and the metric; 0 is a perfect fit",
-        ),
+    placed = f"{int(sensor_map.placed.sum())} of {sensor_map.n_sensors}"
+    misfit = "misfit between the distances on the map and the metric; 0 is a perfect fit"
+    return [
+        *found,
+        Fact("Placed", placed, "sensors with a position on the map"),
+        Fact("Stress-1", number(sensor_map.stress), misfit),
     ]
-    return found
-
-
-def _null_range(score: Score) -> str:
-    null = score.mantel.quantiles()
-    if not null:
-        return "not computed"
-    return (
-        f"Mantel r of random permutations: min {null[0.0]:.3f}, median {null[0.5]:.3f}, "
-        f"max {null[1.0]:.3f}; p = {number(score.mantel.p_value, 2)}"
-    )
 
 
 def alternative_text(sensor_map: SensorMap, score: Score | None) -> str:
@@ -234,15 +182,20 @@ def sensor_statuses(sensor_map: SensorMap, health: Sequence[SensorHealth]) -> tu
 
 def sensor_table(
     sensor_map: SensorMap, score: Score | None, health: Sequence[SensorHealth]
-) -> SensorTable:
-    """Tabulate the sensors: those with the greatest errors first, else those with problems."""
+) -> dict[str, Any]:
+    """Tabulate the sensors: those with the greatest errors first, else those with problems.
+
+    Returns the columns between name and status and the reason, the rows, at most `MAX_ROWS`, the
+    number of sensors with each status, and the number of sensors, of the map and on paper.
+    """
     assessed = {sensor.name: sensor for sensor in health}
     statuses = sensor_statuses(sensor_map, health)
     errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
     columns: list[tuple[Fact, Callable[[int], Cell]]] = []
     if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
         fact = Fact("Component", "", "connected component of the map; 1 is the largest")
-        columns.append((fact, lambda i: _component(int(sensor_map.component[i]) + 1)))
+        numbers = (sensor_map.component + 1).tolist()
+        columns.append((fact, lambda i: _count(numbers[i]) if numbers[i] else Cell("not placed")))
     if score is not None:
         unit = f" ({score.units})" if score.units else ""
         fact = Fact(f"Error{unit}", "", "distance from the true position")
@@ -257,21 +210,33 @@ def sensor_table(
         fact = Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
         columns.append((fact, lambda i: _numeric(float(radii[i]))))
     if health:
+        known = [assessed.get(name) for name in sensor_map.names]
         columns += [
-            (fact, partial(_measured, cell, sensor_map.names, assessed)) for fact, cell in _MEASURED
+            (Fact(title, "", meaning), partial(_measured, known, attribute, cell))
+            for title, meaning, attribute, cell in _MEASURED
         ]
     listed = sorted(
         range(len(statuses)), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0))
     )
-    rows = []
     printed = set(listed[:_MAX_PRINTED])
-    for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0)):
-        name = sensor_map.names[i]
-        reason = printable(assessed[name].reason) if name in assessed else ""
-        cells = tuple(cell(i) for _, cell in columns)
-        rows.append(Row(printable(name), statuses[i], reason, cells, i in printed))
+    rows = [
+        {
+            "name": printable(name := sensor_map.names[i]),
+            "status": statuses[i],
+            "reason": printable(assessed[name].reason) if name in assessed else "",
+            "cells": [cell(i) for _, cell in columns],
+            "printed": i in printed,
+        }
+        for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0))
+    ]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
-    return SensorTable(tuple(fact for fact, _ in columns), tuple(rows), counts, len(statuses))
+    return {
+        "columns": [fact for fact, _ in columns],
+        "rows": rows,
+        "counts": counts,
+        "n_sensors": len(statuses),
+        "n_printed": len(printed),
+    }
 
 
 def recording_facts(summary: RecordingSummary | None) -> list[Fact]:
@@ -312,17 +277,14 @@ def provenance(sensor_map: SensorMap, score: Score | None, origin: Mapping[str, 
     ]
 
 
-def _component(number: int) -> Cell:
-    return Cell(str(number), number) if number else Cell("not placed")
-
-
 def _measured(
-    cell: Callable[[SensorHealth], Cell],
-    names: Sequence[str],
-    assessed: Mapping[str, SensorHealth],
-    i: int,
+    known: Sequence[SensorHealth | None], attribute: str, cell: Callable[[Any], Cell], i: int
 ) -> Cell:
-    return cell(assessed[names[i]]) if names[i] in assessed else Cell(UNKNOWN)
+    return cell(getattr(known[i], attribute)) if known[i] else Cell(UNKNOWN)
+
+
+def _count(value: int) -> Cell:
+    return Cell(str(value), value)
 
 
 def _share(value: float) -> Cell:
@@ -335,28 +297,19 @@ def _numeric(value: float | None, digits: int = 3) -> Cell:
     return Cell(number(value, digits), float(value))
 
 
-_MEASURED: tuple[tuple[Fact, Callable[[SensorHealth], Cell]], ...] = (
-    (Fact("Min", "", "smallest reading"), lambda sensor: _numeric(sensor.minimum)),
-    (Fact("Max", "", "largest reading"), lambda sensor: _numeric(sensor.maximum)),
+_two_digits = partial(_numeric, digits=2)
+_MEASURED: tuple[tuple[str, str, str, Callable[[Any], Cell]], ...] = (
+    ("Min", "smallest reading", "minimum", _numeric),
+    ("Max", "largest reading", "maximum", _numeric),
+    ("Values", "number of distinct readings", "distinct", _count),
+    ("Active", "share of frames in which the reading is not at rest", "active", _share),
+    ("Contacts", "number of separate contacts", "contacts", _count),
     (
-        Fact("Values", "", "number of distinct readings"),
-        lambda sensor: Cell(str(sensor.distinct), sensor.distinct),
+        "Lag-1 r",
+        "autocorrelation at a lag of one frame; near 0 for noise",
+        "lag_correlation",
+        _two_digits,
     ),
-    (
-        Fact("Active", "", "share of frames in which the reading is not at rest"),
-        lambda sensor: _share(sensor.active),
-    ),
-    (
-        Fact("Contacts", "", "number of separate contacts"),
-        lambda sensor: Cell(str(sensor.contacts), sensor.contacts),
-    ),
-    (
-        Fact("Lag-1 r", "", "autocorrelation at a lag of one frame; near 0 for noise"),
-        lambda sensor: _numeric(sensor.lag_correlation, 2),
-    ),
-    (
-        Fact("Best match", "", "highest Pearson r with another sensor"),
-        lambda sensor: _numeric(sensor.best_match, 2),
-    ),
+    ("Best match", "highest Pearson r with another sensor", "best_match", _two_digits),
 )
-"""Columns of the table of sensors that the health of a sensor fills."""
+"""Columns of the table of sensors that the health of a sensor fills: title, meaning, attribute."""

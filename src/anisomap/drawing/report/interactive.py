@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 
 from anisomap.covariance_ellipses import ellipses
 from anisomap.drawing.view import (
-    Component,
-    View,
+    Panel,
+    Points,
     axis_title,
     box_around,
     outlines,
@@ -35,18 +34,16 @@ from anisomap.sensor_map import (
 Trace: TypeAlias = dict[str, Any]
 
 # Okabe & Ito (2008): distinct with every common colour vision deficiency.
-STATUS_COLOURS: Mapping[str, str] = MappingProxyType(
-    {
-        "ok": "#0072b2",
-        UNASSESSED: "#0072b2",
-        SILENT: "#000000",
-        FEW_CONTACTS: "#f0e442",
-        "stuck": "#d55e00",
-        "saturating": "#e69f00",
-        "noisy": "#009e73",
-        "isolated": "#56b4e9",
-    }
-)
+STATUS_COLOURS = {
+    "ok": "#0072b2",
+    UNASSESSED: "#0072b2",
+    SILENT: "#000000",
+    FEW_CONTACTS: "#f0e442",
+    "stuck": "#d55e00",
+    "saturating": "#e69f00",
+    "noisy": "#009e73",
+    "isolated": "#56b4e9",
+}
 _OTHER = "#7f7f7f"
 _LINES = "rgba(70,76,84,0.55)"
 _ELLIPSES = "#8a6d3b"
@@ -66,7 +63,7 @@ _BRACKETS = str.maketrans(
 
 def interactive_views(
     sensor_map: SensorMap,
-    drawn: Sequence[Component],
+    drawn: Sequence[Panel],
     score: Score | None,
     statuses: Sequence[str],
 ) -> list[dict[str, Any]]:
@@ -74,20 +71,20 @@ def interactive_views(
     views = []
     for component in drawn:
         errors = score.alignment.errors if score is not None and len(component.truth) else None
-        visible = _sample(component, statuses)
-        part = component if visible is None else _select(component, visible)
-        if errors is not None and visible is not None:
-            errors = errors[visible[visible < len(errors)]]
+        part = component
+        if len(component.points) > MAX_DOTS:
+            visible = _sample(component, statuses)
+            part = _select(component, visible)
+            errors = None if errors is None else errors[visible[visible < len(errors)]]
         view = _view(
             part,
             names=[_without_markup(sensor_map.names[i]) for i in part.sensors],
             statuses=[statuses[i] for i in part.sensors],
             errors=errors,
         )
-        view["label"] = f"Component {component.number}: {len(component.points)} sensors"
-        view["left_out"] = len(component.points) - len(part.points)
-        view["layout"] = _layout(component)
-        views.append(view)
+        label = f"Component {component.number}: {len(component.points)} sensors"
+        left_out = len(component.points) - len(part.points)
+        views.append(view | {"label": label, "left_out": left_out, "layout": _layout(component)})
     return views
 
 
@@ -98,10 +95,8 @@ def status_colours(statuses: Sequence[str]) -> dict[str, str]:
     return known | dict.fromkeys(sorted(found - known.keys()), _OTHER)
 
 
-def _sample(component: Component, statuses: Sequence[str]) -> NDArray[np.intp] | None:
-    """Choose the sensors of a large component to show, faulty ones first; None for all."""
-    if len(component.points) <= MAX_DOTS:
-        return None
+def _sample(component: Panel, statuses: Sequence[str]) -> NDArray[np.intp]:
+    """Choose the sensors of a large component to show, faulty ones first."""
     faulty = np.array([is_faulty(statuses[i]) for i in component.sensors])
     first = np.flatnonzero(faulty)[: MAX_DOTS // 2]
     others = np.flatnonzero(~faulty)
@@ -109,7 +104,7 @@ def _sample(component: Component, statuses: Sequence[str]) -> NDArray[np.intp] |
     return np.sort(np.concatenate([first, others[even]]))
 
 
-def _select(component: Component, kept: NDArray[np.intp]) -> Component:
+def _select(component: Panel, kept: NDArray[np.intp]) -> Panel:
     """Keep some sensors of a component, without lines between them."""
     return replace(
         component,
@@ -117,19 +112,20 @@ def _select(component: Component, kept: NDArray[np.intp]) -> Component:
         points=component.points[kept],
         truth=component.truth[kept[kept < len(component.truth)]],
         colours=component.colours[kept],
+        uncompared=component.uncompared[kept],
         covariances=None,
         pairs=component.pairs[:0],
     )
 
 
 def _view(
-    component: Component,
+    component: Panel,
     *,
     names: list[str],
     statuses: list[str],
-    errors: NDArray[np.float64] | None,
+    errors: Points | None,
 ) -> dict[str, Any]:
-    symbols = ["circle" if compared else "square" for compared in component.compared]
+    symbols = ["circle" if compared else "square" for compared in ~component.uncompared]
     faulty = np.array([is_faulty(status) for status in statuses])
     traces = {
         "neighbours": _lines(component.points, component.pairs, _LINES, 2),
@@ -151,68 +147,59 @@ def _view(
     return {"names": names, "traces": traces, "colours": _colours(component, statuses, errors)}
 
 
-def _dots(points: NDArray[np.float64], symbols: list[str], hover: list[str]) -> Trace:
-    return _coordinates(points) | {
-        "mode": "markers",
-        "marker": {
-            "size": _size(points),
-            "symbol": symbols,
-            "line": {"width": 0.5, "color": "#ffffff"},
-        },
-        "hovertext": hover,
-        "hoverinfo": "text",
-        "textposition": "top center",
-        "showlegend": False,
-    }
+def _dots(points: Points, symbols: list[str], hover: list[str]) -> Trace:
+    line = {"width": 0.5, "color": "#ffffff"}
+    return _trace(
+        points,
+        mode="markers",
+        marker={"size": _size(points), "symbol": symbols, "line": line},
+        hovertext=hover,
+        hoverinfo="text",
+        textposition="top center",
+    )
 
 
-def _crosses(points: NDArray[np.float64], chosen: NDArray[np.bool_]) -> Trace:
+def _crosses(points: Points, chosen: NDArray[np.bool_]) -> Trace:
     """Mark some dots with crosses.
 
     The crosses are text, because plotly's own 3D cross is a character that some fonts lack.
     """
-    return _coordinates(points[chosen]) | {
-        "mode": "text",
-        "text": "\N{MULTIPLICATION SIGN}",
-        "textposition": "middle center",
-        "textfont": {"size": round(10 + 1.6 * _size(points)), "color": "#000000"},
-        "hoverinfo": "skip",
-        "showlegend": False,
-    }
+    return _trace(
+        points[chosen],
+        mode="text",
+        text="\N{MULTIPLICATION SIGN}",
+        textposition="middle center",
+        textfont={"size": round(10 + 1.6 * _size(points)), "color": "#000000"},
+        hoverinfo="skip",
+    )
 
 
-def _size(points: NDArray[np.float64]) -> float:
+def _size(points: Points) -> float:
     """Choose the diameter of dots in pixels: the more dots, the smaller."""
     size = float(np.clip(75 / len(points) ** 0.4, 2.5, 8))
     return round(size if points.shape[1] == 3 else 1.25 * size, 2)
 
 
-def _lines(
-    points: NDArray[np.float64], pairs: NDArray[np.intp], colour: str, width: float
-) -> Trace:
+def _lines(points: Points, pairs: NDArray[np.intp], colour: str, width: float) -> Trace:
     """Join pairs of points by lines in one trace, separated by gaps."""
     thin = width if len(pairs) < _CROWDED else width / 2
     return _line(segments(points, pairs), colour, thin)
 
 
-def _line(points: NDArray[np.float64], colour: str, width: float) -> Trace:
+def _line(points: Points, colour: str, width: float) -> Trace:
     """Draw one line with gaps where points are NaN."""
-    return _coordinates(points) | {
-        "mode": "lines",
-        "line": {"color": colour, "width": width},
-        "hoverinfo": "skip",
-        "showlegend": False,
-    }
+    line = {"color": colour, "width": width}
+    return _trace(points, mode="lines", line=line, hoverinfo="skip")
 
 
-def _coordinates(points: NDArray[np.float64]) -> Trace:
+def _trace(points: Points, **look: Any) -> Trace:
     kind = "scatter3d" if points.shape[1] == 3 else "scatter"
     axes = {axis: _plain(column) for axis, column in zip("xyz", points.T, strict=False)}
-    return {"type": kind} | axes
+    return {"type": kind} | axes | look | {"showlegend": False}
 
 
 def _colours(
-    component: Component, statuses: list[str], errors: NDArray[np.float64] | None
+    component: Panel, statuses: list[str], errors: Points | None
 ) -> dict[str, dict[str, Any]]:
     channels = np.round(component.colours * 255).astype(int).tolist()
     found: dict[str, dict[str, Any]] = {
@@ -237,7 +224,7 @@ def _ramp(values: list[float | None], title: str) -> dict[str, Any]:
 
 
 def _hover(
-    component: Component, names: list[str], statuses: list[str], errors: NDArray[np.float64] | None
+    component: Panel, names: list[str], statuses: list[str], errors: Points | None
 ) -> list[str]:
     units = "" if component.units in UNSCALED else f" {_without_markup(component.units)}"
     radii = (
@@ -250,7 +237,7 @@ def _hover(
         lines += [f"health: {_without_markup(status)}", f"({place}){units}"]
         if radii is not None and math.isfinite(radii[i]):
             lines.append(f"95 % within {radii[i]:.3g}{units} by chance")
-        if not component.compared[i]:
+        if component.uncompared[i]:
             lines.append("not compared with the truth")
         elif errors is not None:
             lines.append(f"error {errors[i]:.3g}{units}")
@@ -258,7 +245,7 @@ def _hover(
     return texts
 
 
-def _layout(component: Component) -> dict[str, Any]:
+def _layout(component: Panel) -> dict[str, Any]:
     limits = box_around(component.points, component.truth)
     axes: dict[str, Any] = {
         f"{axis}axis": {
@@ -286,23 +273,19 @@ def _layout(component: Component) -> dict[str, Any]:
         axis |= {"backgroundcolor": "#fafbfb", "showbackground": True}
     # "aspectmode": "data" would use the extents of the data instead of the ranges of the axes.
     ratio = np.sqrt(3) * np.ptp(limits, axis=1) / np.linalg.norm(np.ptp(limits, axis=1))
+    eye = _EYE_DISTANCE * view_axes(component.view)[2]
     return common | {
         "scene": axes
         | {
             "aspectmode": "manual",
             "aspectratio": dict(zip("xyz", _plain(ratio), strict=True)),
-            "camera": _camera(component.view),
+            "camera": {
+                # At a distance from which the whole box is visible.
+                "eye": dict(zip("xyz", _plain(eye), strict=True)),
+                "center": {"x": 0, "y": 0, "z": -0.1},  # leaves space for the titles of the axes
+            },
             "dragmode": "orbit",
         },
-    }
-
-
-def _camera(view: View) -> dict[str, Any]:
-    """Place the camera at a distance from which the whole box is visible."""
-    eye = _EYE_DISTANCE * view_axes(view)[2]
-    return {
-        "eye": dict(zip("xyz", _plain(eye), strict=True)),
-        "center": {"x": 0, "y": 0, "z": -0.1},  # leaves space for the titles of the axes
     }
 
 

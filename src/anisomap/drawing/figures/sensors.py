@@ -1,9 +1,9 @@
-"""Figures of sensors by kind, with arrows from one position to another."""
+"""Figures of sensors by kind: moved, placed, checked and touched."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,16 @@ from anisomap.drawing.figures.backend import (
     Axes,
     panel,
     panel_figure,
+    set_title,
 )
-from anisomap.drawing.figures.panels import set_up_axes, write_label
-from anisomap.drawing.view import best_view, box_around, printable
+from anisomap.drawing.figures.maps import largest_component
+from anisomap.drawing.figures.panels import set_up_axes, write_label, write_labels
+from anisomap.drawing.view import MAX_LABEL, Points, best_view, box_around, printable, segments
+from anisomap.evaluation import Score
+from anisomap.health import TouchCoverage
+from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.health.touch_coverage import ENOUGH_CONTACTS
+from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +35,20 @@ if TYPE_CHECKING:
     from anisomap.placement import Anchors, Placement
     from anisomap.scene import Mesh
 
-_MAX_LABELS, _MAX_LABEL = 12, 14
+_MAX_LABELS = 12
+# Of the panel in a figure with a legend: columns of the legend, lower end and height of the panel.
+_FOUR: Any = {"columns": 4, "drawn": (0.05, 0.87)}
+
+# Chosen by eye.
+_DOT_AREA = 40.0
+_CLASSES = (
+    "none",
+    f"fewer than {MIN_CONTACTS}",
+    f"{MIN_CONTACTS} to {ENOUGH_CONTACTS - 1}",
+    f"{ENOUGH_CONTACTS} or more",
+)
+_SHADES = ("#ffffff", "#cde2f2", "#5aa5d6", "#00426b")  # from light to dark, also in greyscale
+_LACKING, _LINES = "#c0392b", "#c4c9ce"
 
 _LOOKS = {
     "unchanged": ("#a9b0b7", MARKERS[0]),
@@ -61,12 +81,8 @@ def difference_figure(
     difference: Difference, title: str = "Differences between two maps"
 ) -> Figure:
     """Draw two maps in one frame, with an arrow for each sensor that moved."""
-    return _figure(
-        plot_difference,
-        difference,
-        title=printable(title, 80),
-        note="Arrows lead from the first map to the second, which is aligned with the first.",
-    )
+    note = "Arrows lead from the first map to the second, which is aligned with the first."
+    return panel_figure(plot_difference, difference, title=printable(title, 80), note=note, **_FOUR)
 
 
 @panel(lambda difference: min(3, difference.before.shape[1]))
@@ -95,14 +111,10 @@ def placement_figure(
     if np.isfinite(placed.errors).any():
         error = float(np.nanmedian(placed.errors))
         note = f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
-    return _figure(
-        plot_placement,
-        placement,
-        anchors,
-        mesh,
-        title=printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70),
-        note=note,
-        height=0.86,
+    title = printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70)
+    shown = (placement, anchors, mesh)
+    return panel_figure(
+        plot_placement, *shown, title=title, note=note, columns=4, drawn=(0.05, 0.86)
     )
 
 
@@ -124,14 +136,8 @@ def plot_placement(
     nowhere = np.full_like(placed.positions, np.nan)
     _draw_displacements(ax, placed.positions, nowhere, kinds, labels, units=placed.units)
     if mesh is not None and ax.name == "3d":
-        ax.plot_trisurf(
-            *mesh.vertices.T,
-            triangles=mesh.faces,
-            color="#c9cdd2",
-            alpha=0.25,
-            linewidth=0,
-            zorder=0,
-        )
+        look = {"color": "#c9cdd2", "alpha": 0.25, "linewidth": 0, "zorder": 0}
+        ax.plot_trisurf(*mesh.vertices.T, triangles=mesh.faces, **look)
 
 
 def layout_figure(check: LayoutCheck, title: str = "Check of a layout") -> Figure:
@@ -153,13 +159,9 @@ def layout_figure(check: LayoutCheck, title: str = "Check of a layout") -> Figur
     MissingExtraError
         If matplotlib is not installed.
     """
-    return _figure(
-        plot_layout,
-        check,
-        title=printable(title, 80),
-        note="Arrows lead from the stated position of a sensor to that indicated by its readings.",
-        columns=3,
-    )
+    note = "Arrows lead from the stated position of a sensor to that indicated by its readings."
+    title = printable(title, 80)
+    return panel_figure(plot_layout, check, title=title, note=note, columns=3, drawn=(0.05, 0.87))
 
 
 @panel(lambda check: min(3, check.layout.dimensions))
@@ -180,21 +182,10 @@ def plot_layout(check: LayoutCheck, *, ax: Axes = None) -> None:
     _draw_displacements(ax, start, arrows, kinds, labels, units=layout.units)
 
 
-def _figure(
-    plot: Callable[..., Axes],
-    *data: object,
-    title: str,
-    note: str,
-    columns: int = 4,
-    height: float = 0.87,
-) -> Figure:
-    return panel_figure(plot, *data, title=title, note=note, columns=columns, drawn=(0.05, height))
-
-
 def _draw_displacements(
     axes: Axes,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
+    start: Points,
+    end: Points,
     kinds: Mapping[str, NDArray[np.bool_]],
     labels: Mapping[int, str],
     *,
@@ -214,31 +205,81 @@ def _draw_displacements(
         colour, marker = _LOOKS[kind]
         places = start[chosen]
         axes.scatter(
-            *places.T,
-            s=size,
-            color=colour,
-            marker=marker,
-            edgecolors="white",
-            linewidths=0.4,
+            *places.T, s=size, color=colour, marker=marker, edgecolors="white", linewidths=0.4,
             label=f"{kind} ({chosen.sum()})",
-        )
+        )  # fmt: skip
         arrows = end[chosen] - places
         known = np.isfinite(arrows).all(axis=1)
         _draw_arrows(axes, places[known], arrows[known], colour)
     for i, name in labels.items():
         right_half = bool(start[i, 0] > limits[0].mean())
-        write_label(axes, start[i], printable(name, _MAX_LABEL), right_half)
+        write_label(axes, start[i], printable(name, MAX_LABEL), right_half)
 
 
-def _draw_arrows(
-    axes: Axes, places: NDArray[np.float64], arrows: NDArray[np.float64], colour: str
-) -> None:
+def _draw_arrows(axes: Axes, places: Points, arrows: Points, colour: str) -> None:
     if not len(places):
         return
-    if axes.name == "3d":
-        axes.quiver(*places.T, *arrows.T, color=colour, linewidth=1.0, arrow_length_ratio=0.15)
-        return
-    axes.quiver(
-        *places.T, *arrows.T, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004
+    flat = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004}
+    look = {"linewidth": 1.0, "arrow_length_ratio": 0.15} if axes.name == "3d" else flat
+    axes.quiver(*places.T, *arrows.T, color=colour, **look)
+    if axes.name != "3d":
+        axes.plot(*(places + arrows).T, ".", color=FAINT, markersize=3, markeredgecolor=INK)
+
+
+def touch_figure(
+    sensor_map: SensorMap, coverage: TouchCoverage, score: Score | None = None
+) -> Figure:
+    """Draw the panel of `plot_touches`; the arguments are the same."""
+    return panel_figure(plot_touches, sensor_map, coverage, score, size=(8.0, 5.6))
+
+
+@panel(lambda sensor_map: 3 if sensor_map.dimensions > 2 else 2)
+def plot_touches(
+    sensor_map: SensorMap,
+    coverage: TouchCoverage,
+    score: Score | None = None,
+    *,
+    ax: Axes = None,
+) -> None:
+    """Plot contacts by place on the map, neighbours never touched together, and where to touch.
+
+    Sensors are darker the more contacts they had. Red lines join neighbours that were never
+    touched together; numbers mark the places to touch next, the most urgent first.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        Its largest component is drawn, in its first two or three coordinates.
+    coverage : TouchCoverage
+        From `anisomap.health.touch_coverage`, of the same map.
+    score : Score, optional
+        Score of this map: the map is aligned with the truth.
+    """
+    shown = largest_component(sensor_map, score)
+    points = shown.points[:, : 3 if sensor_map.dimensions > 2 else 2]
+    row = {int(sensor): i for i, sensor in enumerate(shown.sensors)}
+    set_up_axes(ax, box_around(points), shown.view, shown.units)
+    ax.plot(*segments(points, shown.pairs).T, color=_LINES, linewidth=0.6, zorder=1)
+    apart = [[row[i], row[j]] for i, j in coverage.never_together.tolist() if {i, j} <= row.keys()]
+    if apart:
+        ax.plot(*segments(points, np.array(apart)).T, color=_LACKING, linewidth=1.2, zorder=2)
+    classes = np.digitize(coverage.contacts[shown.sensors], (1, MIN_CONTACTS, ENOUGH_CONTACTS))
+    for i, label in enumerate(_CLASSES):
+        some = points[classes == i]
+        if len(some):
+            ax.scatter(
+                *some.T, color=_SHADES[i], edgecolors=INK, linewidths=0.6, s=_DOT_AREA,
+                marker=MARKERS[i], label=label, zorder=3,
+            )  # fmt: skip
+    write_labels(ax, shown, points)
+    for rank, place in enumerate(coverage.places, start=1):
+        if place.component == 0:
+            where = points[[row[i] for i in place.sensors]].mean(axis=0)
+            ax.text(
+                *where, str(rank), fontsize=12, fontweight="bold", color=_LACKING, ha="center",
+                va="center", zorder=101,
+            )  # fmt: skip
+    ax.legend(
+        frameon=False, fontsize=8, title="contacts", loc="upper left", bbox_to_anchor=(1.02, 1)
     )
-    axes.plot(*(places + arrows).T, ".", color=FAINT, markersize=3, markeredgecolor=INK)
+    set_title(ax, "Contacts, and where to touch next (1: first)")
