@@ -414,11 +414,3 @@ def test_repeated_lines_are_refused_before_they_take_memory(
     path.write_bytes(gzip.compress(start + line * ((1 << 20) // len(line))))
     with pytest.raises(FileError, match=f"its {what} expands to"):
         io.read(path)
-
-
-def test_blank_lines_and_comments_are_not_counted_as_rows(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(budget, "FREE_BYTES", 1 << 18)
-    path = tmp_path / "r.csv.gz"
-    filling = b"\n#\n \n\t\n" * 100_000
-    path.write_bytes(gzip.compress(b"1,2,3\n2,2,4\n" * 10 + filling))
-    assert io.read(path).readings.shape == (20, 3)

@@ -1,6 +1,6 @@
 """Read recordings and maps from files, and write them.
 
-`registry` lists every format and reads with it; `writing` writes. `stream` holds the blocks in
+`registry` lists every format, and reads and writes with it. `stream` holds the blocks in
 which recordings are read. `recordings`, `maps` and `ros` hold the formats, and `parsing` the code
 they share. A new format is one module with its readers and writers, and one line in
 `registry.FORMATS`.
@@ -18,10 +18,14 @@ from anisomap.io.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS
 from anisomap.io.registry import Format as Format
 from anisomap.io.registry import attach_positions as attach_positions
+from anisomap.io.registry import check_writable as check_writable
 from anisomap.io.registry import contents as contents
+from anisomap.io.registry import needs_scale as needs_scale
 from anisomap.io.registry import open_stream as open_stream
 from anisomap.io.registry import read as read
 from anisomap.io.registry import read_map as read_map
+from anisomap.io.registry import write as write
+from anisomap.io.registry import write_components as write_components
 from anisomap.io.statistics_files import read_statistics as read_statistics
 from anisomap.io.statistics_files import statistics_beside as statistics_beside
 from anisomap.io.statistics_files import write_statistics as write_statistics
@@ -30,7 +34,3 @@ from anisomap.io.stream import ChoiceError as ChoiceError
 from anisomap.io.stream import Content as Content
 from anisomap.io.stream import ReadOptions as ReadOptions
 from anisomap.io.stream import Stream as Stream
-from anisomap.io.writing import check_writable as check_writable
-from anisomap.io.writing import needs_scale as needs_scale
-from anisomap.io.writing import write as write
-from anisomap.io.writing import write_components as write_components

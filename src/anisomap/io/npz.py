@@ -15,7 +15,7 @@ import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,8 +43,6 @@ NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"
 _SUFFIX = ".npy"
 _DESCRIPTIONS = {NUMBERS: "numbers", WHOLE: "integers"}
 _MAX_SCALAR_BYTES = 1 << 16
-_MAX_TEXT_BYTES = 1 << 24  # of one text; numpy stores all of an array at the length of the longest
-_BLOCK_BYTES = 1 << 22
 
 _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
@@ -118,21 +116,18 @@ class Archive:
             if header.fortran_order:
                 yield _whole(member, header)
                 return
-            for content in _parts(member, BLOCK_BYTES, row_bytes):
+            n_bytes = max(1, BLOCK_BYTES // max(row_bytes, 1)) * row_bytes
+            # The final read, which returns nothing, makes zipfile verify the checksum.
+            while content := member.read(n_bytes):
                 yield np.frombuffer(content, header.dtype).reshape(-1, header.shape[1])
 
     def texts(self, name: str) -> tuple[str, ...]:
         """Read a 1-D array of strings."""
-        found: list[str] = []
-        if name in self.names:
-            with self._member(name, TEXT + WHOLE) as (member, header):
-                self.check_list(name, header.shape)
-                # In parts, because numpy stores short texts at the length of the longest.
-                for content in _parts(member, _BLOCK_BYTES, header.dtype.itemsize):
-                    more = self._python(name, np.frombuffer(content, header.dtype))
-                    found += map(str, more)
-                    self.budget.spend(sum(map(sys.getsizeof, more)), f"array {name}")
-        return tuple(found)
+        values = self.array(name, TEXT + WHOLE)
+        if values is None:
+            return ()
+        self.check_list(name, values)
+        return tuple(map(str, self._python(name, values)))
 
     def text(self, name: str, default: str = "") -> str:
         """Read a single string."""
@@ -167,10 +162,10 @@ class Archive:
                     found[name] = self._single(name, self.required(name, NUMBERS + TEXT))
         return found
 
-    def check_list(self, name: str, shape: Sequence[int]) -> None:
+    def check_list(self, name: str, values: NDArray[Any]) -> None:
         """Check that an array has one dimension."""
-        if len(shape) != 1:
-            raise FileError(f"{self.path}: {name} has shape {shape}; it must be 1-D")
+        if values.ndim != 1:
+            raise FileError(f"{self.path}: {name} has shape {values.shape}; it must be 1-D")
 
     def _single(self, name: str, values: NDArray[Any]) -> Any:
         if values.size != 1:
@@ -200,9 +195,6 @@ class Archive:
                 expected = _DESCRIPTIONS.get(kinds, "text")
                 kind = "pickled objects" if dtype.hasobject else f"of type {dtype}"
                 raise FileError(f"{self.path}: {name} is {kind}; it must be {expected}")
-            if dtype.kind in TEXT and dtype.itemsize > _MAX_TEXT_BYTES:
-                size = f"up to {dtype.itemsize} bytes; at most {_MAX_TEXT_BYTES} are supported"
-                raise FileError(f"{self.path}: the texts in {name} have {size}")
             n_bytes = math.prod(shape) * dtype.itemsize
             held = self.zip.getinfo(name + _SUFFIX).file_size - member.tell()
             if n_bytes != held or min(shape, default=0) < 0 or not dtype.itemsize:
@@ -240,12 +232,6 @@ def _whole(member: IO[bytes], header: Header) -> NDArray[Any]:
     # Reading to the end makes zipfile verify the checksum.
     values = np.frombuffer(member.read(), header.dtype)
     return values.reshape(header.shape, order="F" if header.fortran_order else "C")
-
-
-def _parts(member: IO[bytes], n_bytes: int, unit: int) -> Iterator[bytes]:
-    """Yield whole units; the final read, which returns nothing, verifies the checksum."""
-    size = max(1, n_bytes // max(unit, 1)) * unit
-    return iter(lambda: member.read(size), b"")
 
 
 @contextmanager
@@ -341,7 +327,7 @@ def read_map(path: Path) -> SensorMap:
         }
         component, errors = archive.array("component", WHOLE), archive.array("errors")
         if component is not None:
-            archive.check_list("component", component.shape)
+            archive.check_list("component", component)
         return SensorMap(
             positions,
             names=names,

@@ -7,7 +7,7 @@ line in `PRESETS`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TypeAlias
@@ -45,18 +45,17 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
     rows, columns = grid
     recording = _without_empty_cells(recording)
     unnamed = recording.names == default_names(recording.n_sensors)
+    cells: Sequence[int] | None = range(recording.n_sensors)
     if rows * columns != recording.n_sensors:
         cells = None if unnamed else cells_of(recording.names, rows, columns)
-        if cells is None:
-            raise InputError(
-                f"a {rows} x {columns} grid has {rows * columns} sensors, "
-                f"but the recording has {recording.n_sensors}, and their names do not give the "
-                "cells, as r3c5 or cell50 do"
-            )
-        return replace(recording, positions=grid_positions(rows, columns)[cells], units=UNITS)
+    if cells is None:
+        raise InputError(
+            f"a {rows} x {columns} grid has {rows * columns} sensors, but the recording has "
+            f"{recording.n_sensors}, and their names do not give the cells, as r3c5 or cell50 do"
+        )
     return replace(
         recording,
-        positions=grid_positions(rows, columns),
+        positions=grid_positions(rows, columns)[cells],
         units=UNITS,
         names=grid_names(rows, columns) if unnamed else recording.names,
     )
@@ -107,31 +106,17 @@ def check_preset(preset: str) -> None:
 def numbering(recording: Recording, preset: str) -> dict[int, str]:
     """Return the index and name of each sensor in a robot's recording."""
     check_preset(preset)
-    kept = {
-        index: name
-        for port, indices in _ports(recording).items()
-        for index, name in _numbered(recording, port, indices, PRESETS[preset])
-    }
+    ports, kept = dict[str, list[int]](), dict[int, str]()
+    for index, name in enumerate(recording.names):
+        ports.setdefault(name.rpartition("/")[0], []).append(index)
+    for port, indices in ports.items():
+        part, prefix = recording.select(indices), ""
+        if port:
+            part, prefix = replace(part, source=port, metadata={}), f"{port}/"
+        kept |= {indices[i]: f"{prefix}{name}" for i, name in PRESETS[preset](part).items()}
     if not kept:
         raise InputError(f"no sensor of preset {preset} varies in this recording")
     return kept
-
-
-def _ports(recording: Recording) -> dict[str, list[int]]:
-    """Group the values by port, which is the part of their names before the last ``/``."""
-    found: dict[str, list[int]] = {}
-    for index, name in enumerate(recording.names):
-        found.setdefault(name.rpartition("/")[0], []).append(index)
-    return found
-
-
-def _numbered(
-    recording: Recording, port: str, indices: list[int], known: Numbering
-) -> list[tuple[int, str]]:
-    if not port:
-        return list(known(recording).items())
-    part = replace(recording.select(indices), source=port, metadata={})
-    return [(indices[i], f"{port}/{name}") for i, name in known(part).items()]
 
 
 def icub(recording: Recording) -> dict[int, str]:

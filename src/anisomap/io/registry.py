@@ -1,4 +1,4 @@
-"""The registry of formats, and the functions that read files with it."""
+"""The registry of formats, and the functions that read and write files with it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
+from anisomap.files import atomic_write, check_distinct, check_target, together
 from anisomap.io import npz
 from anisomap.io.maps import csv, json, point_files, robot_models
+from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.naming import distinct_names, match_names
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, with_grid
@@ -90,57 +92,6 @@ class Format:
     def matches(self, path: Path, head: bytes) -> bool:
         """Return whether a file is of this format, by its first bytes."""
         return head.startswith(self.magics) or bool(self.recognises and self.recognises(path, head))
-
-
-def with_positions(stream: Stream, truth: SensorMap, file: Path) -> Stream:
-    """Give the sensors of a stream their true positions by name; NaN for those that `truth` lacks.
-
-    If the stream lists events, sensors that have a position and no event are added: they read 0.
-    """
-    names = stream.names or default_names(stream.n_sensors)
-    rows = _rows(names, truth, stream.path, file)
-    positions = _positions(truth, rows)
-    if not stream.silent_are_zero:
-        return replace(stream, positions=positions, units=truth.units)
-    known = set(rows)
-    silent = [i for i in range(truth.n_sensors) if i not in known and truth.placed[i]]
-    taken = set(names)
-    silent = [i for i in silent if truth.names[i] not in taken]
-    return replace(
-        stream,
-        n_sensors=len(names) + len(silent),
-        blocks=_with_silent(stream.blocks, len(silent)),
-        names=(*names, *(truth.names[i] for i in silent)),
-        positions=np.vstack([positions, truth.positions[silent]]),
-        units=truth.units,
-    )
-
-
-def with_recorded_positions(recording: Recording, truth: SensorMap, file: Path) -> Recording:
-    """Give the sensors of a recording their true positions; see `with_positions`."""
-    rows = _rows(recording.names, truth, Path(recording.source), file)
-    return replace(recording, positions=_positions(truth, rows), units=truth.units)
-
-
-def _rows(names: Sequence[str], truth: SensorMap, path: Path, file: Path) -> list[int | None]:
-    rows = match_names(names, truth.names)
-    if all(row is None or not truth.placed[row] for row in rows):
-        raise FileError(
-            f"{file} has no position for a sensor of {path}: its names are {truth.names[0]} ... "
-            f"{truth.names[-1]}, those of the recording {names[0]} ... {names[-1]}"
-        )
-    return rows
-
-
-def _positions(truth: SensorMap, rows: Sequence[int | None]) -> NDArray[np.float64]:
-    unknown = np.full(truth.dimensions, np.nan)
-    return np.array([unknown if row is None else truth.positions[row] for row in rows])
-
-
-def _with_silent(blocks: Iterator[Block], n_silent: int) -> Iterator[Block]:
-    for block in blocks:
-        zeros = np.zeros((len(block.readings), n_silent), block.readings.dtype)
-        yield replace(block, readings=np.hstack([block.readings, zeros]))
 
 
 _MAX_LISTED = 3
@@ -376,7 +327,51 @@ def attach_positions(recording: Recording, positions: Path | None) -> Recording:
     """
     if positions is None:
         return recording
-    return with_recorded_positions(recording, read_map(positions), positions)
+    truth = read_map(positions)
+    _, found = _match(recording.names, truth, Path(recording.source), positions)
+    return replace(recording, positions=found, units=truth.units)
+
+
+def _with_positions(stream: Stream, file: Path) -> Stream:
+    """Give the sensors of a stream their true positions by name; NaN for those that the file lacks.
+
+    If the stream lists events, sensors that have a position and no event are added: they read 0.
+    """
+    truth = read_map(file)
+    names = stream.names or default_names(stream.n_sensors)
+    rows, positions = _match(names, truth, stream.path, file)
+    if not stream.silent_are_zero:
+        return replace(stream, positions=positions, units=truth.units)
+    known = {*names, *(truth.names[row] for row in rows if row is not None)}
+    silent = [i for i, name in enumerate(truth.names) if truth.placed[i] and name not in known]
+
+    def widened() -> Iterator[Block]:
+        for block in stream.blocks:
+            zeros = np.zeros((len(block.readings), len(silent)), block.readings.dtype)
+            yield replace(block, readings=np.hstack([block.readings, zeros]))
+
+    return replace(
+        stream,
+        n_sensors=len(names) + len(silent),
+        blocks=widened(),
+        names=(*names, *(truth.names[i] for i in silent)),
+        positions=np.vstack([positions, truth.positions[silent]]),
+        units=truth.units,
+    )
+
+
+def _match(
+    names: Sequence[str], truth: SensorMap, path: Path, file: Path
+) -> tuple[list[int | None], NDArray[np.float64]]:
+    """Return the sensor of a map for each name, and the positions."""
+    rows = match_names(names, truth.names)
+    if all(row is None or not truth.placed[row] for row in rows):
+        raise FileError(
+            f"{file} has no position for a sensor of {path}: its names are {truth.names[0]} ... "
+            f"{truth.names[-1]}, those of the recording {names[0]} ... {names[-1]}"
+        )
+    unknown = np.full(truth.dimensions, np.nan)
+    return rows, np.array([unknown if row is None else truth.positions[row] for row in rows])
 
 
 @contextmanager
@@ -403,8 +398,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                 )
             stream = replace(stream, names=distinct_names(file, stream.names))
             if options.positions is not None and not options.preset:
-                truth = read_map(options.positions)
-                stream = with_positions(stream, truth, options.positions)
+                stream = _with_positions(stream, options.positions)
         yield replace(
             stream, source=as_text(stream.source), blocks=_checked(stream.blocks, file, budget)
         )
@@ -459,3 +453,101 @@ def _folder_message(folder: Path) -> str:
 
 def _suffixes(formats: Iterable[Format]) -> str:
     return "; ".join(", ".join(f.suffixes) if f.suffixes else f.summary for f in formats)
+
+
+def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
+    """Write a map or a recording in the format of the suffix.
+
+    Parameters
+    ----------
+    data : SensorMap or Recording
+    path : path-like
+        Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
+        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``, ``.elc``,
+        ``.sfp``. Recordings: ``.csv``, ``.tsv``, ``.npz``. An existing file is replaced after
+        writing has succeeded.
+
+    Raises
+    ------
+    FileError
+        If the suffix is unknown or the file cannot be written.
+    InputError
+        If `data` is neither a map nor a recording, or the format cannot represent it.
+    """
+    file = Path(path)
+    facts: tuple[str, ...]
+    if isinstance(data, SensorMap):
+        writer = "write_map"
+        facts = (data.frame, data.method, *data.health, *data.notes, *texts_of(data.provenance))
+    elif isinstance(data, Recording):
+        writer, facts = "write_recording", (data.source, *texts_of(data.metadata))
+    else:
+        raise InputError(f"write needs a SensorMap or a Recording, got {type(data).__name__}")
+    check_encodable((*data.names, data.units, *facts), file)
+    write_data = getattr(_format_of(file, writer)[0], writer)
+    with atomic_write(file) as temporary:
+        write_data(data, temporary)
+
+
+def write_components(
+    sensor_map: SensorMap,
+    path: str | os.PathLike[str],
+    *,
+    inputs: Iterable[str | os.PathLike[str]] = (),
+) -> tuple[Path, ...]:
+    """Write each connected component of a map to a separate file.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+        Sensors without a position are not written.
+    path : path-like
+        Template of the file names: ``skin.urdf`` gives ``skin-1.urdf``, ``skin-2.urdf``, ..., in
+        order of decreasing component size. Existing files are replaced.
+    inputs : iterable of path-like
+        Files that must not be replaced.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The files written.
+
+    Raises
+    ------
+    FileError, InputError
+        As `write`, or if the map has no placed sensor.
+    """
+    template = check_target(path)
+    _, suffix = _format_of(template)
+    components = sensor_map.split()
+    if not components:
+        raise InputError("the map has no placed sensor, so there is no component to write")
+    stem, suffix = template.name[: -len(suffix)], template.name[-len(suffix) :]
+    files = tuple(template.with_name(f"{stem}-{i + 1}{suffix}") for i in range(len(components)))
+    check_distinct(files, inputs)
+    with together():
+        for component, file in zip(components, files, strict=True):
+            write(component, file)
+    return files
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Check, before a long computation, that a map can be written to a file."""
+    _format_of(check_target(path))
+
+
+def needs_scale(path: str | os.PathLike[str]) -> bool:
+    """Return whether the format of a file stores metres, so that a map needs a scale."""
+    return _format_of(Path(path))[0].in_metres
+
+
+def _format_of(file: Path, writer: str = "write_map") -> tuple[Format, str]:
+    """Return the format that a file is written in, and the suffix that tells."""
+    able = {s: f for f in FORMATS if getattr(f, writer) for s in f.suffixes}
+    matching = [suffix for suffix in able if file.name.lower().endswith(suffix)]
+    if not matching:
+        problem = f"unknown suffix {file.suffix!r}" if file.suffix else "the name has no suffix"
+        raise FileError(f"cannot write {file}: {problem}; known suffixes: {', '.join(able)}")
+    # Use the longest match, because .launch.xml also ends in .xml.
+    suffix = max(matching, key=len)
+    return able[suffix], suffix

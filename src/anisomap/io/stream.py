@@ -184,15 +184,14 @@ class Block:
     times: NDArray[np.float64] | None = None
     receive_times: NDArray[np.float64] | None = None
 
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """The arrays that it has, by name."""
+        return {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+
     def part(self, start: int, stop: int | None = None) -> Block:
         """Return the frames from `start` up to, but not including, `stop`."""
-        frames = slice(start, stop)
-        return replace(
-            self,
-            readings=self.readings[frames],
-            times=None if self.times is None else self.times[frames],
-            receive_times=None if self.receive_times is None else self.receive_times[frames],
-        )
+        return replace(self, **{name: each[start:stop] for name, each in self.arrays.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,12 +234,12 @@ class Stream:
 
 def assemble(stream: Stream, progress: Callable[[float], None] | None = None) -> Recording:
     """Collect a stream into a recording, without copying the readings."""
-    readings, times, receive_times = _GrowingArray(), _GrowingArray(), _GrowingArray()
+    readings, clocks = _GrowingArray(), dict[str, list[NDArray[np.float64]]]()
     for block in stream.blocks:
         readings.append(block.readings)
-        for array, clock in ((times, block.times), (receive_times, block.receive_times)):
-            if clock is not None:
-                array.append(clock, np.float64)
+        for name in ("times", "receive_times"):
+            if name in block.arrays:
+                clocks.setdefault(name, []).append(block.arrays[name])
         if progress:
             progress(min(block.fraction, 1.0))
     if not readings.n_rows:
@@ -248,7 +247,7 @@ def assemble(stream: Stream, progress: Callable[[float], None] | None = None) ->
     return Recording(
         readings.array(),
         names=stream.names,
-        times=_best_clock(stream, [p.array() for p in (times, receive_times) if p.n_rows]),
+        times=_best_clock(stream, list(map(np.concatenate, clocks.values()))),
         rate_hz=stream.rate_hz,
         positions=stream.positions,
         normals=stream.normals,
@@ -320,9 +319,9 @@ class _GrowingArray:
         self._array: NDArray[Any] | None = None
         self.n_rows = 0
 
-    def append(self, rows: NDArray[Any], dtype: type[np.floating] = np.float32) -> None:
+    def append(self, rows: NDArray[Any]) -> None:
         needed = self.n_rows + len(rows)
-        wanted = np.float32 if _fits(rows.dtype, dtype) else np.float64
+        wanted = np.float32 if np.can_cast(rows.dtype, np.float32) else np.float64
         if self._array is None:
             self._array = np.empty(rows.shape, wanted)
         elif self._array.dtype == np.float32 and wanted == np.float64:
@@ -342,36 +341,22 @@ class _GrowingArray:
         return self._array
 
 
-def _fits(held: np.dtype[Any], wanted: type[np.floating]) -> bool:
-    return bool(np.can_cast(held, np.float32)) and wanted == np.float32
-
-
 def _joined(blocks: list[Block]) -> Block:
     if len(blocks) == 1:
         return blocks[0]
-    last = blocks[-1]
-    return Block(
-        np.concatenate([block.readings for block in blocks]),
-        last.fraction,
-        _concatenated([block.times for block in blocks]),
-        _concatenated([block.receive_times for block in blocks]),
-    )
-
-
-def _concatenated(parts: list[NDArray[np.float64] | None]) -> NDArray[np.float64] | None:
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if known else None
+    parts = [block.arrays for block in blocks]
+    names = [name for name in parts[0] if all(name in part for part in parts)]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return Block(fraction=blocks[-1].fraction, **joined)
 
 
 def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
     """Return the first clock that increases strictly, or warn that none does."""
-    if not clocks:
-        return None
     for times in clocks:
         with np.errstate(invalid="ignore"):
             if np.isfinite(times).all() and (np.diff(times) > 0).all():
                 return times - times[0] if stream.from_zero else times
-    return increasing_times(clocks[0], stream.path, stream.locate)
+    return increasing_times(clocks[0], stream.path, stream.locate) if clocks else None
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:
@@ -418,11 +403,20 @@ class _Follower:
         self._name, self._stream = name, stream
         self._times: NDArray[np.float64] = np.empty(0)
         self._readings = np.empty((0, stream.n_sensors), np.float32)
-        self._ended = False
 
     def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
         """Return the latest readings at each time, and whether the stream covers that time."""
-        self._read_until(times.max(initial=-np.inf))
+        end = times.max(initial=-np.inf)
+        while not (self._times.size and self._times[-1] >= end):
+            block = next(self._stream.blocks, None)
+            if block is None:
+                break
+            if block.times is None:
+                problem = f"{self._name} has no times; joining recordings requires them"
+                raise FileError(f"{self._stream.path}: {problem}")
+            # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
+            self._times = np.fmax.accumulate(np.append(self._times, block.times))
+            self._readings = np.concatenate([self._readings, block.readings])
         if not self._times.size:
             raise FileError(f"{self._stream.path}: {self._name} has no frame")
         last = np.searchsorted(self._times, times, side="right") - 1
@@ -431,18 +425,3 @@ class _Follower:
         unused = max(int(last.min(initial=0)), 0)
         self._times, self._readings = self._times[unused:], self._readings[unused:]
         return readings, known
-
-    def _read_until(self, time: float) -> None:
-        while not self._ended and not (self._times.size and self._times[-1] >= time):
-            block = next(self._stream.blocks, None)
-            if block is None:
-                self._ended = True
-                return
-            if block.times is None:
-                raise FileError(
-                    f"{self._stream.path}: {self._name} has no times; joining recordings requires "
-                    "them"
-                )
-            # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
-            self._times = np.fmax.accumulate(np.append(self._times, block.times))
-            self._readings = np.concatenate([self._readings, block.readings])

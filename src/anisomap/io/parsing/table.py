@@ -6,7 +6,6 @@ import csv
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -18,7 +17,6 @@ from anisomap.errors import FileError
 from anisomap.io.parsing.source import (
     GZIP_ERRORS,
     TextLines,
-    open_binary,
     open_text,
     quote,
     quote_if_needed,
@@ -31,8 +29,6 @@ Item = TypeVar("Item")
 # Limits memory for very wide tables; columns are told apart by at least eight rows.
 _MIN_FIRST_ROWS, _MAX_FIRST_CELLS = 8, 1 << 22
 _BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
-_COUNTED_BYTES = 1 << 20  # at once, when lines are counted
-_STARTS_ROW = ~np.isin(np.arange(256), list(b" \t\r\n#"))  # by the first byte of a line
 
 
 class LineError(FileError):
@@ -174,21 +170,6 @@ def _parse_whole_lines(
             f"the last line ({error.line}) is truncated in field {n_fields} of "
             f"{table.n_columns} and dropped; read the {n_before + len(rows)} frames before it"
         )
-
-
-def least_rows(path: Path) -> int:
-    """Count the lines of a file that are neither blank nor comments, without parsing them.
-
-    Lines that start with white space are not counted, nor any behind damage.
-    """
-    n_rows, last = 0, b"\n"
-    with suppress(*GZIP_ERRORS), open_binary(path) as stream:
-        while content := stream.read(_COUNTED_BYTES):
-            held = np.frombuffer(last + content, np.uint8)
-            starts = held[1:][held[:-1] == ord("\n")]
-            n_rows += int(np.count_nonzero(_STARTS_ROW[starts]))
-            last = content[-1:]
-    return n_rows
 
 
 def line_of(table: Table, row: int) -> str:

@@ -33,13 +33,12 @@ from anisomap.io.parsing.columns import (
     roles_by_name,
     warn_of_guesses,
 )
-from anisomap.io.parsing.source import TextLines, is_gzipped, quote, quote_if_needed, warn
+from anisomap.io.parsing.source import TextLines, quote, quote_if_needed, warn
 from anisomap.io.parsing.table import (
     LineError,
     Table,
     first_rows,
     is_number,
-    least_rows,
     line_of,
     parse_number,
     read_blocks,
@@ -57,7 +56,7 @@ from anisomap.io.stream import (
     stack_frames,
     to_float32_if_exact,
 )
-from anisomap.memory import SENSOR_BYTES, Budget, bytes_kept
+from anisomap.memory import SENSOR_BYTES, Budget
 from anisomap.recording import Recording, Scalar
 from anisomap.wording import join_items
 
@@ -104,9 +103,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         return
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
     table = delimited.find_table(path, sample, own)
-    budget = Budget(path)
     n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
-    budget.check(SENSOR_BYTES * n_least, "its list of sensors")
+    Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
     if not known and (lists := _find_lists(sample, table)):
         chosen = choose(path, _contents_of(lists), options.select, "list column").name
         yield _stream_lists(table, lists, chosen)
@@ -130,10 +128,6 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     n_sensors = table.n_columns - len(roles.non_sensors)
     if not n_sensors:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
-    if is_gzipped(path):
-        # Counting lines is far faster than parsing them, and takes no memory.
-        n_readings = (least_rows(path) - table.first_line) * n_sensors
-        budget.check(n_readings * bytes_kept(np.dtype(np.float32)), "its table of readings")
     rate_hz = known.get("rate_hz")
     yield Stream(
         path,

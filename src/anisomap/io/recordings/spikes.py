@@ -47,18 +47,14 @@ class SpikeTrains:
 
     name: Name to select them by.
     times: Times of all units, or one array per unit.
-    counts, ends: Number of spikes per unit, or the index after its last one.
+    index: Divides the times among the units; None for one array per unit.
+    counted: Whether it gives the number of spikes of each unit, or else the end of the unit.
     """
 
     name: str
     times: tuple[Dataset, ...]
-    counts: Dataset | None = None
-    ends: Dataset | None = None
-
-    @property
-    def index(self) -> Dataset | None:
-        """The array that divides the times among the units; None for one array per unit."""
-        return self.counts or self.ends
+    index: Dataset | None = None
+    counted: bool = True
 
     @property
     def n_units(self) -> int:
@@ -68,7 +64,7 @@ class SpikeTrains:
     @property
     def members(self) -> set[str]:
         """Names of all arrays."""
-        return {each.name for each in (*self.times, self.counts, self.ends) if each}
+        return {each.name for each in (*self.times, self.index) if each}
 
 
 def find_spike_trains(arrays: Sequence[Dataset]) -> tuple[SpikeTrains, ...]:
@@ -81,10 +77,10 @@ def find_spike_trains(arrays: Sequence[Dataset]) -> tuple[SpikeTrains, ...]:
 
 def _in_group(group: str, members: Sequence[Dataset]) -> SpikeTrains | None:
     vectors = {each.key: each for each in members if _is_vector(each)}
-    for times, counts, ends in (("spikes", "scount", ""), ("spike_times", "", "spike_times_index")):
-        if times in vectors and (counts or ends) in vectors:
-            name, first = vectors[times].name, (vectors[times],)
-            return SpikeTrains(name, first, vectors.get(counts), vectors.get(ends))
+    for times, index in (("spikes", "scount"), ("spike_times", "spike_times_index")):
+        if times in vectors and index in vectors:
+            found = vectors[times]
+            return SpikeTrains(found.name, (found,), vectors[index], index == "scount")
     one_each = group and len(vectors) == len(members) >= _MIN_UNITS
     numbered = all(each.kind == "f" and _DIGIT.search(key) for key, each in vectors.items())
     lengths = {math.prod(each.shape) for each in vectors.values()}
@@ -132,7 +128,7 @@ def stream_spikes(
 def _counts(path: Path, trains: SpikeTrains, index: Dataset, n_spikes: int) -> NDArray[np.intp]:
     """Return the number of spikes of each unit."""
     values = index.whole().astype(np.float64).ravel()
-    counts = values if trains.counts else np.diff(values, prepend=0)
+    counts = values if trains.counted else np.diff(values, prepend=0)
     whole = bool(np.isfinite(counts).all() and (counts == np.floor(counts)).all())
     if not whole or counts.min(initial=0) < 0 or counts.sum() != n_spikes:
         raise FileError(
