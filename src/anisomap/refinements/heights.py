@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.dimensions import SPATIAL
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
@@ -25,15 +26,14 @@ _HALF = 0.5
 """Reliability of the heights, share of them that a map explains, and share of a map that is a
 linear image of another, from which each is taken to hold.
 
-Maps explained at most .39 of the heights on rolling cylinders, and at least .89 on other simulated
-skins. Maps of rolling cylinders were linear images of the maps by heights by .38 (where heights do
-not resolve a gap) to 1, those of other recordings whose heights they did not explain by .12 to .35,
-or by .8 on soles and on a retina, where the maps by heights explained hardly more.
+Maps explained at most .40 of the heights on rolling cylinders, and at least .89 on other simulated
+skins. Maps of rolling cylinders were linear images of the maps by heights by at least .59, those of
+insoles, whose heights they do not explain either, by at most .33.
 """
 
-_MAX_UNEXPLAINED = 0.25
-"""Share of the heights that a map left unexplained which remains in a better one: at most .15 on
-rolling cylinders and swept skins, at least .5 on soles and on a retina."""
+_MAX_UNEXPLAINED = 1 / 3
+"""Share of the heights that a map left unexplained which remains in a better one: at most .21 on
+rolling cylinders and swept skins, at least .54 on soles and retinas."""
 
 _MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
 _CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
@@ -98,11 +98,16 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
     if not known.any():
         return None
     typical = float(np.median(lengths[known]))
-    fitted = fit_path_lengths(np.where(known, lengths, typical * links) / typical, given.shape[1])
+    relative = np.where(known, lengths, typical * links) / typical
+    # In three dimensions, also of flat maps: those of a body that rolls look flat.
+    fitted = fit_path_lengths(relative, SPATIAL)
     left = 1 - explained_share(heights.halves, fitted, sharing).share
     if left > _MAX_UNEXPLAINED * (1 - explained.share) or linear_share(fitted, given) < _HALF:
         return None
-    return _scaled(fitted, given)
+    dimensions = given.shape[1]
+    return _scaled(
+        fitted if dimensions == SPATIAL else fit_path_lengths(relative, dimensions), given
+    )
 
 
 def _heights(
