@@ -19,10 +19,10 @@ class Given(Source):
     """A source that yields some items and then waits."""
 
     def __init__(self, *items, names=(), description="a test"):
-        super().__init__(description)
-        self._items, self.names = items, names
+        super().__init__(description, self._given, names)
+        self._items = items
 
-    def items(self, stop):
+    def _given(self, stop):
         yield from self._items
         stop.wait()
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anisomap import reconstruct
+from anisomap import Recording, reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
 from anisomap.live.batches import Batch
-from anisomap.live.coach import advise, confirmed_faults
+from anisomap.live.coach import confirmed_faults
 from anisomap.live.quick_map import (
     SAMPLE_FRAMES,
     QuickMapper,
@@ -18,8 +18,7 @@ from anisomap.live.quick_map import (
     warm_start,
 )
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.signals import count_contacts, count_joint_contacts
-from anisomap.numerics.similarity.correlation import Moments
+from anisomap.numerics.signals import count_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin, lattice, rubbed
 
@@ -41,48 +40,30 @@ def accumulated(readings, *sizes):
 @given(sizes=st.lists(st.integers(1, 300), min_size=1, max_size=4), offset=st.floats(-1e3, 1e3))
 @settings(max_examples=30)
 def test_statistics_do_not_depend_on_the_batches(sizes, offset):
-    readings = rubbed(lattice(4, 4), 300, seed=3) + offset
-    readings[:, 5] = offset
+    readings = (rubbed(lattice(4, 4), 300, seed=3) + offset).astype(np.float32)
     found = accumulated(readings, *sizes, 300, 300)
-    expected = Moments.of(readings)
-    assert found.n_frames == expected.n_frames
-    np.testing.assert_allclose(found.moments.correlation(), expected.correlation(), atol=1e-9)
-    assert not found.moments.varying()[5]
-    found.estimate()
-    rest = estimate_rest(readings.astype(np.float32))
-    active = rest.active(readings.astype(np.float32))
-    pairs = np.argwhere(np.triu(np.ones((16, 16)), 1))
-    assert found.rest.side.tolist() == rest.side.tolist()
+    np.testing.assert_array_equal(found.recording().readings, readings)
+    active = estimate_rest(readings).active(readings)
     np.testing.assert_array_equal(found.contacts, count_contacts(active))
-    np.testing.assert_array_equal(
-        found.together[tuple(pairs.T)], count_joint_contacts(active, pairs)
-    )
 
 
 def test_counts_go_on_beyond_the_sample():
     readings = rubbed(lattice(3, 3), 2 * SAMPLE_FRAMES + 100, seed=1)
-    found = accumulated(readings, *(100,) * 200)
+    found = accumulated(readings, *(100,) * 400)
     contacts = count_contacts(estimate_rest(readings).active(readings))
-    assert found.rest.value.tolist() == [0.0] * 9
-    np.testing.assert_array_equal(found.contacts, contacts)
+    made = QuickMapper([f"s{i}" for i in range(9)], 2).make(found)
+    np.testing.assert_array_equal(made.contacts, contacts)
+    assert made.n_frames == len(readings) > found.recording().n_frames
+    assert not made.advice.places  # joint contacts are counted in the sample alone
 
 
-def test_missing_readings_count_as_the_last_ones():
-    readings = rubbed(lattice(3, 3), 200, seed=2)
-    with_gaps = readings.copy()
-    with_gaps[50:60, 2] = np.nan
-    with_gaps[0, 4] = np.nan
-    with_gaps[20, 3] = np.inf
-    held = readings.copy()
-    held[50:60, 2] = readings[49, 2]
-    held[0, 4] = readings[1, 4]
-    held[20, 3] = readings[19, 3]
+def test_missing_readings_are_interpolated():
+    readings = rubbed(lattice(3, 3), 200, seed=2).astype(np.float32)
+    readings[50:60, 2], readings[0, 4], readings[20, 3] = np.nan, np.nan, np.nan
+    expected = Recording(readings).complete("interpolate").readings
     for sizes in ((200,), (55, 145), (1, 20, 179)):
-        found = accumulated(with_gaps, *sizes)
-        expected = Moments.of(held)
-        if sizes[0] > 1:
-            np.testing.assert_allclose(found.moments.comoment, expected.comoment, atol=1e-9)
-        assert np.isfinite(found.moments.comoment).all()
+        found = accumulated(readings, *sizes).recording().readings
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_a_sensor_that_never_sends_a_number_has_no_place():
@@ -140,22 +121,18 @@ def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
     assert set(made.advice.untouched) == set(untouched) >= set(half)
     assert SKIN.names[untouched[0]] in made.advice.text
     assert not made.advice.enough
-    together = np.full((42, 42), 99, dtype=np.float32)
-    enough = advise(SKIN.positions, np.full(42, 99), together, SKIN.names)
+    enough = QuickMapper(SKIN.names, 2).make(accumulated(READINGS, len(READINGS))).advice
     assert enough.enough
-    assert enough.share_done == 1
     assert enough.text.startswith("enough")
 
 
 def test_dropped_sensors_are_no_advice():
-    contacts = np.full(42, 99)
-    contacts[[3, 4]] = 0
-    together = np.full((42, 42), 99, dtype=np.float32)
-    together[[3, 4]] = together[:, [3, 4]] = 0
-    positions = lattice()
-    positions[[3, 4]] = np.nan
-    assert advise(positions, contacts, together, SKIN.names).untouched == (3, 4)
-    assert advise(positions, contacts, together, SKIN.names, drop={3, 4}).enough
+    readings = READINGS.copy()
+    readings[:, [3, 4]] = 0
+    mapper, found = QuickMapper(SKIN.names, 2), accumulated(readings, len(readings))
+    assert mapper.make(found).advice.untouched == (3, 4)
+    mapper.drop = {3, 4}
+    assert mapper.make(found).advice.enough
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3])
@@ -189,5 +166,4 @@ def test_readings_out_of_range_are_missing(value):
     assert np.argwhere(np.isnan(batch.readings)).tolist() == [[7, 2]]
     statistics = TouchStatistics(4)
     statistics.add(batch.readings)
-    assert statistics.n_frames == 50
-    assert np.isfinite(statistics.highest).all()
+    assert np.isfinite(statistics.recording().readings).all()

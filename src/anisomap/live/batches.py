@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from threading import Event
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 from urllib.parse import SplitResult, parse_qs, unquote
 
 import numpy as np
@@ -57,6 +56,8 @@ class Notice:
 
 Item: TypeAlias = Batch | Names | Notice
 
+_Received = TypeVar("_Received")
+
 
 @dataclass(frozen=True)
 class Address:
@@ -99,68 +100,76 @@ class Address:
         return {key: values[-1] for key, values in parse_qs(self.parts.query).items()}
 
 
-class Source(ABC):
+@dataclass
+class Source:
     """A source of frames.
 
     description: Origin, for the recording and the page.
-    names: Names of the sensors, if they are known before the first frame; else empty.
+    items: Iterates over what arrives, until the source ends or an event is set.
+    names: Names of the sensors, if they are known before the first frame.
     truth: True positions of the sensors, if the source knows them.
     can_wait: Whether nothing is lost if it begins later, as in a replay: it begins when the
         processes that make maps have started.
+    port: On which it listens; 0 for none.
     """
 
+    description: str
+    items: Callable[[Event], Iterator[Item]]
     names: tuple[str, ...] = ()
     truth: SensorMap | None = None
-    can_wait: ClassVar[bool] = False
-
-    def __init__(self, description: str) -> None:
-        self.description = description
-
-    @abstractmethod
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over what arrives, until the source ends or `stop` is set."""
+    can_wait: bool = False
+    port: int = 0
 
 
-class ConnectedSource(Source):
-    """A source with a connection, which is made again when it is lost.
+def polled(
+    stop: Event, receive: Callable[[], _Received], idle: type[Exception] = TimeoutError
+) -> Iterator[_Received]:
+    """Yield what is received until `stop` is set; `idle` is raised when nothing came in time."""
+    while not stop.is_set():
+        try:
+            received = receive()
+        except idle:
+            continue
+        yield received
 
+
+def connected(
+    description: str,
+    connect: Callable[[], AbstractContextManager[Any]],
+    receive: Callable[[Any, Event], Iterator[Item]],
+    lost: tuple[type[Exception], ...] = (OSError,),
+) -> Source:
+    """Return a source with a connection, which is made again when it is lost.
+
+    receive: Iterates over what a connection sends, until it ends or an event is set.
     lost: Errors that mean that there is no connection.
     """
 
-    lost: tuple[type[Exception], ...] = (OSError,)
-
-    @abstractmethod
-    def connect(self) -> AbstractContextManager[Any]:
-        """Make a connection."""
-
-    @abstractmethod
-    def receive(self, connection: Any, stop: Event) -> Iterator[Item]:
-        """Iterate over what a connection sends, until it ends or `stop` is set."""
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the items of one connection after another until `stop` is set."""
+    def items(stop: Event) -> Iterator[Item]:
         told = False
         while not stop.is_set():
             try:
-                opened = self.connect()
-            except self.lost as error:
+                opened = connect()
+            except lost as error:
                 if not told:
                     reason = getattr(error, "strerror", None) or error
-                    yield Notice(f"cannot connect to {self.description} ({reason}); still trying")
+                    yield Notice(f"cannot connect to {description} ({reason}); still trying")
                 told = True
                 stop.wait(RETRY_S)
                 continue
             told = False
-            yield Notice(f"connected to {self.description}")
+            yield Notice(f"connected to {description}")
             with opened as connection:
-                received = self.receive(connection, stop)
+                received = receive(connection, stop)
                 while True:
                     # Only errors of the source are caught, not those of the code that takes items.
                     try:
                         item = next(received)
-                    except (StopIteration, *self.lost):  # type: ignore[misc]
+                    except (StopIteration, *lost):  # type: ignore[misc]
                         break
                     yield item
             if not stop.is_set():
-                yield Notice(f"lost the connection to {self.description}; connecting again")
+                yield Notice(f"lost the connection to {description}; connecting again")
                 stop.wait(WAIT_S)
+
+    return Source(description, items)

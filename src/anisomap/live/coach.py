@@ -16,6 +16,8 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
+from anisomap.numerics.signals import count_contacts, count_joint_contacts
+from anisomap.recording import Recording
 from anisomap.sensor_map import is_faulty
 from anisomap.wording import join_items
 
@@ -64,28 +66,32 @@ def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]
 def advise(
     positions: NDArray[np.float64],
     contacts: NDArray[np.intp],
-    together: NDArray[np.float32],
+    recording: Recording,
     names: Sequence[str],
     drop: Collection[int] = (),
 ) -> Advice:
-    """Advise where to touch next. positions (N, k), together (N, N)."""
+    """Advise where to touch next. positions (N, k), contacts (N,) in all frames.
+
+    recording: A sample of the frames. Joint contacts are counted in it, and grow as its contacts
+        fall short of those in all frames.
+    """
     wanted = np.ones(len(names), dtype=bool)
     wanted[list(drop)] = False
     placed = np.isfinite(positions).all(axis=1)
     untouched = tuple(np.flatnonzero(wanted & (contacts == 0)).tolist())
     if not placed.any():
         return Advice(untouched=untouched)
-    pairs = neighbouring_sensors(positions)
-    need = needed_evidence(contacts, pairs, together[pairs[:, 0], pairs[:, 1]])
+    pairs, active = neighbouring_sensors(positions), recording.signals.active
+    share = count_contacts(active).sum() / max(contacts.sum(), 1)
+    together = count_joint_contacts(active, pairs) / min(max(share, 1e-9), 1)
+    need = needed_evidence(contacts, pairs, together)
     places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
     done = 1 - float(need[wanted].mean()) if wanted.any() else 0.0
     return Advice(places, untouched, done, _in_words(places, untouched, names))
 
 
 def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence[str]) -> str:
-    parts = []
-    if places:
-        parts.append(f"touch {' and '.join(place.in_words(names) for place in places[:2])}")
+    parts = [f"touch {' and '.join(p.in_words(names) for p in places[:2])}"] if places else []
     if untouched:
         listed = join_items([names[i] for i in untouched], _MAX_NAMED)
         plural = "s" if len(untouched) > 1 else ""

@@ -1,6 +1,6 @@
-"""The quick map of a live session: r-ANISOMAP from accumulated correlations, warm-started.
+"""The quick map of a live session: r-ANISOMAP of a sample of all frames, warm-started.
 
-It takes milliseconds for tens of sensors and a third of a second for a thousand, so that it can
+It takes hundredths of a second for tens of sensors and a second for a thousand, so that it can
 follow the session. The default method takes ten times as long; it makes the checked map.
 """
 
@@ -19,9 +19,11 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large.chunks import Excerpt
 from anisomap.live.coach import Advice, advise
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.similarity.correlation import Moments
-from anisomap.numerics.similarity.rest import Rest, estimate_rest
+from anisomap.numerics.signals import count_contacts
+from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.similarity.rest import Rest
 from anisomap.reconstruction import reconstruct_from
+from anisomap.recording import Recording
 
 QUICK_METHOD = "r-anisomap"
 """The method of the quick map; it needs nothing but Pearson's r."""
@@ -30,120 +32,67 @@ MAX_SENSORS = 4000
 """Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
 more than ten seconds."""
 
-SAMPLE_FRAMES = 4096
-"""Number of frames from which the rest of the sensors is estimated, spread over the session."""
+SAMPLE_FRAMES = 16384
+"""Number of frames from which quick maps are made, spread over the session."""
 
-_SAMPLE_READINGS = 1 << 22  # of many sensors, fewer frames: 16 MiB
+_SAMPLE_READINGS = 1 << 23  # of many sensors, fewer frames: 32 MiB
 _MIN_SAMPLE = 256
 _PART_FRAMES = 128  # added at once, so that no frame leaves the sample before it is counted
 _REESTIMATED = 1.5  # growth of the number of frames after which the rest is estimated again
 
 
 class TouchStatistics:
-    """Moments of the readings, and numbers of contacts of sensors and of pairs of sensors.
+    """A sample of the frames of a session, and the contacts in all of them.
 
-    A missing reading counts as the last one that the sensor sent.
-
+    sample: Of frames that are evenly spread over the session.
     n_frames: Number of frames so far.
-    contacts: Number of separate contacts of each sensor.
-    together: Number of separate contacts of both sensors at the same time.
-    lowest, highest (N,): Range of the readings; infinite before the first.
+    contacts (N,): Number of separate contacts of each sensor.
     """
 
     def __init__(self, n_sensors: int) -> None:
         self.n_frames = 0
-        self.lowest = np.full(n_sensors, np.inf)
-        self.highest = np.full(n_sensors, -np.inf)
         self.contacts = np.zeros(n_sensors, dtype=np.intp)
-        self.together = np.zeros((n_sensors, n_sensors), dtype=np.float32)
-        self.moments: Moments | None = None
-        self._last = np.full(n_sensors, np.nan)
         n_sampled = max(_MIN_SAMPLE, min(SAMPLE_FRAMES, _SAMPLE_READINGS // n_sensors))
-        self._sample = Excerpt(n_sampled * n_sensors, segment=1)
+        self.sample = Excerpt(n_sampled * n_sensors, segment=1)
         self._rest: Rest | None = None
         self._rest_frames = 0
         self._was_active = np.zeros(n_sensors, dtype=bool)
 
-    @property
-    def n_sensors(self) -> int:
-        """Number of sensors, N."""
-        return len(self.contacts)
-
-    @property
-    def rest(self) -> Rest:
-        """Rest of the sensors, estimated from a sample of all frames so far.
-
-        It is estimated anew when the number of frames has grown by half, and all contacts are then
-        counted again while the sample holds all frames.
-        """
-        if self._rest is None:
-            self._rest = estimate_rest(self._sample.readings)
-        return self._rest
-
     def add(self, readings: NDArray[np.float64]) -> None:
         """Add frames. readings (t, N)."""
         for at in range(0, len(readings), _PART_FRAMES):
-            self._add(self._without_gaps(readings[at : at + _PART_FRAMES]))
+            part = readings[at : at + _PART_FRAMES].astype(np.float32)
+            self.sample.add(part)
+            self.n_frames += len(part)
+            if self._rest is not None:
+                active = self._rest.active(part)
+                self.contacts += count_contacts(np.vstack([self._was_active, active]))
+                self.contacts -= self._was_active
+                self._was_active = active[-1]
+            if self.n_frames >= _REESTIMATED * self._rest_frames:
+                self.recording()
 
-    def _add(self, readings: NDArray[np.float64]) -> None:
-        np.minimum(self.lowest, readings.min(axis=0), out=self.lowest)
-        np.maximum(self.highest, readings.max(axis=0), out=self.highest)
-        moments = Moments.of(readings)
-        self.moments = moments if self.moments is None else self.moments.merged(moments)
-        self._sample.add(readings.astype(np.float32))
-        self.n_frames += len(readings)
-        if self._rest is not None:
-            self._count(readings)
-        if self.n_frames >= _REESTIMATED * self._rest_frames:
-            self.estimate()
-
-    def _without_gaps(self, readings: NDArray[np.float64]) -> NDArray[np.float64]:
-        known = np.isfinite(readings)
-        if not known.all() or not np.isfinite(self._last).all():
-            with_last = np.vstack([np.nan_to_num(self._last, nan=0.0), readings])
-            known = np.vstack([np.ones(self.n_sensors, dtype=bool), known])
-            if not self.n_frames:  # a sensor whose first readings are missing starts with its first
-                first = np.argmax(known[1:], axis=0)
-                start = readings[first, np.arange(self.n_sensors)]
-                with_last[0] = np.nan_to_num(start, nan=0.0, posinf=0.0, neginf=0.0)
-            source = np.where(known, np.arange(len(known))[:, None], 0)
-            np.maximum.accumulate(source, axis=0, out=source)
-            readings = np.take_along_axis(with_last, source, axis=0)[1:]
-        self._last = readings[-1]
-        return readings
-
-    def estimate(self) -> None:
-        """Estimate the rest now, and count contacts again if the sample holds all frames."""
-        readings = self._sample.readings
-        self._rest, self._rest_frames = estimate_rest(readings), self.n_frames
-        if self._sample.whole:
-            self.contacts[:] = 0
-            self.together[:] = 0
-            self._was_active[:] = False
-            self._count(readings)
-
-    def _count(self, readings: NDArray[np.generic]) -> None:
-        active = self.rest.active(readings)
-        lasting = active & np.vstack([self._was_active, active[:-1]])
-        self.contacts += np.count_nonzero(active & ~lasting, axis=0)
-        self._was_active = active[-1].copy()
-        # A contact of two sensors begins in frames in which both are active, less those in which
-        # both were so before.
-        for frames, sign in ((active, 1), (lasting, -1)):
-            some = frames[frames.any(axis=1)].astype(np.float32)
-            if len(some):
-                self.together += sign * (some.T @ some)
+    def recording(self) -> Recording:
+        """Return the sample, without gaps; contacts are counted again if it holds all frames."""
+        readings = self.sample.readings
+        readings[:, ~np.isfinite(readings).any(axis=0)] = 0  # of sensors that sent no number
+        found = Recording(readings).complete("interpolate")
+        self._rest, self._rest_frames = found.signals.rest, self.n_frames
+        if self.sample.whole:
+            self.contacts = count_contacts(found.signals.active)
+            self._was_active = found.signals.active[-1]
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class QuickMap:
-    """A map of the frames so far, and the statistics that belong to it.
+    """A map of the frames so far, and what belongs to it.
 
     positions (N, k): Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors
         without one.
-    n_frames: Number of frames in the map.
+    n_frames: Number of frames so far, of which the map is made.
     seconds: Time that the map took to compute.
-    contacts: Number of separate contacts of each sensor.
+    contacts (N,): Number of separate contacts of each sensor.
     pairs: Neighbours, which the page joins by lines.
     advice: Where to touch next.
     highest_depth (N,): Largest excess over rest so far.
@@ -181,25 +130,24 @@ class QuickMapper:
     def make(self, statistics: TouchStatistics) -> QuickMap:
         """Make a map of all frames so far, of which there must be at least one."""
         begun = time.monotonic()
-        rest, reason = statistics.rest, ""
-        positions = np.full((statistics.n_sensors, self.dimensions), np.nan)
-        if statistics.n_sensors > MAX_SENSORS:
+        recording, reason = statistics.recording(), ""
+        positions = np.full((recording.n_sensors, self.dimensions), np.nan)
+        if recording.n_sensors > MAX_SENSORS:
             reason = f"a map of more than {MAX_SENSORS} sensors is made at the end of the session"
-        elif statistics.moments is not None:
+        else:
             try:
-                positions = self._positions(statistics.moments)
+                positions = self._positions(recording)
             except InputError as error:
                 reason = str(error)
-        side_of_contact = np.where(rest.side > 0, statistics.highest, statistics.lowest)
+        rest, contacts = recording.signals.rest, statistics.contacts.copy()
+        side_of_contact = np.where(rest.side > 0, *recording.extremes[::-1])
         return QuickMap(
             positions=positions,
             n_frames=statistics.n_frames,
             seconds=time.monotonic() - begun,
-            contacts=statistics.contacts.copy(),
+            contacts=contacts,
             pairs=neighbour_lines(positions),
-            advice=advise(
-                positions, statistics.contacts, statistics.together, self.names, self.drop
-            ),
+            advice=advise(positions, contacts, recording, self.names, self.drop),
             rest=rest,
             highest_depth=rest.depth(side_of_contact[None])[0],
             names=tuple(self.names),
@@ -207,8 +155,8 @@ class QuickMapper:
             reason=reason,
         )
 
-    def _positions(self, moments: Moments) -> NDArray[np.float64]:
-        correlation, before = moments.correlation(), self._before
+    def _positions(self, recording: Recording) -> NDArray[np.float64]:
+        correlation, before = pearson(recording.readings), self._before
         if before is not None and before.shape[1] != self.dimensions:
             before = None  # the number of dimensions has changed
         with warnings.catch_warnings():
@@ -218,7 +166,7 @@ class QuickMapper:
                 method=QUICK_METHOD,
                 dimensions=self.dimensions,
                 names=self.names,
-                drop=sorted(self.drop | set(np.flatnonzero(~moments.varying()).tolist())),
+                drop=sorted(self.drop | set(np.flatnonzero(~recording.varying()).tolist())),
                 start=None if before is None else warm_start(before, correlation),
                 statistic="pearson",
             )

@@ -270,7 +270,7 @@ class Recorder:
             self._missing[fresh] = True
             names = self.segments[-1].names
             for i in fresh[:3]:
-                self._notify(f"{names[i]} sent no number; its last reading is kept for the map")
+                self._notify(f"{names[i]} sent no number; maps interpolate its readings")
             if len(fresh) > 3:
                 self._notify(f"{len(fresh) - 3} more sensors sent no number")
 

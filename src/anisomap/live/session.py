@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapError, InputError
-from anisomap.live.batches import Batch, Names, Notice, Source
+from anisomap.live.batches import Names, Notice, Source
 from anisomap.live.examination import Examination, ExaminationOptions
 from anisomap.live.quick_map import QuickMap
 from anisomap.live.recorder import Recorder, Segment
@@ -137,10 +137,10 @@ class LiveSession:
     def __enter__(self) -> LiveSession:
         self._began = time.monotonic()
         self.maps.start()
-        for task in (self._acquire, self._keep_time):
-            thread = threading.Thread(target=task, daemon=True)
+        tasks = (self._acquire, self._keep_time)
+        self._threads = [threading.Thread(target=task, daemon=True) for task in tasks]
+        for thread in self._threads:
             thread.start()
-            self._threads.append(thread)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -261,27 +261,25 @@ class LiveSession:
                 elif isinstance(item, Names):
                     self.recorder.names = item.names
                 elif not self.paused:
-                    self._record(item)
+                    self.recorder.put(item)
+                    self._arrivals.add(self.recorder.n_frames, time.monotonic())
                 if self._stop.is_set():
                     break
         except AnisomapError as error:
-            self.failure = error
-            self.notify(str(error))
+            self._fail(error)
         except Exception as error:  # a defect of a source must not lose what was recorded
-            self.failure = AnisomapError(
-                f"{self.source.description} failed: {type(error).__name__}: {error}"
-            )
-            self.notify(str(self.failure))
+            why = f"{type(error).__name__}: {error}"
+            self._fail(AnisomapError(f"{self.source.description} failed: {why}"))
         finally:
             self._end()
+
+    def _fail(self, error: AnisomapError) -> None:
+        self.failure = error
+        self.notify(str(error))
 
     def _end(self) -> None:
         self._ended_at = self._ended_at or time.monotonic()
         self.ended.set()
-
-    def _record(self, batch: Batch) -> None:
-        self.recorder.put(batch)
-        self._arrivals.add(self.recorder.n_frames, time.monotonic())
 
     def _begin_segment(self, segment: Segment) -> None:
         self._arrivals = Arrivals()
@@ -294,15 +292,13 @@ class LiveSession:
             try:
                 self.recorder.flush()
             except AnisomapError as error:
-                self.failure = error
-                self.notify(str(error))
+                self._fail(error)
                 self._stop.set()
             recent = self.recorder.recent()
             if recent is not None:
-                first = self._first
-                if first is None or len(first) != recent.shape[1]:
-                    self._first = first = recent[0]
-                self.levels = read_levels(recent, first, self.maps.quick)
+                if self._first is None or len(self._first) != recent.shape[1]:
+                    self._first = recent[0]
+                self.levels = read_levels(recent, self._first, self.maps.quick)
             if not self.paused:
                 self.maps.follow(self.recorder.n_frames)
             with self.changed:

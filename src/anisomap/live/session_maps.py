@@ -89,11 +89,6 @@ class SessionMaps:
         self._examiner.close()
 
     @property
-    def level(self) -> str:
-        """Level of the checked map."""
-        return UNKNOWN if self.checked is None else self.checked.verdict.level
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of the sensors; empty before the first frame."""
         if self.quick is not None:
@@ -110,9 +105,8 @@ class SessionMaps:
         """Share of the sensors that were touched at least once, in [0, 1]."""
         if self.quick is None:
             return 0.0
-        wanted = np.ones(len(self.quick.contacts), dtype=bool)
-        wanted[list(self.quick.left_out)] = False
-        return float((self.quick.contacts[wanted] > 0).mean()) if wanted.any() else 0.0
+        wanted = np.delete(self.quick.contacts, list(self.quick.left_out))
+        return float((wanted > 0).mean()) if wanted.size else 0.0
 
     @property
     def faults(self) -> tuple[SensorHealth, ...]:

@@ -10,13 +10,11 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from types import MappingProxyType
-from typing import Protocol
 
 import numpy as np
 
@@ -32,7 +30,7 @@ from anisomap.recording import Recording
 _POLL_S = 0.03  # between two looks at a recording that has not grown
 _READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
 _MAX_BEHIND_S = 1.0  # of reading a backlog without a map
-_IDLE_SHARE = 0.5  # pause after a quick map, as a share of its time: others need the processor too
+_IDLE_SHARE = 1.0  # pause after a quick map, as a share of its time: others need the processor too
 _FAILED_S = 1.0  # pause after a map that failed
 _MAX_RESTARTS = 3
 _JOIN_S = 0.5  # for a process to end by itself
@@ -134,29 +132,15 @@ class Worker:
                     self._connection.send(self._task)
 
 
-class _Maker(Protocol):
-    """Makes maps in a process of its own.
+class _CheckedMaps:
+    """Makes one checked map for each task, or for the latest of several.
 
     niceness: Of the process.
     wait_s: Time to wait for another task before the next step; None for any time.
     """
 
-    niceness: int
-    wait_s: float | None
-
-    def take(self, task: Task) -> None:
-        """Carry out a task from now on."""
-        ...
-
-    def step(self) -> Answer | None:
-        """Do the next step."""
-        ...
-
-
-class _CheckedMaps:
-    """Makes one checked map for each task, or for the latest of several."""
-
-    niceness, wait_s = 5, None
+    niceness = 5
+    wait_s: float | None = None
 
     def take(self, task: Task) -> None:
         self._task, self.wait_s = task, 0.0
@@ -168,9 +152,10 @@ class _CheckedMaps:
 
 
 class _QuickMaps:
-    """Follows the recording of a session and maps it again and again."""
+    """Follows the recording of a session and maps it again and again; see `_CheckedMaps`."""
 
-    niceness, wait_s = 0, None
+    niceness = 0
+    wait_s: float | None = None
 
     def __init__(self) -> None:
         self._task: Task | None = None
@@ -202,9 +187,7 @@ class _QuickMaps:
             return None
         found = None if self._tail is None else self._follow(self._task, self._tail)
         problem, self._told = "" if self._problem == self._told else self._problem, self._problem
-        if found is None and not problem:
-            return None
-        return Answer(self._task.segment.number, found, problem)
+        return Answer(self._task.segment.number, found, problem) if found or problem else None
 
     def _follow(self, task: Task, tail: JournalTail) -> QuickMap | None:
         """Read what is new, and return a map if it is time for one."""
@@ -229,10 +212,8 @@ class _QuickMaps:
         kept = dict(enumerate(given))
         if options.preset:
             # Presets depend on which values vary, and on the port that the values come from.
-            seen = self._statistics
-            extremes = np.array([seen.lowest, seen.lowest, seen.highest])
-            extremes[~np.isfinite(extremes)] = 0
-            probe = Recording(extremes, names=given, source=task.segment.source)
+            readings = np.nan_to_num(self._statistics.sample.readings)
+            probe = Recording(readings, names=given, source=task.segment.source)
             self._problem = ""
             try:
                 kept = numbering(probe, options.preset)
@@ -246,15 +227,10 @@ class _QuickMaps:
         }
 
 
-_MAKERS: Mapping[str, type[_Maker]] = MappingProxyType(
-    {"quick": _QuickMaps, "checked": _CheckedMaps}
-)
-
-
 def _run(role: str, connection: Connection) -> None:
     """Work until the session closes the connection, or its process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers itself
-    maker = _MAKERS[role]()
+    maker = _QuickMaps() if role == "quick" else _CheckedMaps()
     with suppress(OSError, AttributeError):
         os.nice(maker.niceness)
     with suppress(EOFError, OSError, KeyboardInterrupt):

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,13 +20,8 @@ from anisomap.placement import Anchors, parse_anchor
 _TRUTH_SUFFIXES = (".csv", ".tsv", ".txt", ".json", ".ply", ".pcd", ".urdf", ".xml", ".mjcf")
 
 
-@dataclass(frozen=True)
-class Done:
-    """The result of an action.
-
-    text: One sentence.
-    files: Files that were written.
-    """
+class Done(NamedTuple):
+    """The result of an action: one sentence, and files that were written."""
 
     text: str
     files: tuple[Path, ...] = ()
@@ -88,33 +82,31 @@ def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
 
 
 def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
-    recording, spacing = _recording(session), str(request.get("spacing") or "")
-    target = recording.with_suffix(".map.csv")
     with together():
-        files = [_save_map(session, target, spacing)]
-        files.append(save_report(session.maps.checked, recording.with_suffix(".report.html")))
-    return Done(_written(files), tuple(files))
+        made = _written(session, request, ".map.csv")
+        report = save_report(session.maps.checked, _recording(session).with_suffix(".report.html"))
+    return Done(f"{made.text}, {report.name}", (*made.files, report))
 
 
 def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
     suffix = _text(request, "suffix")
     if suffix not in EXPORTS:
         raise InputError(f"a format must be one of {', '.join(EXPORTS)}")
-    spacing = str(request.get("spacing") or "")
-    target = _recording(session).with_suffix(f".map{suffix}")
-    files = [_save_map(session, target, spacing)]
-    return Done(_written(files), tuple(files))
+    return _written(session, request, f".map{suffix}")
 
 
-def _save_map(session: LiveSession, target: Path, spacing: str) -> Path:
-    return save_map(
+def _written(session: LiveSession, request: Mapping[str, Any], suffix: str) -> Done:
+    """Write the checked map beside the recording."""
+    recording = _recording(session)
+    path = save_map(
         session.maps.checked,
-        target,
-        recording=_recording(session),
+        recording.with_suffix(suffix),
+        recording=recording,
         preset=session.maps.options.preset,
-        spacing=spacing,
+        spacing=str(request.get("spacing") or ""),
         anchors=session.anchors,
     )
+    return Done(f"written: {path.name}", (path,))
 
 
 def _end(session: LiveSession, _: Mapping[str, Any]) -> Done:
@@ -148,7 +140,3 @@ def _text(request: Mapping[str, Any], key: str) -> str:
     if not isinstance(value, str):
         raise InputError(f"{key} must be text")
     return value
-
-
-def _written(files: list[Path]) -> str:
-    return "written: " + ", ".join(path.name for path in files)

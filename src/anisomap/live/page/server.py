@@ -14,14 +14,11 @@ import secrets
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from anisomap.errors import AnisomapError, InputError
@@ -35,16 +32,9 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-_PAGE: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "/": ("index.html", "text/html; charset=utf-8"),
-        "/live.css": ("live.css", "text/css; charset=utf-8"),
-        "/live.js": ("live.js", "text/javascript; charset=utf-8"),
-        "/map_view.js": ("map_view.js", "text/javascript; charset=utf-8"),
-        "/charts.js": ("charts.js", "text/javascript; charset=utf-8"),
-    }
-)
-_BYTES: Mapping[str, str] = MappingProxyType({"errors": "surrogateescape"})  # of file names
+_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}  # as of any system
+_BYTES = {"errors": "surrogateescape"}  # of file names
+_STATIC = Path(__file__).parent / "static"
 _STATUS_S = 0.5  # between two states of what changes slowly
 _HOST = re.compile(
     r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?"
@@ -57,49 +47,43 @@ _TOKEN = "token"  # noqa: S105 (the name of a cookie)
 _POST_HEADER = "X-Anisomap"  # other sites cannot send it without asking first
 
 
-class Server:
-    """Serves the page of a session in threads of its own, until it is closed.
+class Server(ThreadingHTTPServer):
+    """Serves the page of a session in threads of its own, until the end of its context.
 
     host: Address to listen on. For others than the loopback, the page requires a token.
     port: 0 for any free port.
     url: Address of the page, with the token if there is one.
     """
 
-    def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8765) -> None:
-        self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
-        self._server = _bound(session, host, port, self.token)
-        self.port = int(self._server.server_address[1])
-        shown = f"[{host}]" if ":" in host else host
-        query = f"?{_TOKEN}={self.token}" if self.token else ""
-        self.url = f"http://{shown}:{self.port}/{query}"
-        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Server:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the server and free its port."""
-        self._server.closing.set()
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join()
-
-
-class _HttpServer(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     allow_reuse_address = True
 
-    def __init__(self, address: tuple[str, int], session: LiveSession, token: str) -> None:
-        self.session, self.token = session, token
+    def __init__(self, session: LiveSession, host: str = "127.0.0.1", port: int = 8765) -> None:
+        self.session = session
         self.closing = threading.Event()
         self.viewers = threading.BoundedSemaphore(_MAX_VIEWERS)
         self.written: dict[str, Path] = {}
-        super().__init__(address, _Handler)
+        try:
+            super().__init__((host, port), _Handler)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(
+                f"cannot show the page on {host}:{port}: {reason}; choose another --port"
+            ) from error
+        self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
+        self.port = int(self.server_address[1])
+        shown = f"[{host}]" if ":" in host else host
+        query = f"?{_TOKEN}={self.token}" if self.token else ""
+        self.url = f"http://{shown}:{self.port}/{query}"
+        self._thread = threading.Thread(target=self.serve_forever, daemon=True)
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self.closing.set()
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
 
     def handle_error(self, *_: object) -> None:
         """Ignore errors of a connection, such as a browser that was closed; log defects."""
@@ -108,18 +92,8 @@ class _HttpServer(ThreadingHTTPServer):
             logger.error("the page failed to answer a request", exc_info=error)
 
 
-def _bound(session: LiveSession, host: str, port: int, token: str) -> _HttpServer:
-    try:
-        return _HttpServer((host, port), session, token)
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(
-            f"cannot show the page on {host}:{port}: {reason}; choose another --port"
-        ) from error
-
-
 class _Handler(BaseHTTPRequestHandler):
-    server: _HttpServer
+    server: Server
     protocol_version = "HTTP/1.1"
     server_version = "anisomap"
     sys_version = ""
@@ -133,13 +107,14 @@ class _Handler(BaseHTTPRequestHandler):
         address = _split(self.path)
         if not self._allowed(address.query):
             return
-        if address.path in _PAGE:
-            name, kind = _PAGE[address.path]
-            self._send((files("anisomap.live.page") / "static" / name).read_bytes(), kind)
+        page = _STATIC / (address.path[1:] or "index.html")
+        if page.parent == _STATIC and page.suffix in _TYPES and page.is_file():
+            self._send(page.read_bytes(), f"{_TYPES[page.suffix]}; charset=utf-8")
         elif address.path == "/events":
             self._send_events()
         elif address.path == "/state":
-            self._send_json(_state(self.server.session))
+            session = self.server.session
+            self._send_json({"map": map_snapshot(session), "status": status_snapshot(session)})
         elif address.path.startswith("/files/"):
             self._send_file(unquote(address.path.removeprefix("/files/"), **_BYTES))
         else:
@@ -233,14 +208,8 @@ class _Handler(BaseHTTPRequestHandler):
         if path is None or not path.is_file():
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
             return
-        content = path.read_bytes()
-        self._start(HTTPStatus.OK, "application/octet-stream")
-        self.send_header(
-            "Content-Disposition", f"attachment; filename*=UTF-8''{quote(name, **_BYTES)}"
-        )
-        self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        self.wfile.write(content)
+        shown = f"attachment; filename*=UTF-8''{quote(name, **_BYTES)}"
+        self._send(path.read_bytes(), "application/octet-stream", disposition=shown)
 
     def _send_json(self, data: object) -> None:
         self._send(json.dumps(data, allow_nan=False).encode(), "application/json")
@@ -249,8 +218,16 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True
         self._send(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
 
-    def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send(
+        self,
+        content: bytes,
+        kind: str,
+        status: HTTPStatus = HTTPStatus.OK,
+        disposition: str = "",
+    ) -> None:
         self._start(status, kind)
+        if disposition:
+            self.send_header("Content-Disposition", disposition)
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
         self.wfile.write(content)
@@ -283,10 +260,6 @@ def _stream(
         if time.monotonic() - told >= _STATUS_S:
             told = time.monotonic()
             send("status", status_snapshot(session))
-
-
-def _state(session: LiveSession) -> dict[str, Any]:
-    return {"map": map_snapshot(session), "status": status_snapshot(session)}
 
 
 def _split(address: str) -> SplitResult:

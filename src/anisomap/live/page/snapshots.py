@@ -15,17 +15,18 @@ from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.session import LiveSession
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.sensor_map import SensorMap
+from anisomap.usability import UNKNOWN
 
 _DIGITS = 3  # of seconds and errors
 
 
 def readings_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return what changes with every frame: counts, and the readings from 0 to 255."""
-    levels = np.round(255 * session.levels).astype(np.uint8)
+    levels = np.round(255 * session.levels)
     return {
         "frames": session.recorder.n_frames,
         "seconds": round(session.seconds, _DIGITS),
-        "levels": _encoded(levels),
+        "levels": _encoded(levels, "u1"),
     }
 
 
@@ -40,22 +41,19 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "names": list(quick.names),
         "dimensions": quick.positions.shape[1],
         "frames": quick.n_frames,
-        "positions": _encoded(quick.positions.astype("<f4")),
-        "checked": None if checked is None else _encoded(checked.astype("<f4")),
+        "positions": _encoded(quick.positions),
+        "checked": None if checked is None else _encoded(checked),
         "checked_dimensions": None if checked is None else checked.shape[1],
-        "checked_halo": _encoded(_checked_doubt(session.maps.checked, quick).astype("<f4")),
+        "checked_halo": _encoded(_checked_doubt(session.maps.checked, quick)),
         "final": session.maps.checked is not None and session.maps.checked.final,
         "stated": _stated(session.maps.options.truth, quick),
-        "pairs": _encoded(quick.pairs.astype("<u4")),
-        "halo": _encoded(_doubt(quick).astype("<f4")),
+        "pairs": _encoded(quick.pairs, "<u4"),
+        "halo": _encoded(_doubt(quick)),
         "contacts": quick.contacts.tolist(),
         "left_out": list(quick.left_out),
         "untouched": list(quick.advice.untouched),
         "places": [
-            {
-                "sensors": list(place.sensors),
-                "words": place.in_words(quick.names),
-            }
+            {"sensors": list(place.sensors), "words": place.in_words(quick.names)}
             for place in quick.advice.places
         ],
         "reason": quick.reason,
@@ -76,7 +74,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "share_touched": session.maps.share_touched,
         "map_age": round(session.map_age, _DIGITS),
         "lags": session.lags,
-        "level": session.maps.level,
+        "level": UNKNOWN if verdict is None else verdict.level,
         "expected_error": None if verdict is None else _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
         "reasons": [] if verdict is None else list(verdict.reasons),
@@ -88,12 +86,8 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         ],
         "dropped": list(session.maps.options.drop),
         "curve": [
-            [
-                round(errors.seconds, _DIGITS),
-                _finite(errors.expected),
-                _finite(errors.against_truth),
-            ]
-            for errors in session.maps.curve
+            [round(seconds, _DIGITS), *map(_finite, errors)]
+            for seconds, *errors in session.maps.curve
         ],
         "touched": [
             [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.maps.touched
@@ -140,14 +134,12 @@ def _stated(truth: SensorMap | None, quick: QuickMap) -> str | None:
         np.pad(array, ((0, 0), (0, width - array.shape[1]))) for array in (found, quick.positions)
     )
     turned = fit_similarity(places[shared], points[shared]).apply(places)
-    return _encoded(turned[:, : quick.positions.shape[1]].astype("<f4"))
+    return _encoded(turned[:, : quick.positions.shape[1]])
 
 
 def _doubt(quick: QuickMap) -> NDArray[np.float64]:
-    """Return the uncertainty of each sensor, from 0 to 1 for a sensor without a contact.
-
-    The standard error of a mean over independent contacts falls with the root of their number.
-    """
+    """Return the uncertainty of each sensor, from 0 to 1 for a sensor without a contact."""
+    # The standard error of a mean over independent contacts falls with the root of their number.
     return np.asarray(1 / np.sqrt(1.0 + quick.contacts))
 
 
@@ -163,8 +155,8 @@ def _checked_doubt(checked: Examination | None, quick: QuickMap) -> NDArray[np.f
     return np.where(np.isfinite(found), np.minimum(found, 1.0), doubt)
 
 
-def _encoded(array: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+def _encoded(array: NDArray[Any], kind: str = "<f4") -> str:
+    return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode("ascii")
 
 
 def _finite(value: float | None) -> float | None:

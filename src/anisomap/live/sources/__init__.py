@@ -1,7 +1,7 @@
 """Sources of live sessions: where the frames come from.
 
-To add a source, add a class of `anisomap.live.batches.Source` that is made from an `Address`, and
-one line to `SOURCES`.
+To add a source, add a function from an `Address` to a `Source`, both of `anisomap.live.batches`,
+and one line to `SOURCES`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from anisomap import io
 from anisomap.errors import InputError
 from anisomap.live.batches import Address, Source
-from anisomap.live.sources.replay import Replay
+from anisomap.live.sources.replay import replay
 
 
 class Entry(NamedTuple):
@@ -25,30 +25,30 @@ class Entry(NamedTuple):
     example: str
     summary: str
     module: str
-    name: str
+    function: str
 
     def open(self, address: Address) -> Source:
         """Open the source at an address."""
-        kind = getattr(import_module(f"anisomap.live.sources.{self.module}"), self.name)
-        opened: Source = kind(address)
+        module = import_module(f"anisomap.live.sources.{self.module}")
+        opened: Source = getattr(module, self.function)(address)
         return opened
 
 
 # fmt: off
 SOURCES: Mapping[str, Entry] = MappingProxyType({
-    "-": Entry("-", "lines on standard input", "lines", "StandardInput"),
-    "tcp": Entry("tcp://HOST:PORT", "lines from a TCP server", "lines", "TcpClient"),
+    "-": Entry("-", "lines on standard input", "lines", "standard_input"),
+    "tcp": Entry("tcp://HOST:PORT", "lines from a TCP server", "lines", "tcp"),
     "tcp-listen": Entry("tcp-listen://HOST:PORT", "lines from a TCP client that connects to us",
-                        "lines", "TcpServer"),
-    "udp": Entry("udp://HOST:PORT", "lines in UDP datagrams", "lines", "Udp"),
+                        "lines", "tcp_listen"),
+    "udp": Entry("udp://HOST:PORT", "lines in UDP datagrams", "lines", "udp"),
     "serial": Entry("serial:///dev/ttyUSB0?baud=115200", "lines from a serial port",
-                    "lines", "SerialPort"),
-    "lsl": Entry("lsl://NAME", "stream of the Lab Streaming Layer", "middleware", "LslStream"),
+                    "lines", "serial_port"),
+    "lsl": Entry("lsl://NAME", "stream of the Lab Streaming Layer", "middleware", "lsl"),
     "rosbridge": Entry("rosbridge://HOST:9090/TOPIC", "topic of ROS through rosbridge",
-                       "middleware", "Rosbridge"),
+                       "middleware", "rosbridge"),
     "zenoh": Entry("zenoh://KEY?connect=tcp/HOST:7447", "topic of ROS 2 through Zenoh",
-                   "middleware", "ZenohTopic"),
-    "yarp": Entry("yarp://HOST:10000/PORT", "port of YARP", "middleware", "YarpPort"),
+                   "middleware", "zenoh"),
+    "yarp": Entry("yarp://HOST:10000/PORT", "port of YARP", "middleware", "yarp"),
 })
 # fmt: on
 """Kinds of sources by the scheme of their addresses."""
@@ -60,11 +60,11 @@ def open_source(text: str, *, speed: float = 1.0, options: io.ReadOptions | None
     if text == "-" or (colon and scheme in SOURCES):
         try:
             return SOURCES[scheme].open(Address(urlsplit(text)))
+        except InputError:
+            raise
         except ValueError as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(f"{text} is not an address: {error}") from error
     if Path(text).exists():
-        return Replay(Path(text), speed, options)
+        return replay(Path(text), speed, options)
     known = ", ".join(entry.example for entry in SOURCES.values())
     raise InputError(f"there is no file {text}, and it is no address: {known}")

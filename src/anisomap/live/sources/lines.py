@@ -13,8 +13,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from itertools import groupby
 from threading import Event
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -24,11 +25,12 @@ from anisomap.live.batches import (
     WAIT_S,
     Address,
     Batch,
-    ConnectedSource,
     Item,
     Names,
     Notice,
     Source,
+    connected,
+    polled,
 )
 
 READ_BYTES = 1 << 16
@@ -69,21 +71,16 @@ class LineParser:
 
     def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
         """Parse the next bytes."""
-        rows: list[list[float]] = []
-        times: list[float] = []
+        frames: list[_Frame] = []
         for found in self._frames(content, complete):
-            if not isinstance(found, tuple):
+            if isinstance(found, tuple):
+                frames.append(found)
+            else:
                 yield found
-                continue
-            moment, row = found
-            if rows and (len(row) != len(rows[0]) or (moment is None) != (not times)):
-                yield _batch(rows, times)
-                rows, times = [], []
-            rows.append(row)
-            if moment is not None:
-                times.append(moment)
-        if rows:
-            yield _batch(rows, times)
+        # Consecutive frames of one width, with times or without, are a batch.
+        for _, alike in groupby(frames, lambda frame: (frame[0] is None, len(frame[1]))):
+            times, rows = zip(*alike, strict=True)
+            yield Batch(np.array(rows), None if times[0] is None else np.array(times))
 
     def _frames(self, content: bytes, complete: bool) -> Iterator[_Frame | Names | Notice]:
         """Parse whole lines, and keep the rest."""
@@ -128,11 +125,13 @@ class LineParser:
             fields.pop()  # every line ends with a separator
         self._width = self._width or len(fields)
         try:
-            row = [_number(field) for field in fields]
+            row = [math.nan if one.lower() in _MISSING else float(one) for one in fields]
         except ValueError:
             if self._names or not _are_names(fields):
                 raise
-            self._learn(fields)
+            clock = next((i for i, name in enumerate(fields) if name.lower() in _TIMES), None)
+            self._time_column, self._untold = clock, True
+            self._names = tuple(name for i, name in enumerate(fields) if i != clock)
             return None
         moment = None
         if self._time_column is not None and len(row) == len(self._names) + 1:
@@ -160,11 +159,6 @@ class LineParser:
         ordered = [known.pop(name, None) for name in self._names]
         return ordered + list(known.values())
 
-    def _learn(self, fields: list[str]) -> None:
-        clock = next((i for i, name in enumerate(fields) if name.lower() in _TIMES), None)
-        self._time_column, self._untold = clock, True
-        self._names = tuple(name for i, name in enumerate(fields) if i != clock)
-
 
 def _rejected(what: str) -> Notice:
     return Notice(f"ignored a line that holds no frame of numbers: {what}")
@@ -175,10 +169,6 @@ def _split(text: str) -> list[str]:
         if mark in text:
             return [field.strip().strip('"') for field in text.split(mark)]
     return text.split()
-
-
-def _number(text: str) -> float:
-    return math.nan if text.lower() in _MISSING else float(text)
 
 
 def _is_real(value: object) -> bool:
@@ -193,151 +183,98 @@ def _checked(moment: float | None, row: list[float]) -> _Frame:
 
 def _are_names(fields: list[str]) -> bool:
     """Return whether fields are a header: distinct printable texts, none of which is a number."""
-    texts = [text for text in fields if text and text.isprintable()]
-    if len(texts) != len(fields) or len(set(fields)) != len(fields) or len(fields) < _MIN_SENSORS:
-        return False
-    return not any(re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", text.lower()) for text in texts)
+    return (
+        len(set(fields)) == len(fields) >= _MIN_SENSORS
+        and all(text and text.isprintable() for text in fields)
+        and not any(re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", text.lower()) for text in fields)
+    )
 
 
-def _batch(rows: list[list[float]], times: list[float]) -> Batch:
-    return Batch(np.array(rows), np.array(times) if times else None)
-
-
-class StandardInput(Source):
+def standard_input(_: Address) -> Source:
     """Lines from standard input, until its end."""
+    held: queue.Queue[bytes] = queue.Queue(maxsize=16)
 
-    def __init__(self, _: Address) -> None:
-        super().__init__("standard input")
+    def read() -> None:
+        content = b"-"
+        while content:
+            content = os.read(sys.stdin.fileno(), READ_BYTES)
+            held.put(content)
 
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
+    def items(stop: Event) -> Iterator[Item]:
+        # The thread ends with the process: not all systems can wait for standard input.
+        threading.Thread(target=read, daemon=True).start()
         parser = LineParser()
-        for content in _read_input(stop):
-            yield from parser.feed(content)
-        yield from parser.feed(b"", complete=True)
-        if not stop.is_set():
-            yield Notice("standard input has ended")
+        for content in polled(stop, lambda: held.get(timeout=WAIT_S), queue.Empty):
+            yield from parser.feed(content, complete=not content)
+            if not content:
+                yield Notice("standard input has ended")
+                return
+
+    return Source("standard input", items)
 
 
-class TcpClient(ConnectedSource):
-    """Lines from a server."""
-
-    def __init__(self, address: Address) -> None:
-        super().__init__(f"tcp://{address.endpoint}")
-        self._endpoint = (address.host, address.port)
-
-    def connect(self) -> socket.socket:
-        """Connect to the server."""
-        return socket.create_connection(self._endpoint, RETRY_S)
-
-    def receive(self, connection: socket.socket, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames; a cut last line is dropped."""
-        yield from received(connection, LineParser(), stop)
-
-
-class _Listener(Source):
-    """A port of this computer, opened when the source is made; for port 0, the notice names it."""
-
-    _scheme: ClassVar[str]
-    _kind: ClassVar[socket.SocketKind]
-
-    def __init__(self, address: Address) -> None:
-        super().__init__(f"{self._scheme}://{address.endpoint}")
-        self._socket = _listening(self._kind, address.host, address.port)
-        self._socket.settimeout(WAIT_S)
-        self.port = int(self._socket.getsockname()[1])
-
-
-class TcpServer(_Listener):
-    """Lines from one client at a time, which connects to us."""
-
-    _scheme, _kind = "tcp-listen", socket.SOCK_STREAM
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames, of one client after another."""
-        with closing(self._socket) as server:
-            yield Notice(f"waiting for a connection on port {self.port}")
-            while not stop.is_set():
-                try:
-                    connection, peer = server.accept()
-                except TimeoutError:
-                    continue
-                yield Notice(f"{peer[0]} connected")
-                with closing(connection):
-                    yield from received(connection, LineParser(), stop)
-                if not stop.is_set():
-                    yield Notice(f"{peer[0]} closed the connection; waiting for the next")
-
-
-class Udp(_Listener):
-    """Datagrams, each with one or several whole lines."""
-
-    _scheme, _kind = "udp", socket.SOCK_DGRAM
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
-        parser = LineParser()
-        with closing(self._socket) as receiver:
-            with suppress(OSError):
-                receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            yield Notice(f"waiting for datagrams on port {self.port}")
-            while not stop.is_set():
-                with suppress(TimeoutError, ConnectionError):
-                    yield from parser.feed(receiver.recv(READ_BYTES), complete=True)
-
-
-class SerialPort(ConnectedSource):
-    """A serial port, which is opened again when it was unplugged.
-
-    Its option ``baud`` is the number of symbols per second.
-    """
-
-    lost = (OSError, TypeError)  # TypeError: pyserial, if the port is closed meanwhile
-
-    def __init__(self, address: Address) -> None:
-        self._device = address.parts.netloc or address.parts.path
-        super().__init__(f"serial port {self._device}")
-        self._serial = import_extra("serial", "reading a serial port", "serial")
-        baud = address.query.get("baud", _BAUD)
-        if not baud.isdecimal() or int(baud) < 1:
-            raise InputError(f"baud must be a number of symbols per second, got {baud!r}")
-        self._baud = int(baud)
-        self._opened: Any = None
-        try:
-            self._opened = self.connect()
-        except (OSError, ValueError) as error:  # SerialException is an OSError
-            raise InputError(f"cannot open {self.description}: {error}") from error
-
-    def connect(self) -> Any:
-        """Open the port, unless it was opened when the source was made."""
-        opened, self._opened = self._opened, None
-        return opened or self._serial.Serial(self._device, self._baud, timeout=WAIT_S)
-
-    def receive(self, connection: Any, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
-        parser = LineParser()
-        while not stop.is_set():
-            n_bytes = max(1, min(connection.in_waiting, READ_BYTES))
-            yield from parser.feed(connection.read(n_bytes))
-
-
-def received(connection: socket.socket, parser: LineParser, stop: Event) -> Iterator[Item]:
-    """Parse what a socket receives, until its end or until `stop` is set."""
+def received(
+    connection: socket.socket, stop: Event, translate: Callable[[str], str] = str
+) -> Iterator[Item]:
+    """Parse what a socket receives, until its end; a cut last line is dropped."""
     connection.settimeout(WAIT_S)
-    while not stop.is_set():
-        try:
-            content = connection.recv(READ_BYTES)
-        except TimeoutError:
-            continue
-        except OSError:
-            return
+    parser = LineParser(translate)
+    for content in polled(stop, lambda: connection.recv(READ_BYTES)):
         if not content:
             return
         yield from parser.feed(content)
 
 
-def _listening(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
-    """Open a port, so that one in use is reported before the session starts."""
+def tcp(address: Address) -> Source:
+    """Lines from a server."""
+    endpoint = (address.host, address.port)
+    return connected(
+        f"tcp://{address.endpoint}", lambda: socket.create_connection(endpoint, RETRY_S), received
+    )
+
+
+def tcp_listen(address: Address) -> Source:
+    """Lines from one client at a time, which connects to us."""
+    listener, port = _listening(socket.SOCK_STREAM, address)
+
+    def items(stop: Event) -> Iterator[Item]:
+        with closing(listener):
+            yield Notice(f"waiting for a connection on port {port}")
+            for connection, peer in polled(stop, listener.accept):
+                yield Notice(f"{peer[0]} connected")
+                with closing(connection), suppress(OSError):
+                    yield from received(connection, stop)
+                if not stop.is_set():
+                    yield Notice(f"{peer[0]} closed the connection; waiting for the next")
+
+    return Source(f"tcp-listen://{address.endpoint}", items, port=port)
+
+
+def udp(address: Address) -> Source:
+    """Datagrams, each with one or several whole lines."""
+    receiver, port = _listening(socket.SOCK_DGRAM, address)
+
+    def receive() -> bytes:
+        try:
+            return receiver.recv(READ_BYTES)
+        except ConnectionError as error:  # on Windows, of a datagram that was sent
+            raise TimeoutError from error
+
+    def items(stop: Event) -> Iterator[Item]:
+        parser = LineParser()
+        with closing(receiver):
+            with suppress(OSError):
+                receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            yield Notice(f"waiting for datagrams on port {port}")
+            for content in polled(stop, receive):
+                yield from parser.feed(content, complete=True)
+
+    return Source(f"udp://{address.endpoint}", items, port=port)
+
+
+def _listening(kind: socket.SocketKind, address: Address) -> tuple[socket.socket, int]:
+    """Open a port, so that one in use is reported before the session starts; return its number."""
+    host, port = address.host, address.port
     made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM and os.name == "posix":
@@ -349,23 +286,34 @@ def _listening(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
         made.close()
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot listen on {host}:{port}: {reason}") from error
-    return made
+    made.settimeout(WAIT_S)
+    return made, int(made.getsockname()[1])
 
 
-def _read_input(stop: Event) -> Iterator[bytes]:
-    """Read standard input in a thread, which ends with the process: not all systems can wait."""
-    held: queue.Queue[bytes] = queue.Queue(maxsize=16)
+def serial_port(address: Address) -> Source:
+    """Lines from a serial port, which is opened again when it was unplugged.
 
-    def read() -> None:
-        content = b"-"
-        while content:
-            content = os.read(sys.stdin.fileno(), READ_BYTES)
-            held.put(content)
+    The option ``baud`` is the number of symbols per second.
+    """
+    device = address.parts.netloc or address.parts.path
+    library = import_extra("serial", "reading a serial port", "serial")
+    baud = address.query.get("baud", _BAUD)
+    if not baud.isdecimal() or int(baud) < 1:
+        raise InputError(f"baud must be a number of symbols per second, got {baud!r}")
 
-    threading.Thread(target=read, daemon=True).start()
-    while not stop.is_set():
-        with suppress(queue.Empty):
-            content = held.get(timeout=WAIT_S)
-            if not content:
-                return
-            yield content
+    def connect() -> Any:
+        return first.pop() if first else library.Serial(device, int(baud), timeout=WAIT_S)
+
+    first: list[Any] = []
+    try:
+        first.append(connect())
+    except (OSError, ValueError) as error:  # SerialException is an OSError
+        raise InputError(f"cannot open serial port {device}: {error}") from error
+
+    def receive(port: Any, stop: Event) -> Iterator[Item]:
+        parser = LineParser()
+        for content in polled(stop, lambda: port.read(max(1, min(port.in_waiting, READ_BYTES)))):
+            yield from parser.feed(content)
+
+    # TypeError: pyserial, if the port is closed meanwhile
+    return connected(f"serial port {device}", connect, receive, (OSError, TypeError))

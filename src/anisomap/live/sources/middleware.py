@@ -22,13 +22,14 @@ from anisomap.live.batches import (
     WAIT_S,
     Address,
     Batch,
-    ConnectedSource,
     Item,
     Names,
     Notice,
     Source,
+    connected,
+    polled,
 )
-from anisomap.live.sources.lines import READ_BYTES, LineParser, received
+from anisomap.live.sources.lines import READ_BYTES, received
 
 _RESOLVE_S = 1.0  # for one search for an LSL stream; it is repeated
 _BUFFER_S = 60  # that the library of LSL keeps if we are slow
@@ -47,45 +48,43 @@ _DATA = re.compile(r"do?(?:\s+\d+\s+(\d+(?:\.\d*)?))?")
 _BRACKETS = str.maketrans("()", "  ")
 
 
-class LslStream(Source):
-    """A stream of numbers, found by its name. The library recovers lost connections itself."""
+def lsl(address: Address) -> Source:
+    """Return a stream of numbers, found by its name; the library recovers lost connections."""
+    name = address.name
+    if not name:
+        raise InputError("an LSL stream needs a name, as in lsl://NAME")
+    description = f"LSL stream {name}"
+    library = import_extra("pylsl", "reading an LSL stream", "lsl")
 
-    def __init__(self, address: Address) -> None:
-        if not address.name:
-            raise InputError("an LSL stream needs a name, as in lsl://NAME")
-        super().__init__(f"LSL stream {address.name}")
-        self._name = address.name
-        self._lsl = import_extra("pylsl", "reading an LSL stream", "lsl")
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
-        found = self._lsl.resolve_byprop("name", self._name, 1, 0.0)
+    def items(stop: Event) -> Iterator[Item]:
+        found = library.resolve_byprop("name", name, 1, 0.0)
         if not found:
-            yield Notice(f"looking for {self.description}")
+            yield Notice(f"looking for {description}")
         while not found and not stop.is_set():
-            found = self._lsl.resolve_byprop("name", self._name, 1, _RESOLVE_S)
+            found = library.resolve_byprop("name", name, 1, _RESOLVE_S)
         if stop.is_set():
             return
-        if found[0].channel_format() == self._lsl.cf_string:
-            raise InputError(f"{self.description} holds text; a stream of numbers is needed")
-        inlet = self._lsl.StreamInlet(found[0], _BUFFER_S, recover=True)
-        yield Notice(f"found {self.description}")
+        if found[0].channel_format() == library.cf_string:
+            raise InputError(f"{description} holds text; a stream of numbers is needed")
+        inlet = library.StreamInlet(found[0], _BUFFER_S, recover=True)
+        yield Notice(f"found {description}")
         info = inlet.info()
         labels = [str(label) for label in info.get_channel_labels() or () if label]
         if len(labels) == info.channel_count():
             yield Names(tuple(labels))
         last = -np.inf
-        while not stop.is_set():
-            samples, stamps = inlet.pull_chunk(timeout=WAIT_S)
+        for samples, stamps in polled(stop, lambda: inlet.pull_chunk(timeout=WAIT_S)):
             if len(stamps):
                 times = np.asarray(stamps, dtype=np.float64)
                 increase, last = times[0] > last, times[-1]
                 yield Batch(np.asarray(samples, dtype=np.float64), times if increase else None)
         inlet.close_stream()
 
+    return Source(description, items)
 
-class Rosbridge(ConnectedSource):
-    """A topic of ROS as JSON over a websocket, without ROS on this computer.
+
+def rosbridge(address: Address) -> Source:
+    """Return a topic of ROS as JSON over a websocket, without ROS on this computer.
 
     The option ``type`` is the type of the messages, ``field`` the path of the readings in them, as
     in ``data``. The protocol is rosbridge 2.0: ``{"op": "subscribe", "topic": ...}`` is answered
@@ -93,70 +92,56 @@ class Rosbridge(ConnectedSource):
     websockets: roslibpy needs the reactor of Twisted, which can be started once per process, and
     holds what arrives in memory without a limit.
     """
+    topic = address.path
+    if not topic:
+        raise InputError("rosbridge needs a topic, as in rosbridge://HOST:9090/skin")
+    kind, field = address.query.get("type", ""), address.query.get("field", "")
+    client = import_extra("websockets.sync.client", "reading rosbridge", "rosbridge")
+    errors = import_extra("websockets.exceptions", "reading rosbridge", "rosbridge")
 
-    def __init__(self, address: Address) -> None:
-        if not address.path:
-            raise InputError("rosbridge needs a topic, as in rosbridge://HOST:9090/skin")
-        self._url, self._topic = f"ws://{address.endpoint}", address.path
-        super().__init__(f"topic {self._topic} of rosbridge {address.endpoint}")
-        self._type, self._field = address.query.get("type", ""), address.query.get("field", "")
-        self._client = import_extra("websockets.sync.client", "reading rosbridge", "rosbridge")
-        errors = import_extra("websockets.exceptions", "reading rosbridge", "rosbridge")
-        self.lost = (OSError, errors.WebSocketException)
+    def connect() -> Any:
+        url = f"ws://{address.endpoint}"
+        return client.connect(url, open_timeout=RETRY_S, max_size=_MAX_MESSAGE, compression=None)
 
-    def connect(self) -> Any:
-        """Connect to rosbridge."""
-        return self._client.connect(
-            self._url, open_timeout=RETRY_S, max_size=_MAX_MESSAGE, compression=None
-        )
-
-    def receive(self, connection: Any, stop: Event) -> Iterator[Item]:
-        """Subscribe, and iterate over the frames."""
-        request = {"op": "subscribe", "topic": self._topic}
-        if self._type:
-            request["type"] = self._type
+    def receive(connection: Any, stop: Event) -> Iterator[Item]:
+        request = {"op": "subscribe", "topic": topic} | ({"type": kind} if kind else {})
         connection.send(json.dumps(request))
-        while not stop.is_set():
-            with suppress(TimeoutError):
-                text = connection.recv(timeout=WAIT_S)
-                yield from self._items_in(text)
+        for text in polled(stop, lambda: connection.recv(timeout=WAIT_S)):
+            try:
+                packet = json.loads(text, object_hook=lambda fields: SimpleNamespace(**fields))
+            except (ValueError, RecursionError):
+                packet = None
+            operation = getattr(packet, "op", "")
+            if operation == "status":
+                yield Notice(f"rosbridge says: {getattr(packet, 'msg', '')}")
+            ours = getattr(packet, "topic", topic) == topic
+            if not operation or (operation == "publish" and ours):
+                yield item_of(getattr(packet, "msg", None), kind, field)
 
-    def _items_in(self, text: str | bytes) -> Iterator[Item]:
-        try:
-            packet = json.loads(text, object_hook=lambda fields: SimpleNamespace(**fields))
-        except (ValueError, RecursionError):
-            packet = None
-        operation = getattr(packet, "op", "")
-        if operation == "status":
-            yield Notice(f"rosbridge says: {getattr(packet, 'msg', '')}")
-        ours = getattr(packet, "topic", self._topic) == self._topic
-        if not operation or (operation == "publish" and ours):
-            yield item_of(getattr(packet, "msg", None), self._type, self._field)
+    description = f"topic {topic} of rosbridge {address.endpoint}"
+    return connected(description, connect, receive, (OSError, errors.WebSocketException))
 
 
-class ZenohTopic(Source):
-    """A key expression of Zenoh, of which the samples are messages of ROS 2 in CDR.
+def zenoh(address: Address) -> Source:
+    """Return a key expression of Zenoh, of which the samples are messages of ROS 2 in CDR.
 
     The key of zenoh-bridge-ros2dds is the topic, such as ``skin``; that of rmw_zenoh is
     ``0/skin/**``, from which the type is known. The option ``connect`` is the endpoint of a router
     or peer, such as ``tcp/192.168.0.5:7447``; by default peers are searched for. ``type`` is the
     type of the messages, Float32MultiArray by default, ``field`` the path of the readings.
     """
+    key, query = address.name, address.query
+    if not key:
+        raise InputError("Zenoh needs a key, as in zenoh://skin?connect=tcp/HOST:7447")
+    description = f"Zenoh key {key}"
+    library = import_extra("zenoh", "reading Zenoh", "zenoh")
+    typesys = import_extra("rosbags.typesys", "reading Zenoh", "zenoh")
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    given, field = query.get("type", ""), query.get("field", "")
+    if given and given not in store.fielddefs:
+        raise InputError(f"there is no message type {given}, as in {_DEFAULT_TYPE}")
 
-    def __init__(self, address: Address) -> None:
-        if not address.name:
-            raise InputError("Zenoh needs a key, as in zenoh://skin?connect=tcp/HOST:7447")
-        super().__init__(f"Zenoh key {address.name}")
-        self._key, self._query = address.name, address.query
-        self._zenoh = import_extra("zenoh", "reading Zenoh", "zenoh")
-        typesys = import_extra("rosbags.typesys", "reading Zenoh", "zenoh")
-        self._store = typesys.get_typestore(typesys.Stores.LATEST)
-        self._type = self._query.get("type", "")
-        if self._type and self._type not in self._store.fielddefs:
-            raise InputError(f"there is no message type {self._type}, as in {_DEFAULT_TYPE}")
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
+    def items(stop: Event) -> Iterator[Item]:
         waiting: queue.Queue[tuple[str, bytes]] = queue.Queue(_MAX_WAITING)
 
         def receive(sample: Any) -> None:
@@ -165,28 +150,29 @@ class ZenohTopic(Source):
                     waiting.put((str(sample.key_expr), sample.payload.to_bytes()), timeout=WAIT_S)
                     return
 
-        config = self._zenoh.Config()
-        if endpoint := self._query.get("connect"):
+        config = library.Config()
+        if endpoint := query.get("connect"):
             config.insert_json5("connect/endpoints", json.dumps([endpoint]))
             config.insert_json5("scouting/multicast/enabled", "false")
         try:
-            session = self._zenoh.open(config)
-            session.declare_subscriber(self._key, receive)
-        except self._zenoh.ZError as error:
-            raise InputError(f"cannot subscribe to {self.description}: {error}") from error
-        yield Notice(f"waiting for {self.description}")
+            session = library.open(config)
+            session.declare_subscriber(key, receive)
+        except library.ZError as error:
+            raise InputError(f"cannot subscribe to {description}: {error}") from error
+        yield Notice(f"waiting for {description}")
         with session:
-            while not stop.is_set():
-                with suppress(queue.Empty):
-                    yield self._decoded(*waiting.get(timeout=WAIT_S))
+            for name, content in polled(stop, lambda: waiting.get(timeout=WAIT_S), queue.Empty):
+                yield _decoded(store, given or _type_in(name) or _DEFAULT_TYPE, content, field)
 
-    def _decoded(self, key: str, content: bytes) -> Item:
-        kind = self._type or _type_in(key) or _DEFAULT_TYPE
-        try:
-            message = self._store.deserialize_cdr(content, kind)
-        except Exception as error:  # what rosbags raises for damaged messages is undocumented
-            return Notice(f"ignored a message that is no {kind}: {type(error).__name__}")
-        return item_of(message, kind, self._query.get("field", ""))
+    return Source(description, items)
+
+
+def _decoded(store: Any, kind: str, content: bytes, field: str) -> Item:
+    try:
+        message = store.deserialize_cdr(content, kind)
+    except Exception as error:  # what rosbags raises for damaged messages is undocumented
+        return Notice(f"ignored a message that is no {kind}: {type(error).__name__}")
+    return item_of(message, kind, field)
 
 
 def _type_in(key: str) -> str:
@@ -244,24 +230,20 @@ def _time_of(message: Any) -> NDArray[np.float64] | None:
     return np.array([whole + parts / 1e9])
 
 
-class YarpPort(ConnectedSource):
-    """An output port of YARP in its text protocol, without YARP on this computer.
+def yarp(address: Address) -> Source:
+    """Return an output port of YARP in its text protocol, without YARP on this computer.
 
     The name server at the address is asked for the address of the port; the connection to the port
     is then reversed (``r``), so that the port sends what it writes: a line ``do``, with a count and
     a stamp if it has them, and a line of values (YARP documentation, "YARP without YARP").
     """
+    name, server = address.path, (address.host, address.port)
+    if not name:
+        raise InputError("YARP needs a port, as in yarp://HOST:10000/icub/skin/torso_comp")
 
-    def __init__(self, address: Address) -> None:
-        if not address.path:
-            raise InputError("YARP needs a port, as in yarp://HOST:10000/icub/skin/torso_comp")
-        super().__init__(f"YARP port {address.path}")
-        self._server, self._name = (address.host, address.port), address.path
-
-    def connect(self) -> socket.socket:
-        """Ask the name server for the address of the port, and connect to the port."""
-        with socket.create_connection(self._server, _ANSWER_S) as connection:
-            connection.sendall(_OURS + f"d\nquery {self._name}\n".encode())
+    def connect() -> socket.socket:
+        with socket.create_connection(server, _ANSWER_S) as connection:
+            connection.sendall(_OURS + f"d\nquery {name}\n".encode())
             answer = b""
             while _END not in answer and len(answer) < READ_BYTES:
                 content = connection.recv(READ_BYTES)
@@ -274,10 +256,11 @@ class YarpPort(ConnectedSource):
         place = found[2].decode("ascii", "replace"), int(found[3])
         return socket.create_connection(place, _ANSWER_S)
 
-    def receive(self, connection: socket.socket, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames."""
+    def receive(connection: socket.socket, stop: Event) -> Iterator[Item]:
         connection.sendall(_OURS + b"r\n")
-        yield from received(connection, LineParser(_yarp_translation()), stop)
+        yield from received(connection, stop, _yarp_translation())
+
+    return connected(f"YARP port {name}", connect, receive)
 
 
 def _yarp_translation() -> Callable[[str], str]:

@@ -32,52 +32,36 @@ _BATCH_S = 0.05  # longest time between two batches, so that the page moves smoo
 _MAX_BATCH = 512
 
 
-class Replay(Source):
-    """A recording that is replayed at its rate, or faster.
+def replay(path: Path, speed: float = 1.0, options: io.ReadOptions | None = None) -> Source:
+    """Return a recording that is replayed at its rate, or faster; it is read in blocks.
 
-    path: Any recording that `anisomap.read` reads. It is read in blocks.
     speed: Multiple of the rate of the recording; 0 for as fast as possible.
     """
+    with io.open_stream(path, frames=1, options=options) as stream:
+        names, truth = stream.names or default_names(stream.n_sensors), None
+        if stream.positions is not None:
+            truth = SensorMap(stream.positions, names=names, units=stream.units)
+        known_rate = stream.rate_hz
 
-    can_wait = True
-
-    def __init__(
-        self, path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
-    ) -> None:
-        super().__init__(f"replay of {path.name}")
-        self._path, self._speed, self._options = path, speed, options or io.ReadOptions()
-        with io.open_stream(path, frames=1, options=self._options) as stream:
-            self.names = stream.names or default_names(stream.n_sensors)
-            if stream.positions is not None:
-                self.truth = SensorMap(stream.positions, names=self.names, units=stream.units)
-            self._rate_hz = stream.rate_hz
-
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames, at the pace of the recording."""
-        started = time.monotonic()
-        clock = 0.0
-        with io.open_stream(self._path, frames=_MAX_BATCH, options=self._options) as stream:
-            rate = stream.rate_hz or self._rate_hz or DEFAULT_RATE_HZ
+    def items(stop: Event) -> Iterator[Item]:
+        started, clock = time.monotonic(), 0.0
+        with io.open_stream(path, frames=_MAX_BATCH, options=options) as stream:
+            step = 1 / (stream.rate_hz or known_rate or DEFAULT_RATE_HZ)
             for block in stream.blocks:
-                times = _times(block, clock, 1 / rate)
-                clock = float(times[-1]) + 1 / rate
-                for at, until in self._parts(times):
-                    due = started + (times[until - 1] / self._speed if self._speed else 0.0)
+                times = _times(block, clock, step)
+                clock = float(times[-1]) + step
+                n_frames = len(times)
+                if speed and n_frames > 1:
+                    n_frames = max(1, int(_BATCH_S * speed / (times[1] - times[0])))
+                for at in range(0, len(times), n_frames):
+                    part = slice(at, at + n_frames)
+                    due = started + (times[part][-1] / speed if speed else 0.0)
                     if stop.wait(max(0.0, due - time.monotonic())):
                         return
-                    readings = np.asarray(block.readings[at:until], dtype=np.float64)
-                    yield Batch(readings, times[at:until])
+                    yield Batch(np.asarray(block.readings[part], dtype=np.float64), times[part])
         yield Notice("the recording has ended")
 
-    def _parts(self, times: NDArray[np.float64]) -> Iterator[tuple[int, int]]:
-        """Split a block into batches of at most `_BATCH_S` of replay."""
-        if not self._speed or len(times) < 2:
-            yield 0, len(times)
-            return
-        step = (times[1] - times[0]) / self._speed
-        n_frames = max(1, int(_BATCH_S / step))
-        for at in range(0, len(times), n_frames):
-            yield at, min(at + n_frames, len(times))
+    return Source(f"replay of {path.name}", items, names, truth, can_wait=True)
 
 
 def _times(block: Block, begin: float, step: float) -> NDArray[np.float64]:
@@ -98,19 +82,21 @@ class SimulatedHand(Source):
         known; no sensors for anywhere.
     """
 
-    can_wait = True
-
     def __init__(self, body: Body, seed: int = 1, speed: float = 1.0, max_frames: int = 0) -> None:
-        super().__init__(f"simulated hand on {body.name}, seed {seed}")
-        self.names = body.names
-        self.truth = SensorMap(body.positions, names=body.names, units=body.units)
+        truth = SensorMap(body.positions, names=body.names, units=body.units)
+        super().__init__(
+            f"simulated hand on {body.name}, seed {seed}",
+            self._rub,
+            body.names,
+            truth,
+            can_wait=True,
+        )
         self.where: Callable[[], Advised] = lambda: ((), None)
         self._options = options_for(RubbingOptions, body)
         self._hand = GuidedHand(body, self._options, np.random.default_rng(seed))
         self._speed, self._max_frames = speed, max_frames
 
-    def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over the frames, one by one."""
+    def _rub(self, stop: Event) -> Iterator[Item]:
         started, n_frames, interval = time.monotonic(), 0, self._options.frame_interval
         while not stop.is_set():
             for row in self._hand.rub(BOUT_FRAMES, *self.where()):
