@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.io.parsing import delimited
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import (
     file_errors,
@@ -31,7 +30,7 @@ from anisomap.io.parsing.source import (
     read_head,
     read_lines,
 )
-from anisomap.io.parsing.table import parse_number
+from anisomap.io.parsing.tables import parse_number, read_sample, records
 from anisomap.io.recordings import delimited_text, npy
 from anisomap.io.registry import read
 from anisomap.memory import Budget
@@ -156,8 +155,8 @@ def _may_be_square(file: Path) -> bool:
             return len(shape) == 2 and shape[0] == shape[1]
         if head.startswith(delimited_text.SIGNATURE) or not delimited_text.recognises(file, head):
             return False
-        sample = delimited.read_sample(file)
-        rows = list(delimited.records(sample, _delimiter(sample)))
+        sample = read_sample(file)
+        rows = list(records(sample, _delimiter(sample)))
         n_columns = max((len(fields) for _, fields in rows), default=0)
         with open_text(file) as text:
             more = itertools.islice(text, len(sample), len(sample) + n_columns)
@@ -176,7 +175,7 @@ def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64],
             recording = read(file)
             return _symmetric(file, recording.readings.astype(float), recording.names)
         lines = read_lines(file)
-        found = delimited.records(lines, _delimiter(lines))
+        found = records(lines, _delimiter(lines))
         rows = [[field.strip() for field in fields] for _, fields in found]
         if not rows:
             raise FileError(f"{file} is empty")

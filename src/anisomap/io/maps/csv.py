@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.parsing import delimited
 from anisomap.io.parsing.facts import (
     properties_of,
     read_comments,
@@ -31,7 +30,16 @@ from anisomap.io.parsing.facts import (
 )
 from anisomap.io.parsing.naming import distinct_names
 from anisomap.io.parsing.source import file_errors, quote, read_lines
-from anisomap.io.parsing.table import LineError, is_number, parse_number
+from anisomap.io.parsing.tables import (
+    LineError,
+    empty_columns,
+    find_delimiter,
+    guard_formula,
+    is_number,
+    parse_number,
+    records,
+    unguard_formula,
+)
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.placement.modules import Modules, modules_by_name
 from anisomap.sensor_map import SensorMap, axis_names
@@ -52,11 +60,11 @@ def read_map(path: Path) -> SensorMap:
     lines = read_lines(path)
     if any(len(line) > _MAX_COLUMNS and _n_marks(line) > _MAX_COLUMNS for line in lines):
         raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
-    delimiter = delimited.find_delimiter(lines)
-    rows = list(delimited.records(lines, delimiter))
+    delimiter = find_delimiter(lines)
+    rows = list(records(lines, delimiter))
     if not rows:
         raise FileError(f"{path} holds no line of positions")
-    n_empty = delimited.empty_columns([fields for _, fields in rows])
+    n_empty = empty_columns([fields for _, fields in rows])
     first, fields = rows[0][0], rows[0][1][: len(rows[0][1]) - n_empty]
     axes, header, units = _find_columns(path, first, fields)
     body = rows[1:] if header else rows
@@ -85,7 +93,7 @@ def read_map(path: Path) -> SensorMap:
     own = lines[0].startswith(f"# {MAP_TITLE}")
     is_map = "component" in header and "health" in header
     kept = header if is_map else {}
-    parse_name = delimited.unguard_formula if own else str if is_map else str.strip
+    parse_name = unguard_formula if own else str if is_map else str.strip
     # Without a header, names come before the numbers.
     name = next((header[word] for word in _NAMES if word in header), -1 if header else axes[0] - 1)
     covariances = [kept[entry] for entry in _covariance_names(len(axes)) if entry in kept]
@@ -163,10 +171,10 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         axes = axis_names(sensor_map.dimensions)
         table.writerow(("name", *axes, "component", "health", *further))
         for name, position, component, health, more in zip(
-            map(delimited.guard_formula, sensor_map.names),
+            map(guard_formula, sensor_map.names),
             sensor_map.positions.tolist(),
             sensor_map.component.tolist(),
-            map(delimited.guard_formula, sensor_map.health),
+            map(guard_formula, sensor_map.health),
             values.tolist(),
             strict=True,
         ):
@@ -230,7 +238,7 @@ def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
     file = Path(path)
     with file_errors(file):
         lines = read_lines(file)
-        rows = list(delimited.records(lines, delimited.find_delimiter(lines)))
+        rows = list(records(lines, find_delimiter(lines)))
         header = [field.strip().lower() for field in rows[0][1]] if rows else []
         sensor = next((word for word in ("sensor", "name", "taxel", "id") if word in header), "")
         if not sensor or "module" not in header:

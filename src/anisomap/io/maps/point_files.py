@@ -24,7 +24,7 @@ from anisomap.errors import FileError, InputError, import_extra
 from anisomap.io.parsing.facts import format_value, read_comments
 from anisomap.io.parsing.naming import distinct_names, numbers_of
 from anisomap.io.parsing.source import numbered_lines, quote, read_lines
-from anisomap.io.parsing.table import LineError, parse_row
+from anisomap.io.parsing.tables import LineError, parse_row
 from anisomap.placement import Taxels, pad_to_3d, surface_normals, to_taxels
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap

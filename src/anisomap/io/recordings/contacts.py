@@ -21,15 +21,18 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing import delimited
 from anisomap.io.parsing.columns import is_time, units_per_second, words_of
 from anisomap.io.parsing.source import open_text, quote, read_json_items
-from anisomap.io.parsing.table import (
+from anisomap.io.parsing.tables import (
+    DELIMITERS,
     LineError,
+    find_delimiter,
     is_number,
     parse_number,
     parse_row,
+    read_sample,
     read_undamaged,
+    records,
 )
 from anisomap.io.recordings.events import EventList, Events, name_sensors, stream_events
 from anisomap.io.stream import ReadOptions, Stream
@@ -157,7 +160,7 @@ def is_text(path: Path, head: bytes) -> bool:
 @contextmanager
 def open_text_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes."""
-    sample = delimited.read_sample(path)
+    sample = read_sample(path)
     layout = _find_layout(sample) or _find_bare_layout(sample)
     if layout is None:
         raise FileError(f"{path} lacks a header that names a time and the sensors")
@@ -174,9 +177,9 @@ def stream_columns(path: Path, options: ReadOptions) -> Stream:
 
     `options.select` names the columns, or gives their numbers from 1, as ``event:taxel``.
     """
-    sample = delimited.read_sample(path)
-    delimiter = delimited.find_delimiter(sample)
-    first = next((fields for _, fields in delimited.records(sample, delimiter)), [])
+    sample = read_sample(path)
+    delimiter = find_delimiter(sample)
+    first = next((fields for _, fields in records(sample, delimiter)), [])
     named = not all(is_number(field, delimiter) for field in first)
     header = tuple(field.strip() for field in first) if named else ()
     columns = list[int]()
@@ -194,14 +197,14 @@ def stream_columns(path: Path, options: ReadOptions) -> Stream:
 
 
 def _rows(lines: Sequence[str], delimiter: str | None) -> list[list[str]]:
-    first = itertools.islice(delimited.records(lines, delimiter), _ROWS_LOOKED_AT)
+    first = itertools.islice(records(lines, delimiter), _ROWS_LOOKED_AT)
     return [fields for _, fields in first]
 
 
 def _find_layout(lines: Sequence[str]) -> _Layout | None:
     """Return the layout that the header gives, if it names a moment, sensors and perhaps values."""
-    for delimiter in delimited.DELIMITERS:
-        first = next((fields for _, fields in delimited.records(lines, delimiter)), [])
+    for delimiter in DELIMITERS:
+        first = next((fields for _, fields in records(lines, delimiter)), [])
         header = tuple(field.strip() for field in first)
         columns = _find_columns(header)
         if columns and len(header) == 2 + (columns[2] >= 0):
@@ -214,7 +217,7 @@ def _find_bare_layout(lines: Sequence[str]) -> _Layout | None:
 
     A table of readings has rows of equal length, or repeated values in a damaged one.
     """
-    for delimiter in delimited.DELIMITERS:
+    for delimiter in DELIMITERS:
         rows = _rows(lines, delimiter)
         if len(rows) < _MIN_BARE_ROWS or max(map(len, rows)) < 3:
             continue
@@ -246,7 +249,7 @@ def _read_text(path: Path, layout: _Layout) -> Iterator[_Contact]:
         names = layout.header[layout.moment], layout.header[layout.sensor]
 
     def parse(lines: Iterable[str]) -> Iterator[_Contact | None]:
-        rows = delimited.records(lines, layout.delimiter)
+        rows = records(lines, layout.delimiter)
         for line, fields in itertools.islice(rows, 1 if layout.header else 0, None):
             if len(fields) <= max(layout.numbers):
                 needed = max(*layout.numbers, layout.sensor) + 1

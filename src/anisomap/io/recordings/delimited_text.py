@@ -1,6 +1,6 @@
 """Recordings as delimited text, with one line per frame and one column per sensor.
 
-`anisomap.io.parsing.delimited` detects delimiter, decimal comma, header and columns of text, which
+`anisomap.io.parsing.tables` detects delimiter, decimal comma, header and columns of text, which
 are skipped; `anisomap.io.parsing.columns` detects times and frame counters. Files may be gzipped.
 All readings of a frame may also be a list in one quoted cell, as here of two mats::
 
@@ -24,8 +24,6 @@ from pathlib import Path
 import numpy as np
 
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing import delimited
-from anisomap.io.parsing import facts as comments
 from anisomap.io.parsing.columns import (
     ROWS_LOOKED_AT,
     Roles,
@@ -33,16 +31,22 @@ from anisomap.io.parsing.columns import (
     roles_by_name,
     warn_of_guesses,
 )
+from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.source import TextLines, quote, quote_if_needed, warn
-from anisomap.io.parsing.table import (
+from anisomap.io.parsing.tables import (
     LineError,
     Table,
+    find_table,
     first_rows,
+    guard_formula,
     is_number,
     line_of,
     parse_number,
     read_blocks,
+    read_sample,
     read_undamaged,
+    records,
+    unguard_formula,
 )
 from anisomap.io.recordings import contacts
 from anisomap.io.recordings import spikes as spike_tables
@@ -102,7 +106,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         yield spike_tables.stream_table(path, options.bin_s)
         return
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
-    table = delimited.find_table(path, sample, own)
+    table = find_table(path, sample, own)
     n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
     Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
     if not known and (lists := _find_lists(sample, table)):
@@ -117,7 +121,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
-    parse_name = delimited.unguard_formula if known else str.strip
+    parse_name = unguard_formula if known else str.strip
     names = tuple(map(parse_name, table.names))
     if table.text_columns:
         columns = join_items([_column_label(table, column) for column in table.text_columns])
@@ -144,13 +148,13 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the columns that hold a list of readings per frame; empty for a table of numbers."""
     sample, known, _ = _read_start(path)
-    return () if known else _contents_of(_find_lists(sample, delimited.find_table(path, sample)))
+    return () if known else _contents_of(_find_lists(sample, find_table(path, sample)))
 
 
 def _find_lists(sample: Sequence[str], table: Table) -> dict[str, tuple[int, int]]:
     """Find the columns with lists of equal length in all rows: index and length, by name."""
     try:
-        found = delimited.records(sample[table.first_line - 1 :], table.delimiter)
+        found = records(sample[table.first_line - 1 :], table.delimiter)
         rows = [fields for _, fields in itertools.islice(found, _ROWS_LOOKED_AT)]
     except csv.Error:
         return {}
@@ -189,7 +193,7 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
 
     def parse(lines: TextLines) -> Iterator[Frame]:
         rows = itertools.islice(lines, before, None)
-        for number, fields in delimited.records(rows, table.delimiter):
+        for number, fields in records(rows, table.delimiter):
             line, unnamed = before + number, 0 < len(table.names) <= column
             if unnamed or len(fields) <= max(column, roles.time or 0):
                 raise LineError(table.path, line, f" has {len(fields)} fields, but {table.because}")
@@ -268,23 +272,23 @@ def header_text(
     if rate_hz is not None:
         entries.append(("rate_hz", rate_hz))
     text = io.StringIO(newline="")
-    text.write(comments.write_comments(TITLE, entries, "metadata", metadata or {}))
+    text.write(write_comments(TITLE, entries, "metadata", metadata or {}))
     csv.writer(text, delimiter=delimiter, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(
-        map(delimited.guard_formula, (_TIME_COLUMN, *names) if timed else names)
+        map(guard_formula, (_TIME_COLUMN, *names) if timed else names)
     )
     return text.getvalue()
 
 
 def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Scalar]]:
     """Read the first lines, and the entries and metadata of a file written by anisomap."""
-    sample = delimited.read_sample(path)
+    sample = read_sample(path)
     title = sample[0] if sample else ""
     if title.startswith(f"# {MAP_TITLE}"):
         raise FileError(f"{path} is a map, not a recording; read it with read_map")
     if not title.startswith(f"# {TITLE}"):
         return sample, {}, {}
     leading = itertools.takewhile(lambda line: line.startswith("#"), sample)
-    entries, metadata = comments.read_comments(leading, "metadata")
+    entries, metadata = read_comments(leading, "metadata")
     return sample, dict(entries), metadata
 
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.source import TextLines, open_text, quote, warn
-from anisomap.io.parsing.table import read_undamaged
+from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
 

@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.io.parsing import delimited
 from anisomap.io.parsing.source import read_lines
-from anisomap.io.parsing.table import is_number, parse_number
+from anisomap.io.parsing.tables import find_delimiter, is_number, parse_number, records
 from anisomap.io.recordings.events import Events, stream_events
 from anisomap.io.stream import Stream
 
@@ -144,8 +143,8 @@ def stream_table(path: Path, bin_s: float) -> Stream:
     Times increase along each channel and have fractions, so that readings are not taken for times.
     """
     lines = read_lines(path)
-    delimiter = delimited.find_delimiter(lines[:1000])
-    rows = [fields for _, fields in delimited.records(lines, delimiter)]
+    delimiter = find_delimiter(lines[:1000])
+    rows = [fields for _, fields in records(lines, delimiter)]
     # Lines differ in length, and either all begin with a name or none does.
     lined = len(set(map(len, rows))) > 1 and len({is_number(row[0]) for row in rows if row}) == 1
     columns = list(itertools.zip_longest(*rows, fillvalue=""))

@@ -1,4 +1,6 @@
-"""Recordings of ``yarpdatadumper``: ``data.log``, its folder, or a session of folders.
+"""Text logs of robot skins: of ``yarpdatadumper``, and of CySkin.
+
+YARP writes ``data.log``, its folder, or a session of folders.
 
 A line is ``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the
 sender's and the receiver's. The values may be in brackets. ``info.log`` in the same folder names
@@ -8,6 +10,22 @@ The port ``skin_events`` of the skin manager of the iCub gives contacts instead 
 brackets, each of a list of its number, body part, link and skin part; centre of pressure, force,
 moment, geometric centre and normal, of three numbers each; the list of the active taxels; and the
 mean pressure. Later versions append a list of the names of link and frame.
+
+Of CySkin, the recorder of robotskinlib writes a version, the number of taxels, and per frame the
+addresses beside the responses::
+
+    1
+    3
+    0 26.82 3 38135 257 38136 223 38137 129
+    1 26.92 3 38135 199 38136 106 38137 270
+
+The acquisition program writes the addresses once, above the frames::
+
+    17776 17777 17778
+    0 0.600000 0 0 12
+    1 0.700000 0 1 10
+
+A frame begins with its number and its time in seconds.
 """
 
 from __future__ import annotations
@@ -17,7 +35,7 @@ import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -27,7 +45,7 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError
 from anisomap.files import open_regular
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
-from anisomap.io.parsing.table import (
+from anisomap.io.parsing.tables import (
     LineError,
     Table,
     first_rows,
@@ -163,7 +181,7 @@ _SAME_CLOCK_S = 60.0
 _BRACKETS = str.maketrans("()", "  ")
 
 
-def recognises(path: Path, head: bytes) -> bool:
+def is_yarp(path: Path, head: bytes) -> bool:
     """Recognise a log by an increasing count, a non-decreasing stamp, and values.
 
     A log of a simulator, with stamps from 0, must also have the name ``data.log``.
@@ -192,7 +210,7 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 
 
 @contextmanager
-def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a data.log, its folder, or one or several ports of a session.
 
     `options.select` names the port of a session, or the skin part of a log of contacts; several,
@@ -299,3 +317,89 @@ def _has_two_stamps(values: NDArray[np.float64]) -> bool:
     with np.errstate(invalid="ignore"):
         rising = len(values) >= _LINES_LOOKED_AT and (np.diff(second) > 0).all()
         return bool(rising and (np.abs(second - first) <= _SAME_CLOCK_S).all())
+
+
+_WHOLE = re.compile(r"\d{1,9}")
+_TIME = re.compile(r"\d{1,15}(?:\.\d{1,15})?(?:e[+-]?\d{1,2})?")
+_MIN_ADDRESSES = 2
+# The acquisition program skips responses from here on as errors of a sensor.
+_FIRST_ERROR = 43_000
+
+
+@dataclass(frozen=True)
+class _Addresses:
+    """The first line of frames, from 1, and the addresses; inside the frames if `repeated`."""
+
+    first_line: int
+    addresses: tuple[str, ...]
+    repeated: bool
+
+
+def is_cyskin(path: Path, head: bytes) -> bool:
+    """Recognise the addresses of taxels, once or in the first frame."""
+    if b"\0" in head:
+        return False
+    # Bytes that are not text become marks, which are no numbers.
+    lines = head.decode("ascii", "replace").splitlines()
+    return _find_addresses([line.split() for line in lines[:4]]) is not None
+
+
+@contextmanager
+def open_cyskin(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a recording of CySkin; the sensors are named by their addresses.
+
+    Responses that the acquisition program marks as errors are NaN.
+    """
+    with open_text(path) as stream:
+        start = [line.split() for _, line in zip(range(4), stream, strict=False)]
+    layout = _find_addresses(start)
+    if layout is None:
+        raise FileError(f"{path} lacks the addresses of the taxels")
+    per_sensor, fixed = (2, 3) if layout.repeated else (1, 2)
+    n_columns = fixed + per_sensor * len(layout.addresses)
+    because = f"{len(layout.addresses)} taxels need {n_columns}"
+    table = Table(path, None, n_columns, because, layout.first_line)
+    first_rows(table, 1)  # report a damaged first frame
+    yield Stream(
+        path,
+        len(layout.addresses),
+        _cyskin_blocks(table, layout),
+        names=layout.addresses,
+        source=path.name,
+        metadata={"format": "CySkin"},
+        from_zero=True,
+    )
+
+
+def _find_addresses(start: Sequence[Sequence[str]]) -> _Addresses | None:
+    """Detect the layout from the fields of the first lines."""
+    alone = [line for line in start if len(line) == 1 and _WHOLE.fullmatch(line[0])]
+    frame = start[len(alone)] if len(alone) < len(start) else ()
+    if start[: len(alone)] == alone and len(alone) in (1, 2) and len(frame) > 3:
+        addresses = tuple(frame[3::2])
+        whole = all(map(_WHOLE.fullmatch, (frame[0], frame[2], *addresses)))
+        counted = whole and int(frame[2]) == len(addresses) and len(frame) == 3 + 2 * int(frame[2])
+        if counted and int(alone[-1][0]) == len(addresses) and _TIME.fullmatch(frame[1]):
+            return _Addresses(len(alone) + 1, addresses, repeated=True)
+    if len(start) > 1 and len(start[0]) >= _MIN_ADDRESSES and len(start[1]) == len(start[0]) + 2:
+        whole = all(map(_WHOLE.fullmatch, (*start[0], start[1][0])))
+        if whole and _TIME.fullmatch(start[1][1]) and "." in start[1][1]:
+            return _Addresses(2, tuple(start[0]), repeated=False)
+    return None
+
+
+def _cyskin_blocks(table: Table, layout: _Addresses) -> Iterator[Block]:
+    expected = np.array(layout.addresses, dtype=np.float64)
+    row = 0
+    for values, fraction in read_blocks(table):
+        if layout.repeated:
+            changed = (values[:, 3::2] != expected).any(axis=1)
+            if changed.any():
+                where = line_of(table, row + int(np.argmax(changed))).removeprefix("line ")
+                problem = " lists other addresses than the first frame"
+                raise LineError(table.path, int(where), problem)
+            responses = values[:, 4::2]
+        else:
+            responses = np.where(values[:, 2:] >= _FIRST_ERROR, np.nan, values[:, 2:])
+        row += len(values)
+        yield Block(to_float32_if_exact(responses), fraction, values[:, 1])
