@@ -17,7 +17,6 @@ from anisomap.drawing.report.interactive import MAX_DOTS
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score
 from anisomap.health import STATUSES
-from anisomap.methods import METHODS
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 from anisomap.usability import Verdict
 from reports import PNG, assessed, example, page_of, scene_of, summary
@@ -60,14 +59,6 @@ def test_plotly_accepts_every_view(true_dimensions, dimensions):
     lengths = [np.ptp(axes[f"{axis}axis"]["range"]) for axis in "xyz"]
     scales = np.divide(lengths, [axes["aspectratio"][axis] for axis in "xyz"])
     assert scales == pytest.approx(scales[0], rel=1e-4), "all axes have the same scale"
-
-
-def test_a_flat_map_and_a_planar_truth_are_shown_in_2d():
-    sensor_map, scored = example(2, 2)
-    in_space = score(sensor_map, np.pad(scored.truth, ((0, 0), (0, 1))), units="mm", permutations=0)
-    (component,) = scene_of(page_of(sensor_map, in_space))
-    assert component["traces"]["map"]["type"] == "scatter"
-    assert "scene" not in component["layout"]
 
 
 def test_the_view_shows_the_map_aligned_with_the_truth():
@@ -205,16 +196,6 @@ def test_ellipses_have_the_unit_of_the_errors_beside_them():
     assert rows == same
     header = next(row for row in page_of(smaller, again).rows if row[0] == "Sensor")
     assert {"Error (mm)", "95 % (mm)"} <= set(header)
-
-
-def test_the_method_that_ran_is_told():
-    for method, step in (("r-anisomap", ""), ("covariogram", "paths (.30)")):
-        weights = {"weight_of_paths": 0.3} if step else {}
-        made = replace(example()[0], method=method, provenance=weights)
-        told = page_of(made).text
-        assert METHODS[method].summary in told
-        assert ("share of the map that each gave" in told) == bool(step)
-        assert step in told
 
 
 def test_large_maps_are_shown_in_part():

@@ -8,24 +8,10 @@ from PIL import Image
 
 from anisomap.drawing.figures import scenes
 from anisomap.errors import FileError, InputError
-from anisomap.scene import Mesh, Prop
 from anisomap.simulation import BODIES, SCENARIOS, mujoco_viewer, run_simulation
 from reports import small_scene
 
 pytest.importorskip("matplotlib", reason="needs the extra 'report'")
-
-
-def test_objects_have_their_position_size_and_rotation():
-    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    turned = Prop(
-        "stimulus",
-        Mesh(np.eye(3), [[0, 1, 2]]),
-        np.array([[[0, 0, 0]], [[5, 0, 0]]]),
-        rotations=np.array([[np.eye(3)], [quarter]]),
-        scales=[2.0],
-    )
-    np.testing.assert_allclose(turned.surfaces(0)[0], 2 * np.eye(3))
-    np.testing.assert_allclose(turned.surfaces(1)[0], [[5, 2, 0], [3, 0, 0], [5, 0, 2]])
 
 
 def test_the_figure_shows_the_busiest_frame_with_axes_in_units():

@@ -1,6 +1,5 @@
 """Kinematic scenarios: rubbing, roller, pressing, self-touch and pulses."""
 
-from dataclasses import fields
 from itertools import pairwise
 from typing import Any
 
@@ -8,11 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from anisomap.scene import Prop
 from anisomap.simulation import SCENARIOS, simulate
-from anisomap.simulation.bodies import cylinder, plane, sphere, y_shape
+from anisomap.simulation.bodies import cylinder, plane, sphere
 from anisomap.simulation.body import Body
 from anisomap.simulation.kinematic import (
     PressingOptions,
@@ -24,7 +21,6 @@ from anisomap.simulation.kinematic import (
     read_capsules,
     read_half_spaces,
     read_pulses,
-    with_fingertip,
 )
 from anisomap.simulation.options import ScenarioResult, options_for
 from anisomap.simulation.solids import support
@@ -206,35 +202,3 @@ def test_self_touch_agrees_with_the_closed_form() -> None:
     )
     fixed = np.broadcast_to(body.positions, (100, 60, 3))
     np.testing.assert_allclose(touched.sensors, np.concatenate([fixed, moved], axis=1))
-
-
-def test_a_body_with_a_fingertip_has_all_sensors_on_its_surface() -> None:
-    body = with_fingertip(y_shape(), SelfTouchOptions())
-    assert body.n_sensors == 105 + 16
-    assert np.abs(body.distance(body.positions)).max() < 1e-9
-    np.testing.assert_allclose(body.normals_at(body.positions)[105:], body.normals[105:], atol=1e-4)
-
-
-@pytest.mark.parametrize("scenario", KINEMATIC)
-def test_props_and_facts_of_a_run_are_complete(scenario: str) -> None:
-    options = SCENARIOS[scenario].options
-    made = run(scenario, sphere(), 30, 12)
-    assert {field.name for field in fields(options)} <= set(made.facts)
-    for prop in made.props:
-        assert len(prop.centres) in (1, 30)
-        for corners in prop.surfaces(17):
-            assert np.isfinite(corners).all()
-    if scenario in ("rubbing", "roller", "self-touch"):
-        # The stimulus is drawn in contact, with at most the press depth, or lifted off.
-        nearest = min(
-            np.linalg.norm(edge_points(made.props[-1], t), axis=1).min() for t in range(30)
-        )
-        assert 1 - options().press_depth - 0.01 < nearest < 1.01
-
-
-def edge_points(prop: Prop, frame: int) -> NDArray[np.float64]:
-    """Sample the edges of the triangles of a prop in a frame."""
-    corners = np.array(prop.surfaces(frame))[:, prop.mesh.faces].reshape(-1, 3, 3)
-    along = np.linspace(0, 1, 9)[:, None, None, None]
-    edges = along * corners + (1 - along) * np.roll(corners, 1, axis=1)
-    return np.asarray(edges.reshape(-1, 3))

@@ -110,14 +110,6 @@ def test_distance_from_a_sliver_is_exact() -> None:
     assert search.signed_distance(np.array(points)) == pytest.approx([5, 5, 1])
 
 
-def test_distance_from_a_mesh_of_a_box_agrees_with_the_box() -> None:
-    exact = solids.box((0.4, 0.7, 0.05))
-    points = np.random.default_rng(3).uniform(-1, 1, size=(3000, 3))
-    np.testing.assert_allclose(
-        TriangleSearch(exact.outline).signed_distance(points), exact.distance(points), atol=1e-12
-    )
-
-
 @given(seed=seeds)
 @settings(max_examples=15)
 def test_distance_along_a_normal_of_an_ellipsoid_is_exact(seed: int) -> None:
@@ -163,11 +155,6 @@ def test_invalid_meshes_raise_an_error() -> None:
         solids.mesh(0 * box.vertices, box.faces)
     with pytest.raises(InputError, match="has no area"):
         solids.mesh(box.vertices, np.empty((0, 3), dtype=int))
-
-
-def test_a_mesh_is_immutable() -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        Mesh(np.zeros((3, 3)), [[0, 1, 2]]).vertices[0] = 1
 
 
 @pytest.mark.parametrize("length", [1e200, np.inf, np.nan])

@@ -38,16 +38,6 @@ def test_the_distance_is_that_of_the_nearest_sampled_point() -> None:
     np.testing.assert_array_equal(distance > 0, points[:, 2] > height(terrain, points))
 
 
-def test_heights_are_those_of_the_grid_and_of_the_triangles_between() -> None:
-    terrain = ground(1)
-    np.testing.assert_allclose(
-        height(terrain, terrain.mesh.vertices), terrain.heights.ravel(), atol=1e-12
-    )
-    middles = terrain.mesh.vertices[terrain.mesh.faces].mean(axis=1)
-    np.testing.assert_allclose(height(terrain, middles), middles[:, 2], atol=1e-12)
-    np.testing.assert_allclose(terrain.distance(middles), 0, atol=1e-12)
-
-
 def test_cells_have_the_diagonal_of_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     terrain = ground(2)
@@ -75,14 +65,6 @@ def test_cells_have_the_diagonal_of_mujoco() -> None:
     flipped = Terrain(terrain.heights[:, ::-1], terrain.cell)
     mirrored = height(flipped, places * [-1, 1])
     assert np.abs(mirrored - seen).max() > 1e-3
-
-
-def test_readings_are_the_depth_of_the_ground_in_the_sphere_of_detection() -> None:
-    terrain = ground(4)
-    points = np.random.default_rng(1).uniform([-1.5, -1.5, -0.5], [1.5, 1.5, 3], size=(300, 3))
-    expected = np.maximum(0, 0.4 - terrain.distance(points))
-    np.testing.assert_allclose(terrain.readings(points, 0.4), expected, atol=1e-7)
-    assert 0.1 < (expected > 0).mean() < 0.9
 
 
 def test_the_ground_has_the_given_roughness_and_correlation_length() -> None:

@@ -59,11 +59,8 @@ def dead(channel: Channel) -> Readings:
 def stuck(channel: Channel, *, level: float | None = None) -> Readings:
     """Fix sensors at a value other than rest.
 
-    Parameters
-    ----------
-    level : float, optional
-        The value, in the unit of the readings. By default, drawn uniformly from the upper half of
-        the range of the recording, to be distinct from rest.
+    The value, `level`, is in the unit of the readings. By default, it is drawn uniformly from the
+    upper half of the range of the recording.
     """
     middle = (channel.lowest + channel.highest) / 2
     value = channel.rng.uniform(middle, channel.highest) if level is None else level
@@ -80,19 +77,13 @@ def saturating(
 ) -> tuple[Readings, Spans]:
     """Set sensors to full scale intermittently, independent of touch.
 
-    Parameters
-    ----------
-    level : float, optional
-        Full scale, in the unit of the readings. Defaults to the highest reading of the recording.
-    mean_gap, mean_span : float
-        Mean number of frames between saturated spans, and of their length. The paper gives no
-        values: a sensor is saturated one sixth of the time. In a recording that is short compared
-        to `mean_gap`, sensors may have no saturated span.
+    Full scale, `level`, is in the unit of the readings, and by default the highest reading of the
+    recording. A sensor is saturated one sixth of the time; in a recording that is short compared to
+    `mean_gap`, it may never be.
 
-    Notes
-    -----
     Sensor 30 of McGregor et al. (2011), section "Prototyping Issues": "a tendency to saturate
-    intermittently regardless of whether it was being physically stimulated or not".
+    intermittently regardless of whether it was being physically stimulated or not". The paper gives
+    no lengths of spans and gaps.
     """
     return channel.overwritten(channel.highest if level is None else level, mean_gap, mean_span)
 
@@ -111,10 +102,7 @@ def noisy(channel: Channel, *, level: float = 0.1) -> Readings:
 def drifting(channel: Channel, *, level: float = 0.3) -> Readings:
     """Add a random walk to the baseline of sensors, like temperature drift.
 
-    Parameters
-    ----------
-    level : float
-        Largest deviation of the walk, which starts at 0. 0.3 resembles a light touch.
+    `level` is its largest deviation from 0, where it starts; 0.3 resembles a light touch.
     """
     walk = np.cumsum(channel.rng.standard_normal(channel.readings.size))
     walk -= walk[0]
@@ -126,11 +114,8 @@ def drifting(channel: Channel, *, level: float = 0.3) -> Readings:
 def gain_spread(channel: Channel, *, factor: float = 5.0) -> Readings:
     """Multiply the readings of sensors by random gains.
 
-    Parameters
-    ----------
-    factor : float
-        Ratio of the largest to the smallest gain, at least 1. Gains are distributed uniformly
-        around 1 on a logarithmic scale. Rest values are multiplied, too.
+    Gains are distributed uniformly around 1 on a logarithmic scale; `factor` is the ratio of the
+    largest to the smallest. Rest values are multiplied, too.
     """
     return np.asarray(channel.readings * factor ** channel.rng.uniform(-0.5, 0.5))
 
@@ -139,11 +124,8 @@ def gain_spread(channel: Channel, *, factor: float = 5.0) -> Readings:
 def hysteresis(channel: Channel, *, recovery: float = 20.0) -> Readings:
     """Delay the return of sensors to rest, like foam and silicone.
 
-    Parameters
-    ----------
-    recovery : float
-        Time constant of the exponential return to rest, in frames; 20 frames are 1 s at 20 Hz.
-        Readings move away from rest without delay.
+    `recovery` is the time constant of the exponential return, in frames; 20 frames are 1 s at 20
+    Hz. Readings move away from rest without delay.
     """
     kept, rest = np.exp(-1 / recovery), channel.rest
     beyond = channel.readings - rest
@@ -160,10 +142,7 @@ def hysteresis(channel: Channel, *, recovery: float = 20.0) -> Readings:
 def quantised(channel: Channel, *, levels: int = 16) -> Readings:
     """Round the readings of sensors to few levels, like a low-resolution converter.
 
-    Parameters
-    ----------
-    levels : int
-        Number of levels over the range of the recording, at least 2. 16 are 4 bits.
+    The levels divide the range of the recording; 16 are 4 bits.
     """
     step = channel.span / (levels - 1) or 1.0
     return np.asarray(channel.lowest + step * np.round((channel.readings - channel.lowest) / step))
@@ -200,12 +179,8 @@ def inverted(channel: Channel) -> Readings:
 def warming(channel: Channel, *, level: float = 0.3, time: float = 0.3) -> Readings:
     """Raise the baseline of sensors exponentially towards a limit, like electronics that warm up.
 
-    Parameters
-    ----------
-    level : float
-        Limit, times a random number between 0.5 and 1.5 and a random sign for each sensor.
-    time : float
-        Time constant as a share of the recording.
+    The limit is `level` times a random number between 0.5 and 1.5 and a random sign for each
+    sensor; `time` is the time constant as a share of the recording.
     """
     course = 1 - np.exp(-np.linspace(0, 1 / time, channel.readings.size))
     limit = channel.rng.uniform(0.5, 1.5) * channel.rng.choice([-1.0, 1.0])
@@ -236,12 +211,7 @@ def bridged_gaps(
 def glitching(channel: Channel, *, level: float = 100.0, count: int = 1) -> tuple[Readings, Spans]:
     """Replace single readings by values far outside the range, like a transmission error.
 
-    Parameters
-    ----------
-    level : float
-        The value above the lowest reading.
-    count : int
-        Number of readings, at least 1.
+    `count` readings are replaced by a value that is `level` above the lowest one.
     """
     frames = np.sort(channel.rng.permutation(channel.readings.size)[:count])
     channel.readings[frames] = channel.lowest + level * (channel.span or 1.0)
@@ -275,14 +245,8 @@ def cycling(channel: Channel, *, period: float = 50.0) -> Readings:
 def crosstalk(group: Group, *, share: float = 0.2, n_neighbours: int = 4) -> Rewritten:
     """Mix the readings of sensors with those of their neighbours.
 
-    The recording must have true positions, which define the neighbours.
-
-    Parameters
-    ----------
-    share : float
-        Weight of the neighbours' mean, above 0 and at most 1.
-    n_neighbours : int
-        Number of nearest sensors to mix in. 4: the neighbours on a square grid.
+    The mean of the nearest `n_neighbours` has the weight `share`. The recording must have true
+    positions, which define the neighbours; 4 are those on a square grid.
     """
     recording, clean = group.recording, group.readings
     if recording.positions is None:
@@ -318,12 +282,8 @@ def swapped(group: Group) -> Rewritten:
 def rewired(group: Group, *, share: float = 0.5) -> Rewritten:
     """Exchange the readings of sensors from some frame on, like connectors that are moved.
 
-    Each sensor takes the readings of another, in a cycle of random order.
-
-    Parameters
-    ----------
-    share : float
-        Share of the recording before the change, between 0 and 1.
+    After a `share` of the recording, each sensor takes the readings of another, in a cycle of
+    random order.
     """
     order = group.rng.permutation(np.array(group.chosen, dtype=np.intp))
     readings, late = np.array(group.readings), slice(int(share * len(group.readings)), None)
@@ -348,15 +308,9 @@ def duplicated(
 ) -> Rewritten:
     """Replace the readings of sensors by those of another sensor, like one wire read twice.
 
-    Parameters
-    ----------
-    source : str or int, optional
-        Sensor to copy from. By default, one of the other sensors is drawn for each copy.
-    factor : float
-        Ratio of the largest to the smallest gain of a copy, as in `gain_spread`.
-    level : float
-        Standard deviation of the white noise that is added to each copy, as a share of the standard
-        deviation of the readings that it copies; at least 0.
+    The name or index of the other sensor is `source`; by default, one is drawn for each copy. Each
+    copy has a gain, see `gain_spread`, and white noise with a standard deviation of `level` times
+    that of the readings that it copies.
     """
     copies = group.chosen
     others = np.setdiff1d(np.arange(group.recording.n_sensors), copies)
@@ -396,13 +350,9 @@ def leaking(group: Group, *, share: float = 0.05) -> Rewritten:
 def lagging(group: Group, *, frames: int = 3, board: int = 0) -> Rewritten:
     """Delay sensors, like boards that are polled late.
 
-    Parameters
-    ----------
-    frames : int
-        Delay in frames, at least 1. The first reading is held meanwhile.
-    board : int
-        Number of sensors of a board. Each board of the chosen sensors, in their order, lags
-        `frames` more than the board before it; the first does not lag. 0: all lag alike.
+    All sensors lag by `frames`; the first reading is held meanwhile. With `board` sensors on a
+    board, each board of the chosen sensors, in their order, lags `frames` more than the board
+    before it; the first does not lag.
     """
     readings, delayed = np.array(group.readings), []
     for number, members in enumerate(group.boards(board)):
@@ -417,12 +367,8 @@ def lagging(group: Group, *, frames: int = 3, board: int = 0) -> Rewritten:
 def common_noise(group: Group, *, level: float = 1.0, board: int = 0) -> Rewritten:
     """Add the same white noise to all sensors of a board, like a noisy supply.
 
-    Parameters
-    ----------
-    level : float
-        Standard deviation of the noise.
-    board : int
-        Number of sensors of a board, each with its own noise. 0: all sensors are on one board.
+    The noise has a standard deviation of `level`. There are `board` sensors on a board, 0 for all
+    on one board; each board has its own noise.
     """
     readings, scale = np.array(group.readings), level * group.deviation
     for members in group.boards(board):
@@ -434,14 +380,9 @@ def common_noise(group: Group, *, level: float = 1.0, board: int = 0) -> Rewritt
 def spiking(group: Group, *, level: float = 5.0, share: float = 0.02, board: int = 0) -> Rewritten:
     """Add spikes of single frames to all sensors of a board at once.
 
-    Parameters
-    ----------
-    level : float
-        Mean height of a spike; heights are distributed exponentially.
-    share : float
-        Expected share of the frames with a spike, above 0 and at most 1.
-    board : int
-        Number of sensors of a board, each with its own spikes. 0: all sensors are on one board.
+    A frame has a spike with the probability `share`; heights are distributed exponentially, with
+    the mean `level`. There are `board` sensors on a board, 0 for all on one board; each board has
+    its own spikes.
     """
     readings, scale = np.array(group.readings), level * group.deviation
     for members in group.boards(board):
@@ -457,14 +398,8 @@ def humming(
 ) -> Rewritten:
     """Add a sine of one period and phase to sensors, each with a gain of its own.
 
-    Parameters
-    ----------
-    level : float
-        Median amplitude of the sine.
-    period : float
-        Period in frames, at least 2. The default is not a whole number of frames.
-    factor : float
-        Ratio of the largest to the smallest gain, as in `gain_spread`.
+    `level` is the median amplitude, `period` is in frames, by default not a whole number of them,
+    and `factor` is the ratio of the largest to the smallest gain, see `gain_spread`.
     """
     readings, chosen = np.array(group.readings), group.chosen
     phase = 2 * np.pi * (np.arange(len(readings)) / period + group.rng.random())
@@ -485,13 +420,9 @@ def dropped_frames(
 ) -> Recording:
     """Remove random frames, like an overloaded logger.
 
-    The frames and their times are removed; the nominal rate is kept. The log marks the frame after
-    each gap, but no reading as wrong. Spans of earlier faults are renumbered.
-
-    Parameters
-    ----------
-    share : float
-        Expected share of the frames, between 0 and 1. At least one frame remains.
+    An expected `share` of the frames and their times are removed, but at least one remains; the
+    nominal rate is kept. The log marks the frame after each gap, but no reading as wrong. Spans of
+    earlier faults are renumbered.
     """
     lost = rng.random(recording.n_frames) < share
     if lost.all():
@@ -514,10 +445,7 @@ def repeated_frames(
 ) -> Recording:
     """Replace random frames by the previous frame, like a slow driver.
 
-    Parameters
-    ----------
-    share : float
-        Expected share of the frames, between 0 and 1. The first frame is never replaced.
+    An expected `share` of the frames is replaced, never the first.
     """
     stale = rng.random(recording.n_frames) < share
     stale[0] = False
@@ -532,14 +460,9 @@ def clock_jitter(
 ) -> Recording:
     """Add Gaussian jitter to the times of frames.
 
-    The recording must have times, or a rate from which they are computed. The log marks all frames,
-    but no reading as wrong.
-
-    Parameters
-    ----------
-    level : float
-        Standard deviation as a share of the median interval, between 0 and 1. Jitter is limited to
-        0.45 of the intervals on either side, so that times increase.
+    Its standard deviation is `level` times the median interval, and it is limited to 0.45 of the
+    intervals on either side, so that times increase. The recording must have times, or a rate from
+    which they are computed. The log marks all frames, but no reading as wrong.
     """
     times = recording.times
     if times is None:
@@ -559,14 +482,9 @@ def separate_regions(
 ) -> Recording:
     """Touch one region of the skin after the other, and nothing else meanwhile.
 
-    The recording must have true positions, which define the regions. During each run, the sensors
-    outside its region read their rest value.
-
-    Parameters
-    ----------
-    regions : int
-        Number of regions, at least 2: slices of equal numbers of sensors along the direction in
-        which the skin is longest. The recording is divided into as many runs.
+    The recording must have true positions, and is divided into as many runs as `regions`: slices of
+    equal numbers of sensors along the direction in which the skin is longest. During each run, the
+    sensors outside its region read their rest value.
     """
     if recording.positions is None:
         raise InputError("separating regions needs a recording with true positions of its sensors")
