@@ -194,7 +194,7 @@ def test_a_spoilt_recording_is_named_repaired_and_mapped(run, run_map, skin_npz)
     assert repaired.code == 0
     assert "mended: these sensors were mirrored" in repaired.out
     assert run("info", "good.npz", "--json").values["findings"] == []
-    assert "No faults were found" in run("repair", skin_npz, "-o", "same.npz").out
+    assert "No faults of the recording were found" in run("repair", skin_npz, "-o", "same.npz").out
     same, sound = anisomap.read("same.npz"), anisomap.read(skin_npz)
     np.testing.assert_array_equal(same.readings, sound.readings)
     assert "opposite sign" in run_map("bad.npz", "-o", "plain.csv").err

@@ -118,17 +118,6 @@ def test_health_of_many_sensors_is_assessed_from_an_excerpt(monkeypatch):
     np.testing.assert_array_equal(*np.array(contacts)[:, at_rest])
 
 
-def test_the_health_of_many_sensors_is_that_of_few(monkeypatch):
-    readings = READINGS[:, :40].astype(float)
-    readings[:, 5] = np.random.default_rng(0).normal(size=len(readings))
-    whole = anisomap.assess(Recording(readings))
-    monkeypatch.setattr("anisomap.health.sensors.MAX_ALL_PAIRS", 39)
-    many = anisomap.assess(Recording(readings))
-    assert [sensor.status for sensor in many] == [sensor.status for sensor in whole]
-    best = [[sensor.best_match for sensor in health] for health in (many, whole)]
-    np.testing.assert_allclose(*best, atol=1e-5)
-
-
 def test_mantel_r_of_very_many_sensors_uses_a_sample(found, monkeypatch):
     everyone = anisomap.score(found, PLACES, permutations=0)
     monkeypatch.setattr("anisomap.evaluation.scoring.MAX_ALL_PAIRS", 100)

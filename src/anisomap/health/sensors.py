@@ -10,21 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.columns import columns
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.numerics.reliability.outliers import outlying
-from anisomap.numerics.signals import Signals, middle_frames, some_sensors, unit_rows
-from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.signals import Signals, medians, middle_frames, some_sensors, unit_rows
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
-
-MAX_ALL_PAIRS = 4096
-"""Number of sensors above which no matrix of all pairs is computed: 128 MB of float64."""
 
 MIN_CONTACTS = 5
 """Contacts below which statistics of a sensor are unreliable; chosen by hand."""
@@ -32,6 +28,7 @@ MIN_CONTACTS = 5
 STATUSES = ("ok", SILENT, "stuck", "noisy", "saturating", "isolated", FEW_CONTACTS)
 """All statuses; a sensor with several faults has the first of them."""
 
+_MAX_COMPARED = 4096  # sensors with which others are compared after shifts
 _N_SHIFTS = 19  # circular shifts that a related sensor exceeds
 _ROWS_AT_ONCE = 64  # of a product; single rows would be as slow as some
 _HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
@@ -40,13 +37,6 @@ _LEAST_R = 1e-3  # and the least 1 - r
 _HARMFUL_NOISE = 0.15  # share of the variance: r is 8 % lower
 _NEGLIGIBLE = 0.01  # noise, in standard deviations of the typical sensor
 _OF_WHITE_NOISE = 0.6745 * 6**0.5  # median of the second differences of white noise
-_OF_CONSTANT_SENSORS = {
-    "distinct": 1,
-    "active": 0.0,
-    "contacts": 0,
-    "lag_correlation": float("nan"),
-    "best_match": float("nan"),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,42 +50,18 @@ class Behaviour:
     best_match: NDArray[np.float64]
 
     @property
-    def distinct(self) -> NDArray[np.intp]:
-        """Number of distinct readings."""
-        return self.signals.distinct
-
-    @cached_property
-    def active(self) -> NDArray[np.float64]:
-        """Share of frames beyond rest."""
-        return np.asarray(self.signals.n_active / len(self.signals.readings))
-
-    @property
     def contacts(self) -> NDArray[np.intp]:
         """Number of contacts: runs of frames clearly beyond rest."""
         return self.signals.contacts
 
     @cached_property
-    def lag_correlation(self) -> NDArray[np.float64]:
-        """Autocorrelation at a lag of one frame."""
-        return np.asarray(self.signals.autocorrelation(1)[0])
-
-    @cached_property
     def noise(self) -> NDArray[np.float64]:
         """Standard deviation of white noise, from second differences, and of readings, (2, n)."""
-        found = np.zeros((2, len(self.best_match)))
-        part = self.signals.readings[middle_frames(len(self.signals.readings))]
-        for i, column in enumerate(columns(part)):
-            values = column.astype(np.float64)
-            median = np.median(np.abs(np.diff(values, 2))) if values.size > 2 else 0.0
-            found[:, i] = median / _OF_WHITE_NOISE, values.std()
-        return found
-
-    @cached_property
-    def steps(self) -> NDArray[np.float64]:
-        """Smallest difference between two readings, below which noise is not seen."""
-        part = self.signals.readings[middle_frames(len(self.signals.readings))]
-        found = [np.diff(np.unique(column)) for column in columns(part)]
-        return np.array([one.min() if one.size else 0.0 for one in found], dtype=np.float64)
+        readings = self.signals.readings
+        part = readings[middle_frames(len(readings))].astype(np.float64)
+        changes = np.abs(np.diff(part, 2, axis=0))
+        white = medians(changes) / _OF_WHITE_NOISE if len(changes) else np.zeros(part.shape[1])
+        return np.stack([white, part.std(axis=0)])
 
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
@@ -109,18 +75,6 @@ class Behaviour:
         )
 
 
-def _best_matches(readings: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the highest Pearson r of each sensor with another, (n,); NaN if there is none."""
-    n_sensors = readings.shape[1]
-    if n_sensors < 2:
-        return np.full(n_sensors, np.nan)
-    if n_sensors > MAX_ALL_PAIRS:
-        return np.asarray(most_similar(unit_rows(readings), 1)[1][:, 0], dtype=np.float64)
-    correlation = pearson(readings)
-    np.fill_diagonal(correlation, -np.inf)
-    return np.asarray(correlation.max(axis=1), dtype=np.float64)
-
-
 def exceeded_by_chance(
     readings: NDArray[np.floating], sensors: NDArray[np.intp], best: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
@@ -132,7 +86,7 @@ def exceeded_by_chance(
     found = np.zeros(sensors.size, dtype=bool)
     if not sensors.size or n_frames < 2 * _N_SHIFTS:
         return found
-    others = some_sensors(n_sensors, MAX_ALL_PAIRS)
+    others = some_sensors(n_sensors, _MAX_COMPARED)
     standard = unit_rows(readings[:, others])
     for start in range(0, sensors.size, _ROWS_AT_ONCE):
         part = sensors[start : start + _ROWS_AT_ONCE]
@@ -228,21 +182,33 @@ def _assess(
     varying = recording.varying()
     statuses = _of_constant(recording, varying, unit)
     lowest, highest = recording.extremes
-    measured = {
-        name: np.full(recording.n_sensors, constant)
-        for name, constant in _OF_CONSTANT_SENSORS.items()
+    n_sensors = recording.n_sensors
+    measured: dict[str, NDArray[Any]] = {
+        "distinct": np.ones(n_sensors, dtype=np.intp),
+        "active": np.zeros(n_sensors),
+        "contacts": np.zeros(n_sensors, dtype=np.intp),
+        "lag_correlation": np.full(n_sensors, np.nan),
+        "best_match": np.full(n_sensors, np.nan),
     }
     if varying.any():
         signals = recording.signals if varying.all() else Signals(recording.readings[:, varying])
-        behaviour = Behaviour(
-            signals, _best_matches(signals.readings) if best_match is None else best_match[varying]
-        )
+        rows = unit_rows(signals.readings)
+        if best_match is not None:
+            best = best_match[varying]
+        elif len(rows) > 1:
+            best = most_similar(rows, 1)[1][:, 0].astype(np.float64)
+        else:
+            best = np.full(1, np.nan)
+        behaviour = Behaviour(signals, best)
         sensors = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
                 statuses[int(sensors[i])] = status, reason
-        for name, column in measured.items():
-            column[varying] = getattr(behaviour, name)
+        measured["distinct"][varying] = signals.distinct
+        measured["active"][varying] = signals.n_active / recording.n_frames
+        measured["contacts"][varying] = signals.contacts
+        measured["lag_correlation"][varying] = np.einsum("nt,nt->n", rows[:, 1:], rows[:, :-1])
+        measured["best_match"][varying] = best
     return tuple(
         SensorHealth(
             name,
@@ -265,14 +231,13 @@ def _of_constant(
     found = {}
     for i in np.flatnonzero(~varying).tolist():
         value = float(lowest[i])
-        if rests.min() - slack <= value <= rests.max() + slack:
-            reason = f"constant at {unit * value:g}, a rest value: never touched, or dead"
-            found[i] = SILENT, reason
-        else:
-            found[i] = (
-                "stuck",
-                f"constant at {unit * value:g}, which is not a rest value of other sensors",
-            )
+        resting = rests.min() - slack <= value <= rests.max() + slack
+        status, what = (
+            (SILENT, "a rest value: never touched, or dead")
+            if resting
+            else ("stuck", "which is not a rest value of other sensors")
+        )
+        found[i] = status, f"constant at {unit * value:g}, {what}"
     return found
 
 
@@ -286,7 +251,7 @@ def _few_contacts(b: Behaviour) -> dict[int, str]:
 def _noisy(b: Behaviour) -> dict[int, str]:
     noise, deviation = b.noise
     floor = _NEGLIGIBLE * max(float(np.median(deviation)), 1e-300)
-    seen = np.where(noise > b.steps, noise, 0)
+    seen = np.where(noise > b.signals.steps, noise, 0)
     found = outlying(np.maximum(seen, floor)) & (noise**2 >= _HARMFUL_NOISE * deviation**2)
     share = (noise / np.maximum(deviation, 1e-300)) ** 2
     reason = f"{{:.0%}} of the variance is white noise (typical: {np.median(share):.0%})"
@@ -296,7 +261,9 @@ def _noisy(b: Behaviour) -> dict[int, str]:
 def _saturating(b: Behaviour) -> dict[int, str]:
     at_extreme = b.signals.at_extreme
     share = at_extreme / np.maximum(b.signals.n_active, 1)
-    often = (at_extreme >= _MIN_AT_EXTREME) & (share > 2 * np.median(share)) & (b.distinct > 2)
+    often = (
+        (at_extreme >= _MIN_AT_EXTREME) & (share > 2 * np.median(share)) & (b.signals.distinct > 2)
+    )
     return {
         i: f"at its extreme reading in {share[i]:.0%} of its active frames (typical: "
         f"{np.median(share):.0%}), while similar sensors are not"

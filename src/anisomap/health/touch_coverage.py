@@ -199,42 +199,23 @@ def next_places(
     component: ArrayLike | None = None,
     n_places: int = N_PLACES,
 ) -> tuple[Place, ...]:
-    """Find the places on a map that lack most contacts.
+    """Find the places on a map that lack most contacts, the most urgent first; none in common.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, k)
-        NaN for sensors without a position.
-    need : array_like of shape (N,)
-        From `needed_evidence`.
-    component : array_like of int, shape (N,), optional
-        Component of each sensor, -1 without a position; one component by default.
-    n_places : int
-        Maximum number of places.
+    positions (N, k): NaN for sensors without a position. need (N,): See `needed_evidence`.
 
-    Returns
-    -------
-    tuple of Place
-        The most urgent first. They share no sensor. Empty if no place lacks the evidence of half a
-        sensor.
-
-    Notes
-    -----
     Greedy: the sensor with most `need` within two spacings is the first place; what lies there
-    counts as touched when the next is chosen.
+    counts as touched when the next is chosen. A place lacks the evidence of half a sensor or more.
     """
     points = np.asarray(positions, dtype=np.float64)
     lacking = np.array(need, dtype=np.float64)
-    groups = list(_components(points, component))
-    areas = [_area(points[members]) for members in groups]
+    areas = _areas(points, component)
     places: list[Place] = []
     while len(places) < n_places:
-        totals = [area @ lacking[members] for area, members in zip(areas, groups, strict=True)]
-        if not totals or (best := max(float(total.max()) for total in totals)) < _MIN_NEED:
+        totals = areas @ lacking
+        first = int(totals.argmax())
+        if totals[first] < _MIN_NEED:
             break
-        which = next(i for i, total in enumerate(totals) if total.max() == best)
-        members = groups[which]
-        around = members[areas[which][[int(totals[which].argmax())]].indices]
+        around = areas[[first]].indices
         needy = around[lacking[around] > 0]
         needy = needy[np.argsort(-lacking[needy], kind="stable")]
         lacking[around] = 0
@@ -245,7 +226,7 @@ def next_places(
                 sensors=tuple(needy.tolist()),
                 centre=centre,
                 radius=float(np.linalg.norm(points[needy] - centre, axis=1).max()),
-                need=best,
+                need=float(totals[first]),
                 component=0 if component is None else int(np.asarray(component)[needy[0]]),
             )
         )
@@ -260,14 +241,15 @@ def _components(points: NDArray[np.float64], component: ArrayLike | None) -> lis
     return [np.flatnonzero(labels == label) for label in np.unique(labels[labels != UNPLACED])]
 
 
-def _area(points: NDArray[np.float64]) -> csr_array:
-    """Sensors within two spacings of each sensor, itself included: a matrix of zeros and ones."""
-    n_sensors = len(points)
-    distances, near = nearest_others(points, _MAX_IN_PLACE)
-    spacing = np.median(distances[:, 0]) if near.size else 0.0
-    first, which = np.nonzero(distances <= _PLACE_RADIUS * spacing)
-    rows = np.concatenate([np.arange(n_sensors), first])
-    others = np.concatenate([np.arange(n_sensors), near[first, which]])
-    area = csr_array((np.ones(len(rows)), (rows, others)), shape=(n_sensors, n_sensors))
+def _areas(points: NDArray[np.float64], component: ArrayLike | None) -> csr_array:
+    """Mark placed sensors within two spacings of each, itself included: ones, shape (N, N)."""
+    pairs = []
+    for members in _components(points, component):
+        distances, near = nearest_others(points[members], _MAX_IN_PLACE)
+        spacing = np.median(distances[:, 0]) if near.size else 0.0
+        first, which = np.nonzero(distances <= _PLACE_RADIUS * spacing)
+        pairs += [(members, members), (members[first], members[near[first, which]])]
+    rows, others = np.hstack(pairs) if pairs else np.empty((2, 0), dtype=np.intp)
+    area = csr_array((np.ones(rows.size), (rows, others)), shape=(len(points), len(points)))
     area.sum_duplicates()
     return area

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from anisomap.defaults import N_SHIFTS
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
+from anisomap.health.recording_faults.copies import find_copies
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.explanation import Explained, explain, module_members
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -28,7 +29,6 @@ from anisomap.numerics.layout.chance import (
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.numerics.layout.moves import ModuleShapes
 from anisomap.numerics.layout.search import Search, Verdict
-from anisomap.numerics.recording_faults.copies import find_copies
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap

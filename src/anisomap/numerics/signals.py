@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.fft import rfft
 
 from anisomap.numerics.columns import columns, count_values
 from anisomap.numerics.similarity.rest import MIN_REST_SHARE, Rest, rest_from_counts
@@ -18,6 +19,8 @@ MAX_FRAMES = 4096
 
 MAX_SENSORS = 256
 """Sensors of an excerpt; chosen by hand: matrices of all pairs then take milliseconds."""
+
+_N_LISTENED = 64  # sensors whose spectra are computed
 
 
 class Signals:
@@ -30,23 +33,26 @@ class Signals:
         self.readings = readings
 
     @cached_property
-    def _counted(self) -> tuple[Rest, NDArray[np.intp], NDArray[np.intp]]:
-        """Rest, numbers of distinct readings, and frames at the extreme beyond rest."""
+    def _counted(self) -> tuple[Rest, NDArray[np.float64]]:
+        """Rest; distinct readings, smallest steps, frames at the usual reading, at the extreme."""
         ends: list[tuple[Any, ...]] = []
 
         def levels() -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
             for column in columns(self.readings):
                 values, counts = count_values(column)
-                ends.append((values.size, values[0], counts[0], values[-1], counts[-1]))
+                step = np.diff(values).min(initial=np.inf)
+                end = values[0], counts[0], values[-1], counts[-1]
+                ends.append((values.size, step, counts.max(), *end))
                 yield values.astype(np.float64), counts
 
         rest = rest_from_counts(levels())
-        distinct, lowest, at_lowest, highest, at_highest = np.array(ends, dtype=np.float64).T
+        found = np.array(ends, dtype=np.float64).T
+        lowest, at_lowest, highest, at_highest = found[3:]
         raises = rest.side > 0
         extreme = np.where(raises, highest, lowest)
         beyond = rest.side * (extreme - rest.value) > rest.threshold
         at_extreme = np.where(beyond, np.where(raises, at_highest, at_lowest), 0)
-        return rest, distinct.astype(np.intp), at_extreme.astype(np.intp)
+        return rest, np.stack([*found[:3], at_extreme])
 
     @property
     def rest(self) -> Rest:
@@ -56,12 +62,22 @@ class Signals:
     @property
     def distinct(self) -> NDArray[np.intp]:
         """Number of distinct readings of each sensor."""
-        return self._counted[1]
+        return np.asarray(self._counted[1][0], dtype=np.intp)
+
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """Smallest difference between two readings; inf for constant sensors."""
+        return np.asarray(self._counted[1][1])
+
+    @property
+    def never_at_rest(self) -> NDArray[np.intp]:
+        """Sensors that no value occurs often in: a signal that is always there leaves none."""
+        return np.flatnonzero(self._counted[1][2] < max(2, MIN_REST_SHARE * len(self.readings)))
 
     @property
     def at_extreme(self) -> NDArray[np.intp]:
         """Frames at the most extreme reading on the side of contact; 0 without contact."""
-        return self._counted[2]
+        return np.asarray(self._counted[1][3], dtype=np.intp)
 
     @cached_property
     def active(self) -> NDArray[np.bool_]:
@@ -92,23 +108,12 @@ class Signals:
         return count_contacts(self.touched)
 
     @cached_property
-    def never_at_rest(self) -> NDArray[np.intp]:
-        """Sensors that no value occurs often in: a signal that is always there leaves none."""
-        part = self.readings[middle_frames(len(self.readings))]
-        limit = max(2, MIN_REST_SHARE * len(part))
-        found = [
-            i
-            for i, column in enumerate(columns(part))
-            # Most sensors rest at their lowest value.
-            if np.count_nonzero(column == column.min()) < limit
-            and count_values(column)[1].max() < limit
-        ]
-        return np.array(found, dtype=np.intp)
-
-    def autocorrelation(self, *lags: int) -> NDArray[np.float64]:
-        """Return the autocorrelation of each sensor at lags of at least 1, shape (lags, N)."""
-        rows = map(unit_row, columns(self.readings))
-        return np.array([[float(row[lag:] @ row[:-lag]) for lag in lags] for row in rows]).T
+    def spectra(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """Some sensors, and the power of their readings at each frequency, (F, n), Hann window."""
+        chosen = some_sensors(self.readings.shape[1], _N_LISTENED)
+        rows = unit_rows(self.readings[:, chosen])
+        rows *= np.hanning(rows.shape[1]).astype(np.float32)
+        return chosen, np.abs(rfft(rows, axis=1).T) ** 2
 
 
 def count_contacts(active: ArrayLike) -> NDArray[np.intp]:

@@ -98,7 +98,7 @@ def repair(
     output
         NPZ file to write. Default: NAME.repaired.npz in the current folder.
     """
-    from anisomap import io, route
+    from anisomap import assess, io, route
     from anisomap.cli import printing
     from anisomap.cli.outputs import Outputs
 
@@ -108,7 +108,8 @@ def repair(
     io.write(repaired, output)
     printing.print_findings(printer, findings, repaired=True)
     if not findings:
-        printer.line("No faults were found; the recording is unchanged.")
+        printer.line("No faults of the recording were found; it is unchanged.")
+    printing.print_health(printer, assess(repaired))
     printer.files([("recording", output)])
 
 

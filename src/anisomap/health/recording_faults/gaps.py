@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from anisomap.health.recording_faults.found import Found, in_readings
 from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.signals import standardised
 from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.recording import Recording
 
-FALSE_ALARMS = 0.01
-"""Expected number of straight lines that are found by chance."""
-
+_MIN_MISSING = 0.02  # share of a sensor's readings; fewer change no correlation; chosen by hand
+_FALSE_ALARMS = 0.01  # expected number of straight lines that are found by chance
 _ROUNDING = 1e-6  # share of the largest reading: some steps of float32
 _MIN_RUN = 8  # frames; two contacts of a frame each make shorter lines; chosen by hand
 _MIN_RISE = 0.03  # of the range: a slow drift rises less between two contacts; chosen by hand
@@ -26,10 +27,29 @@ _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chose
 _MAX_FRAMES = 20_000  # of a fit
 
 
-def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_] | None:
-    """Find readings on straight lines that are too long to occur by chance.
+def find_gaps(recording: Recording) -> Iterator[Found]:
+    """Find readings that are missing, or on straight lines; the recording may be incomplete."""
+    readings = recording.readings
+    missing = ~np.isfinite(readings)
+    for i, bridged in find_bridged(readings).items():
+        missing[bridged, i] = True
+    share = missing.mean(axis=0)
+    missing &= (share >= _MIN_MISSING) & (share < 1)
+    affected = np.flatnonzero(missing.any(axis=0))
+    if affected.size:
+        typical = float(np.median(share[affected]))
+        on_lines = np.isfinite(readings[missing]).any()
+        yield Found(
+            affected,
+            typical,
+            f"{typical:.0%} of the readings of {affected.size} of {recording.n_sensors} sensors "
+            f"are {'on straight lines, as if interpolated' if on_lines else 'missing'}",
+            in_readings(lambda readings: _filled(readings, missing)),
+        )
 
-    readings (T, N).
+
+def find_bridged(readings: NDArray[Any]) -> dict[int, NDArray[np.intp]]:
+    """Find readings on straight lines that are too long to occur by chance, of each sensor.
 
     If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of
     N sensors with probability N T p^n at most. Lines of a sensor that rise little are parts of a
@@ -37,21 +57,20 @@ def find_bridged(readings: NDArray[Any]) -> NDArray[np.bool_] | None:
     """
     n_frames, n_sensors = readings.shape
     if n_frames < 2 * _MIN_RUN:
-        return None
+        return {}
     lines = {
         i: found
         for i, column in enumerate(columns(readings))
         if _may_have_lines(column) and (found := _lines(column.astype(np.float64), n_sensors))
     }
-    rising = [np.array([rises for _, _, rises in found]) for found in lines.values()]
-    fewer = sum(min(np.count_nonzero(up), np.count_nonzero(~up)) for up in rising)
-    if not lines or fewer < _MIN_MIXED * sum(up.size for up in rising):
-        return None
-    bridged = np.zeros(readings.shape, dtype=bool)
-    for i, found in lines.items():
-        for start, stop, _ in found:
-            bridged[start + 1 : stop + 1, i] = True
-    return bridged
+    rising = [[rises for _, _, rises in found] for found in lines.values()]
+    fewer = sum(min(sum(up), len(up) - sum(up)) for up in rising)
+    if fewer < _MIN_MIXED * sum(map(len, rising)):
+        return {}
+    return {
+        i: np.concatenate([np.arange(start, stop) + 1 for start, stop, _ in found])
+        for i, found in lines.items()
+    }
 
 
 def _may_have_lines(column: NDArray[Any]) -> bool:
@@ -82,7 +101,7 @@ def _lines(column: NDArray[np.float64], n_sensors: int) -> list[tuple[int, int, 
     share = float(np.mean(on_line))
     if not 0 < share < 1:
         return []
-    enough = math.log(column.size * n_sensors / FALSE_ALARMS) / -math.log(share)
+    enough = math.log(column.size * n_sensors / _FALSE_ALARMS) / -math.log(share)
     found = [run for run in _runs(on_line) if run[1] - run[0] >= max(_MIN_RUN, enough)]
     rises = np.array([column[stop] - column[start] for start, stop in found])
     if not found or np.median(np.abs(rises)) < _MIN_RISE * (np.nanmax(column) - np.nanmin(column)):
@@ -90,22 +109,12 @@ def _lines(column: NDArray[np.float64], n_sensors: int) -> list[tuple[int, int, 
     return [(start, stop, rise > 0) for (start, stop), rise in zip(found, rises, strict=True)]
 
 
-def fill_from_others(
-    readings: NDArray[Any], missing: NDArray[np.bool_]
-) -> tuple[NDArray[Any], NDArray[np.intp]]:
-    """Estimate missing readings of sensors from the other sensors.
-
-    readings (T, N) -> readings (T, N), left.
-    """
-    values = np.array(readings)
-    values[missing] = np.nan
-    completed = fill_gaps(values)
+def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
+    """Estimate missing readings of sensors from similar ones; where there are none, by lines."""
+    completed = fill_gaps(np.where(missing, np.nan, readings))
     rest = estimate_rest(completed)
-    depth = rest.depth(completed)
-    affected = np.flatnonzero(missing.any(axis=0))
-    standard = standardised(completed)
-    left = []
-    for i in affected.tolist():
+    depth, standard = rest.depth(completed), standardised(completed)
+    for i in np.flatnonzero(missing.any(axis=0)).tolist():
         known = np.flatnonzero(~missing[:, i])
         known = known[:: max(1, known.size // _MAX_FRAMES)]
         similarity = standard[known].T @ standard[known, i]
@@ -113,14 +122,13 @@ def fill_from_others(
         partners = np.argsort(-similarity, kind="stable")[:_N_PARTNERS]
         partners = partners[similarity[partners] > 0]
         if known.size < 2 * _N_PARTNERS or not partners.size or not depth[known, i].any():
-            left.append(i)
             continue
         weights, _ = nnls(depth[np.ix_(known, partners)], depth[known, i])
         gap = np.flatnonzero(missing[:, i])
         estimate = np.minimum(depth[np.ix_(gap, partners)] @ weights, depth[known, i].max())
         noise = rest.threshold[i] * (estimate > 0)
         completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
-    return completed, np.array(left, dtype=np.intp)
+    return np.asarray(completed)
 
 
 def _runs(marks: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

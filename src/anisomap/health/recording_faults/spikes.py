@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.signals import middle_frames, some_sensors
-from anisomap.numerics.similarity.correlation import pearson
+from anisomap.health.recording_faults.found import Found, in_readings
+from anisomap.numerics.signals import middle_frames, some_sensors, unit_rows
+from anisomap.recording import Recording
 
 _MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
 _MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jump by the same
@@ -27,55 +28,28 @@ _STEEP = 2.0  # height of a spike over the changes beside it; tops of contacts h
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
 
-@dataclass(frozen=True, eq=False)
-class Spikes:
-    """Spikes of a group of sensors.
-
-    height: Median height, in units of the readings.
-    """
-
-    sensors: NDArray[np.intp]
-    frames: NDArray[np.intp]
-    height: float
-
-
-def find_spikes(readings: NDArray[Any]) -> tuple[Spikes, ...]:
+def find_spikes(recording: Recording) -> Iterator[Found]:
     """Find spikes that groups of sensors share.
-
-    readings (T, N).
 
     A contact rises and falls over several frames or is highest in the middle; a spike of a board
     lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
     correlation of their jumps, the excess of a reading over both readings beside it.
     """
-    n_frames, n_sensors = readings.shape
+    n_frames, n_sensors = recording.readings.shape
     if n_frames < 100 or n_sensors < _MIN_GROUP:
-        return ()
+        return
     chosen = some_sensors(n_sensors, _MAX_SENSORS)
-    jumps = _jumps(readings, chosen, middle_frames(n_frames))
+    jumps = _jumps(recording.readings, chosen, middle_frames(n_frames))
     jumping = np.count_nonzero(jumps, axis=1) >= _MIN_SPIKES
     if np.count_nonzero(jumping) < _MIN_GROUP:
-        return ()
+        return
     chosen, jumps = chosen[jumping], jumps[jumping]
-    linked = pearson(jumps.T) > _MIN_LINK
-    n_groups, group = connected_components(linked, directed=False)
-    found = []
-    for number in range(n_groups):
+    rows = unit_rows(jumps.T)
+    _, group = connected_components(rows @ rows.T > _MIN_LINK, directed=False)
+    for number in np.flatnonzero(np.bincount(group) >= _MIN_GROUP).tolist():
         members = chosen[group == number]
-        if members.size < _MIN_GROUP or not _may_be_equal(jumps[group == number]):
-            continue
-        spikes = _shared(readings, members)
-        if spikes is not None:
-            found.append(spikes)
-    return tuple(found)
-
-
-def remove_spikes(readings: NDArray[Any], spikes: Spikes) -> NDArray[Any]:
-    """Replace readings during spikes by the mean of the frames beside them."""
-    mended = np.array(readings)
-    beside = (readings[spikes.frames - 1] + readings[spikes.frames + 1]) / 2
-    mended[np.ix_(spikes.frames, spikes.sensors)] = beside[:, spikes.sensors]
-    return mended
+        if _may_be_equal(jumps[group == number]):
+            yield from _shared(recording, members)
 
 
 def _jumps(readings: NDArray[Any], sensors: NDArray[np.intp], frames: slice) -> NDArray[np.float32]:
@@ -113,9 +87,9 @@ def _equal(heights: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[n
     return height, spread <= _MAX_SPREAD
 
 
-def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
-    """Return the spikes of a group; None if its jumps differ, as those of contacts do."""
-    n_frames = len(readings)
+def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
+    """Find the spikes of a group; there are none if its jumps differ, as those of contacts do."""
+    readings, n_frames = recording.readings, recording.n_frames
     often, tall = [], []
     for begin in range(1, n_frames - 1, _FRAMES_AT_ONCE):
         stop = min(begin + _FRAMES_AT_ONCE, n_frames - 1)
@@ -123,26 +97,35 @@ def _shared(readings: NDArray[Any], members: NDArray[np.intp]) -> Spikes | None:
         found = _jumping_together(jumps)
         often.append(begin + found)
         tall.append(jumps[:, found])
-    frames = np.concatenate(often)
-    tall = [np.concatenate(tall, axis=1)]
-    if frames.size:
-        before, after = (
-            np.abs(
-                readings[np.clip(frames + a, 0, n_frames - 1)][:, members].astype(np.float32)
-                - readings[np.clip(frames + b, 0, n_frames - 1)][:, members]
-            )
-            for a, b in ((-1, -2), (1, 2))
-        )
-        steep = np.median(tall[0].T, axis=1) > _STEEP * np.median(np.maximum(before, after), axis=1)
-        frames, tall = frames[steep], [tall[0][:, steep]]
+    frames, heights = np.concatenate(often), np.concatenate(tall, axis=1)
+    around = np.clip(frames + np.array([[-2], [-1], [1], [2]]), 0, n_frames - 1)
+    beside = readings[around[..., None], members].astype(np.float32)
+    changes = np.maximum(np.abs(beside[1] - beside[0]), np.abs(beside[2] - beside[3]))
+    steep = np.median(heights, axis=0) > _STEEP * np.median(changes, axis=1)
+    frames, (height, equal) = frames[steep], _equal(heights[:, steep])
     if not _MIN_SPIKES <= frames.size <= _MAX_SHARE * n_frames:
-        return None
-    height, equal = _equal(np.concatenate(tall, axis=1))
-    if np.count_nonzero(equal) < max(_MIN_SPIKES, _MIN_EQUAL * frames.size):
-        return None
-    if np.unique(height[equal].round(6)).size < min(_MIN_LEVELS, equal.sum() / 2):
-        return None
-    deviation = np.median(readings[:, members].std(axis=0))
-    if np.median(height[equal]) < _MIN_HEIGHT * deviation:
-        return None
-    return Spikes(members, frames[equal], float(np.median(height[equal])))
+        return
+    frames, height = frames[equal], height[equal]
+    if (
+        frames.size < max(_MIN_SPIKES, _MIN_EQUAL * equal.size)
+        or np.unique(height.round(6)).size < min(_MIN_LEVELS, frames.size / 2)
+        or np.median(height) < _MIN_HEIGHT * np.median(readings[:, members].std(axis=0))
+    ):
+        return
+    yield Found(
+        members,
+        frames.size / n_frames,
+        f"a group of {members.size} sensors jumps for single frames, {frames.size} times by ",
+        in_readings(lambda readings: _smoothed(readings, frames, members)),
+        height=float(np.median(height)),
+    )
+
+
+def _smoothed(
+    readings: NDArray[Any], frames: NDArray[np.intp], sensors: NDArray[np.intp]
+) -> NDArray[Any]:
+    """Replace readings of some sensors in some frames by the mean of the frames beside them."""
+    mended = np.array(readings)
+    beside = (readings[frames - 1] + readings[frames + 1]) / 2
+    mended[np.ix_(frames, sensors)] = beside[:, sensors]
+    return mended

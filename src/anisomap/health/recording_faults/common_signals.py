@@ -1,0 +1,292 @@
+"""Signals of the electronics that sensors share: hum, and noise of a supply or board."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from anisomap.health.recording_faults.found import Found, in_readings
+from anisomap.numerics.signals import (
+    deviation_from_median,
+    medians,
+    middle_frames,
+    some_sensors,
+    unit_rows,
+)
+from anisomap.recording import Recording
+
+_MIN_LINE = 20.0  # power of a line over the median power on either side; noise: p = 1e-6 for each
+_GAP, _BESIDE = 2, 8  # frequencies on each side that a line reaches, and for comparison
+_MIN_COHERENCE = 0.95  # of the phases of a hum over sensors and over quarters; chosen by hand
+_MIN_SENSORS = 0.8  # share of the sensors that hum, or have one period; chosen by hand
+_N_PHASES = 8  # parts of a period, for quantiles
+_LOW_AND_HIGH = (0.25, 0.75)
+_MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
+_MIN_CYCLES = 3  # of a recording that is one sine
+_MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
+_MIN_GROUP = 3  # sensors of a board
+_MIN_FRAMES = 100
+_MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
+_CLIP = 3.0  # median absolute deviations; larger changes are contacts
+_LEAST_WIDTH = 0.1  # of the median sensor's, so that no sensor decides alone; chosen by hand
+_LOW = 0.35  # quantile of readings that are at rest
+_MAX_ROUNDS, _MAX_FRAMES = 12, 8192  # of the fit of gains
+_SCREENED = 1024, 32  # frames and sensors in which the noise of a group is fitted first
+_SAME_GAIN = 1e-4  # relative change at which they have converged
+_MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
+_MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
+_MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
+_MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
+_MAX_AUTOCORRELATION = 0.1  # of white noise: 4 standard errors in 1,600 frames
+_MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
+_ALL = 0.9  # share of the sensors above which noise concerns the whole skin
+
+
+def find_hum(recording: Recording) -> Iterator[Found]:
+    """Find a sine of one period and phase with a gain of its own in each sensor.
+
+    The period is that of the clearest line in the median of the sensors' spectra. It is a finding
+    if the power of the line is 20 times that on either side, and if its phase is the same in all
+    sensors and in all quarters of the recording. A body that rolls or walks at an even pace has
+    lines, too, but sensors on different places have different phases.
+    """
+    readings, free = recording.readings, recording.signals.never_at_rest
+    n_frames, n_sensors = readings.shape
+    if free.size < max(_MIN_GROUP, _MIN_SENSORS * n_sensors) or n_frames < 8 * _BESIDE:
+        return
+    sensors, spectra = recording.signals.spectra
+    power = np.median(spectra[:, np.isin(sensors, free)], axis=1)
+    # The power of slow changes falls steeply: it is above that on one side of it, without a line.
+    beside = medians(np.lib.stride_tricks.sliding_window_view(power, _BESIDE).T)
+    apart = _BESIDE + 2 * _GAP - 1
+    clear = power[_BESIDE + _GAP - 1 :][: beside.size - apart]
+    clear = clear / np.maximum(np.maximum(beside[:-apart], beside[apart:]), 1e-300)
+    if clear.max() < _MIN_LINE:
+        return
+    rows = unit_rows(readings[:, sensors[np.isin(sensors, free)]])
+    total, times = rows.sum(axis=0, dtype=np.float64), np.arange(n_frames)
+    frequency, width = (int(clear.argmax()) + _BESIDE + _GAP - 1) / n_frames, 1 / n_frames
+    for _ in range(8):
+        trials = frequency + width * np.linspace(-1, 1, 9)
+        strength = [abs(total @ np.exp(-2j * np.pi * trial * times)) for trial in trials]
+        frequency, width = float(trials[int(np.argmax(strength))]), width / 3
+    wave = np.exp(-2j * np.pi * frequency * times)
+    of_sensors = rows @ wave.real + 1j * (rows @ wave.imag)
+    quarters = np.array([part.sum() for part in np.array_split(wave * total, 4)])
+    coherence = [abs(a.sum()) / np.abs(a).sum() for a in (of_sensors, quarters)]
+    phase = float(np.angle(of_sensors.sum()))
+    if not min(coherence) >= _MIN_COHERENCE or not _is_added(rows, frequency, phase):
+        return
+    course = np.cos(2 * np.pi * frequency * times + phase)
+    gains = _sine_gains(readings[:, free], course)
+    share = _median_share(gains / np.sqrt(2), readings[:, free])
+    rate = recording.rate_hz
+    yield Found(
+        free,
+        share,
+        f"{free.size} sensors hum with a period of {1 / frequency:.4g} frames"
+        f"{'' if rate is None else f' ({rate * frequency:.3g} Hz)'}, {share:.0%} of the standard "
+        "deviation of a sensor",
+        _without(free, course, gains),
+    )
+
+
+def find_one_period(recording: Recording) -> Iterator[Found]:
+    """Find that almost all of the readings is one sine."""
+    if recording.n_frames < 8 * _MIN_CYCLES:
+        return
+    power = recording.signals.spectra[1]
+    power = power[:, power.any(axis=0)]
+    if power.shape[1] < 3:
+        return
+    peak = 1 + power[1:].argmax(axis=0)
+    near = np.abs(np.arange(len(power))[:, None] - peak) <= 2
+    line = (power * near).sum(axis=0) / power[1:].sum(axis=0)
+    usual = int(np.median(peak))
+    share = float(np.median(line))
+    same = np.mean((np.abs(peak - usual) <= 1) & (line >= _MIN_LINE_SHARE))
+    if usual >= _MIN_CYCLES and same >= _MIN_SENSORS:
+        period = recording.n_frames / usual
+        yield Found(
+            range(recording.n_sensors),
+            share,
+            f"{share:.0%} of the variance of the readings is a sine of {period:.4g} frames",
+        )
+
+
+def find_common_noise(recording: Recording) -> Iterator[Found]:
+    """Find white noise that groups of sensors share.
+
+    Contacts are slow compared to the frames; second differences therefore show noise. Sensors are
+    grouped by the correlation of these, limited to 3 median absolute deviations. The noise of a
+    group is the mean of its sensors over their gains, without those that are in contact. It is a
+    finding if it is white, while the rest of the readings is not, and takes 10 % of the fast noise
+    or more. It is mended unless its course holds more than noise: if contacts cover most of the
+    skin, they cannot be told from what sensors share.
+    """
+    readings, free = recording.readings, recording.signals.never_at_rest
+    n_frames, n_sensors = _SCREENED
+    if free.size < _MIN_GROUP or len(readings) < _MIN_FRAMES:
+        return
+    excerpt = readings[middle_frames(len(readings), n_frames)]
+    for group in _groups(readings, free):
+        if _noise_of(excerpt[:, group[some_sensors(group.size, n_sensors)]]) is None:
+            continue
+        noise = _noise_of(readings[:, group])
+        if noise is None:
+            continue
+        course, gains = noise
+        share = _median_share(gains * course.std(), readings[:, group])
+        everywhere = group.size >= _ALL * recording.n_sensors
+        white = abs(float(_autocorrelation(course[:, None])[0])) <= _MAX_AUTOCORRELATION
+        yield Found(
+            group,
+            share,
+            f"{'all sensors' if everywhere else f'a group of {group.size} sensors'} share noise, "
+            f"{share:.0%} of the standard deviation of a sensor",
+            _without(group, course, gains) if white else None,
+            kind="" if everywhere else "board-noise",
+        )
+
+
+def _without(
+    sensors: NDArray[np.intp], course: NDArray[np.float64], gains: NDArray[np.float64]
+) -> Any:
+    """Return a repair that subtracts a signal, shape (T,), times the gain of each sensor."""
+
+    def change(readings: NDArray[Any]) -> NDArray[Any]:
+        mended = np.array(readings)
+        mended[:, sensors] -= np.outer(course, gains).astype(readings.dtype)
+        return mended
+
+    return in_readings(change)
+
+
+def _median_share(sizes: NDArray[np.float64], readings: NDArray[Any]) -> float:
+    return float(np.median(sizes / np.maximum(readings.std(axis=0), 1e-300)))
+
+
+def _is_added(rows: NDArray[np.float32], frequency: float, phase: float) -> bool:
+    """Return whether a line shifts low and high readings, rows (n, T), alike, as an added sine.
+
+    A stimulus that comes in time with the line shifts high readings more than low ones.
+    """
+    turns = (frequency * np.arange(rows.shape[1]) + phase / (2 * np.pi)) % 1
+    bins = (turns * _N_PHASES).astype(np.intp)
+    present = np.unique(bins)
+    waves = np.cos(2 * np.pi * (present + 0.5) / _N_PHASES)
+    levels = [np.quantile(rows[:, bins == b], _LOW_AND_HIGH, axis=1) for b in present]
+    low, high = np.median(np.tensordot(waves, levels, 1), axis=1)
+    return bool(0 < _MIN_EVEN * high <= low)
+
+
+def _sine_gains(readings: NDArray[Any], course: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the amplitude of a sine in each sensor, with contacts limited."""
+    if len(readings) > _MAX_FRAMES:
+        # Frames at equal steps could all have the same phase.
+        frames = np.random.default_rng(0).choice(len(readings), _MAX_FRAMES, replace=False)
+        readings, course = readings[np.sort(frames)], course[np.sort(frames)]
+    values = readings.astype(np.float64)
+    values -= medians(values)
+    gains = 2 * (course @ values) / len(course)
+    for _ in range(_MAX_ROUNDS):
+        left = values - np.outer(course, gains)
+        left -= medians(left)
+        width = np.maximum(_CLIP * deviation_from_median(left), 1e-9 * np.abs(values).max())
+        inside = np.abs(left) <= width
+        step = np.where(inside, left, 0).T @ course / np.maximum(inside.T @ course**2, 1e-300)
+        gains = gains + step
+        if (np.abs(step) <= _SAME_GAIN * np.abs(gains)).all():
+            break
+    return gains
+
+
+def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    """Yield groups of sensors with common fast noise."""
+    values = readings[middle_frames(len(readings), _SCREENED[0])][:, free]
+    fast = np.diff(values, 2, axis=0)
+    scale = deviation_from_median(fast)
+    noisy = scale > _MIN_NOISE * values.std(axis=0)
+    free = free[noisy]
+    if free.size < _MIN_GROUP:
+        return
+    rows = unit_rows(np.clip(fast[:, noisy] / scale[noisy], -_CLIP, _CLIP))
+    _, group = connected_components(rows @ rows.T > _MIN_LINK, directed=False)
+    for number in np.flatnonzero(np.bincount(group) >= _MIN_GROUP).tolist():
+        yield free[group == number]
+
+
+def _noise_of(
+    readings: NDArray[Any],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the course of the noise of a group, (T,), and its gains, (n,); None without any."""
+    values = readings.astype(np.float64)
+    gains, course = _common_course(values)
+    if (gains <= 0).any() or gains.max() > _MAX_GAIN_RATIO * gains.min():
+        return None
+    left = values - np.outer(course, gains)
+    before, after = (deviation_from_median(np.diff(part, 2, axis=0)) for part in (values, left))
+    share = 1 - np.median(after**2 / np.maximum(before**2, 1e-300))
+    fast = np.diff(course, 2)
+    white = np.sum(fast[1:] * fast[:-1]) / max(np.sum(fast**2), 1e-300)
+    smooth = np.median(_autocorrelation(left))
+    # By chance, the mean of n sensors takes 1 / n of the noise of each.
+    if share < max(_MIN_SHARE, 3 / gains.size) or white > _MAX_WHITE or smooth < _MIN_SMOOTH:
+        return None
+    return course, gains
+
+
+def _common_course(
+    values: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit one course with gains to sensors, without those in contact.
+
+    A low quantile starts, which is at rest even if contacts cover half of the skin, and then the
+    mean of the sensors within 3 deviations of it, weighted by the reciprocals of their variances:
+    sensors often in contact then count less.
+    """
+    low = _LOW if np.median(((values - values.mean(axis=0)) ** 3).sum(axis=0)) >= 0 else 1 - _LOW
+    side = 1.0 if low < 0.5 else -1.0
+    rest = np.quantile(values, low, axis=0)
+    fast = np.diff(values, 2, axis=0)
+    gains = deviation_from_median(fast)
+    gains /= np.median(gains)
+    course = np.quantile((values - rest) / gains, low, axis=1)
+    for _ in range(_MAX_ROUNDS):
+        scaled = (values - rest) / gains
+        left = scaled - course[:, None]
+        width = _one_sided_width(side * left)
+        width = np.maximum(width, _LEAST_WIDTH * max(float(np.median(width)), 1e-9))
+        weight = (np.abs(left) <= _CLIP * width) / width**2
+        total = weight.sum(axis=1)
+        mean = (weight * scaled).sum(axis=1) / np.where(total > 0, total, 1)
+        course = np.where(total > 0, mean, course)
+        slow = np.diff(course, 2)
+        apart = fast - np.outer(slow, gains)
+        limit = _CLIP * deviation_from_median(apart)
+        step = slow @ np.clip(apart, -limit, limit) / max(float(np.sum(slow**2)), 1e-300)
+        gains = gains + step
+        if (gains <= 0).any():
+            break
+        rest = np.quantile(values - np.outer(course, gains), low, axis=0)
+        course = course - np.median(course)
+        if (np.abs(step) <= _SAME_GAIN * gains).all():
+            break
+    return gains, course
+
+
+def _one_sided_width(left: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the median deviation of each column to the side that contacts do not reach."""
+    below = np.sort(np.minimum(left, 0), axis=0)
+    counts = np.count_nonzero(left <= 0, axis=0)
+    return np.asarray(-below[counts // 2, np.arange(left.shape[1])])
+
+
+def _autocorrelation(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    centred = values - values.mean(axis=0)
+    products = np.einsum("ti,ti->i", centred[1:], centred[:-1])
+    return np.asarray(products / np.maximum(np.einsum("ti,ti->i", centred, centred), 1e-300))

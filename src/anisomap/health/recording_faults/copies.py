@@ -1,0 +1,308 @@
+"""Copies: channels that read one wire, exactly or with another gain and noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from anisomap.health.recording_faults.found import Found
+from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.signals import MAX_FRAMES, middle_frames, some_sensors, standardised
+from anisomap.recording import Recording
+from anisomap.wording import join_items
+
+_FALSE_ALARMS = 0.01  # expected number of false findings in a recording
+_MANY_SENSORS = 512  # above, fewer frames are compared, for speed
+_MAX_CONFIRMED = 1 << 15  # frames in which copies are confirmed
+_N_PARTNERS = 2  # most similar sensors that are tested
+_MIN_CORRELATION = 0.5  # of a copy: with noise as strong as the signal, r is 0.7
+_MIN_CHANGES = 10  # of a sensor's value, 5 contacts: fewer agree by chance; chosen by hand
+_ROUNDING = 1e-5  # share of the range of a sensor, about 100 steps of float32
+# Limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9.
+_MIN_POWER = 2.0
+_SCREENED = 512  # frames of which the agreement of pairs is examined first; chosen by hand
+_PAIRS_AT_ONCE = 64  # whose misfits are computed; arrays of 2,048 frames stay in the cache
+_MIN_LEVELS = 32  # distinct values of noise
+_NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
+_MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
+_MIN_TOLD_APART = 0.85  # share of these whose own channels can be told from others
+_MIN_FAILED = 5  # pairs from which this is estimated
+_MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely; chosen by hand
+_EXACT = 1e-3  # share of noise in the variance below which copies are exact
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Sensors that read one wire.
+
+    sensors: In increasing order.
+    kept: The sensor whose wire it is: the one with less noise, or the one that resembles the
+        channels beside it. None if nothing tells them apart.
+    noise: Greatest share of noise in the variance of a sensor.
+    """
+
+    sensors: tuple[int, ...]
+    kept: int | None
+    noise: float
+
+
+def find_copied(recording: Recording) -> Iterator[Found]:
+    """Find groups of sensors that read one wire; those with noise must have contacts."""
+    names, groups = (
+        recording.names,
+        [
+            one
+            for one in find_copies(recording.readings, *recording.extremes)
+            if one.noise < _EXACT
+            or recording.signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
+        ],
+    )
+    left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
+    some_left = left_out < np.count_nonzero(recording.varying())
+    for copies in groups:
+        others = [names[i] for i in copies.sensors if i != copies.kept]
+        listed = join_items(others)
+        noise = f", with up to {copies.noise:.1%} of noise of their own"
+        yield Found(
+            copies.sensors,
+            len(copies.sensors),
+            f"{len(copies.sensors)} sensors read one wire{noise if copies.noise >= _EXACT else ''}",
+            _leave_out(frozenset(others)) if some_left else None,
+            mended=f"all were left out, since it is unknown which of {listed} is real"
+            if copies.kept is None
+            else f"{names[copies.kept]} was kept, and {listed} left out, since their positions are "
+            "unknown",
+        )
+
+
+def _leave_out(names: frozenset[str]) -> Callable[[Recording], Recording]:
+    return lambda recording: recording.select([name not in names for name in recording.names])
+
+
+def find_copies(
+    readings: NDArray[Any], lowest: NDArray[np.floating], highest: NDArray[np.floating]
+) -> tuple[Copies, ...]:
+    """Find groups of sensors that read one wire.
+
+    readings (T, N), lowest, highest (N,).
+
+    Neighbours on a skin are similar, too, but each is closer to other sensors, so their difference
+    correlates with a third sensor. If x_j = g x_i + noise, then the covariances of j with all
+    third sensors are g times those of i, and x_j - g x_i is white, independent of third sensors and
+    of the height of the contact. Each of these is tested so that 1 % of the recordings with copies
+    fail. In 2,000 frames of simulated skins (seeds 1 and 2), neighbours failed at 4 to 10 times the
+    limits. Recordings in which many pairs fail by little are not judged.
+
+    Readings that agree in every frame are copies if they change often enough. Of the pairs that
+    disagree, the most similar one gives the smallest probability p of a disagreement at a change; n
+    changes agree by chance with probability (1 - p)^n.
+    """
+    varying = np.flatnonzero(highest > lowest)
+    if len(readings) < 3 or varying.size < 3:
+        return ()
+    most = MAX_FRAMES if varying.size <= _MANY_SENSORS else MAX_FRAMES // 2
+    excerpt = _Excerpt(readings, varying, most)
+    pairs = excerpt.similar_pairs()
+    ends = lowest.astype(np.float64), highest.astype(np.float64)
+    same = _identical(readings, *ends, varying[pairs])
+    found = pairs[same | _noisy(readings, varying, excerpt, pairs)]
+    if not len(found):
+        return ()
+    noise = np.zeros(varying.size)
+    np.maximum.at(noise, found, excerpt.noise_shares(found))
+    graph = coo_array((np.ones(len(found)), found.T), shape=(varying.size, varying.size))
+    _, group = connected_components(graph, directed=False)
+    copied = np.unique(found)
+    groups = [copied[group[copied] == number] for number in np.unique(group[copied])]
+    kept = [_true_sensor(excerpt, members, noise, copied) for members in groups]
+    return tuple(
+        Copies(
+            tuple(varying[members].tolist()),
+            None if own is None else int(varying[own]),
+            float(noise[members].max()),
+        )
+        for members, own in zip(groups, kept, strict=True)
+    )
+
+
+class _Excerpt:
+    """Standardised readings of n sensors in some frames, and their covariances with some."""
+
+    def __init__(self, readings: NDArray[Any], sensors: NDArray[np.intp], most: int) -> None:
+        part = readings[middle_frames(len(readings), most)]
+        self.rows = np.ascontiguousarray(standardised(part[:, sensors]).T)
+        self.others = some_sensors(sensors.size)
+        self.covariance = self.rows @ self.rows[self.others].T / self.rows.shape[1]
+
+    def similar_pairs(self) -> NDArray[np.intp]:
+        """Return pairs of similar sensors, each once, the lower index first, shape (P, 2)."""
+        n_sensors, n_frames = self.rows.shape
+        found, products = most_similar(self.rows, min(_N_PARTNERS, n_sensors - 1))
+        close = (products >= _MIN_CORRELATION * n_frames) & (found != NO_SENSOR)
+        first, which = np.nonzero(close)
+        ordered = np.sort(np.column_stack([first, found[first, which]]), axis=1)
+        return np.unique(ordered, axis=0).astype(np.intp).reshape(-1, 2)
+
+    def related(
+        self, pairs: NDArray[np.intp]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64], NDArray[np.intp]]:
+        """Return covariances of both sensors of pairs with third ones, (P, K), 0 with themselves.
+
+        Also the ratio of those of the second and the first, (P,): noise of the first would lower
+        its slope; and the numbers of third sensors.
+        """
+        third = (self.others != pairs[:, :1]) & (self.others != pairs[:, 1:])
+        first, second = (np.where(third, self.covariance[k], 0) for k in pairs.T)
+        square = np.einsum("pk,pk->p", first, first)
+        product = np.einsum("pk,pk->p", first, second, dtype=np.float64)
+        gain = np.divide(product, square, out=np.zeros(len(pairs)), where=square > 0)
+        return first, second, gain, np.count_nonzero(third, axis=1)
+
+    def misfits(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return by how much j differs from i times a gain plus noise, in units of the limits.
+
+        Shape (P,); inf where nothing speaks for a copy.
+        """
+        starts = range(0, len(pairs), _PAIRS_AT_ONCE)
+        parts = [self._misfits(pairs[begin : begin + _PAIRS_AT_ONCE]) for begin in starts]
+        return np.concatenate([np.empty(0), *parts])
+
+    def _misfits(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+        n_sensors, n_frames = self.rows.shape
+        first, second, gain, counts = self.related(pairs)
+        rest = self.rows[pairs[:, 1]] - gain.astype(np.float32)[:, None] * self.rows[pairs[:, 0]]
+        size = rest.std(axis=1).astype(np.float64)
+        deviations = math.sqrt(n_frames)
+        limit = _normal_maximum(n_sensors * counts)
+        nearest, related = np.abs(first).argmax(axis=1), np.abs(first).max(axis=1)
+        ordered = np.sort(rest[:, : _MIN_LEVELS**2], axis=1)
+        levels = 1 + np.count_nonzero(ordered[:, 1:] > ordered[:, :-1], axis=1)
+        possible = (
+            (gain > 0)
+            & (size > _ROUNDING)
+            & (levels >= _MIN_LEVELS)  # sensors with few values have no noise of their own
+            # Without a signal in common with others, nothing speaks for a copy.
+            & (related * deviations >= 2 * limit)
+        )
+        found = np.full(len(pairs), math.inf)
+        rest, size, limit = rest[possible], size[possible], limit[possible]
+        apart = np.abs(second[possible] - gain[possible, None] * first[possible]).max(axis=1)
+        with_others = apart / size * deviations / limit
+        products = [np.einsum("pt,pt->p", rest[:, lag:], rest[:, :-lag]) for lag in (1, 2)]
+        white = np.abs(products).max(axis=0) / n_frames / size**2
+        strength = np.abs(rest)
+        strength -= strength.mean(axis=1, keepdims=True)
+        # The height of contact, without the noise of the pair.
+        height = np.abs(self.rows[self.others[nearest[possible]]])
+        height -= height.mean(axis=1, keepdims=True)
+        spread = strength.std(axis=1).astype(np.float64) * height.std(axis=1) * n_frames
+        even = np.abs(np.einsum("pt,pt->p", strength, height)).astype(np.float64)
+        even = np.divide(even, spread, out=np.full(even.size, math.inf), where=spread > 0)
+        overall = _normal_maximum(3 * n_sensors)
+        found[possible] = np.maximum(with_others, np.maximum(white, even) * (deviations / overall))
+        return found
+
+    def noise_shares(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the shares of the variances of pairs that they do not have in common, (P, 2)."""
+        gain = self.related(pairs)[2]
+        r = np.einsum("pt,pt->p", *self.rows[pairs.T]) / self.rows.shape[1]
+        shares = 1 - np.column_stack([r / np.where(gain > 0, gain, 1), r * gain])
+        return np.where(gain[:, None] > 0, np.maximum(shares, 0), 0)
+
+    def similarity_beside(self, i: int, at: int | None = None) -> float:
+        """Return the mean correlation of i with the channels beside it, or beside another."""
+        place = i if at is None else at
+        beside = np.arange(max(0, place - 2), min(place + 3, len(self.rows)))
+        beside = beside[(beside != place) & (beside != i)]
+        return float(np.mean(self.rows[beside] @ self.rows[i]) / self.rows.shape[1])
+
+
+def _identical(
+    readings: NDArray[Any],
+    lowest: NDArray[np.float64],
+    highest: NDArray[np.float64],
+    pairs: NDArray[np.intp],
+) -> NDArray[np.bool_]:
+    """Mark pairs that agree in all frames, up to gain and offset, and change often enough."""
+
+    def scaled(i: int, step: int = 1) -> NDArray[np.float64]:
+        return np.asarray((readings[::step, i] - lowest[i]) / (highest[i] - lowest[i]))
+
+    def count(apart: NDArray[np.float64]) -> int:
+        return int(np.count_nonzero(np.abs(apart) > _ROUNDING))
+
+    step = -(-len(readings) // _SCREENED)
+    agree = np.zeros(len(pairs), dtype=bool)
+    for k, (i, j) in enumerate(pairs):
+        alike = not count(scaled(i, step) - scaled(j, step))
+        agree[k] = alike and not count(scaled(i) - scaled(j))
+    if not agree.any():  # then it does not matter how rarely others disagree
+        return agree
+    changes = np.array([count(np.diff(scaled(i))) for i in pairs[:, 0]])
+    often = ~agree & (changes >= _MIN_CHANGES)
+    apart = np.array([count(scaled(i) - scaled(j)) for i, j in pairs[often]])
+    best = (apart / changes[often]).min(initial=_MAX_BEST_SHARE)
+    enough = math.log(max(2, readings.shape[1]) / _FALSE_ALARMS) / -math.log1p(-best)
+    return agree & (changes >= max(_MIN_CHANGES, enough))
+
+
+def _noisy(
+    readings: NDArray[Any],
+    varying: NDArray[np.intp],
+    excerpt: _Excerpt,
+    pairs: NDArray[np.intp],
+) -> NDArray[np.bool_]:
+    """Mark pairs of which one is the other times a gain, plus white noise."""
+    misfits = excerpt.misfits(pairs)
+    passed = misfits <= 1
+    failed = misfits[~passed & np.isfinite(misfits)]
+    if failed.size >= _MIN_FAILED and np.quantile(failed, 0.1) < _MIN_POWER:
+        return np.zeros_like(passed)
+    if passed.any() and excerpt.rows.shape[1] < len(readings):
+        used = np.union1d(excerpt.others, pairs[passed])
+        longer = _Excerpt(readings, varying[used], _MAX_CONFIRMED)
+        passed[passed] = longer.misfits(np.searchsorted(used, pairs[passed])) <= 1
+    return np.asarray(passed)
+
+
+def _normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
+    """Return the value that the largest of `count` normal variables exceeds with probability 1 %.
+
+    Bonferroni's bound, with the tail of the normal distribution approximated by exp(-z^2 / 2) / 2.
+    """
+    return np.asarray(np.sqrt(2 * np.log(np.maximum(1, count) / _FALSE_ALARMS)))
+
+
+def _true_sensor(
+    excerpt: _Excerpt,
+    members: NDArray[np.intp],
+    noise: NDArray[np.float64],
+    copied: NDArray[np.intp],
+) -> int | None:
+    """Return the sensor of a group whose wire it is; None if that cannot be told.
+
+    Where channels follow the skin, a sensor resembles the channels beside it.
+    """
+    quietest, *others = members[np.argsort(noise[members], kind="stable")].tolist()
+    if (noise[others] > _NOISIER * noise[quietest] + _LEAST_NOISE).all():
+        return int(quietest)
+    sound = np.setdiff1d(excerpt.others, copied).tolist()
+    if len(sound) < _MIN_SOUND:
+        return None
+    right = np.array([excerpt.similarity_beside(i) for i in sound])
+    far = np.roll(sound, len(sound) // 2).tolist()
+    wrong = np.array([excerpt.similarity_beside(i, at) for i, at in zip(sound, far, strict=True)])
+    middle = (np.median(right) + np.median(wrong)) / 2
+    if np.mean(right > middle) + np.mean(wrong < middle) < 2 * _MIN_TOLD_APART:
+        return None
+    beside = {i: excerpt.similarity_beside(i) for i in members.tolist()}
+    first, second = sorted(beside, key=lambda i: -beside[i])[:2]
+    return int(first) if beside[second] < middle < beside[first] else None

@@ -1,0 +1,340 @@
+"""Lags: groups of channels, such as boards, that are read some frames later than others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.health.recording_faults.found import Found
+from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.signals import middle_frames, some_sensors, standardised
+from anisomap.recording import Recording
+from anisomap.wording import join_items
+
+_MAX_LAG = 40  # greatest lag that is searched, in frames; chosen by hand
+_N_PARTNERS = 6  # most similar sensors of each sensor, whose lags are compared
+_MAX_VALUES = 1 << 19  # readings of an excerpt; chosen for about half a second
+_MIN_SENSORS = 8
+_SCREENED = 96  # sensors of which lags are searched first, if there are twice as many
+# Least share of the lost correlation that their lags restore, and of their links of which a part of
+# the recording gives the same lags. On simulated and real skins of 220 to 737 sensors in which lags
+# were found (seeds 21 to 23), they were at least .42 and .78, and at most .32 and .58 on seven of
+# eight without; on the other, .71 and .58.
+_MIN_EXPLAINED_OF_FEW, _MIN_AGAIN_OF_FEW = 0.35, 0.6
+_CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tuned on seeds 1 and 2
+_MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
+_SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
+# Limits of a finding, tuned on simulated skins (seeds 1 to 20) and on real recordings.
+_MIN_AGREEMENT = 0.8  # share of the links between groups with the lag of the groups
+_MIN_RELATIVE = 0.93  # this share over the share of the links within groups without a lag
+_MAX_OPPOSITE = 0.08  # share of the links between groups with a lag of the other sign
+_MIN_EXPLAINED = 0.5  # share of the correlation lost between groups that the lags restore
+_MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
+_MIN_GAIN = 0.8  # restored correlation over what the lags would cost links within groups
+_MIN_WITHIN = 0.6  # share of the links within groups without a lag
+_MIN_GROUP = 3.0  # sensors per group, on average
+_CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more
+_MAX_ROUNDS = 3
+
+
+def find_lags(recording: Recording) -> Iterator[Found]:
+    """Find groups of sensors that lag.
+
+    Ranks of the readings are correlated at all lags up to 40 frames. The lags of the strongest
+    links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags
+    that follow each other in the order of the channels, or, if that explains less, wherever they
+    are. Contacts that move also give neighbours a lag, but of either sign, spread over many values,
+    and different from one time to another; a lag of the read-out is the same for all pairs of two
+    groups and in all quarters of the recording. It must restore as much correlation as such a lag
+    costs links within groups. Of many sensors, some are searched first.
+    """
+    lags = np.zeros(recording.n_sensors, dtype=np.intp)
+    varying = np.flatnonzero(recording.varying())
+    for _ in range(_MAX_ROUNDS):
+        found = _find_once(_aligned(recording.readings, lags), varying, screened=not lags.any())
+        if found is None:
+            break
+        lags = lags + found
+        lags -= _most_frequent(lags)
+    if lags.any():
+        listed = join_items([f"{lag:+d}" for lag in np.unique(lags[lags != 0]).tolist()])
+        yield Found(
+            np.flatnonzero(lags),
+            float(np.abs(lags).max()),
+            f"groups of sensors lag the largest group by {listed} frames",
+            lambda recording: _shifted(recording, lags),
+            mended="each group was shifted by its lag; "
+            f"{int(np.ptp(lags))} frames at the ends were left out",
+        )
+
+
+def _shifted(recording: Recording, lags: NDArray[np.intp]) -> Recording:
+    readings, times = _aligned(recording.readings, lags), recording.times
+    times = None if times is None else times[: len(readings)]
+    return replace(recording, readings=readings, times=times)
+
+
+def _aligned(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
+    """Shift sensors in time by their lags, and leave out frames that some sensors lack.
+
+    readings (T, N) -> (T - max(lags) + min(lags), N).
+    """
+    n_frames = len(readings) - int(np.ptp(lags))
+    if n_frames == len(readings):
+        return readings
+    shifted = np.empty((n_frames, readings.shape[1]), dtype=readings.dtype)
+    for lag in np.unique(lags).tolist():
+        start = lag - int(lags.min())
+        shifted[:, lags == lag] = readings[start : start + n_frames][:, lags == lag]
+    return shifted
+
+
+def _find_once(
+    readings: NDArray[Any], varying: NDArray[np.intp], *, screened: bool
+) -> NDArray[np.intp] | None:
+    chosen = varying[some_sensors(varying.size)]
+    frames = middle_frames(len(readings), max(1024, _MAX_VALUES // max(1, chosen.size)))
+    values = readings[frames][:, chosen]
+    if chosen.size < _MIN_SENSORS or len(values) < 8 * _MAX_LAG:
+        return None
+    if screened and chosen.size >= 2 * _SCREENED:
+        few = _Fit.of(values[:, some_sensors(chosen.size, _SCREENED)])
+        if not few.explains(_MIN_EXPLAINED_OF_FEW):
+            return None
+        if np.mean(list(few.found_again())) < _MIN_AGAIN_OF_FEW:
+            return None
+    fit = _Fit.of(values)
+    if not fit.is_clear():
+        return None
+    everyone = np.zeros(readings.shape[1], dtype=np.intp)
+    everyone[chosen] = fit.lags
+    if chosen.size < varying.size:
+        everyone = _extended(readings[frames], varying, chosen, everyone)
+    return everyone - _most_frequent(everyone[varying])
+
+
+def _correlations(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Correlate i(t) and j(t + lag) of all pairs, lags from 0 on, (lags, n, n). parts (t, n)."""
+    n_frames, n_sensors = parts[0].shape
+    # Zeros between the parts keep the frames of one from those of the next: one product.
+    gap = np.zeros((_MAX_LAG, n_sensors), dtype=np.float32)
+    joined = np.concatenate([block for part in parts for block in (part, gap)])
+    found = np.empty((_MAX_LAG + 1, n_sensors, n_sensors), dtype=np.float32)
+    for lag in range(_MAX_LAG + 1):
+        np.matmul(joined[: len(joined) - lag].T, joined[lag:], out=found[lag])
+        found[lag] /= np.float32(len(parts) * (n_frames - lag))
+        np.fill_diagonal(found[lag], -1)
+    return found
+
+
+def _highest(
+    correlations: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Return the highest correlation of each pair, and its lag; the smallest of equal ones."""
+    peak = correlations[0].copy()
+    peak_lag = np.zeros(peak.shape, dtype=np.intp)
+    for lag, later in enumerate(correlations[1:], 1):
+        for signed, found in ((lag, later), (-lag, later.T)):
+            higher = found > peak
+            np.copyto(peak, found, where=higher)
+            peak_lag[higher] = signed
+    return peak, peak_lag
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Lags of n sensors and their groups, which restore most of the correlation of the links.
+
+    parts: Standardised ranks of each part of the recording.
+    i, j (P,): Links: each sensor, and those that it is most similar to at any lag.
+    curves (P, lags): Their correlations at lags from -40 to 40.
+    peak, peak_lag (P,): Highest correlations, and their lags.
+    """
+
+    parts: list[NDArray[np.float32]]
+    i: NDArray[np.intp]
+    j: NDArray[np.intp]
+    curves: NDArray[np.float32]
+    peak: NDArray[np.float32]
+    peak_lag: NDArray[np.intp]
+    lags: NDArray[np.intp]
+    groups: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, values: NDArray[Any]) -> _Fit:
+        """Fit lags to readings of shape (T, n)."""
+        ranks = rank_columns(columns(values), values.shape)
+        n_parts = int(np.clip(len(ranks) // (10 * _MAX_LAG), 2, 4))
+        equal = ranks[: len(ranks) // n_parts * n_parts]
+        parts = [standardised(part) for part in np.split(equal, n_parts)]
+        whole = _correlations(parts)
+        peak, peak_lag = _highest(whole)
+        count = min(_N_PARTNERS, len(peak) - 1)
+        j = np.argsort(-peak, axis=1, kind="stable")[:, :count].ravel()
+        i = np.repeat(np.arange(len(peak)), count)
+        tree = np.zeros(len(peak), dtype=np.intp)
+        for new, joined in tree_edges(peak):
+            tree[new] = tree[joined] + peak_lag[joined, new]
+        tree -= int(np.median(tree))
+        links = parts, i, j, _along(whole, i, j), peak[i, j], peak_lag[i, j]
+
+        def fitted(start: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[_Fit, float]:
+            fit = cls(*links, *start)
+            fit = replace(fit, lags=fit.refitted(fit.curves))
+            return fit, float(_at(fit.curves, fit.expected).sum())
+
+        anywhere, most = fitted(_anywhere(tree))
+        starts = (tree, anywhere.lags)
+        in_order, best = max((fitted(_in_order(lags)) for lags in starts), key=lambda one: one[1])
+        return anywhere if most > _CLEARLY_MORE * best else in_order
+
+    def refitted(self, curves: NDArray[np.float32]) -> NDArray[np.intp]:
+        """Fit the lag of each group to the correlations of its links, in turn."""
+        lags = self.lags.copy()
+        steps = np.arange(-_MAX_LAG, _MAX_LAG + 1)
+        begins, ends = self.groups[self.i], self.groups[self.j]
+        for _ in range(_MAX_ROUNDS):
+            before = lags.copy()
+            for group in np.unique(self.groups).tolist():
+                leaving, arriving = begins == group, ends == group
+                across = np.flatnonzero(leaving != arriving)
+                apart = lags[self.j[across]] - lags[self.i[across]]
+                sign = np.where(arriving[across], 1, -1).astype(np.intp)
+                sums = _at(curves[across], apart + sign * steps[:, None]).sum(axis=1)
+                best = steps[np.lexsort((-np.abs(steps), sums.round(6)))[-1]]
+                lags[self.groups == group] += best
+            if (lags == before).all():
+                break
+        return lags - _most_frequent(lags)
+
+    @property
+    def expected(self) -> NDArray[np.intp]:
+        """Lag of each link."""
+        return np.asarray(self.lags[self.j] - self.lags[self.i])
+
+    def restored(self) -> tuple[float, float]:
+        """Return the correlation that the lags restore, and that which any lags could."""
+        across = self.expected != 0
+        without = self.curves[across, _MAX_LAG]
+        restored = _at(self.curves, self.expected)[across] - without
+        return float(restored.sum()), float((self.peak[across] - without).sum())
+
+    def explains(self, share: float) -> bool:
+        """Return whether there are lags, and restore at least a share of the lost correlation."""
+        restored, lost = self.restored()
+        return bool(self.expected.any()) and restored >= share * lost
+
+    def found_again(self) -> Iterator[float]:
+        """Yield the share of the links for which each part of the recording gives the same lags."""
+        across = self.expected != 0
+        for part in self.parts:
+            again = self.refitted(_along(_correlations([part]), self.i, self.j))
+            apart = again[self.j] - again[self.i] - self.expected
+            yield float(np.mean(np.abs(apart)[across] <= 1))
+
+    def is_clear(self) -> bool:
+        """Return whether the links agree with the lags of their groups."""
+        own, expected = self.peak_lag, self.expected
+        across = expected != 0
+        if not across.any() or self.lags.size < _MIN_GROUP * np.unique(self.groups).size:
+            return False
+        slack = np.maximum(1, 0.15 * np.abs(expected))
+        weight = self.peak.astype(np.float64) ** 2  # weak links have random lags
+        agreement = _share(np.abs(own - expected) <= slack, weight * across)
+        opposite = _share(np.sign(own) == -np.sign(expected), weight * across)
+        within, cost = 1.0, np.zeros(_MAX_LAG + 1)
+        if not across.all():
+            within = _share(np.abs(own) <= 1, weight * ~across)
+            # The share of correlation that links within groups lose at each lag.
+            kept = self.curves[~across].mean(axis=0, dtype=np.float64)
+            kept = kept[_MAX_LAG:] + kept[_MAX_LAG::-1]
+            cost = 1 - kept / max(float(kept[0]), 1e-12)
+        gain = (self.peak * cost[np.minimum(np.abs(expected), _MAX_LAG)])[across].sum()
+        return bool(
+            self.restored()[0] >= _MIN_GAIN * gain
+            and agreement >= max(_MIN_AGREEMENT, _MIN_RELATIVE * within)
+            and opposite <= _MAX_OPPOSITE
+            and within >= _MIN_WITHIN
+            and self.explains(_MIN_EXPLAINED)
+            and all(share >= _MIN_AGAIN for share in self.found_again())
+        )
+
+
+def _along(
+    correlations: NDArray[np.float32], i: NDArray[np.intp], j: NDArray[np.intp]
+) -> NDArray[np.float32]:
+    """Return the correlations of links at lags of either sign, (P, lags)."""
+    return np.concatenate([correlations[:0:-1, j, i], correlations[:, i, j]]).T
+
+
+def _at(curves: NDArray[np.float32], lags: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Return the correlations of links, (P, lags), at lags of shape (..., P)."""
+    return curves[np.arange(len(curves)), np.clip(lags, -_MAX_LAG, _MAX_LAG) + _MAX_LAG]
+
+
+def _in_order(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Divide sensors along their order into runs of equal lags."""
+    levels = np.unique(lags)
+    misfit = np.minimum(np.abs(lags[:, None] - levels), _MAX_MISFIT)
+    cost, previous = misfit[0].copy(), []
+    for row in misfit[1:]:
+        cheapest = int(cost.argmin())
+        changes = cost[cheapest] + _CHANGE_COST < cost
+        previous.append(np.where(changes, cheapest, np.arange(levels.size)))
+        cost = np.where(changes, cost[cheapest] + _CHANGE_COST, cost) + row
+    state = int(cost.argmin())
+    states = [state]
+    for row_of_states in reversed(previous):
+        state = int(row_of_states[state])
+        states.append(state)
+    found = levels[np.array(states[::-1])]
+    return found, np.concatenate([[0], np.cumsum(np.diff(found) != 0)])
+
+
+def _anywhere(lags: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Group sensors by lags that differ by at most 2 frames, the most frequent first."""
+    found = lags.copy()
+    left = np.ones(lags.size, dtype=bool)
+    while left.any():
+        levels, counts = np.unique(lags[left], return_counts=True)
+        near = np.abs(levels[:, None] - levels) <= _SPREAD
+        level = levels[np.lexsort((counts, near @ counts))[-1]]
+        members = left & (np.abs(lags - level) <= _SPREAD)
+        found[members], left = level, left & ~members
+    return found, np.unique(found, return_inverse=True)[1]
+
+
+def _share(marked: NDArray[np.bool_], weight: NDArray[np.float64]) -> float:
+    return float(np.sum(weight * marked) / max(float(weight.sum()), 1e-300))
+
+
+def _extended(
+    values: NDArray[Any],
+    varying: NDArray[np.intp],
+    chosen: NDArray[np.intp],
+    lags: NDArray[np.intp],
+) -> NDArray[np.intp]:
+    """Give each other sensor the lag at which it resembles one of the chosen sensors most."""
+    ranks = standardised(rank_columns(columns(values), values.shape))
+    aligned = _aligned(ranks[:, chosen], lags[chosen])
+    n_frames = len(aligned) - 2 * _MAX_LAG
+    others = np.setdiff1d(varying, chosen)
+    best = np.full(others.size, -np.inf)
+    result = lags.copy()
+    for lag in np.unique(lags[chosen]).tolist():
+        begin = _MAX_LAG + lag - int(lags[chosen].min())
+        part = ranks[begin : begin + n_frames, others]
+        match = (part.T @ aligned[_MAX_LAG : _MAX_LAG + n_frames]).max(axis=1)
+        result[others[match > best]] = lag
+        best = np.maximum(best, match)
+    return result
+
+
+def _most_frequent(lags: NDArray[np.intp]) -> int:
+    levels, counts = np.unique(lags, return_counts=True)
+    return int(levels[counts.argmax()])

@@ -1,0 +1,191 @@
+"""Leaks: each channel contains a share of the channel read before it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import bdtrc
+
+from anisomap.health.recording_faults.found import Found, in_readings
+from anisomap.numerics.columns import columns
+from anisomap.numerics.signals import middle_frames, some_sensors
+from anisomap.numerics.similarity.rest import Rest
+from anisomap.recording import Recording
+
+_LEVEL = 1e-4  # of the sign test: the probability of a false finding
+_QUANTILES = (0.05, 0.25)  # the lower edge of wide contacts, and of brief ones
+_OTHER_OFFSETS = (2, 3, 5, 7)  # channels between which nothing leaks, for comparison
+_MIN_FRAMES = 20  # of strong contact; chosen by hand
+_MAX_FRAMES = 2000  # of strong contact that are used, for speed
+_MAX_EXCERPT = 16384  # frames
+_MAX_CHANNELS = 256  # the first ones, in which a leak is searched
+# Pairs that are compared first, and the least excess, as a share of them, of those with more signal
+# in the later channel over those with less; chosen by hand. Leaks of 5 % gave .5 and more.
+_MIN_SCREENED, _MIN_FORWARD = 32, 0.2
+_MIN_LEVELS = 8  # distinct values, for a share to be visible
+_MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
+_TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
+
+
+def find_leak(recording: Recording) -> Iterator[Found]:
+    """Find a leak from each channel to the next.
+
+    Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
+    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in
+    both directions alike, a leak in one: the signs of the differences are tested. They must also
+    exceed those of channels that are further apart in order. Where the order follows the skin, most
+    lowest readings are due to contacts, and a leak is not found. What leaks is the reading of the
+    previous channel with or without its own leak, whichever leaves less of earlier channels.
+    """
+    n_sensors = min(recording.n_sensors, _MAX_CHANNELS)
+    if n_sensors <= max(_OTHER_OFFSETS):
+        return
+    excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
+    rest = recording.signals.rest
+    last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
+    depths = _Depths(excerpt, rest)
+    some = last[:: max(1, last.size // _MIN_SCREENED)]
+    for quantile in _QUANTILES:
+        if np.mean(np.sign(depths.compare(some, 1, quantile))) < _MIN_FORWARD:
+            continue
+        gains = depths.compare(last, 1, quantile)
+        start, n_pairs = float(np.median(gains)), np.count_nonzero(gains)
+        n_forward = np.count_nonzero(gains > 0)
+        # One-sided binomial test.
+        if not 0 < start < _MAX_SHARE or bdtrc(n_forward - 1, n_pairs, 0.5) > _LEVEL:
+            continue
+        beyond = [np.median(depths.compare(last, k, quantile)) for k in _OTHER_OFFSETS]
+        if start < 2 * max(map(abs, beyond)):
+            continue
+        shares = [depths.share(last, start, limit) for limit in (2.5 * start, _MAX_SHARE)]
+        trials = [(*one, chained) for one in shares for chained in (False, True) if one[0] > 0]
+        if not trials:
+            return
+        left = [_asymmetry(remove_leak(rest, *trial, excerpt), rest, last) for trial in trials]
+        best = trials[int(np.argmin(left))]
+        yield Found(
+            range(1, recording.n_sensors),
+            best[0],
+            f"{best[0]:.1%} of each channel leak into the next "
+            f"(seen in {n_forward} of {n_pairs} pairs, and not backwards)",
+            in_readings(partial(remove_leak, rest, *best)),
+        )
+        return
+
+
+def remove_leak(
+    rest: Rest, share: float, error: float, chained: bool, readings: NDArray[Any]
+) -> NDArray[Any]:
+    """Subtract a leak; chained: of readings that include their own. readings (T, N) -> (T, N)."""
+    mended = np.array(readings)
+    values = rest.value.astype(readings.dtype)
+    for i in range(1, readings.shape[1]):
+        source = readings if chained else mended
+        leaked = share * (source[:, i - 1] - values[i - 1])
+        mended[:, i] -= leaked
+        slack = np.abs(leaked) * max(3 * error / share, _TOLERANCE)
+        at_rest = (np.abs(mended[:, i] - values[i]) <= slack) & (leaked != 0)
+        mended[at_rest, i] = values[i]
+    return mended
+
+
+def _is_visible(column: NDArray[Any]) -> bool:
+    """Return whether a sensor has enough distinct values to show a share of another."""
+    some = column[:: max(1, len(column) // 2048)]
+    return any(np.unique(part).size >= _MIN_LEVELS for part in (some[: _MIN_LEVELS**2], some))
+
+
+class _Depths:
+    """Depths of contact of the channels, computed channel by channel."""
+
+    def __init__(self, readings: NDArray[Any], rest: Rest) -> None:
+        self.columns = list(columns(readings))
+        self.visible = [_is_visible(column) for column in self.columns]
+        self.rest = rest
+        self.depth, self.frames = cache(self._depth), cache(self._frames)
+
+    def _depth(self, i: int) -> NDArray[np.float64]:
+        beyond = self.columns[i].astype(np.float64) - self.rest.value[i]
+        return np.asarray(beyond * self.rest.side[i])
+
+    def _frames(self, i: int) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+        """Return the frames of strong contact and of rest of a channel; None if there are few."""
+        if not self.visible[i]:
+            return None
+        depth = self.depth(i)
+        touched = depth > self.rest.threshold[i]
+        quiet = np.flatnonzero(~touched)
+        if np.count_nonzero(touched) < 2 * _MIN_FRAMES or quiet.size < _MIN_FRAMES:
+            return None
+        deep = np.flatnonzero(depth >= np.median(depth[touched]))
+        return _thinned(deep), _thinned(quiet)
+
+    def ratios(self, i: int, source: int, quantile: float) -> NDArray[np.float64]:
+        """Return channel i less a quantile at rest in units of another while that is in contact."""
+        frames = self.frames(source)
+        if frames is None or not self.visible[i]:
+            return np.empty(0)
+        deep, quiet = frames
+        mine = self.depth(i)
+        return (mine[deep] - _quantile(mine[quiet], quantile)) / self.depth(source)[deep]
+
+    def compare(self, last: NDArray[np.intp], offset: int, quantile: float) -> NDArray[np.float64]:
+        """Return the gain forward minus the gain backward of channels `offset` apart."""
+        found = []
+        for i in last.tolist():
+            pair = [self.ratios(i, i - offset, quantile), self.ratios(i - offset, i, quantile)]
+            if all(ratios.size for ratios in pair):
+                forward, backward = (_quantile(ratios, quantile) for ratios in pair)
+                found.append(forward - backward)
+        gains = np.array(found or [0.0])
+        return np.where(np.abs(gains) < _TOLERANCE, 0, gains)
+
+    def share(self, last: NDArray[np.intp], start: float, limit: float) -> tuple[float, float]:
+        """Return the most frequent ratio of adjacent channels near a first one, and its error."""
+        pooled = np.sort(np.concatenate([self.ratios(i, i - 1, 0.5) for i in last.tolist()]))
+        near = pooled[(pooled > 0.3 * start) & (pooled < limit)]
+        share = _densest(near)
+        for _ in range(3):
+            width = 3 * np.median(np.abs(near - share)) / 0.6745
+            inside = near[np.abs(near - share) <= max(min(width, 0.5 * share), _TOLERANCE * share)]
+            if inside.size < _MIN_FRAMES:
+                break
+            centre = float(np.median(inside))
+            if abs(centre - share) > 0.2 * share:
+                break  # contacts outweigh the leak: keep the mode
+            share, near = centre, inside
+        return share, float(np.std(near) / np.sqrt(max(1, near.size)))
+
+
+def _asymmetry(readings: NDArray[Any], rest: Rest, last: NDArray[np.intp]) -> float:
+    """Return how much more channels contain of earlier than of later ones."""
+    depths = _Depths(readings, rest)
+    return sum(
+        abs(float(np.mean(np.sign(depths.compare(last, offset, quantile)))))
+        for offset in (1, 2)
+        for quantile in _QUANTILES
+    )
+
+
+def _densest(values: NDArray[np.float64]) -> float:
+    """Return the middle of the narrowest interval, in proportion, of a tenth of sorted values."""
+    count = max(_MIN_FRAMES, values.size // 10)
+    if values.size <= count:
+        return float(np.median(values)) if values.size else 0.0
+    logarithm = np.log(values)
+    begin = int(np.argmin(logarithm[count:] - logarithm[:-count]))
+    return float(np.median(values[begin : begin + count + 1]))
+
+
+def _quantile(values: NDArray[np.float64], level: float) -> float:
+    """Return the value of the nearest rank; interpolation takes several times as long."""
+    place = round(level * (values.size - 1))
+    return float(np.partition(values, place)[place])
+
+
+def _thinned(frames: NDArray[np.intp]) -> NDArray[np.intp]:
+    return frames[:: max(1, -(-frames.size // _MAX_FRAMES))]

@@ -1,0 +1,86 @@
+"""Stimulations that a skin cannot show: too strong for its range, or of one region at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.health.recording_faults.found import Found
+from anisomap.numerics.columns import columns, count_values
+from anisomap.recording import Recording
+
+_MIN_CLIPPED = 10  # frames at the limit
+_MIN_LEVELS = 16  # distinct values of a sensor that can be clipped; fewer are quantised
+_LEVELS = 3  # beside the limit, of which none may be half as frequent
+_TOP = 0.05  # share of the range below the limit, for comparison
+_MAX_BRIDGES = 3  # sensors touched with both regions: fewer cannot fix their relative place
+_MIN_REGION = 0.1  # share of the sensors in the smaller region
+_MAX_FRAMES = 8192  # in which regions are searched
+_N_SPLITS = 39  # moments at which a recording may be divided
+_STRAY = 0.02  # share of a sensor's active frames with the other region
+
+
+def find_clipped(recording: Recording) -> Iterator[Found]:
+    """Find sensors whose readings are limited by a range that is too small.
+
+    The density of heights of contacts falls towards the highest. A sensor is clipped if its extreme
+    reading occurs more often than all readings in the 5 % of its range beside it, and in at least
+    10 frames. Sensors with fewer than 16 distinct values are not judged.
+    """
+    shares = [max(_at_limit(column), _at_limit(-column)) for column in columns(recording.readings)]
+    clipped = np.flatnonzero(shares)
+    if clipped.size:
+        share = float(np.median(np.array(shares)[clipped]))
+        yield Found(
+            clipped,
+            share,
+            f"{clipped.size} of {recording.n_sensors} sensors are at the end of their range in "
+            f"{share:.1%} of the frames (median)",
+        )
+
+
+def _at_limit(column: NDArray[Any]) -> float:
+    """Return the share of a sensor's frames, (T,), at its highest reading; 0 unless clipped."""
+    limit = column.max()
+    at_limit = np.count_nonzero(column == limit)
+    if not _MIN_CLIPPED <= at_limit <= 0.5 * column.size:
+        return 0.0
+    values, counts = count_values(column)
+    # Of readings with few levels, those beside the limit are frequent as well.
+    beside = counts[-1 - _LEVELS : -1].max(initial=0)
+    near = counts[values >= limit - _TOP * (float(limit) - float(values[0]))].sum() - at_limit
+    is_rest = values[counts.argmax()] == limit
+    clipped = at_limit > max(2 * beside, near) and values.size >= _MIN_LEVELS and not is_rest
+    return at_limit / column.size if clipped else 0.0
+
+
+def find_regions(recording: Recording) -> Iterator[Found]:
+    """Find two regions of the skin that were never touched together."""
+    step = -(-recording.n_frames // _MAX_FRAMES)
+    active = recording.signals.active[::step]
+    n_frames, n_sensors = active.shape
+    splits = np.linspace(0, n_frames, _N_SPLITS + 2).astype(int)
+    between = [np.count_nonzero(active[a:b], axis=0) for a, b in pairwise(splits)]
+    sums = np.cumsum(between, axis=0)
+    touched = sums[-1] >= 5
+    if n_frames < 2 * _N_SPLITS or np.count_nonzero(touched) < 2 * _MAX_BRIDGES:
+        return
+    shares = sums[:-1] / np.maximum(sums[-1], 1)
+    before, after = touched & (shares >= 1 - _STRAY), touched & (shares <= _STRAY)
+    bridges = np.count_nonzero(touched & ~before & ~after, axis=1)
+    sizes = np.minimum(before.sum(axis=1), after.sum(axis=1))
+    sizes[bridges >= _MAX_BRIDGES] = 0
+    best = int(sizes.argmax())
+    if sizes[best] >= max(3, _MIN_REGION * n_sensors):
+        parts = np.flatnonzero(before[best]), np.flatnonzero(after[best])
+        yield Found(
+            min(parts, key=len),
+            bridges[best],
+            f"two regions of {parts[0].size} and {parts[1].size} sensors were touched one "
+            f"after the other, the second from frame {splits[best + 1] * step} on, and "
+            f"{bridges[best] or 'no'} sensors with both",
+        )
