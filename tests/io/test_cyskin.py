@@ -52,54 +52,11 @@ def test_errors_of_sensors_are_missing_readings(put: Put) -> None:
     np.testing.assert_array_equal(found.readings, [[1, np.nan, 2], [3, 4, np.nan]])
 
 
-@pytest.mark.filterwarnings("ignore:.*several sensors")
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("3 27.120000 5 38135", "3 27.120000 5 38134", "line 6 lists other addresses than the"),
-        ("3 27.120000 5 38135", "3 27.120000 5", "line 6 has 12 fields, but 5 taxels need 13"),
-        ("3 27.120000 5 38135", "3 27.120000 5 x", r"line 6, column 4: 'x' is not a number"),
-    ],
-)
-def test_damaged_recordings(put: Put, old: str, new: str, message: str) -> None:
-    text = recorded()
-    assert old in text
-    with pytest.raises(FileError, match=rf"hand\.txt, {message}"):
-        io.read(put("hand.txt", text.replace(old, new)))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"x": [0, 1]}, "taxel 1: x must be three finite numbers"),
-        ({"x": [0, 1, "2"]}, "taxel 1: x must be three finite numbers"),
-        ({"x": [0, 1, 1e999]}, "taxel 1: x must be three finite numbers"),
-        ({"x": None}, "taxel 1: x must be three finite numbers"),
-        ({"id": -3}, "taxel 1: id must be a whole number, got '-3'"),
-        ({"id": "a"}, "taxel 1: id must be a whole number, got 'a'"),
-    ],
-)
-def test_damaged_calibrations(put: Put, changes: dict[str, object], message: str) -> None:
-    with pytest.raises(FileError, match=rf"handle\.json, {message}"):
-        io.read_map(put("handle.json", calibration((7, 8, 9), **changes)))
-
-
 def test_normals_become_unit_vectors(put: Put) -> None:
     for normal, expected in (([0, 3, 4], [0, 0.6, 0.8]), ([0, 0, 0], [np.nan] * 3), ("up", None)):
         found = io.read_map(put("handle.json", calibration((7, 8, 9), n=normal)))
         np.testing.assert_array_equal(found.normals[0], [0, 0, 1])
         np.testing.assert_allclose(found.normals[1], expected or [np.nan] * 3)
-
-
-def test_calibrations_without_taxels(put: Put) -> None:
-    for text, message in (
-        ('{"skin": {"taxels": 3}}', "without the taxels of a skin"),
-        ('{"skin": {"taxels": [{"id": 0, "x": [0, 0, 0]}]}}', "no taxel with an address"),
-        ('{"skin": {"taxels": [3]}}', "taxel 0: must be an object"),
-        ('{"skin": {"taxels": [}', "line 1, column 22: not valid JSON"),
-    ):
-        with pytest.raises(FileError, match=message):
-            io.read_map(put("handle.json", text))
 
 
 def test_a_calibration_is_no_recording(put: Put) -> None:

@@ -45,13 +45,6 @@ def test_lists_of_contacts_without_a_header(put: Put, delimiter: str) -> None:
     np.testing.assert_array_equal(found.times, [0, 0.25, 0.75, 1.25])
 
 
-def test_a_damaged_table_of_integers_is_not_a_list_of_contacts(put: Put) -> None:
-    lines = [f"{i},0,{i % 4},3,0" for i in range(30)]
-    lines[10], lines[20] = "10,0", "20,0,1"
-    with pytest.raises(FileError, match=r"line 11 has 2 fields"):
-        io.read(put("x.csv", "\n".join(lines) + "\n"))
-
-
 def test_a_single_contact(put: Put) -> None:
     found = io.read(put("run.csv", 'time,taxels\n0.5,"3 17"\n'))
     np.testing.assert_array_equal(found.readings, [[1, 1]])
@@ -118,30 +111,9 @@ def test_tables_of_readings_are_not_lists_of_contacts(put: Put, text: str) -> No
     assert not contacts.matches(Path("x.csv"), text.encode())
 
 
-@pytest.mark.parametrize(
-    ("row", "message"),
-    [
-        ("2.5,1", r"line 62, column 1: '2\.5' must be the id of a sensor"),
-        ("-2,1", "line 62, column 1: '-2' must be the id of a sensor"),
-        ("2,late", "line 62, column 2: 'late' is not a number"),
-        ("2", "line 62 has 1 fields; it must have 2"),
-        ("2,inf", None),
-    ],
-)
-def test_damaged_rows(put: Put, row: str, message: str | None) -> None:
+def test_rows_without_a_moment_are_left_out(put: Put) -> None:
     body = "".join(f"{i % 3},{i // 3}\n" for i in range(60))
-    path = put("run.csv", f"taxel,time\n{body}{row}\n1,90\n")
-    if message is None:
-        assert io.read(path).n_frames == 21
-        return
-    with pytest.raises(FileError, match=rf"run\.csv, {message}"):
-        io.read(path)
-
-
-@pytest.mark.parametrize("body", ["", "0.5,\n1.5,\n"])
-def test_lists_without_contacts(put: Put, body: str) -> None:
-    with pytest.raises(FileError, match=r"run\.csv.*(no event|only a header)"):
-        io.read(put("run.csv", "time,taxel\n" + body))
+    assert io.read(put("run.csv", f"taxel,time\n{body}2,inf\n1,90\n")).n_frames == 21
 
 
 def test_a_truncated_list_loses_its_last_line(put: Put) -> None:
@@ -255,23 +227,6 @@ class TestJson:
         assert found.names == ("palm", "thumb")
         np.testing.assert_array_equal(found.readings, [[0, 1], [2.5, 4]])
         np.testing.assert_array_equal(found.times, [0, 0.25])
-
-    @pytest.mark.parametrize(
-        ("row", "message"),
-        [
-            ('{"time": 1, "ids": [1.5]}', "'1.5' must be the id of a sensor"),
-            ('{"time": 1, "ids": [true]}', "'True' must be the id of a sensor"),
-            ('{"time": "late", "ids": [1]}', "time must be a number, got 'late'"),
-            ('{"time": 1}', "must be an object with a time and sensors"),
-            ("3", "must be an object with a time and sensors"),
-            ('{"time": 1, "ids": [1}', "not valid JSON"),
-        ],
-    )
-    def test_damaged_objects(self, put: Put, row: str, message: str) -> None:
-        good = '{"time": 0, "ids": [1, 2]}'
-        for text in (f"{good}\n{row}\n{good}\n", f"[{good}, {row}, {good}]"):
-            with pytest.raises(FileError, match=rf"x\.json, (contact 1|line [12]).*{message}"):
-                io.read(put("x.json", text))
 
     def test_a_map_is_not_a_list_of_contacts(self, put: Put) -> None:
         text = '{"time": 3, "units": "mm",\n "sensors": [{"position": [1, 2]}]}'

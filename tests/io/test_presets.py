@@ -1,13 +1,16 @@
-"""Sensors and names of robots with a known numbering."""
+"""Sensors, names and positions of robots with a known numbering, and of grids."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from anisomap import Recording, io
-from anisomap.errors import InputError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.presets import apply_preset
+
+Put = Callable[[str, str | bytes], Path]
 
 
 def skin(n_boards: int = 2, *, rest: float = 0.0, source: str = "") -> Recording:
@@ -75,3 +78,32 @@ def test_grids(tmp_path: Path) -> None:
     assert found.positions.tolist() == [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]]
     with pytest.raises(InputError, match="4 x 4 grid has 16 sensors, but the recording has 6"):
         io.read(tmp_path / "mat.csv", options=io.ReadOptions(grid=(4, 4)))
+
+
+def test_some_cells_by_their_numbers(put: Put) -> None:
+    for names in ("c1,c4,c5", "r0c1,r1c1,r1c2"):
+        path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
+        found = io.read(path, options=io.ReadOptions(grid=(2, 3)))
+        np.testing.assert_array_equal(found.positions, [[1, 0], [1, 1], [2, 1]])
+        assert found.names == tuple(names.split(","))
+
+
+@pytest.mark.parametrize("names", ["c1,c4,c6", "c1,c1x,c2", "r0c1,r2c1,r1c2", "a,b,c"])
+def test_names_that_give_no_cells(put: Put, names: str) -> None:
+    path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
+    with pytest.raises(FileError, match=r"2 x 3 grid has 6 sensors.* not give the cells"):
+        io.read(path, options=io.ReadOptions(grid=(2, 3)))
+
+
+def test_cells_without_a_reading_are_dead(put: Put) -> None:
+    path = put("mat.csv", "a,b,c,d\n1,,3,\n4,,6,\n7,nan,8,1\n")
+    with pytest.warns(AnisomapWarning, match="1 of 4 cells of the grid have no reading"):
+        found = io.read(path, options=io.ReadOptions(grid=(2, 2)))
+    np.testing.assert_array_equal(found.readings[:, 1], 0)
+    assert np.isnan(found.readings[:2, 3]).all(), "cells with a reading keep their gaps"
+
+
+@pytest.mark.parametrize("grid", [(-1, -2), (0, 3), (1, 2, 3), (2.0, 3), 6, "2x3", ((1, 2), 3)])
+def test_a_grid_that_is_none_is_named(grid):
+    with pytest.raises(InputError, match=r"^grid must be two whole numbers of at least 1"):
+        io.ReadOptions(grid=grid)

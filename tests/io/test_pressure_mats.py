@@ -84,23 +84,6 @@ def test_a_truncated_last_frame(put: Put) -> None:
         assert io.read(put("walk.asf", text[: text.rindex("\n", 0, -1) + 1])).n_frames == 29
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda text: text.replace("Frame 3\n", "Frame 3\nx"), "the frame at line"),
-        (lambda text: text.replace("ROWS 4", "ROWS 5"), r"4 x 3 cells, but the header says 5 x 3"),
-        (lambda text: text.replace("COLS 3", "COLS 4"), r"but the header says 4 x 4"),
-        (lambda text: text.replace("ROWS 4", "ROWS 99999999"), "at most 4194304 are supported"),
-        (lambda text: text[: text.index("Frame 1") + 8], "has no frame"),
-    ],
-)
-def test_frames_that_do_not_fit_the_header_are_rejected(
-    put: Put, change: Callable[[str], str], message: str
-) -> None:
-    with pytest.raises(FileError, match=message):
-        io.read(put("walk.asf", change(movie())))
-
-
 @pytest.mark.parametrize("between", ["\t", ";", ","])
 def test_a_table_below_metadata(put: Put, between: str) -> None:
     """Insoles: metadata, then a table with names."""

@@ -35,6 +35,7 @@ VERDICTS = st.builds(
     *3 * [FLOATS],
     reasons=st.lists(WORDS, max_size=3),
 )
+FINITE = st.floats(-1e9, 1e9)
 SCALARS = WORDS | st.booleans() | st.integers(-(10**30), 10**30) | FLOATS
 
 
@@ -74,8 +75,11 @@ def recordings(draw: st.DrawFn) -> Recording:
     steps = st.lists(
         st.integers(-(10**12), 10**12), min_size=n_frames, max_size=n_frames, unique=True
     )
+    places = hnp.arrays(np.float64, (n_sensors, draw(st.integers(2, 3))), elements=FINITE)
     return Recording(
         draw(hnp.arrays(f"f{width // 8}", shape, elements=elements)),
+        positions=draw(st.none() | places),
+        units=draw(WORDS),
         names=draw(st.lists(WORDS, min_size=n_sensors, max_size=n_sensors, unique=True)),
         times=draw(st.none() | steps.map(lambda ticks: np.sort(ticks) / 1000)),
         rate_hz=draw(st.none() | st.floats(1e-3, 1e6)),
@@ -171,8 +175,14 @@ def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
 def test_recordings(folder: Path, recording: Recording) -> None:
     for suffix in (".csv", ".tsv", ".npz"):
         path = folder / f"skin{suffix}"
-        io.write(recording, path)
+        if suffix == ".npz":
+            positions, units = recording.positions, recording.units
+        else:  # no format of text has positions
+            positions, units = None, ""
+        io.write(replace(recording, positions=positions, units=units), path)
         found = io.read(path)
+        assert found.units == units
+        np.testing.assert_equal(found.positions, positions)
         assert_same_bits(found.readings.astype(np.float64), recording.readings.astype(np.float64))
         assert found.readings.dtype <= recording.readings.dtype
         assert found.names == recording.names
@@ -182,18 +192,6 @@ def test_recordings(folder: Path, recording: Recording) -> None:
         assert found.rate_hz == recording.rate_hz
         assert found.source == recording.source
         assert_same_mapping(found.metadata, recording.metadata)
-
-
-@pytest.mark.parametrize("k", [2, 3])
-def test_archives_keep_true_positions(tmp_path: Path, k: int) -> None:
-    positions = np.random.default_rng(k).random((4, k))
-    recording = Recording(np.eye(4), positions=positions, units="mm")
-    io.write(recording, tmp_path / "skin.npz")
-    found = io.read(tmp_path / "skin.npz")
-    assert_same_bits(found.positions, positions)
-    truth = io.read_map(tmp_path / "skin.npz")
-    assert_same_bits(truth.positions, positions)
-    assert found.units == truth.units == "mm"
 
 
 def test_text_warns_that_it_drops_true_positions(tmp_path: Path) -> None:

@@ -1,0 +1,249 @@
+"""Text that is damaged or lacks something is refused, with its place and what is wrong."""
+
+import gzip
+import json
+
+import pytest
+
+from anisomap import io
+from anisomap.errors import FileError
+
+
+def log(line: str) -> str:
+    """Return a log of YARP with a changed line 20; its other lines have 8 fields."""
+    lines = [f"{i} {1_379_926_523 + i / 64:.6f} 1.0 2.0 3.0 4.0 5.0 6.0" for i in range(40)]
+    lines[19] = line.format(lines[19])
+    return "\n".join(lines)
+
+
+def touched(taxels: str, part: str = "3 2 2 5") -> str:
+    """Return a log of contacts with a changed second line."""
+    vectors = "(0.0 0.0 0.0) (1.5 -2.0 0.0) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.0 0.0 1.0)"
+    lists = [f"((3 2 2 5) {vectors} (3) 21.5)", f"(({part}) {vectors} {taxels} 21.5)"]
+    return "".join(f"{i} {1.4e9 + i / 8:.6f} {text}\n" for i, text in enumerate(lists * 2))
+
+
+def cyskin(old: str, new: str) -> str:
+    lines = [f"{i} {26.82 + i / 10:f} 2 38135 {i} 38136 {2 * i}\n" for i in range(9)]
+    return "1\n2\n" + "".join(lines).replace(f"3 27.120000 2 {old}", f"3 27.120000 2 {new}")
+
+
+def mat(rows: str = "2", columns: str = "2", third: str = "3,4\n") -> str:
+    frames = "".join(f"Frame {i}\n1,2\n{third if i == 3 else '3,4'}\n" for i in range(1, 6))
+    return f"ROWS {rows}\nCOLS {columns}\n{frames}"
+
+
+HEADED = "taxel,time\n" + "".join(f"{i % 3},{i // 3}\n" for i in range(60))
+GOOD = '{"time": 0, "ids": [1, 2]}'
+WRONG_CONTACTS = {
+    '{"time": 1, "ids": [1.5]}': "'1.5' must be the id of a sensor",
+    '{"time": 1, "ids": [true]}': "'True' must be the id of a sensor",
+    '{"time": "late", "ids": [1]}': "time must be a number, got 'late'",
+    '{"time": 1}': "must be an object with a time and sensors",
+    "3": "must be an object with a time and sensors",
+    '{"time": 1, "ids": [1}': "not valid JSON",
+}
+CONTACTS = "must hold contacts, each of 8 lists and numbers in brackets"
+LISTS = "".join(f'{i},"1,2,3"\n' for i in range(60))
+
+RECORDINGS = [
+    ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n", "line 5 has 2 fields, but line 3 has 3"),
+    ("x.csv", "1,2,3\n" * 600 + "1,2\n" * 600, "line 601 has 2 fields, but line 1 has 3"),
+    ("x.csv", "1,5;2,5\nx,5;3\n", "line 2, column 1: 'x,5' is not a number"),
+    ("x.csv", "1 2\n\n3 four\n5 6\n", "line 3, column 2: 'four' is not a number"),
+    ("x.csv", '"1","2"\n"3","x"\n', "line 2, column 2: 'x' is not a number"),
+    ("x.csv", "a,b\n1," + "x" * 10_000, "line 2, column 2 (b): '" + "x" * 40 + "...' is not"),
+    ("x.csv", "a,b\nx,y\nz,w\n", "is not a number"),
+    ("x.csv", "a,b,c\n", "holds only a header"),
+    ("x.csv", "# a comment\n\n", "no line of numbers"),
+    ("x.csv", "time\n1\n2\n3\n", "no sensor"),
+    ("x.csv", "a,b\n1,2,3\n", "line 2 has 3 fields, but the header names 2"),
+    ("x.csv", "a,b,c\n1,2\n", "line 2 has 2 fields, but the header names 3"),
+    ("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8\n", "line 4 has 2 fields"),
+    ("x.csv", "a,b,c\n1,2,3\n4,5,6,7", "line 3 has 4 fields"),
+    ("x.csv", "a,b,c\n1,2", "line 2 has 2 fields"),
+    ("x.csv", 'a,"b\n' + "1,2\n" * 10, "unbalanced quotation marks"),
+    ("x.csv", "a,b\n1,2\n3,4\n# \u00b5\n".encode("latin-1"), "not UTF-8 text (line 4, byte 0xb5)"),
+    ("x.csv", "a,b\n1,2\n".encode("utf-16"), "is UTF-16 text"),
+    ("x.csv", b"1,2\n" * 20_000 + b"3,\0\0\n", "line 20001, column 2: '\\x00\\x00' is not"),
+    ("x.csv", gzip.compress(b"1,2\n3,4\n" * 9)[:11], "damaged or cut short"),
+    (
+        "x.csv",
+        'time\n0,"[1, 2, 3]"\n1,"[4, 5, 6]"\n',
+        "line 2 has 2 fields, but the header names 1",
+    ),
+    ("x.csv", "time\n0;[1 2 3]\n1;[4 5 6]\n", "line 2 has 2 fields, but the header names 1"),
+    (
+        "x.csv",
+        f'n,cells\n{LISTS}60,"1,2"\n61,"1,2,3"\n',
+        "line 62, column 2: the list has 2 numbers",
+    ),
+    ("x.csv", "0,0,1,3\n" * 10 + "1,0\n" + "2,0,2,0\n" * 10 + "3,0,1\n", "line 11 has 2 fields"),
+    ("run.csv", HEADED + "2.5,1\n1,90\n", "line 62, column 1: '2.5' must be the id of a sensor"),
+    ("run.csv", HEADED + "-2,1\n1,90\n", "line 62, column 1: '-2' must be the id of a sensor"),
+    ("run.csv", HEADED + "2,late\n1,90\n", "line 62, column 2: 'late' is not a number"),
+    ("run.csv", HEADED + "2\n1,90\n", "line 62 has 1 fields; it must have 2"),
+    ("run.csv", "time,taxel\n", "only a header"),
+    ("run.csv", "time,taxel\n0.5,\n1.5,\n", "no event"),
+    *(("x.jsonl", f"{GOOD}\n{row}\n{GOOD}\n", message) for row, message in WRONG_CONTACTS.items()),
+    *(("x.json", f"[{GOOD}, {row}, {GOOD}]", message) for row, message in WRONG_CONTACTS.items()),
+    ("data.log", log("19 1379926523.2 1.0"), "line 20 has 3 fields, but line 1 has 8"),
+    ("data.log", log("19 1379926523.2 1.o 2 3 4 5 6"), "line 20, column 3: '1.o' is not a number"),
+    ("data.log", log("{} 7"), "line 20 has 9 fields"),
+    ("data.log", log("[ok] {}"), "line 20 has 9 fields"),
+    ("data.log", "1 1379926523.5 ()\n2 1379926523.6 ()\n", "stamps, but no values"),
+    *(
+        ("data.log", f"1 1.5 {first}\n2 1.6 {first}\n", "is not a number")
+        for first in ("(0.25 0 0.75),1", "(1,2) 3", "0,(1)2")
+    ),
+    ("skin.log", touched("(4 seven)"), f"line 2: {CONTACTS}"),
+    ("skin.log", touched("(4 7"), f"line 2: {CONTACTS}"),
+    ("skin.log", touched(""), f"line 2: {CONTACTS}"),
+    ("skin.log", touched("(4 7)", "3 2 2"), f"line 2: {CONTACTS}"),
+    ("data.log", "0 1.4e9\n1 1.5e9\n2 1.6e9\n", "data.log"),
+    ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
+    ("hand.txt", cyskin("38135", ""), "line 6 has 6 fields, but 2 taxels need 7"),
+    ("hand.txt", cyskin("38135", "x"), "line 6, column 4: 'x' is not a number"),
+    ("walk.asf", mat(third="x3,4\n"), "the frame at line"),
+    ("walk.asf", mat(rows="5"), "2 x 2 cells, but the header says 5 x 2"),
+    ("walk.asf", mat(columns="4"), "but the header says 2 x 4"),
+    ("walk.asf", mat(rows="99999999"), "at most 4194304 are supported"),
+    ("walk.asf", "ROWS 4\nCOLS 3\nFrame 1\n", "has no frame"),
+]
+
+MAP_HEADER = "name,x,y,component,health\n"
+
+
+def sensors(*changes: dict[str, object], **properties: object) -> str:
+    rows = [{"name": "a", "position": [1.0, 2.0], **change} for change in changes or [{}]]
+    return json.dumps({"sensors": rows, **properties})
+
+
+def taxel(**changes: object) -> str:
+    rows = [{"id": 7, "x": [0, 0, 0]}, {"id": 8, "x": [0, 0, 1], "n": [0, 0, 1], **changes}]
+    return json.dumps({"skin": {"taxels": rows}})
+
+
+PLY = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {a}\n" for a in "xyz")
+PLY_END = "end_header\n0 0 0\n1 2 3\n"
+
+
+def joints(*names: str, parent: str = "a", origin: str = "0 0 0") -> str:
+    parents = [parent] if len(set(names)) == 1 else ["a", "b"]
+    return '<robot name="r"><link name="a"/>' + "".join(
+        f'<joint name="{name}j" type="fixed"><parent link="{parents[i % len(parents)]}"/>'
+        f'<child link="{name}"/><origin xyz="{origin}"/></joint>'
+        for i, name in enumerate(names)
+    ) + "</robot>"  # fmt: skip
+
+
+TWO_BODIES = "<mujoco><body><site/></body><body name='b'><site/></body></mujoco>"
+ENTITY = "<!DOCTYPE m [<!ENTITY a 'aaaa'>]><mujoco><site name='&a;'/></mujoco>"
+PCD, ICUB = "VERSION 0.7\nFIELDS x y z\n", "taxel2Repr ( 0 )\n[calibration]\n"
+POINT = "x must be three finite numbers"
+
+MAPS = [
+    ("t.csv", "name,x,y\na,1,2\nb,one,2\n", "line 3, column 2: 'one' is not a number"),
+    ("t.csv", "x,y\n1,2\n3,4\n5\n", "line 4 has 1 fields, but line 1 has 2"),
+    ("t.csv", "1,2\n3,4\n5,6,7\n", "line 3 has 3 fields, but line 1 has 2"),
+    ("t.csv", "x,y,z\n", "holds only a header"),
+    ("t.csv", "# nothing\n", "no line of positions"),
+    ("t.csv", "a,b,c,d\n1,2,3,4\n", "no columns x and y"),
+    ("t.csv", "1,2,3,4\n5,6,7,8\n", "no columns x and y"),
+    ("t.csv", MAP_HEADER + "a,1,2,zero,ok\n", "line 2, column 4: 'zero' is not an integer"),
+    ("t.csv", MAP_HEADER + "a,1,2,5,ok\n", "components must be numbered"),
+    ("t.csv", MAP_HEADER + "a,1,2,-1,ok\n", "finite position"),
+    ("t.csv", MAP_HEADER + f"a,1,2,{10**30},ok\n", "too large"),
+    ("t.csv", 'name,x,y\n"a,1,2\n', "unbalanced quotation marks"),
+    ("m.json", "{}", "without a list of sensors"),
+    ("m.json", '{"sensors": []}', "without a list of sensors"),
+    ("m.json", '{"sensors": {"a": 1}}', "without a list of sensors"),
+    ("m.json", '{"sensors": [1]}', "sensor 0: must be an object"),
+    ("m.json", '{"sensors": [{"name": "a"}]}', "sensor 0: position is 'None'; it must be list"),
+    ("m.json", sensors({}, {"position": [1]}), "sensor 1: position must have 2 coordinates"),
+    ("m.json", sensors({"position": [1, "2"]}), "sensor 0: position must hold numbers or null"),
+    ("m.json", sensors({"position": [1, True]}), "sensor 0: position must hold numbers or null"),
+    ("m.json", sensors({"name": 3}), "sensor 0: name is '3'; it must be str"),
+    ("m.json", sensors({"component": 0.5}), "sensor 0: component is '0.5'"),
+    ("m.json", sensors({"component": True}), "sensor 0: component is 'True'"),
+    ("m.json", sensors({"component": 10**30}), "too large"),
+    ("m.json", sensors({"position": [10**400, 0]}), "too large"),
+    ("m.json", sensors(stress="low"), "stress must be a number"),
+    ("m.json", sensors(notes=3), "notes a list"),
+    ("m.json", sensors(provenance=[1]), "provenance an object"),
+    ("m.json", sensors(provenance={"a": [1]}), "provenance an object"),
+    ("m.json", '{\n "sensors": [\n  }\n', "m.json, line 3, column 3: not valid JSON"),
+    ("h.json", taxel(x=[0, 1]), f"taxel 1: {POINT}"),
+    ("h.json", taxel(x=[0, 1, "2"]), f"taxel 1: {POINT}"),
+    ("h.json", taxel(x=[0, 1, 1e999]), f"taxel 1: {POINT}"),
+    ("h.json", taxel(x=None), f"taxel 1: {POINT}"),
+    ("h.json", taxel(id=-3), "taxel 1: id must be a whole number, got '-3'"),
+    ("h.json", taxel(id="a"), "taxel 1: id must be a whole number, got 'a'"),
+    ("h.json", '{"skin": {"taxels": 3}}', "without the taxels of a skin"),
+    ("h.json", '{"skin": {"taxels": [{"id": 0, "x": [0, 0, 0]}]}}', "no taxel with an address"),
+    ("h.json", '{"skin": {"taxels": [3]}}', "taxel 0: must be an object"),
+    ("h.json", '{"skin": {"taxels": [}', "line 1, column 22: not valid JSON"),
+    ("s.ply", PLY.replace("ascii", "binary_x") + PLY_END, "line 2: the PLY format must be ascii"),
+    ("s.ply", PLY + "0 0 0\n1 2 3\n", "line 7: '0 0 0' is not valid in a PLY header"),
+    ("s.ply", PLY + "end_header\n", "announces 2 vertices, but it has 0"),
+    (
+        "s.ply",
+        PLY + "end_header\n0 0 zero\n1 2 3\n",
+        "line 8, column 3 (z): 'zero' is not a number",
+    ),
+    ("s.ply", PLY + "end_header\n0 0\n1 2 3\n", "line 8 has 2 numbers, but the header announces 3"),
+    ("s.ply", PLY.replace(" z", " w") + PLY_END, "no vertices with x, y and z"),
+    ("s.ply", PLY.replace("vertex 2", "vertex 0") + PLY_END, "no vertices"),
+    ("s.ply", PLY.replace("vertex 2", f"vertex {'9' * 20}") + PLY_END, "not valid in a PLY header"),
+    ("s.ply", PLY.replace("vertex 2", "vertex -3") + PLY_END, "is not valid in a PLY header"),
+    ("s.ply", PLY, "ends within its PLY header"),
+    ("a.urdf", joints(), "holds no fixed frames"),
+    ("a.urdf", joints("b", origin="1 2"), "xyz of 'b' must be 3 finite numbers, got '1 2'"),
+    ("a.urdf", joints("b", origin="1 2 nan"), "must be 3 finite numbers"),
+    ("a.urdf", joints("b", "c"), "one parent link, got 'a' and 'b'"),
+    ("a.urdf", joints("b", "b"), "is the child of two fixed joints"),
+    ("a.urdf", "<robot><link", "damaged or cut short"),
+    ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
+    ("a.xml", TWO_BODIES, "one body, got two"),
+    ("a.xml", ENTITY, "damaged or cut short"),
+    ("a.pcd", PCD + "POINTS 1\nDATA binary\n", "line 4: PCD data must be ascii, got 'binary'"),
+    ("a.pcd", PCD + "POINTS 2\nDATA ascii\n0 0 0\n", "announces 2 points, but it has 1"),
+    ("a.pcd", PCD.replace(" z", "") + "POINTS 1\nDATA ascii\n0 0\n", "no points with"),
+    ("a.pcd", PCD + "POINTS 1\nDATA ascii\n0 0 w\n", "line 5, column 3"),
+    ("a.pcd", PCD, "ends within its PCD header"),
+    ("a.txt", ICUB[:16], "lacks the line [calibration]"),
+    ("a.txt", ICUB + "0 0 0 0 0 0\n", "holds no taxel"),
+    ("a.txt", ICUB + "1 0 0\n", "line 3 has 3 fields"),
+    ("a.txt", ICUB + "1 0 0 0 0 z\n", "line 3, column 6: 'z' is not a number"),
+    ("a.txt", ICUB + "1 0 0 0 0 nan\n", "line 3: '1 0 0 0 0 nan' must hold finite numbers"),
+    ("a.txt", "taxel2Repr\n[calibration]\n1 0 0 0 0 0\n", "in brackets"),
+]
+
+
+PICTURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(range(256))
+OF_BOTH = [
+    *(
+        (name, b"", f"{name} is empty")
+        for name in ("x.csv", "x.npz", "x.json", "x.ply", "data.log")
+    ),
+    *((name, PICTURE, "is binary, not text") for name in ("x.csv", "x.txt", "data.log", "x.tsv")),
+    ("skin.xyz", b"\0\1\2\3", "unknown format; 'anisomap formats' lists"),
+]
+CASES = [
+    *((io.read, *case) for case in (*RECORDINGS, *OF_BOTH)),
+    *((io.read_map, *case) for case in (*MAPS, *OF_BOTH)),
+]
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize(
+    ("reader", "name", "content", "message"), CASES, ids=[f"{case[1]}: {case[3]}" for case in CASES]
+)
+def test_what_is_wrong_is_said_in_a_line(put, reader, name: str, content, message: str) -> None:
+    with pytest.raises(FileError) as caught:
+        reader(put(name, content))
+    said = str(caught.value)
+    assert name in said
+    assert message in said
+    assert len(said) < 400
+    assert "\n" not in said
