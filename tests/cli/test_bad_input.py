@@ -31,15 +31,9 @@ map missing.csv -o map.csv                                | there is no file mis
 map skin.npz -d 0                                         | -d
 map skin.npz -d 1.5                                       | 1.5
 map skin.npz -d flat                                      | flat
-map skin.npz -d 100 -m r-anisomap                         | 100
 map skin.npz --exclude nobody                             | nobody
-map skin.npz --drop 99                                    | 99
 map skin.npz --drop {LONG}                                | there is no sensor 'xxx
-map skin.npz --regularisation -1                                      | mu
-map skin.npz -m i-anisomap --entropy-bins 1                       | bins
-map skin.npz -m isomap --n-neighbours 0                   | neighbours
 map skin.npz -m r-anisomap --even-spacing                 | r-anisomap does not support even spacing
-map skin.npz --tolerance -1                               | tolerance
 map skin.npz --seed -1                                    | seed
 map skin.npz --missing ignore                             | drop-frames
 map skin.npz --frobnicate                                 | frobnicate
@@ -55,20 +49,16 @@ map skin.npz --min-quality excellent                      | usable
 map skin.npz --repair --approximate                       | --repair requires a recording in memory
 map skin.npz --workers 2 --keep-statistics                | --keep-statistics
 map skin.npz --approximate -m covariogram                 | r-anisomap only, got covariogram
-map skin.npz --approximate -m isomap                      | r-anisomap only, got isomap
 map skin.npz --approximate --workers 2                    | does not support --workers
 map skin.npz --approximate --even-spacing                 | even spacing
 map skin.csv --grid 6x8                                   | 48
 map skin.csv --grid six                                   | rows and columns, as in 32x64
-map skin.csv --grid 6x7x8                                 | rows and columns, as in 32x64
 map skin.csv --grid {"9" * 5000}x1                        | rows and columns, as in 32x64
 map skin.csv --grid 0x3                                   | two whole numbers of at least 1
 map constant.csv -o old.csv                               | got 0 of 3
 info nothing.npz --quiet                                  | nothing.npz
 info skin.csv --bin-width 0                                     | --bin-width must be a time above 0
-info skin.csv --bin-width 1min                                  | --bin-width must be a time above 0
 info skin.csv --bin-width nan                                   | --bin-width must be a time above 0
-info skin.csv --bin-width '1 s s'                               | --bin-width must be a time above 0
 info skin.csv --bin-width {"9" * 400}                           | --bin-width must be a time above 0
 compare skin.csv                                          | no true positions
 compare skin.npz -o skin.npz                              | .md
@@ -89,9 +79,6 @@ convert map.csv a.urdf --spacing 6.5                      | '6.5' is not a lengt
 convert map.csv a.xyz                                     | unknown suffix '.xyz'
 convert map.csv map.csv                                   | write the result to another file
 convert map.csv nowhere/a.urdf --spacing 6.5mm            | nowhere
-convert map.csv a.csv --spacing 1e-300m                   | out of the range of floating-point
-convert map.csv a.urdf --spacing 1e300m                   | out of the range of floating-point
-convert map.csv a.urdf --spacing 5e-324m                  | out of the range of floating-point
 convert placed.csv a.csv --mirror                         | in the frame of the robot
 convert placed.csv a.csv --spacing 6mm                    | in the frame of the robot
 convert pieces-1.csv pieces.csv --split-components        | pieces-1.csv is also an input
@@ -101,26 +88,21 @@ check layout.csv missing.npz                              | missing.npz
 check bare.npz layout.csv                                 | swap the arguments: anisomap check
 check skin.npz layout.csv                                 | swap the arguments
 check bare.npz strangers.csv                              | no positions
-check layout.csv short.npz                                | at least 40 frames
-check strangers.csv skin.npz                              | cannot be matched
 check layout.csv skin.npz -o layout.csv                   | also an input
 check layout.csv skin.npz -o skin.npz                     | also an input
 check layout.csv skin.npz -o a.xyz                        | unknown suffix
 check map.csv skin.npz -o a.urdf                          | metres
 check layout.csv skin.npz --picture p.bmp                 | p.bmp
-check layout.csv skin.npz --module-size 50                | size of modules
 check layout.csv skin.npz --module-size 10 --module-table m    | not by both
 place map.csv                                             | --spacing
 place map.csv --anchor s1=1                               | is not an anchor
 place map.csv --anchor s1=0,0 --anchor s2=0,0,0           | all anchors must have two coordinates
-place map.csv --anchor sx=0,0 --anchor s2=0,1             | anchor sx is no sensor of the map
 place map.csv --anchors missing.csv                       | missing.csv
 place map.csv --anchors anchors.csv -o anchors.csv        | anchors.csv
 place map.csv --anchors anchors.csv -o a.unknown          | unknown suffix
 place map.csv --anchors anchors.csv --module-layout anchors.csv  | either --module-table
 place map.csv --anchors anchors.csv --mesh map.csv        | map.csv
 place map.csv --module-size 5                             | modules need the positions of their pads
-place map.csv --module-layout anchors.csv --module-size 40 --first-pad 0 | no such pad
 place map.csv --spacing 6                                 | is not a length
 place map.csv --anchor s1=0,0,0 --link left               | give --self-touch
 place placed.csv --anchors anchors.csv -o a.csv           | in the frame of the robot already
@@ -154,21 +136,16 @@ live skin.csv --coached --headless                        | --coached is for a s
 NEEDS_PHYSICS = """
 live --simulate nobody                             | there is no body
 simulate teapot                                    | nor a file of that name; choose from sphere
-simulate sphere -s rain                            | no scenario 'rain'; choose from bombardment
-simulate hand -s locomotion                        | the body hand does not roll
 simulate sphere --frames 0                         | frames
 simulate sphere --seed -1                          | seed
 simulate sphere --sensors -4                       | n_sensors must be an integer of at least 1
 simulate sphere --sensors where.csv                | --sensors must be the number of sensors
-simulate cylinder --sensors 33                     | multiple of 10, the number of columns
 simulate cylinder --placement spiral               | choose from columns, fibonacci, random
 simulate sphere --placement random                 | the body sphere has no option placement
 simulate missing.stl --placement random            | --placement is an option of named bodies
 simulate sphere -p n_balls                         | write NAME=VALUE
 simulate sphere -p n_balls=many                    | 'many' is not a number
 simulate sphere -p n_bals=3                        | has no parameter 'n_bals'
-simulate sphere -p ball_radius=3                   | do not fit
-simulate sphere -p timestep=1                      | timestep must be at most
 simulate sphere -o run.csv                         | csv
 simulate sphere -o nowhere/run.npz                 | nowhere
 simulate sphere --picture run.bmp                  | must end in .png, .svg or .pdf
@@ -177,13 +154,10 @@ simulate sphere --runs 2 --picture run.png         | leave out --runs
 simulate missing.stl                               | there is no file missing.stl
 scenarios rain                                     | no scenario 'rain'
 coverage teapot                                    | there is no body 'teapot'
-coverage sphere -s rain                            | there is no scenario 'rain'
 coverage sphere -m magic                           | there is no method 'magic'
 coverage sphere --picture curve.bmp                | must end in .png, .svg or .pdf
 coverage sphere -p pace=1                          | has no parameter 'pace'
-spoil skin.npz -f rusty:s1 -o out.npz              | there is no fault 'rusty'
 spoil skin.npz -f dead -o out.npz                  | needs sensors
-spoil skin.npz -f dead:s999 -o out.npz             | there is no sensor 's999'
 spoil skin.npz -f dead:s1 -o skin.npz              | write the result to another file
 spoil skin.npz -f dead:s1 -o out.csv               | csv
 """
@@ -201,7 +175,6 @@ def folder(tmp_path_factory):
     anisomap.write(skin, folder / "skin.npz")
     anisomap.write(anisomap.Recording(skin.readings), folder / "bare.npz")
     anisomap.write(anisomap.Recording(skin.readings), folder / "skin.csv")
-    anisomap.write(anisomap.Recording(skin.readings[:20]), folder / "short.npz")
     anisomap.write(anisomap.Recording(np.zeros((20, 42))), folder / "zero.csv")
     maps = {
         "map.csv": anisomap.SensorMap(skin.positions),
@@ -419,15 +392,11 @@ def test_outputs_with_long_names_and_links(folder, tmp_path):
     assert anisomap.read_map(tmp_path / "far" / "c.csv").n_sensors == 42
 
 
-def test_names_of_files_that_look_like_json_or_are_not_utf_8(run, run_map, skin_npz):
-    names = ["[1].npz", "[a", '{"a": 1}.npz', "[]"]
-    if sys.platform == "linux":  # other systems reject such names
-        names.append(os.fsdecode(b"\xff.npz"))
-    for name in names:
+def test_names_of_files_that_look_like_json(run_map, skin_npz):
+    for name in ("[1].npz", "[a", '{"a": 1}.npz', "[]"):
         skin_npz = skin_npz.rename(skin_npz.with_name(name))
         assert run_map(name, "-o", "[map].csv").code == 0
         assert skin_npz.with_name("[map].csv").exists()
-    assert run("repair", names[-1], "-o", "o.npz").code == 0
 
 
 def test_layouts_of_few_places(run, tmp_path):

@@ -36,6 +36,8 @@ LIMIT = 4096
 COMMAND = [sys.executable, "-m", "anisomap"]
 MAP = ["map", "skin.npz", "-d", "2", "-m", "r-anisomap", "--no-verdict", "-o", "m.csv"]
 SIMULATE = ["simulate", "plane", "-s", "rubbing", "--frames", "300", "-o", "m.npz"]
+DRAW = ["simulate", "plane", "-s", "rubbing", "--sensors", "9", "--frames", "3", "-o", "m.npz",
+        "--picture", "p.png"]  # fmt: skip
 SIMULATE_PHYSICS = ["simulate", "sphere", "-s", "bombardment", "--frames", "9", "-o", "m.npz"]
 CONVERT = ["convert", "map.json", "m.urdf", "--spacing", "5mm"]
 PAPER = ["paper", "--only", "text-s3", "--only", "figure-2", "--quick", "--output-dir", "m"]
@@ -172,26 +174,6 @@ def test_a_signal_while_writing_leaves_all_outputs_old(folder, event):
     assert [anisomap.read_map(path).n_sensors for path in outputs] == [4] * 3
 
 
-def test_an_output_that_cannot_be_written_leaves_all_old(folder):
-    """The second of two files is too long for the limit of the process."""
-    (folder / "n.json").write_text(OLD)
-    anisomap.write(anisomap.SensorMap(np.random.default_rng(0).random((20, 3))), folder / "a.csv")
-
-    def both():
-        with together():
-            anisomap.write(anisomap.read_map(folder / "a.csv"), folder / "m.csv")
-            anisomap.write(anisomap.read_map(folder / "map.json"), folder / "n.json")
-
-    def write():
-        limited()
-        with pytest.raises(anisomap.errors.FileError, match="cannot write"):
-            both()
-
-    assert in_a_child(write) == 0
-    assert (folder / "m.csv").read_text() == (folder / "n.json").read_text() == OLD
-    assert not temporary(folder)
-
-
 def test_interruptions_are_handled_before_anything_is_imported(tmp_path):
     """What is imported before `main` handles them is what the interpreter has loaded anyway."""
     code = """
@@ -304,6 +286,7 @@ def limited():
     "command",
     [
         CONVERT,
+        DRAW,
         pytest.param(SIMULATE, marks=pytest.mark.slow),
         pytest.param([*MAP, "--report", "r.html"], marks=pytest.mark.slow),
         pytest.param([*MAP, "--picture", "p.png"], marks=pytest.mark.slow),
@@ -327,18 +310,25 @@ def test_a_full_disk_is_an_error_without_a_half_written_file(folder, command):
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz", ".json", ".ply", ".pcd", ".urdf"])
 def test_every_writer_removes_what_it_could_not_finish(folder, suffix):
-    path = folder / f"m{suffix}"
-    path.write_text(OLD)
+    """The second of two files is too long for the limit of the process; the first stays old."""
+    outputs = [folder / "m.xml", folder / f"n{suffix}"]
+    for path in outputs:
+        path.write_text(OLD)
     before = {file.name for file in folder.iterdir()}
-    made = anisomap.SensorMap(np.random.default_rng(0).random((4000, 3)), units="m")
+    points = np.random.default_rng(0).random((4000, 3))
+
+    def both():
+        with together():
+            for path, n_sensors in zip(outputs, (4, 4000), strict=True):
+                anisomap.write(anisomap.SensorMap(points[:n_sensors], units="m"), path)
 
     def write():
         limited()  # in another process, since a limit is not lifted again
         with pytest.raises(FileError, match="cannot write"):
-            anisomap.write(made, path)
+            both()
 
     assert in_a_child(write) == 0
-    assert path.read_text() == OLD
+    assert [path.read_text() for path in outputs] == [OLD] * 2
     assert {file.name for file in folder.iterdir()} == before
 
 

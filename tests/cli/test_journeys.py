@@ -17,15 +17,10 @@ import anisomap
 from anisomap.cli.app import app
 from anisomap.evidence import SIMILARITIES
 from anisomap.methods import METHODS
+from anisomap.placement import median_spacing
+from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS
 from command_line import call, write_layout
 from skins import flat_skin
-
-
-def test_a_recording_is_summarised(run, skin_csv):
-    looked = run("info", skin_csv)
-    assert looked.code == 0
-    assert "1500" in looked.out
-    assert "42 ok" in looked.out
 
 
 def test_faults_are_named_and_warned_of(run, run_map, tmp_path):
@@ -213,9 +208,20 @@ def test_commands_import_no_more_than_they_need(tmp_path, words, needed, unneede
 
 
 def test_lists_name_everything(run):
-    listed = run("methods").out
-    assert all(name in listed for name in [*METHODS, *SIMILARITIES])
-    assert all(suffix in run("formats").out for suffix in (".npz", ".csv", ".ply", ".json"))
+    listed = {
+        "methods": [*METHODS, *SIMILARITIES],
+        "formats": [".npz", ".csv", ".ply", ".json"],
+        "bodies": BODIES,
+        "scenarios": SCENARIOS,
+        "faults": {**FAULTS, **FRAME_FAULTS},
+    }
+    for command, names in listed.items():
+        told = run(command).out
+        assert all(name in told for name in names)
+    for name, scenario in SCENARIOS.items():
+        told = run("scenarios", name).out
+        for parameter, default in vars(scenario.options()).items():
+            assert f"{parameter} = {default}" in told
 
 
 def test_every_option_has_a_help_text():
@@ -260,3 +266,27 @@ def test_a_report_states_where_it_comes_from(tmp_path):
         assert stated in page
     assert "x (mm)" in page
     assert "x (m)" not in page
+
+
+def test_maps_are_converted_to_robot_formats_in_metres(run, made, tmp_path):
+    outcome = run(
+        "convert", made / "map.csv", "skin.urdf", "--spacing", "6.5mm", "--frame", "l_forearm"
+    )
+    assert outcome.code == 0, outcome.err
+    assert "6.5 mm" in outcome.out
+    assert 'name="l_forearm"' in (tmp_path / "skin.urdf").read_text()
+    found, before = anisomap.read_map("skin.urdf"), anisomap.read_map(made / "map.csv")
+    assert median_spacing(found) == pytest.approx(0.0065)
+    assert anisomap.mantel(found, before.positions, permutations=0).r == pytest.approx(1)
+
+
+def test_a_map_is_made_in_millimetres_and_mirrored_at_once(run_map, skin_npz):
+    arguments = (skin_npz, "-d", "2", "--spacing", "6.5mm")
+    assert run_map(*arguments, "-o", "one.json", "-o", "one.icub.txt").code == 0
+    assert run_map(*arguments, "-o", "two.json", "--mirror").code == 0
+    one, two = (anisomap.read_map(f"{name}.json") for name in ("one", "two"))
+    assert one.units == "mm"
+    assert median_spacing(one) == pytest.approx(6.5)
+    np.testing.assert_allclose(two.positions, one.positions * [-1, 1])
+    assert two.mirrored is True
+    assert anisomap.read_map("one.icub.txt").units == "m"

@@ -169,13 +169,6 @@ def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):
     assert "b0.t2.k11" in found.names
 
 
-def test_a_grid_is_its_own_truth(run_map, tmp_path):
-    np.savetxt(tmp_path / "mat.csv", flat_skin().readings, "%.4g", ",")
-    found = run_map("mat.csv", "--grid", "6x7")
-    assert found.code == 0
-    assert "Score against the true positions" in found.out
-
-
 def test_a_declared_prior_is_named_in_the_map(run_map):
     anisomap.write(flat_skin(n_frames=400), "skin.npz")
     done = run_map("skin.npz", "-m", "covariogram", "--even-spacing", "-o", "even.csv")

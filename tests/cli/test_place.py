@@ -64,8 +64,6 @@ def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_p
     assert done.code == 0, done.err
     assert "residual (mm)" in done.out
     assert io.read_map(tmp_path / "map.placed.csv").anchored
-    other = run("place", skin_map, "--anchor", "nobody=0.1,0.2", "-o", "other.csv")
-    assert (other.code, "nobody is no sensor of the map" in other.err) == (2, True)
 
 
 def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp_path):
@@ -101,14 +99,10 @@ def test_three_anchors_with_normals_tell_the_hand(run, tmp_path):
     anisomap.write(anisomap.SensorMap(7 * outward * [-1, 1, 1]), tmp_path / "map.csv")
     rows = np.linspace(0, 59, 3).astype(int)
     names = tuple(f"s{i}" for i in rows)
-    for file, normals in (("bare.npz", None), ("anchors.npz", outward[rows])):
-        layout = anisomap.SensorMap(
-            0.05 * outward[rows], names=names, units="m", anchored=True, normals=normals
-        )
-        anisomap.write(layout, tmp_path / file)
-    refused = run("place", "map.csv", "--anchors", "bare.npz", "-o", "placed.csv")
-    assert (refused.code, "normals of the anchors" in refused.err) == (2, True)
-    assert not (tmp_path / "placed.csv").exists()
+    layout = anisomap.SensorMap(
+        0.05 * outward[rows], names=names, units="m", anchored=True, normals=outward[rows]
+    )
+    anisomap.write(layout, tmp_path / "anchors.npz")
     done = run("place", "map.csv", "--anchors", "anchors.npz", "-o", "placed.csv")
     assert done.code == 0, done.err
     placed = io.read_map(tmp_path / "placed.csv").positions
@@ -134,8 +128,6 @@ def test_a_map_lies_on_the_mesh_of_its_part(run, tmp_path):
     assert "on the mesh" in done.out
     placed = io.read_map(tmp_path / "placed.json")
     np.testing.assert_allclose(np.linalg.norm(placed.positions, axis=1), 0.06, rtol=0.04)
-    outward = places / np.linalg.norm(places, axis=1, keepdims=True)
-    assert np.median(np.einsum("nd,nd->n", placed.normals, outward)) > 0.95
     assert np.median(np.linalg.norm(placed.positions - places, axis=1)) < 0.004
     far = run(*words, "-o", "far.csv")
     assert (far.code, "check the unit and frame of the mesh" in far.err) == (2, True)

@@ -81,6 +81,3 @@ def test_rewired_and_missing_sensors_are_named(run, days):
     assert {moved["sensor"] for moved in found["moved"]} == {"s8", "s33"}
     assert found["not_recorded"] == ["s20"]
     assert any("2 sensors moved" in note for note in found["notes"])
-    text = run("update", "map.csv", "rewired.npz", "-o", "new.csv").out
-    assert "Sensors that moved" in text
-    assert "not recorded: s20" in text

@@ -15,7 +15,6 @@ from anisomap.live.quick_map import (
     QuickMapper,
     TouchStatistics,
     turned_onto,
-    warm_start,
 )
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.signals import count_contacts
@@ -103,14 +102,6 @@ def test_a_map_is_turned_onto_the_one_before(seed, mirrored, dimensions):
     rotation[:, 0] *= -1 if mirrored else 1
     moved = 3 * before @ rotation + rng.normal(size=dimensions)
     np.testing.assert_allclose(turned_onto(moved, before), before, atol=1e-9)
-
-
-def test_sensors_without_a_place_start_beside_the_most_similar_one():
-    before = np.array([[0.0, 0.0], [1.0, 0.0], [np.nan, np.nan]])
-    similarity = np.array([[1, 0.2, 0.1], [0.2, 1, 0.9], [0.1, 0.9, 1]])
-    start = warm_start(before, similarity)
-    np.testing.assert_array_equal(start[:2], before[:2])
-    assert np.linalg.norm(start[2] - before[1]) < 0.1
 
 
 def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
