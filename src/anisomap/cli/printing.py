@@ -198,7 +198,7 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
     if null:
         facts |= {
             "null distribution": ", ".join(
-                f"{_quantile_name(level)} {value:.3f}" for level, value in null.items()
+                f"{_QUANTILES.get(level, f'{level:.0%}')} {r:.3f}" for level, r in null.items()
             ),
             "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} permutations)",
         }
@@ -212,12 +212,9 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
     }
     printer.facts(title, facts)
     printer.notes(result.notes)
+    names, errors = sensor_map.names, result.alignment.errors
     worst = [
-        {
-            "sensor": sensor_map.names[result.sensors[i]],
-            "error": float(result.alignment.errors[i]),
-        }
-        for i in result.worst()
+        {"sensor": names[result.sensors[i]], "error": float(errors[i])} for i in result.worst()
     ]
     spacing = result.spacing if result.spacing > 0 else np.nan
     columns: Columns = {
@@ -226,33 +223,27 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
         "spacings": ("error", lambda error: number(error / spacing, 3)),
     }
     printer.rows("Worst sensors", columns, worst)
-    printer.record(score={**_score_values(result), "worst": worst})
+    printer.record(
+        score={
+            "mantel_r": result.mantel.r,
+            "null_quantiles": {str(level): r for level, r in null.items()},
+            "p_value": result.mantel.p_value if null else None,
+            "permutations": result.mantel.null.size,
+            "rms": result.rms,
+            "median_error": result.median_error,
+            "units": result.units,
+            "rms_in_spacings": result.rms_in_spacings,
+            "median_spacing": result.spacing,
+            "reflected": result.alignment.reflected,
+            "neighbours_kept": result.neighbours_kept,
+            "sensors_compared": result.mantel.n_sensors,
+            "notes": list(result.notes),
+            "worst": worst,
+        }
+    )
 
 
-def _score_values(result: Score) -> dict[str, object]:
-    has_null = bool(result.mantel.null.size)
-    return {
-        "mantel_r": result.mantel.r,
-        "null_quantiles": {str(level): r for level, r in result.mantel.quantiles().items()},
-        "p_value": result.mantel.p_value if has_null else None,
-        "permutations": result.mantel.null.size,
-        "rms": result.rms,
-        "median_error": result.median_error,
-        "units": result.units,
-        "rms_in_spacings": result.rms_in_spacings,
-        "median_spacing": result.spacing,
-        "reflected": result.alignment.reflected,
-        "neighbours_kept": result.neighbours_kept,
-        "sensors_compared": result.mantel.n_sensors,
-        "notes": list(result.notes),
-    }
-
-
-def _quantile_name(level: float) -> str:
-    names = {0.0: "min", 0.5: "median", 1.0: "max"}
-    return names.get(level, f"{level:.0%}")
-
-
+_QUANTILES = {0.0: "min", 0.5: "median", 1.0: "max"}
 _MAX_QUICK = 1000  # sensors of which `anisomap info` makes a quick map, in about a second
 _PLACES_TOLD = 3
 _QUICK_METHOD = "r-anisomap"  # the fastest; neighbours suffice

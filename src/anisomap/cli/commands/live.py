@@ -65,9 +65,6 @@ class PageOptions:
     duration: Annotated[float | None, Parameter(name="--for", validator=Number(gt=0))] = None
 
 
-DEFAULT_PAGE = PageOptions()
-
-
 def live(
     source: Annotated[
         str | None,
@@ -94,7 +91,7 @@ def live(
     ] = "auto",
     drop: options.Drop = None,
     truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
-    page: Annotated[PageOptions, Parameter(name="*", group=_page)] = DEFAULT_PAGE,
+    page: Annotated[PageOptions, Parameter(name="*", group=_page)] = PageOptions(),
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Map a skin while it is touched, and show where to touch next.

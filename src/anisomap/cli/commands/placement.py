@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -72,16 +73,9 @@ class SelfTouchOptions:
         from anisomap.placement import SelfTouch
 
         recording, robot, joints, other = self.files
-        required = {
-            "--self-touch": recording,
-            "--urdf": robot,
-            "--joints": joints,
-            "--link": self.link,
-            "--other": other,
-            "--other-link": self.other_link,
-        }
-        missing = [name for name, value in required.items() if not value]
-        if len(missing) == len(required) and not (self.fixed_shape or self.degrees):
+        needed = ("self_touch", "urdf", "joints", "link", "other", "other_link")
+        missing = [f"--{name.replace('_', '-')}" for name in needed if not getattr(self, name)]
+        if len(missing) == len(needed) and not (self.fixed_shape or self.degrees):
             return None
         if missing or not (recording and robot and joints and other):
             raise InputError(f"to place a map by self-touch, give {', '.join(missing)} as well")
@@ -113,9 +107,6 @@ class SelfTouchOptions:
             turning = {joint.name for joint in robot.joints if joint.kind in TURNING}
             found |= {name: np.radians(found[name]) for name in turning & found.keys()}
         return found
-
-
-NO_SELF_TOUCH = SelfTouchOptions()
 
 
 anchors_group = Group("Anchors", sort_key=2)
@@ -227,7 +218,9 @@ def place_map(
     frame: Annotated[str, options.expert] = "",
     known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
     rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
-    touching: Annotated[SelfTouchOptions, Parameter(name="*", group=touch_group)] = NO_SELF_TOUCH,
+    touching: Annotated[
+        SelfTouchOptions, Parameter(name="*", group=touch_group)
+    ] = SelfTouchOptions(),
     mesh: Path | None = None,
     mesh_units: Annotated[str, options.expert] = "m",
     spacing: str = "",
@@ -274,22 +267,16 @@ def place_map(
     outputs = Outputs(
         maps=output or [options.beside(map_file, ".placed.csv")],
         picture=picture,
-        inputs=[
-            map_file,
-            *rigid.files,
-            known.anchors,
-            mesh,
-            *touching.files,
-        ],
+        inputs=[map_file, *rigid.files, known.anchors, mesh, *touching.files],
     )
     alone = not (known.anchor or known.anchors or rigid.given or mesh or spacing)
     touches = touching.read(alone=alone)
     sensor_map, anchors = io.read_map(map_file), known.read()
     surface = None if mesh is None else _read_mesh(mesh, mesh_units)
-    touched = None
+    hand = handedness or ""
     if touches is not None:
         touched = place_by_self_touch(
-            sensor_map, *touches, exact=touching.fixed_shape, handedness=handedness or ""
+            sensor_map, *touches, exact=touching.fixed_shape, handedness=hand
         )
         placement = touched.placement
     else:
@@ -299,7 +286,7 @@ def place_map(
             modules=rigid.read(sensor_map),
             mesh=surface,
             spacing=parse_length(spacing) if spacing else None,
-            handedness=handedness or "",
+            handedness=hand,
         )
     if frame:
         placement = replace(placement, map=replace(placement.map, frame=frame))
@@ -309,7 +296,7 @@ def place_map(
     _print(printer, placement, map_file.name)
     if spacing:
         options.doubt_spacing(spacing)
-    if touched is not None:
+    if touches is not None:
         _print_contacts(printer, touched)
     printer.files(files)
 
@@ -325,21 +312,13 @@ def _read_mesh(path: Path, units: str) -> Mesh:
     return Mesh(vertices * METRES[units], faces)
 
 
-def _spacing(placed: SensorMap) -> float:
-    from anisomap.placement import median_spacing
-
-    try:
-        return median_spacing(placed)
-    except InputError:
-        return np.nan  # a single sensor, or all at one position
-
-
 def _print(printer: Printer, placement: Placement, name: str) -> None:
-    from anisomap.placement import METRES
+    from anisomap.placement import METRES, median_spacing
 
-    placed = placement.map
+    placed, spacing = placement.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
-    spacing = _spacing(placed) * _MM * METRES[placed.units]
+    with suppress(InputError):  # a single sensor, or all at one position
+        spacing = median_spacing(placed) * _MM * METRES[placed.units]
     facts = {
         "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
         "median spacing": f"{number(spacing)} mm",
@@ -371,17 +350,15 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
     printer.names({"left out": placement.left_out})
     printer.notes(placed.notes)
     printer.record(
+        placed,
+        "handed anchored units notes",
         sensors=placed.n_sensors,
         placed=int(placed.placed.sum()),
         placed_by=placement.methods,
-        handed=placed.handed,
-        anchored=placed.anchored,
         median_spacing=spacing / _MM,
-        units=placed.units,
         errors=dict(zip(placed.names, placed.errors.tolist(), strict=True)),
         anchors=anchors,
         left_out=placement.left_out,
-        notes=placed.notes,
     )
 
 

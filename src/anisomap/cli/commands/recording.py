@@ -154,9 +154,6 @@ class TuningOptions:
         )
 
 
-_DEFAULT_TUNING = TuningOptions()
-
-
 @dataclass(frozen=True)
 class LargeOptions:
     """Options for large recordings.
@@ -190,9 +187,6 @@ class LargeOptions:
         return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
 
 
-_DEFAULT_LARGE = LargeOptions()
-
-
 def map_recording(
     recordings: Annotated[
         list[Path], Parameter(help="Recording files of one skin."), options.existing
@@ -214,7 +208,7 @@ def map_recording(
     repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
     tuning: Annotated[
         TuningOptions, Parameter(name="*", group=options.expert_group)
-    ] = _DEFAULT_TUNING,
+    ] = TuningOptions(),
     reading: options.Reading = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
     keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
@@ -236,7 +230,7 @@ def map_recording(
     printer: options.Printing = options.PRINTER,
     large: Annotated[
         LargeOptions, Parameter(name="*", group=options.expert_group)
-    ] = _DEFAULT_LARGE,
+    ] = LargeOptions(),
 ) -> int:
     """Make a map from one or several recordings of a skin.
 

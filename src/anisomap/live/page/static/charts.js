@@ -25,6 +25,21 @@ export function sized(canvas) {
   return context;
 }
 
+// Draw separate lines: each is [x, y, x, y].
+export function lines(context, ends) {
+  context.beginPath();
+  for (const [ax, ay, bx, by] of ends) {
+    context.moveTo(ax, ay);
+    context.lineTo(bx, by);
+  }
+  context.stroke();
+}
+
+export function disc(context, x, y, radius) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+}
+
 function niceStep(range, count) {
   const rough = range / count, power = 10 ** Math.floor(Math.log10(rough));
   return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough);
@@ -45,10 +60,7 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last, events 
   context.lineWidth = 1;
   const step = niceStep(highest, 3);
   for (let value = 0; value <= highest; value += step) {
-    context.beginPath();
-    context.moveTo(left, y(value));
-    context.lineTo(right, y(value));
-    context.stroke();
+    lines(context, [[left, y(value), right, y(value)]]);
     context.textAlign = "right";
     context.fillText(unit === "%" ? `${Math.round(100 * value)}%` : String(+value.toFixed(2)), left - 4, y(value) + 4);
   }
@@ -60,10 +72,7 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last, events 
   if (rule) {
     context.setLineDash([2, 3]);
     context.strokeStyle = QUIET;
-    context.beginPath();
-    context.moveTo(left, y(rule));
-    context.lineTo(right, y(rule));
-    context.stroke();
+    lines(context, [[left, y(rule), right, y(rule)]]);
     context.setLineDash([]);
   }
   ticks(context, events.map(x), above, bottom);
@@ -73,16 +82,19 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last, events 
     context.fillStyle = context.strokeStyle;
     context.lineWidth = 2;
     context.setLineDash(curve.dashed ? [5, 4] : []);
-    context.beginPath();
-    points.forEach(([px, py], i) => (i ? context.lineTo(x(px), y(py)) : context.moveTo(x(px), y(py))));
-    context.stroke();
+    curveThrough(context, points.map(([px, py]) => [x(px), y(py)]));
     context.setLineDash([]);
     for (const [px, py] of points.slice(-1)) {
-      context.beginPath();
-      context.arc(x(px), y(py), 3, 0, 2 * Math.PI);
+      disc(context, x(px), y(py), 3);
       context.fill();
     }
   }
+}
+
+function curveThrough(context, points) {
+  context.beginPath();
+  points.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+  context.stroke();
 }
 
 // Mark events by thin lines with a foot that stands out.
@@ -90,12 +102,7 @@ function ticks(context, places, top, bottom) {
   context.strokeStyle = MARK;
   context.lineWidth = 1;
   context.globalAlpha = 0.5;
-  context.beginPath();
-  for (const x of places) {
-    context.moveTo(x, top);
-    context.lineTo(x, bottom);
-  }
-  context.stroke();
+  lines(context, places.map((x) => [x, top, x, bottom]));
   context.globalAlpha = 1;
 }
 
@@ -128,13 +135,8 @@ export class Raster {
     ticks(context, this.at(width), 0, height);
     context.strokeStyle = BLUE;
     context.lineWidth = 1.5;
-    context.beginPath();
-    this.columns.forEach(({ seconds, levels }, i) => {
-      const x = (1 - (now - seconds) / RASTER_SECONDS) * width, y = height - 3 - levels[sensor] / 255 * (height - 6);
-      if (i) context.lineTo(x, y);
-      else context.moveTo(x, y);
-    });
-    context.stroke();
+    curveThrough(context, this.columns.map(({ seconds, levels }) => [
+      (1 - (now - seconds) / RASTER_SECONDS) * width, height - 3 - levels[sensor] / 255 * (height - 6)]));
   }
 
   draw() {

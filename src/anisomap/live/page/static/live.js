@@ -100,12 +100,10 @@ function connect() {
   const events = new EventSource("/events");
   events.addEventListener("map", (event) => {
     map = JSON.parse(event.data);
-    map.positions = decoded(map.positions, Float32Array);
-    map.checked = map.checked && decoded(map.checked, Float32Array);
     map.pairs = decoded(map.pairs, Uint32Array);
-    map.stated = map.stated && decoded(map.stated, Float32Array);
-    map.halo = decoded(map.halo, Float32Array);
-    map.checked_halo = decoded(map.checked_halo, Float32Array);
+    for (const key of ["positions", "checked", "stated", "halo", "checked_halo"]) {
+      map[key] = map[key] && decoded(map[key], Float32Array);
+    }
     showMap();
     showSelected();
   });

@@ -1,6 +1,6 @@
 // The map: sensors, neighbours, halos and the places to touch, in 2D or turned in 3D.
 
-import { COLOURS, sized } from "./charts.js";
+import { COLOURS, disc, lines, sized } from "./charts.js";
 
 const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.2)", MARK = "#b35000";
 const EASE_MS = 250;
@@ -32,13 +32,8 @@ export class MapView {
   // data: {names, dimensions, positions, pairs, halo, untouched, left_out, places}; halo from 0 to 1
   update(data) {
     const before = this.names;
-    this.names = data.names;
-    this.dimensions = data.dimensions;
-    this.target = data.positions;
-    this.pairs = data.pairs;
-    this.halo = data.halo;
-    this.places = data.places;
-    this.untouched = data.untouched;
+    const { names, dimensions, positions: target, pairs, halo, places, untouched } = data;
+    Object.assign(this, { names, dimensions, target, pairs, halo, places, untouched });
     this.leftOut = new Set(data.left_out);
     this.stated = data.stated && data.stated.length === this.target.length ? data.stated : null;
     if (before.length !== this.names.length) this.selected = this.names.indexOf(this.wanted);
@@ -109,15 +104,12 @@ export class MapView {
     const radius = Math.max(2.5, Math.min(14, 0.16 * Math.sqrt(Math.max(area, 1) / this.names.length)));
     context.strokeStyle = LINE;
     context.lineWidth = 1;
-    context.beginPath();
+    const ends = [];
     for (let p = 0; p < this.pairs.length; p += 2) {
-      const a = points[this.pairs[p]], b = points[this.pairs[p + 1]];
-      if (a && b && !this.waiting.has(this.pairs[p]) && !this.waiting.has(this.pairs[p + 1])) {
-        context.moveTo(a[0], a[1]);
-        context.lineTo(b[0], b[1]);
-      }
+      const [a, b] = [this.pairs[p], this.pairs[p + 1]];
+      if (points[a] && points[b] && !this.waiting.has(a) && !this.waiting.has(b)) ends.push([...points[a].slice(0, 2), ...points[b]]);
     }
-    context.stroke();
+    lines(context, ends);
     const untouched = new Set(this.untouched);
     const order = points.map((_, i) => i).filter((i) => points[i] && !this.leftOut.has(i));
     if (this.dimensions > 2) order.sort((i, j) => points[i][2] - points[j][2]);
@@ -148,8 +140,7 @@ export class MapView {
 
   _sensor(context, i, [x, y, depth], radius, hollow) {
     const size = this.dimensions > 2 ? radius * (0.85 + 0.2 * depth) : radius;
-    context.beginPath();
-    context.arc(x, y, size, 0, 2 * Math.PI);
+    disc(context, x, y, size);
     context.lineWidth = i === this.selected ? 4 : size > 4 ? 1.2 : 0.8;
     context.strokeStyle = i === this.selected ? MARK : OUTLINE;
     if (hollow && size > 5) context.setLineDash([3, 3]);
@@ -160,12 +151,7 @@ export class MapView {
     if (this.faulty.has(this.names[i])) {
       context.lineWidth = 2;
       context.strokeStyle = OUTLINE;
-      context.beginPath();
-      context.moveTo(x - size, y - size);
-      context.lineTo(x + size, y + size);
-      context.moveTo(x - size, y + size);
-      context.lineTo(x + size, y - size);
-      context.stroke();
+      lines(context, [[x - size, y - size, x + size, y + size], [x - size, y + size, x + size, y - size]]);
     }
   }
 
@@ -214,13 +200,11 @@ export class MapView {
       context.setLineDash([7, 5]);
       context.strokeStyle = MARK;
       context.lineWidth = n ? 2 : 4;
-      context.beginPath();
-      context.arc(x, y, reach, 0, 2 * Math.PI);
+      disc(context, x, y, reach);
       context.stroke();
       context.setLineDash([]);
       context.fillStyle = MARK;
-      context.beginPath();
-      context.arc(x, y - reach, 11, 0, 2 * Math.PI);
+      disc(context, x, y - reach, 11);
       context.fill();
       context.fillStyle = "#ffffff";
       context.fillText(String(n + 1), x, y - reach + 5);
@@ -239,6 +223,10 @@ export class MapView {
 
   _listen() {
     let held = null, moved = 0;
+    const under = (event) => {
+      const frame = this.canvas.getBoundingClientRect();
+      return this.at(event.clientX - frame.left, event.clientY - frame.top);
+    };
     this.canvas.addEventListener("pointerdown", (event) => {
       held = [event.clientX, event.clientY];
       moved = 0;
@@ -246,8 +234,7 @@ export class MapView {
     });
     this.canvas.addEventListener("pointerleave", () => { this.hovered = -1; });
     this.canvas.addEventListener("pointermove", (event) => {
-      const frame = this.canvas.getBoundingClientRect();
-      this.hovered = this.at(event.clientX - frame.left, event.clientY - frame.top);
+      this.hovered = under(event);
       if (!held) return;
       const [dx, dy] = [event.clientX - held[0], event.clientY - held[1]];
       moved += Math.abs(dx) + Math.abs(dy);
@@ -256,10 +243,7 @@ export class MapView {
       this.tilt = Math.max(-1.5, Math.min(1.5, this.tilt + 0.008 * dy));
     });
     this.canvas.addEventListener("pointerup", (event) => {
-      if (held && moved < 6) {
-        const frame = this.canvas.getBoundingClientRect();
-        this.select(this.at(event.clientX - frame.left, event.clientY - frame.top));
-      }
+      if (held && moved < 6) this.select(under(event));
       held = null;
     });
     this.canvas.addEventListener("pointercancel", () => { held = null; });
