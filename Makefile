@@ -35,7 +35,7 @@ paper: $(READY)  ## reproduce the paper, in paper-out/ (RECORDINGS=folder adds r
 	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
 numbers: paper  ## update the numbers in the docs from the results of make paper
-	$(BIN)/python -m anisomap.paper.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md
+	$(BIN)/python -m benchmarks.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md
 
 test: $(READY)  ## run the tests, all but the slow ones (about four minutes)
 	$(PYTEST) -m "not slow"
@@ -83,7 +83,7 @@ tables: $(READY)  ## update the tables of accuracy in README, paper and docs fro
 	cp quality/*-table.md docs/
 	cp quality/quality.png docs/_static/
 	cp quality/quality.csv $(wildcard quality/limits.csv) docs/results/
-	$(BIN)/python -m anisomap.paper.numbers quality docs/results README.md paper/paper.md
+	$(BIN)/python -m benchmarks.numbers quality docs/results README.md paper/paper.md
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi

@@ -80,38 +80,34 @@ def test_a_joint_follows_another(tmp_path):
     )
 
 
-def test_links_and_joints_that_are_missing(robot):
-    with pytest.raises(InputError, match="no link 'nose'"):
-        robot.relative_pose("nose", "left", {})
-    with pytest.raises(InputError, match="angles of joint 'a1' are missing"):
-        robot.relative_pose("base", "left", {})
+BAD = [
+    (('<child link="l1"/>', '<child link="base"/>'), "loop|two parents"),
+    (('<child link="r1"/>', '<child link="l1"/>'), "two parents"),
+    (('name="b1"', 'name="a1"'), "two joints have the name"),
+    (('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>'), "axis of joint"),
+    (('xyz="0 0.12 0.3"', 'xyz="0 a 0.3"'), "3 finite numbers"),
+    (('<child link="r1"/>', ""), "a child link"),
+    (('robot name="two_arms"', "sdf"), "no URDF"),
+    (("<robot", "<!DOCTYPE x []><robot"), "DTD"),
+    (("</robot>", ""), "robot.urdf"),
+]
 
 
-BAD = {
-    "a loop": (('<child link="l1"/>', '<child link="base"/>'), "loop|two parents"),
-    "two parents": (('<child link="r1"/>', '<child link="l1"/>'), "two parents"),
-    "a name twice": (('name="b1"', 'name="a1"'), "two joints have the name"),
-    "no axis": (('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>'), "axis of joint"),
-    "words": (('xyz="0 0.12 0.3"', 'xyz="0 a 0.3"'), "3 finite numbers"),
-    "no child": (('<child link="r1"/>', ""), "a child link"),
-    "no robot": (('robot name="two_arms"', "sdf"), "no URDF"),
-    "entities": (("<robot", "<!DOCTYPE x []><robot"), "DTD"),
-    "an end": (("</robot>", ""), "robot.urdf"),
-}
-
-
-@pytest.mark.parametrize("what", BAD)
-def test_damaged_urdf(tmp_path, what):
-    (old, new), message = BAD[what]
+@pytest.mark.parametrize(("change", "message"), BAD)
+def test_damaged_urdf(tmp_path, change, message):
+    old, new = change
     with pytest.raises(FileError, match=message):
         robot_of(URDF.replace(old, new), tmp_path)
 
 
-def test_joints_of_other_types_are_refused_only_on_the_way(tmp_path):
-    robot = robot_of(
-        URDF.replace('name="b1" type="revolute"', 'name="b1" type="floating"'), tmp_path
-    )
-    angles = angles_of(np.zeros(6))
+def test_joints_and_links_are_refused_only_on_the_way(tmp_path):
+    text = URDF.replace('name="b1" type="revolute"', 'name="b1" type="floating"')
+    robot, angles = robot_of(text, tmp_path), angles_of(np.zeros(6))
     assert robot.relative_pose("base", "left", angles).shape == (1, 4, 4)
-    with pytest.raises(InputError, match="'b1' between the links is floating"):
-        robot.relative_pose("left", "right", angles)
+    for links, given_angles, message in (
+        (("left", "right"), angles, "'b1' between the links is floating"),
+        (("nose", "left"), {}, "no link 'nose'"),
+        (("base", "left"), {}, "angles of joint 'a1' are missing"),
+    ):
+        with pytest.raises(InputError, match=message):
+            robot.relative_pose(*links, given_angles)

@@ -97,6 +97,7 @@ def test_missing_readings_follow_the_policy():
     ("readings", "options", "message"),
     [
         (np.zeros((50, 9), np.uint8), {}, "got 0 of 9"),
+        (list, {}, "no frames"),
         (np.random.default_rng(0).integers(0, 9, (300, 9)), {}, "at least 3 sensors with statist"),
         (READINGS[0], {}, "frames x sensors"),
         (READINGS, {"dimensions": 0}, "dimensions must be a whole number of at least 1"),

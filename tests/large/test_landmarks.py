@@ -76,16 +76,6 @@ def test_a_sketch_does_not_depend_on_the_chunks(seed, cuts):
     np.testing.assert_allclose(parts.projections, whole.projections, atol=1e-5)
 
 
-def test_products_of_sketches_are_unbiased_with_the_expected_variance():
-    size, expected = 64, np.corrcoef(SKIN.T)
-    found = np.array([sketched(SKIN, size, seed).projections for seed in range(300)])
-    products = found @ found.transpose(0, 2, 1)
-    bound = np.sqrt((1 + expected**2) / size)
-    np.testing.assert_allclose(products.mean(axis=0), expected, atol=5 * bound.max() / 300**0.5)
-    pairs = all_pairs(len(expected))
-    assert (products.std(axis=0)[pairs] < 1.2 * bound[pairs]).all()
-
-
 def test_contacts_are_counted_on_both_sides_of_rest():
     touched = np.tile([0, 0, 5, 7, 0, 0, 3, 0, 0, 0], 4)[:, None]
     for side in (1, -1):
@@ -119,15 +109,6 @@ def test_the_most_similar_have_the_greatest_products(n_sensors, queries, count, 
 
 
 @settings(max_examples=40)
-@given(SEEDS)
-def test_pairs_are_listed_once(seed):
-    found = RNG(seed).integers(-1, 9, (9, 4))
-    firsts, seconds = pairs_of(found)
-    expected = {tuple(sorted((i, j))) for i in range(9) for j in found[i] if j != NO_SENSOR}
-    assert list(zip(firsts.tolist(), seconds.tolist(), strict=True)) == sorted(expected)
-
-
-@settings(max_examples=40)
 @given(SEEDS, st.lists(st.integers(1, 599), max_size=3))
 def test_r_of_pairs_is_pearsons(seed, cuts):
     rng = RNG(seed)
@@ -137,15 +118,6 @@ def test_r_of_pairs_is_pearsons(seed, cuts):
     with np.errstate(invalid="ignore"):
         expected = np.nan_to_num(np.corrcoef(readings.T))
     np.testing.assert_allclose(found.r, expected[all_pairs(12)], atol=2e-6)
-
-
-def test_a_skin_is_connected_and_broken_wires_are_not_linked_to_it():
-    rng = RNG(0)
-    broken = rng.integers(0, 5, (len(SKIN), 3))
-    readings = np.hstack([SKIN, broken, np.zeros((len(SKIN), 1))])
-    graph = build_graph(*linked(readings), n_neighbours=8)
-    np.testing.assert_array_equal(graph.component[:42], 0)
-    assert set(graph.component[42:]) == {1, 2, 3, 4}
 
 
 def test_rigid_plates_are_linked():
@@ -214,16 +186,13 @@ def exact_targets(n_landmarks, noise=0.0):
     return points, Targets(landmarks, rows.astype(np.float32), graph)
 
 
-def test_refinement_never_increases_the_stress():
+def test_refinement_decreases_the_stress_and_recovers_points_from_their_distances():
     points, targets = exact_targets(40, noise=0.2)
     start = points + RNG(0).normal(0, 2, points.shape)
     found = refine(targets, start, 1e-7, 300)
     assert (np.diff(found.trace) <= 0).all()
     assert found.converged
     assert stress_of(targets, found.positions)[0] < stress_of(targets, start)[0] / 5
-
-
-def test_refinement_recovers_points_from_their_distances():
     points, targets = exact_targets(40)
     found = refine(targets, points + 0.3 * np.sin(9 * points), 1e-12, 1000)
     np.testing.assert_allclose(pdist(found.positions), pdist(points), atol=2e-3)
@@ -273,8 +242,3 @@ TOO_SMALL = {"n_neighbours": 2, "n_candidates": 10, "sketch_size": 4, "n_landmar
 def test_options_out_of_range_are_refused(name, value):
     with pytest.raises(InputError, match=f"{name} must be at least"):
         ApproximateOptions(**{name: value})
-
-
-def test_recordings_without_frames_are_refused():
-    with pytest.raises(InputError, match="no frames"):
-        compute_sketch([], 16, RNG(0))

@@ -29,13 +29,8 @@ def rows(bins, score):
         for seed in SEEDS:
             for method in METHODS:
                 r = score(run, method, k, bins) + 0.001 * seed
-                yield {
-                    "run": run,
-                    "seed": seed,
-                    "method": method,
-                    "dimensions": k,
-                    "bins": bins,
-                } | {"mantel_r": r}
+                names = ("run", "seed", "method", "dimensions", "bins", "mantel_r")
+                yield dict(zip(names, (run, seed, method, k, bins, r), strict=True))
 
 
 def as_in_the_paper(run, method, dimensions, _bins):

@@ -6,12 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from benchmarks import numbers
 from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap.errors import FileError, InputError
-from anisomap.paper import Document, Experiment, Settings, Table, numbers, reproduce, results
+from anisomap.paper import Document, Experiment, Settings, Table, reproduce, results
 from anisomap.paper.claims import CLAIMS
 
 ROOT = Path(__file__).parents[2]
@@ -104,7 +105,7 @@ def test_a_damaged_record_never_gives_other_rows(finished, position, junk):
     damaged = record[:position] + junk + record[position + len(junk) :]
     (folder / "first" / results.RECORD).write_bytes(damaged)
     found = results.load(folder, "first", json.loads(record)["fingerprint"])
-    assert found is None or found.tables[0].rows == ((1,),)
+    assert found is None or found["tables"][0].rows == ((1,),)
 
 
 @pytest.mark.parametrize(("broken", "error"), [(fail, InputError), (interrupt, KeyboardInterrupt)])

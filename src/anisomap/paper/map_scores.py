@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import cdist, pdist
 from scipy.stats import spearmanr
 
 from anisomap.defaults import DEFAULT_BINS
@@ -105,14 +105,10 @@ def _mean_step(
     points: NDArray[np.float64], same: NDArray[np.float64], other: NDArray[np.float64]
 ) -> float:
     """Mean distance of points that are equal in `same` and nearest neighbours in `other`."""
-    steps = []
-    for i in range(len(points)):
-        line = np.flatnonzero(np.linalg.norm(same - same[i], axis=1) < _EQUAL)
-        distances = np.linalg.norm(other[line] - other[i], axis=1)
-        line, distances = line[distances > _EQUAL], distances[distances > _EQUAL]
-        nearest = line[distances < distances.min() + _EQUAL]
-        steps += np.linalg.norm(points[nearest] - points[i], axis=1).tolist()
-    return float(np.mean(steps))
+    apart = cdist(other, other)
+    line = (cdist(same, same) < _EQUAL) & (apart > _EQUAL)
+    nearest = line & (apart < np.min(apart, axis=1, where=line, initial=np.inf)[:, None] + _EQUAL)
+    return float(np.mean(cdist(points, points)[nearest]))
 
 
 def isolation(positions: ArrayLike, sensor: int) -> float:

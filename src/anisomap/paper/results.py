@@ -20,7 +20,6 @@ import json
 import math
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
@@ -38,20 +37,6 @@ RECORD = "record.json"
 FIGURE_FORMATS = ("png", "svg")
 
 _LIBRARIES = ("numpy", "scipy", "mujoco", "matplotlib")
-
-
-@dataclass(frozen=True)
-class Result:
-    """Result of an experiment, read from its folder.
-
-    seconds: Duration of the experiment.
-    pictures, documents: ``name`` and ``caption`` of each.
-    """
-
-    seconds: float
-    pictures: tuple[dict[str, str], ...]
-    documents: tuple[dict[str, str], ...]
-    tables: tuple[Table, ...]
 
 
 def fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str, str]) -> str:
@@ -104,22 +89,23 @@ def save(
         raise FileError(f"cannot write {target}: {error.strerror or error}") from error
 
 
-def load(folder: Path, name: str, inputs: str) -> Result | None:
-    """Read the result of an experiment if it is valid."""
+def load(folder: Path, name: str, inputs: str) -> dict[str, Any] | None:
+    """Read the record of an experiment, with its tables, if it is valid."""
     try:
-        record = json.loads((folder / name / RECORD).read_text(encoding="utf-8"))
+        record: dict[str, Any] = json.loads((folder / name / RECORD).read_text(encoding="utf-8"))
         damaged = (
             _digest((folder / name / file).read_bytes()) != digest
             for file, digest in record["digests"].items()
         )
         if record["fingerprint"] != inputs or any(damaged):
             return None
-        return Result(
-            seconds=float(record["seconds"]),
-            pictures=tuple(record["pictures"]),
-            documents=tuple(record["documents"]),
-            tables=tuple(_read_table(folder / name, entry) for entry in record["tables"]),
-        )
+        tables = [_read_table(folder / name, entry) for entry in record["tables"]]
+        return {
+            "seconds": float(record["seconds"]),
+            "pictures": [{**entry} for entry in record["pictures"]],
+            "documents": [{**entry} for entry in record["documents"]],
+            "tables": tables,
+        }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 

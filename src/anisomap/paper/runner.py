@@ -102,7 +102,7 @@ def reproduce(
         if result is None:
             pending[one.name] = one
         else:
-            finish(one.name, result.seconds, "cached")
+            finish(one.name, result["seconds"], "cached")
     order = TopologicalSorter({one.name: {*one.needs} & {*pending} for one in pending.values()})
     order.prepare()
     while order.is_active():
@@ -136,7 +136,7 @@ def _run(
     """Compute and save an experiment; return its name and duration."""
     started = time.perf_counter()
     needed = [results.load(folder, name, prints[name]) for name in experiment.needs]
-    tables = {table.name: table for result in needed if result for table in result.tables}
+    tables = {table.name: table for result in needed if result for table in result["tables"]}
     with threadpool_limits(1), warnings.catch_warnings():
         # Notes on single maps would be repeated for hundreds of maps; the tables hold the scores.
         warnings.simplefilter("ignore", AnisomapWarning)

@@ -10,7 +10,7 @@ The following command copies the tables that the documents name from the folder 
 folder of tables, and replaces the lines between the markers. Tables that the results lack keep
 their last version in the folder of tables::
 
-    python -m anisomap.paper.numbers RESULTS TABLES DOCUMENT ...
+    python -m benchmarks.numbers RESULTS TABLES DOCUMENT ...
 """
 
 from __future__ import annotations
