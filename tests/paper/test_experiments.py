@@ -12,7 +12,7 @@ import pytest
 
 from anisomap import io
 from anisomap.cli.app import run
-from anisomap.paper import EXPERIMENTS, Settings, reproduce, results
+from anisomap.paper import EXPERIMENTS, Settings, reproduce, runner
 from anisomap.paper.cases import patch_run
 
 pytest.importorskip("mujoco")
@@ -37,7 +37,7 @@ def quick(tmp_path_factory, request):
 
 
 def computed_in(folder):
-    return {path.parent.name for path in folder.glob(f"*/{results.RECORD}")}
+    return {path.parent.name for path in folder.glob(f"*/{runner.RECORD}")}
 
 
 def test_every_experiment_writes_the_files_in_its_record(quick, request):
@@ -46,7 +46,7 @@ def test_every_experiment_writes_the_files_in_its_record(quick, request):
         chosen or (one.name for one in EXPERIMENTS.values() if not one.files)
     )
     for name in computed_in(quick):
-        record = json.loads((quick / name / results.RECORD).read_text())
+        record = json.loads((quick / name / runner.RECORD).read_text())
         assert record["pictures"] or record["tables"] or record["documents"]
         for table in record["tables"]:
             with (quick / name / f"{table['name']}.csv").open(newline="") as file:
@@ -55,7 +55,7 @@ def test_every_experiment_writes_the_files_in_its_record(quick, request):
             assert rows
             assert all(table["columns"].values()), "every column has a description"
         for picture in record["pictures"]:
-            for kind in results.FIGURE_FORMATS:
+            for kind in runner.FIGURE_FORMATS:
                 assert (quick / name / f"{picture['name']}.{kind}").stat().st_size > 5000
 
 
@@ -87,7 +87,7 @@ def test_results_do_not_depend_on_the_number_of_workers(quick, tmp_path):
     reproduce(tmp_path, QUICK, only=chosen, workers=2)
     for name in chosen:
         for path in (tmp_path / name).iterdir():
-            if path.name != results.RECORD:  # holds the duration
+            if path.name != runner.RECORD:  # holds the duration
                 assert path.read_bytes() == (quick / name / path.name).read_bytes(), path.name
 
 

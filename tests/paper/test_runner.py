@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap.errors import FileError, InputError
-from anisomap.paper import Document, Experiment, Settings, Table, reproduce, results
+from anisomap.paper import Document, Experiment, Settings, Table, reproduce, runner
 from anisomap.paper.claims import CLAIMS
 
 ROOT = Path(__file__).parents[2]
@@ -77,7 +77,7 @@ def test_progress_is_reported_up_to_the_end(tmp_path):
         assert [fraction for _, fraction in calls] == pytest.approx([1 / 3, 2 / 3, 1])
 
 
-@pytest.mark.parametrize("name", ["text.txt", results.RECORD])
+@pytest.mark.parametrize("name", ["text.txt", runner.RECORD])
 @pytest.mark.parametrize("damage", ["truncated", "removed", "changed"])
 def test_damaged_results_are_computed_again(tmp_path, name, damage):
     compute(tmp_path)
@@ -94,7 +94,7 @@ def test_damaged_results_are_computed_again(tmp_path, name, damage):
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     compute(folder, experiments=registry(FIRST))
-    record = (folder / "first" / results.RECORD).read_bytes()
+    record = (folder / "first" / runner.RECORD).read_bytes()
     return folder, record
 
 
@@ -103,8 +103,8 @@ def test_a_damaged_record_never_gives_other_rows(finished, position, junk):
     folder, record = finished
     position %= len(record)
     damaged = record[:position] + junk + record[position + len(junk) :]
-    (folder / "first" / results.RECORD).write_bytes(damaged)
-    found = results.load(folder, "first", json.loads(record)["fingerprint"])
+    (folder / "first" / runner.RECORD).write_bytes(damaged)
+    found = runner.load(folder, "first", json.loads(record)["fingerprint"])
     assert found is None or found["tables"][0].rows == ((1,),)
 
 

@@ -120,9 +120,8 @@ def reconstruct_approximately(
 
     Notes
     -----
-    See `anisomap.large.landmarks` for the steps, and ``docs/explanation/large-recordings.md`` for
-    the accuracy. Components without statistically significant links are mapped separately,
-    for any `mu`.
+    ``docs/explanation/large-recordings.md`` gives the steps and the accuracy. Components without
+    statistically significant links are mapped separately, for any `mu`.
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     graph = build_similarity_graph(
