@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from benchmarks.self_touch import JOINTS, URDF
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from anisomap.errors import FileError, InputError
 from anisomap.io import read_robot
@@ -54,18 +52,6 @@ def test_poses_are_those_of_mujoco(robot):
                     where[:3, 3] = data.body(body).xpos
                 poses.append(where)
             np.testing.assert_allclose(pose, np.linalg.inv(poses[0]) @ poses[1], atol=1e-9)
-
-
-@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6))
-@settings(max_examples=10)
-def test_poses_compose(tmp_path_factory, values):
-    robot = robot_of(URDF, tmp_path_factory.mktemp("robot"))
-    angles = angles_of(values)
-    there, back = (robot.relative_pose(*pair, angles)[0] for pair in
-                   (("left", "right"), ("right", "left")))  # fmt: skip
-    np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-9)
-    through = robot.relative_pose("left", "r1", angles) @ robot.relative_pose("r1", "right", angles)
-    np.testing.assert_allclose(through[0], there, atol=1e-9)
 
 
 def test_a_joint_follows_another(tmp_path):

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 from benchmarks.placement import outline
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import special_ortho_group
 
 from anisomap import SensorMap, align
@@ -49,23 +47,6 @@ def test_three_anchors_place_a_map_on_its_mesh_or_it_is_refused(name):
         inside.append(np.einsum("nd,nd->n", placed.normals, found.normals))
     assert np.median(errors) < 0.6
     assert np.median(np.concatenate(inside)) > 0.9
-
-
-@given(st.integers(0, 1000))
-@settings(max_examples=15)
-def test_the_nearest_points_of_a_mesh_are_the_nearest_of_all(seed):
-    rng = np.random.default_rng(seed)
-    mesh = Mesh(rng.normal(size=(12, 3)), rng.integers(0, 12, (9, 3)))
-    points = rng.normal(size=(20, 3))
-    nearest, normals = TriangleSearch(mesh).nearest(points)
-    weights = rng.dirichlet([0.5, 0.5, 0.5], (400, 9))
-    somewhere = np.einsum("sfc,fcd->sfd", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
-    distances = np.linalg.norm(points - nearest, axis=1)
-    others = np.linalg.norm(points[:, None] - somewhere, axis=2).min(axis=1)
-    assert (distances <= others + 1e-9).all()
-    off, _ = TriangleSearch(mesh).nearest(nearest)
-    np.testing.assert_allclose(off, nearest, atol=1e-9)
-    assert normals.shape == (20, 3)
 
 
 def test_a_mesh_that_does_not_fit_is_refused():

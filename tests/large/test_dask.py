@@ -75,18 +75,17 @@ def cluster(tmp_path: Path):
     """Start a scheduler and a worker as processes; return its address and the two."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    port = address.rpartition(":")[2]
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
     paths = os.pathsep.join(map(str, [Path(__file__).parents[1], *sys.path]))
     options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": paths}, "stderr": -3}
-    common = [sys.executable, "-m"]
     started = []
     for arguments in (
-        ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"],
-        ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+        f"distributed.cli.dask_scheduler --host 127.0.0.1 --port {port} --no-dashboard",
+        f"distributed.cli.dask_worker {address} --nthreads 1 --no-nanny --no-dashboard",
     ):
-        started.append(subprocess.Popen([*common, *arguments], **options))
-        while not answers(int(port)):
+        started.append(subprocess.Popen([sys.executable, "-m", *arguments.split()], **options))
+        while not answers(port):
             assert started[0].poll() is None, "the scheduler ended"
             time.sleep(0.1)
     yield address, *started
