@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.precision import MAX_SQUARED
 from anisomap.numerics.signals import Signals
-from anisomap.numerics.similarity.correlation import MAX_SQUARED
 from anisomap.wording import html_table, noun_and_items
 
 Scalar: TypeAlias = str | int | float | bool

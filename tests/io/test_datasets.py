@@ -1,6 +1,5 @@
 """Files of named arrays and columns: HDF5, MATLAB, Parquet and Arrow."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 import scipy
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, FileError, MissingExtraError
+from anisomap.errors import FileError
 
 h5py = pytest.importorskip("h5py")
 arrow = pytest.importorskip("pyarrow")
@@ -76,10 +75,9 @@ def test_further_dimensions_are_flattened(h5) -> None:
     assert found.names == ("0.0", "0.1", "0.2", "1.0", "1.1", "1.2")
 
 
-def test_variable_length_names_are_not_read(h5) -> None:
+def test_variable_length_names_are_read(h5) -> None:
     names = np.array(list("abcdef"), h5py.string_dtype())
-    with pytest.warns(AnisomapWarning, match="variable-length"):
-        assert io.read(h5(readings=READINGS, names=names)).names[0] == "s0"
+    assert io.read(h5(readings=READINGS, names=names)).names == tuple("abcdef")
 
 
 def test_datasets_in_other_files_are_not_opened(tmp_path: Path) -> None:
@@ -166,32 +164,6 @@ def test_nested_and_ragged_lists(tmp_path: Path) -> None:
     parquet.write_table(table(a=["x", "y"]), path)
     with pytest.raises(FileError, match=r"no column that can be a recording; it holds a"):
         io.read(path)
-
-
-@pytest.mark.parametrize(
-    ("module", "extra", "name"),
-    [
-        ("h5py", "hdf5", "skin.h5"),
-        ("h5py", "mat", "v73.mat"),
-        ("pyarrow", "parquet", "a.feather"),
-        ("rosbags.highlevel", "ros", "run.bag"),
-        ("PIL.Image", "images", "film.gif"),
-    ],
-)
-def test_missing_libraries_name_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, extra: str, name: str
-) -> None:
-    marks = {
-        "h5": b"\x89HDF\r\n\x1a\n",
-        "mat": b"MATLAB 7.3 MAT-file",
-        "feather": b"ARROW1\0\0",
-        "bag": b"#ROSBAG V2.0\n",
-        "gif": b"GIF89a",
-    }
-    (tmp_path / name).write_bytes(marks[name.rpartition(".")[2]])
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'"):
-        io.read(tmp_path / name)
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "feather"])

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
 from anisomap.files import atomic_write, check_distinct, check_target, together
-from anisomap.io import npz
+from anisomap.io import isolated, npz
 from anisomap.io.maps import csv, json, point_files, robot_models
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.naming import distinct_names, match_names
@@ -268,7 +269,10 @@ def contents(
     file = Path(path)
     with file_errors(file):
         chosen = _recognise(file)
-        return chosen.contents(file, options or ReadOptions()) if chosen.contents else ()
+        if chosen.contents is None:
+            return ()
+        listed = partial(isolated.contents, chosen.contents) if chosen.extra else chosen.contents
+        return listed(file, options or ReadOptions())
 
 
 def read_map(path: str | os.PathLike[str]) -> SensorMap:
@@ -389,7 +393,10 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                     f"{file} ({chosen.summary}) holds a single recording; "
                     f"leave out --select {options.select}"
                 )
-            stream = stack.enter_context(chosen.open_recording(file, options))
+            opened = chosen.open_recording
+            if chosen.extra:
+                opened = partial(isolated.open_recording, opened)
+            stream = stack.enter_context(opened(file, options))
             budget = Budget(stream.path)  # of several files, the one with the readings
             budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")
             if options.bin_s is not None and not stream.silent_are_zero:

@@ -242,6 +242,8 @@ def assemble(stream: Stream, progress: Callable[[float], None] | None = None) ->
                 clocks.setdefault(name, []).append(block.arrays[name])
         if progress:
             progress(min(block.fraction, 1.0))
+    if progress:
+        progress(1.0)
     if not readings.n_rows:
         raise FileError(f"{stream.path} holds no frame")
     return Recording(

@@ -30,10 +30,10 @@ from anisomap.memory import check_pair_memory, check_worker_memory
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
 from anisomap.numerics.geodesic.path_lengths import MAX_UNEVENNESS
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import MAX_SQUARED, Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.binning import ValueCounts
-from anisomap.numerics.similarity.correlation import MAX_SQUARED, squares_overflow
+from anisomap.numerics.similarity.correlation import squares_overflow
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording, sensor_mask

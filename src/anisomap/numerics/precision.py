@@ -19,6 +19,9 @@ sensors on, a matrix in float64 (32 MB) exceeds the last cache of current proces
 paths in float32 take half the time. One float32 matrix of 20,000 sensors takes 1.6 GB.
 """
 
+MAX_SQUARED = 1e100
+"""Magnitude above which readings are scaled before squaring; likewise below its inverse."""
+
 _BLOCK_BYTES = 1 << 26
 
 

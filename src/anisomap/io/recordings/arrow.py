@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BufferedReader
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -27,10 +27,8 @@ from anisomap.io.parsing.columns import (
     units_per_second,
     warn_of_guesses,
 )
-from anisomap.io.parsing.source import DamagedError, guarded_iter, library_errors, quote
-from anisomap.io.recordings.declared_sizes import batch_bytes, column_chunks, is_last, page_bytes
-from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose, salvage
-from anisomap.memory import Budget, bytes_kept
+from anisomap.io.parsing.source import guarded_iter, library_errors, quote
+from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose
 from anisomap.recording import Scalar
 
 EXTRA = "parquet"
@@ -39,7 +37,6 @@ MAGICS = (_PARQUET := b"PAR1", _FEATHER := b"ARROW1\0\0")
 _IPC_STREAM = b"\xff\xff\xff\xff"
 _STREAM_SUFFIXES = (".arrow", ".arrows", ".ipc", ".feather")
 _MAX_ROWS = 8192
-_PAGES_RATIO = 4  # of pages to readings: those of small integers are twice as large, with levels
 _EPISODE = "episode_index"
 _ALL_COLUMNS = "columns"
 
@@ -50,7 +47,7 @@ _Batches: TypeAlias = Iterator[tuple[Any, float]]
 
 @dataclass(frozen=True)
 class _Source:
-    """An open file; `batches(names)` reads some columns, within the budget of the file."""
+    """An open file; `batches(names)` reads some columns."""
 
     path: Path
     schema: Any
@@ -98,7 +95,7 @@ def _open(path: Path) -> Iterator[_Source]:
             with library_errors(path):
                 file = parquet.ParquetFile(stream, pre_buffer=False)
             with file:
-                yield _Source(path, file.schema_arrow, _of_parquet(path, stream, file))
+                yield _Source(path, file.schema_arrow, partial(_of_parquet, file))
             return
         arrow = import_extra("pyarrow", "reading Arrow", EXTRA)
         if magic.startswith(_FEATHER):
@@ -106,78 +103,28 @@ def _open(path: Path) -> Iterator[_Source]:
             stream.seek(len(_FEATHER))
         with library_errors(path):
             reader = arrow.ipc.open_stream(stream)
-        yield _Source(path, reader.schema, _of_arrow(path, stream, reader))
+        size = max(path.stat().st_size, 1)
+        yield _Source(path, reader.schema, partial(_of_arrow, reader, lambda: stream.tell() / size))
 
 
-def _of_parquet(
-    path: Path, stream: BufferedReader, file: Any
-) -> Callable[[Sequence[str]], _Batches]:
-    def batches(names: Sequence[str]) -> _Batches:
-        n_bytes = _declared_size(path, stream, file, names)
-        total = max(file.metadata.num_rows, 1)
-        rows = max(1, min(_MAX_ROWS, BLOCK_BYTES * total // max(n_bytes, 1)))
-        done = 0
-        for batch in file.iter_batches(batch_size=rows, columns=list(names)):
+def _of_parquet(file: Any, names: Sequence[str]) -> _Batches:
+    total, done = max(file.metadata.num_rows, 1), 0
+    for number in range(file.num_row_groups):
+        group = file.metadata.row_group(number)
+        n_values = sum(group.column(i).num_values for i in range(group.num_columns))
+        rows = max(1, min(_MAX_ROWS, BLOCK_BYTES // 8 * group.num_rows // max(n_values, 1)))
+        for batch in file.iter_batches(rows, row_groups=[number], columns=list(names)):
             done += batch.num_rows
             yield batch, done / total
 
-    return batches
 
-
-def _declared_size(path: Path, stream: BufferedReader, file: Any, names: Sequence[str]) -> int:
-    """Return the bytes of some columns in memory, after checking them with a budget."""
-    budget, kept, pages = Budget(path), 0, 0
-    schema, wanted = file.schema_arrow, set(names)
-    leaves = [file.schema.column(i).path for i in range(len(file.schema))]
-    # A column of numbers, or of lists of them, has one leaf: its own name or the path below it.
-    columns = [next((p for p in _prefixes(leaf) if p in wanted), None) for leaf in leaves]
-    n_bytes = {
-        name: bytes_kept(np.dtype(_leaf(schema.field(name).type).to_pandas_dtype()))
-        for name in wanted
-    }
-    for group in column_chunks(path, stream):
-        if len(group) != len(leaves):
-            raise DamagedError(
-                f"{path} is damaged: a row group has {len(group)} of {len(leaves)} columns"
-            )
-        for name, column in zip(columns, group, strict=True):
-            if name is not None:
-                kept += column.n_values * n_bytes[name]
-                budget.check(kept, "its table")
-                pages += page_bytes(path, stream, column.start, column.length)
-    budget.check(pages, "its content", reachable=max(budget.free, _PAGES_RATIO * kept))
-    return max(kept, pages)
-
-
-def _prefixes(leaf: str) -> Iterator[str]:
-    """Yield the path of a leaf and of all that holds it; names may contain dots themselves."""
-    while leaf:
-        yield leaf
-        leaf = leaf.rpartition(".")[0]
-
-
-def _of_arrow(
-    path: Path, stream: BufferedReader, reader: Any
-) -> Callable[[Sequence[str]], _Batches]:
-    """Read all batches once, split to about `BLOCK_BYTES`."""
-
-    def batches(names: Sequence[str]) -> _Batches:
-        budget = Budget(path)
-        size = max(budget.size, 1)
-        while True:
-            budget.spend(batch_bytes(path, stream), "its table")
-            try:
-                batch = reader.read_next_batch()
-            except StopIteration:
-                return
-            batch.validate(full=True)
-            fraction = 1.0 if is_last(stream) else stream.tell() / size
-            kept = batch.select(list(names))
-            rows = max(1, min(_MAX_ROWS, BLOCK_BYTES * batch.num_rows // max(kept.nbytes, 1)))
-            for start in range(0, batch.num_rows, rows):
-                yield kept.slice(start, rows), fraction
-
-    return batches
+def _of_arrow(reader: Any, fraction: Callable[[], float], names: Sequence[str]) -> _Batches:
+    for batch in reader:
+        batch.validate(full=True)
+        kept = batch.select(list(names))
+        rows = max(1, min(_MAX_ROWS, BLOCK_BYTES * batch.num_rows // max(kept.nbytes, 1)))
+        for start in range(0, batch.num_rows, rows):
+            yield kept.slice(start, rows), fraction()
 
 
 def _contents(source: _Source) -> tuple[Content, ...]:
@@ -251,7 +198,7 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
     return Stream(
         source.path,
         n_sensors,
-        salvage(blocks(), source.path),
+        blocks(),
         rate_hz=rate_hz,
         source=f"{source.path.name}:{name}",
         metadata=metadata,
@@ -279,7 +226,7 @@ def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
     return Stream(
         source.path,
         len(kept),
-        salvage(blocks(), source.path),
+        blocks(),
         names=tuple(kept),
         source=source.path.name,
         metadata={"format": "Arrow"},

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import struct
 import tempfile
 import warnings
 from collections import Counter
@@ -21,14 +20,7 @@ import numpy as np
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files import read_small
-from anisomap.io.parsing.source import (
-    DamagedError,
-    is_gzipped,
-    library_errors,
-    open_binary,
-    quote,
-    read_head,
-)
+from anisomap.io.parsing.source import is_gzipped, library_errors, quote, read_head
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
@@ -38,7 +30,6 @@ from anisomap.io.stream import (
     choose,
     to_float32_if_exact,
 )
-from anisomap.memory import Budget
 
 EXTRA = "mne"
 
@@ -52,7 +43,6 @@ MAGICS = tuple(_MARKS)
 
 _NAMED = re.compile(r"^[ \t]*+(?:DataFile|MarkerFile)[ \t]*+=[ \t]*+(.*?)[ \t\r]*$", re.M | re.I)
 _MAX_HEADER = 1 << 20
-_TAG = struct.Struct(">8xii")  # the size of a tag of FIF and the place of the next, 0 if behind
 _N_LOC = 3  # of the numbers about the place of a channel, the first are its position
 
 
@@ -72,14 +62,11 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
             picked = [i for i, kind in enumerate(kinds) if kind == chosen]
             places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
             data = Path(raw.filenames[0] or path)
-        # A header of text may announce any number of samples; the data file tells.
-        n_frames = int(raw.n_times)
-        Budget(data).check_readings(n_frames, len(picked), np.dtype(np.float64).itemsize, "it")
         known = np.isfinite(places).all(axis=1) & places.any(axis=1)
         yield Stream(
             data,
             len(picked),
-            _blocks(path, raw, picked, n_frames),
+            _blocks(path, raw, picked, int(raw.n_times)),
             names=tuple(raw.ch_names[i] for i in picked),
             rate_hz=float(raw.info["sfreq"]),
             positions=np.where(known[:, None], places, np.nan) if known.any() else None,
@@ -106,8 +93,6 @@ def _open(path: Path) -> Iterator[Any]:
         if not path.name.lower().endswith(suffix):
             named = Path(folder) / f"recording_raw{suffix}"
             named.symlink_to(path.resolve())
-        if kind == "fif":
-            _check_order(path)
         if kind == "brainvision":
             _check_named(path)
         with library_errors(path):
@@ -124,22 +109,6 @@ def _check_named(path: Path) -> None:
     for name in _NAMED.findall(text):
         if name != "$b" and Path(name.replace("\\", "/")).name != name:
             raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
-
-
-def _check_order(path: Path) -> None:
-    """Check that no tag of a FIF file leads back: mne follows them without end."""
-    at = following = 0
-    with open_binary(path) as stream:
-        while following >= 0:
-            stream.seek(at)
-            tag = stream.read(_TAG.size)
-            if len(tag) < _TAG.size:
-                return
-            size, following = _TAG.unpack(tag)
-            behind = at + _TAG.size + size
-            if 0 < following < behind or size < 0:
-                raise DamagedError(f"{path} is damaged: the tag at byte {at} leads back")
-            at = following or behind
 
 
 def _contents(path: Path, raw: Any) -> tuple[Content, ...]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import warnings
-import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError, import_extra
+from anisomap.errors import import_extra
 from anisomap.files import check_regular
 from anisomap.io.parsing.columns import is_time, units_per_second
 from anisomap.io.parsing.source import library_errors
@@ -28,12 +25,10 @@ from anisomap.io.stream import (
     Stream,
     choose,
     increasing_times,
-    salvage,
 )
-from anisomap.memory import DEFLATE_RATIO, FREE_BYTES, Budget, bytes_kept
 from anisomap.recording import Scalar
 
-_NUMBERS, _TEXT, _VARIABLE_LENGTH = "biuf", "SU", "O"
+_NUMBERS, _TEXT = "biuf", "SUO"
 _MICROMETRES = "epos"  # positions in the retinal wave repository, which defines their unit
 _SPAN = "recordingtime"
 _POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", _MICROMETRES}
@@ -49,7 +44,6 @@ class Dataset:
     dtype: Data type, for display.
     kind: As `numpy.dtype.kind`.
     read: ``read(start, stop)`` reads a range of frames.
-    bytes_kept: Bytes per value in memory.
     frames_at_once: Number of frames per compressed chunk.
     """
 
@@ -58,7 +52,6 @@ class Dataset:
     dtype: str
     kind: str
     read: Callable[[int, int], NDArray[Any]]
-    bytes_kept: int = 8
     frames_at_once: int = 1
 
     @property
@@ -116,7 +109,6 @@ def stream_of(
         choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
     near = [each for each in datasets if each.group == chosen.group and each is not chosen]
     n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
-    Budget(path).check_readings(n_frames, n_sensors, chosen.bytes_kept, f"dataset {chosen.name}")
     with library_errors(path):
         times = _times(path, near, n_frames)
         names = _names(path, near, n_sensors) or _grid_names(chosen.shape[1:])
@@ -125,7 +117,7 @@ def stream_of(
     return Stream(
         path,
         n_sensors,
-        salvage(_blocks(path, chosen, times), path),
+        _blocks(path, chosen, times),
         names=names,
         rate_hz=rate_hz,
         positions=positions,
@@ -187,18 +179,9 @@ def _names(path: Path, near: Sequence[Dataset], n_sensors: int) -> tuple[str, ..
     for each in near:
         if each.key != "names" or math.prod(each.shape) != n_sensors:
             continue
-        if each.kind in _TEXT:
-            Budget(path).check(n_sensors * each.bytes_kept, each.name, reachable=FREE_BYTES)
-            values = each.whole().ravel().tolist()
+        values = each.whole().ravel().tolist() if each.kind in _TEXT else []
+        if values and all(isinstance(value, str | bytes) for value in values):
             return tuple(v.decode() if isinstance(v, bytes) else v for v in values)
-        if each.kind == _VARIABLE_LENGTH:
-            # The HDF5 library can hang on variable-length strings in a damaged file.
-            warnings.warn(
-                f"{path}: {each.name} holds variable-length strings, which are not supported, so "
-                "the sensors get default names; store fixed-length strings (numpy type S)",
-                AnisomapWarning,
-                stacklevel=2,
-            )
     return ()
 
 
@@ -246,12 +229,6 @@ def _rate(near: Sequence[Dataset]) -> float | None:
 EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_DEFLATE, _SZIP, _N_BIT, _SCALE_OFFSET, _LZF = 1, 4, 5, 6, 32000
-_DECLARING = {_N_BIT, _SCALE_OFFSET}  # filters that unpack as many values as they declare
-_COMPRESSING = {_DEFLATE, _LZF, _SZIP, *_DECLARING}
-_CHECKSUM, _CHECKSUM_BYTES = 3, 4  # Fletcher's, after each chunk
-_STEP = 1 << 20
-_HEADERS = 1 << 12
 _MAX_DATASETS = 1000
 
 
@@ -306,14 +283,9 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
     if frames_last:
         shape, chunks = shape[::-1], chunks[::-1]
 
-    @functools.cache
-    def check() -> None:
-        _check_size(path, item, name)
-        if item.chunks:
-            _check_chunks(path, item, name)
-
     def read(start: int, stop: int) -> NDArray[Any]:
-        check()
+        if item.external or item.is_virtual:
+            raise OSError(f"dataset {name} is stored in other files, which are not opened")
         if not shape:
             return np.asarray(item[()]).reshape(1)
         if not frames_last:
@@ -321,81 +293,4 @@ def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
         return np.asarray(item[..., start:stop]).T
 
     kind = item.dtype.kind
-    n_bytes = bytes_kept(item.dtype) if kind in _NUMBERS else item.dtype.itemsize
-    return Dataset(
-        name, shape or (1,), str(item.dtype), kind, read, n_bytes, chunks[0] if chunks else 1
-    )
-
-
-def _check_size(path: Path, item: Any, name: str) -> None:
-    """Reject decompression bombs and datasets stored in other files."""
-    if item.external or item.is_virtual:
-        raise OSError(f"dataset {name} is stored in other files, which are not opened")
-    budget = Budget(path)
-    packed = min(item.id.get_storage_size(), budget.size) + _HEADERS
-    budget.check(item.nbytes, f"dataset {name}", reachable=DEFLATE_RATIO * packed)
-
-
-def _check_chunks(path: Path, item: Any, name: str) -> None:
-    """Refuse chunks that would expand to more than their size, since HDF5 has no limit."""
-    settings = item.id.get_create_plist()
-    filters = [settings.get_filter(i) for i in range(settings.get_nfilters())]
-    codes = [code for code, *_ in filters]
-    first = next((i for i, code in enumerate(codes) if code in _COMPRESSING), len(codes))
-    if set(codes[first + 1 :]) - {_CHECKSUM}:
-        raise FileError(
-            f"{path}: dataset {name} is compressed twice, or changed after it was compressed, "
-            "which is not supported"
-        )
-    n_values = math.prod(item.chunks)
-    limit = item.dtype.itemsize * n_values
-    too_large = FileError(
-        f"{path} is damaged: a chunk of dataset {name} expands to more than {limit} bytes"
-    )
-    if any(code in _DECLARING and values[2:3] != (n_values,) for code, _, values, _ in filters):
-        raise too_large
-    if not _SIZES.keys() & set(codes):
-        return
-    ratio, size_of = _SIZES[codes[first]]
-    n_checked = _CHECKSUM_BYTES * codes[first:].count(_CHECKSUM)
-    chunks: list[Any] = []
-    item.id.chunk_iter(chunks.append)
-    free = Budget(path).free
-    for chunk in chunks:
-        # HDF5 unpacks LZF again and again until its guess of the size is enough, which takes
-        # quadratic time for a chunk that is larger than what it should unpack to.
-        suspect = ratio * chunk.size >= free or chunk.size - n_checked > limit
-        if suspect and not chunk.filter_mask:
-            _, packed = item.id.read_direct_chunk(chunk.chunk_offset)
-            if size_of(packed[: len(packed) - n_checked], limit) > limit:
-                raise too_large
-
-
-def _deflated_size(packed: bytes, limit: int) -> int:
-    unpacker, n_bytes = zlib.decompressobj(), 0
-    with suppress(zlib.error):  # which HDF5 reports
-        while packed and n_bytes <= limit and not unpacker.eof:
-            n_bytes += len(unpacker.decompress(packed, _STEP))
-            packed = unpacker.unconsumed_tail
-    return n_bytes
-
-
-def _lzf_size(packed: bytes, limit: int) -> int:
-    from anisomap.numerics.compiled.lzf import unpacked_size  # noqa: PLC0415
-
-    return unpacked_size(np.frombuffer(packed, np.uint8), limit)
-
-
-def _szip_size(packed: bytes, limit: int) -> int:
-    """Return the size that a chunk declares, which HDF5 allocates and fills at most."""
-    del limit
-    return int.from_bytes(packed[:4], "little")
-
-
-# How far each compression can expand, and the function that finds how far a chunk does. A
-# reference of LZF has 3 bytes and unpacks to 264; SZIP has no limit.
-_SIZES: Mapping[int, tuple[float, Callable[[bytes, int], int]]] = {
-    _DEFLATE: (DEFLATE_RATIO, _deflated_size),
-    _LZF: (88, _lzf_size),
-    _SZIP: (math.inf, _szip_size),
-}
+    return Dataset(name, shape or (1,), str(item.dtype), kind, read, chunks[0] if chunks else 1)

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular, silent_library, without_log
+from anisomap.files import check_regular
 from anisomap.io.parsing.source import library_errors
 from anisomap.io.presets import grid_names, grid_positions
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
-from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream
 
 EXTRA = "images"
 
@@ -42,25 +41,24 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         files = _images(path)
         yield _stream(path, len(files), lambda i: _image(pillow, files[i]))
         return
-    with _pillow_errors(path), pillow.open(path) as image:
+    with library_errors(path), pillow.open(path) as image:
         count = int(getattr(image, "n_frames", 1))
     if count < 2:
         raise FileError(f"{path} holds a single image (one frame); give a folder of images")
-    with _pillow_errors(path):
+    with library_errors(path):
         image = pillow.open(path)
     with image:
-        yield _stream(path, count, lambda i: _page(path, image, i))
+        yield _stream(path, count, lambda i: _page(image, i))
 
 
 def _stream(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stream:
-    with _pillow_errors(path):
+    with library_errors(path):
         first = read(0)
     rows, columns = first.shape
-    Budget(path).check_readings(count, rows * columns, bytes_kept(first.dtype), "its images")
     return Stream(
         path,
         rows * columns,
-        salvage(_blocks(path, count, read, (rows, columns)), path),
+        _blocks(path, count, read, (rows, columns)),
         names=grid_names(rows, columns),
         positions=grid_positions(rows, columns),
         units="pixels",
@@ -76,7 +74,7 @@ def _blocks(
     pixels: list[NDArray[Any]] = []
     for i in range(count):
         try:
-            with _pillow_errors(path):
+            with library_errors(path):
                 pixels.append(read(i).ravel())
         except FileError:
             if pixels:
@@ -92,13 +90,6 @@ def _blocks(
             pixels = []
 
 
-@contextmanager
-def _pillow_errors(path: Path) -> Iterator[None]:
-    """Convert exceptions of Pillow, some of which it also logs."""
-    with without_log("PIL"), library_errors(path):
-        yield
-
-
 def _images(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES]
     return sorted(found, key=lambda path: _natural_key(path.name))
@@ -112,19 +103,13 @@ def _natural_key(name: str) -> list[tuple[int, str]]:
 
 def _image(pillow: Any, path: Path) -> NDArray[Any]:
     check_regular(path)
-    with _pillow_errors(path), pillow.open(path) as image:
-        return _page(path, image, 0)
+    with library_errors(path), pillow.open(path) as image:
+        return _page(image, 0)
 
 
-def _page(path: Path, image: Any, page: int) -> NDArray[Any]:
+def _page(image: Any, page: int) -> NDArray[Any]:
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # Pillow warns about decompression bombs
+        warnings.simplefilter("error")  # Pillow warns about damage
         image.seek(page)
-        # Four bytes per pixel, and as many for the conversion to grey.
-        budget = Budget(path)
-        reachable = DEFLATE_RATIO * budget.size
-        budget.check(8 * image.width * image.height, f"page {page}", reachable=reachable)
-        with silent_library():  # libtiff reports damage there, too
-            image.load()
         grey = image if image.mode in _GREY_MODES else image.convert("L")
         return np.asarray(grey)

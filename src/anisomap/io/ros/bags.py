@@ -9,7 +9,7 @@ from __future__ import annotations
 import fnmatch
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,12 +24,11 @@ from anisomap.io.parsing.source import guarded_iter, library_errors
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.ros.bag_files import (
     METADATA,
-    limit_unpacking,
     register_definitions,
-    rosbags_paths,
+    rosbags_path,
     warn_of_missing_end,
 )
-from anisomap.io.ros.repair import EXTRA, MAX_MESSAGE, check_part, decompress_message
+from anisomap.io.ros.repair import EXTRA
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
@@ -38,9 +37,7 @@ from anisomap.io.stream import (
     Stream,
     choose,
     join_streams,
-    salvage,
 )
-from anisomap.memory import Budget
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
 
@@ -235,21 +232,19 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def _open(path: Path, options: ReadOptions) -> Iterator[_Bag]:
     highlevel = import_extra("rosbags.highlevel", "reading bags", EXTRA)
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
-    with ExitStack() as unpacked:
-        paths = rosbags_paths(path, unpacked)
+    bag_path = rosbags_path(path)
+    with library_errors(path):
+        store = typesys.get_typestore(typesys.Stores.LATEST)
+        register_definitions(store, options.definitions)
+        reader = highlevel.AnyReader([bag_path], default_typestore=store)
+        reader.open()
+    try:
         with library_errors(path):
-            store = typesys.get_typestore(typesys.Stores.LATEST)
-            register_definitions(store, options.definitions)
-            reader = highlevel.AnyReader(paths, default_typestore=store)
-            reader.open()
-        try:
-            with library_errors(path):
-                packed_messages = limit_unpacking(path, reader)
-                register_definitions(reader.typestore, options.definitions)
-            yield _Bag(path, reader, packed_messages)
-        finally:
-            with library_errors(path):
-                reader.close()
+            register_definitions(reader.typestore, options.definitions)
+        yield _Bag(path, reader)
+    finally:
+        with library_errors(path):
+            reader.close()
 
 
 @dataclass(frozen=True)
@@ -258,7 +253,6 @@ class _Bag:
 
     path: Path
     reader: Any
-    packed_messages: bool
 
     def contents(self) -> tuple[Content, ...]:
         """List the topics; if any is tactile, only tactile topics are usable."""
@@ -315,12 +309,7 @@ class _Bag:
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
         """Yield the messages of a topic with their time of receipt in nanoseconds."""
         connections = [each for each in self.reader.connections if each.topic == topic]
-        budget = Budget(self.path)
-        for connection, stamp, stored in guarded_iter(self.reader.messages(connections), self.path):
-            raw = stored
-            if self.packed_messages:
-                raw = decompress_message(self.path, budget, stored)
-            check_part(self.path, len(raw), MAX_MESSAGE, f"a message of {topic}")
+        for connection, stamp, raw in guarded_iter(self.reader.messages(connections), self.path):
             with library_errors(self.path):
                 message = self.reader.deserialize(raw, connection.msgtype)
                 received = int(stamp)  # of any type in a database
@@ -357,7 +346,7 @@ class _Rows:
         return Stream(
             self.bag.path,
             values.size,
-            salvage(self._blocks(self._frames(values)), self.bag.path),
+            self._blocks(self._frames(values)),
             names=names if len(names) == values.size else (),
             positions=positions,
             units="" if positions is None else "m" if positions.shape[1] == 3 else "pixels",
@@ -454,9 +443,7 @@ class _CellRows(_Rows):
         return Stream(
             self.bag.path,
             len(names),
-            salvage(
-                self._blocks(self._rounds(sizes, max(sizes, key=counts.__getitem__))), self.bag.path
-            ),
+            self._blocks(self._rounds(sizes, max(sizes, key=counts.__getitem__))),
             names=names,
             metadata=self._metadata(),
             from_zero=True,

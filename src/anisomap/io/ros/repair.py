@@ -1,8 +1,7 @@
-"""Bags that rosbags cannot read safely: compressed without a limit, or without an index.
+"""Bags without an index, which rosbags cannot read.
 
-rosbags decompresses any amount, so that each compressed part is measured before it, or is
-decompressed here. A missing index, as interrupted recorders leave it, is rebuilt in memory and
-appended to the last complete record; the file is not changed. No library does this: rosbags 0.11
+A missing index, as interrupted recorders leave it, is rebuilt in memory and appended to the last
+complete record; the file is not changed. No library does this: rosbags 0.11
 rejects such files ("Bag is not indexed", "File end magic is invalid"), and ``rosbag reindex`` is
 part of ROS. The mcap package scans unindexed MCAP files, but it would add a second way of decoding
 messages to replace the 15 lines for MCAP.
@@ -15,154 +14,16 @@ from __future__ import annotations
 import bz2
 import io
 import struct
-import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from anisomap.errors import FileError, import_extra
+from anisomap.errors import import_extra
 from anisomap.files import open_regular
 from anisomap.io.parsing.source import DamagedError, library_errors
-from anisomap.memory import Budget
 
 EXTRA = "ros"
-
-MAX_MESSAGE = 1 << 24
-"""Bytes of a message; a million readings in float64 are half of it."""
-
-_MAX_CHUNK = 1 << 26  # unpacked; recorders make chunks of some MiB, and rosbags copies them
-_STEP = 1 << 20
-_MCAP_CHUNK, _CHUNK_HEADER = 0x06, 40  # opcode, and bytes beside the name of the compression
-_MAGIC_BYTES = 8
-_MAX_NAME = 1 << 8
-
-
-def decompress_chunk(path: Path, budget: Budget, compressed: bytes, compression: str) -> bytes:
-    """Decompress a chunk of a ROS 1 bag."""
-    decompressor: Any
-    if compression == "lz4":
-        lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
-        decompressor = lz4.LZ4FrameDecompressor()
-    elif compression == "bz2":
-        decompressor = bz2.BZ2Decompressor()
-    else:
-        return compressed
-    return _decompress(path, budget, decompressor, compressed, _MAX_CHUNK)
-
-
-def decompress_message(path: Path, budget: Budget, compressed: bytes) -> bytes:
-    """Decompress a message of a ROS 2 bag whose messages are compressed one by one."""
-    decompressor = _zstd().ZstdDecompressor()
-    return _decompress(path, budget, decompressor, compressed, MAX_MESSAGE)
-
-
-def _decompress(
-    path: Path, budget: Budget, decompressor: Any, compressed: bytes, limit: int
-) -> bytes:
-    what = "a message" if limit == MAX_MESSAGE else "a chunk"
-    with library_errors(path):
-        content: bytes = decompressor.decompress(compressed, max_length=limit + 1)
-    check_part(path, len(content), limit, what)
-    budget.spend(len(content), what)
-    if not decompressor.eof:
-        raise DamagedError(f"{path} is damaged or cut short: {what} has no end")
-    return content
-
-
-def check_part(path: Path, n_bytes: int, limit: int, what: str) -> None:
-    """Check the size of a message or chunk, which is held in memory as a whole."""
-    if n_bytes > limit:
-        raise FileError(
-            f"{path}: {what} has at least {n_bytes} bytes; at most {limit} are supported"
-        )
-
-
-def decompress_file(source: BinaryIO, path: Path, target: BinaryIO) -> None:
-    """Decompress a file of a ROS 2 bag whose files are compressed as a whole."""
-    budget = Budget(path)
-    with library_errors(path), _zstd().open(source, "rb") as unpacked:
-        while content := unpacked.read(_STEP):
-            budget.spend(len(content), "its content")
-            target.write(content)
-
-
-def check_chunks(path: Path, file: BinaryIO, budget: Budget) -> None:
-    """Measure all chunks of an MCAP file, up to the first incomplete record."""
-    size, at = file.seek(0, io.SEEK_END), _MAGIC_BYTES
-    while at < size:
-        file.seek(at)
-        kind, length = file.read(1), int.from_bytes(file.read(8), "little")
-        at += 9 + length
-        if at > size:
-            return
-        if kind[0] != _MCAP_CHUNK or length < _CHUNK_HEADER:
-            continue
-        header = file.read(32)
-        declared, name_length = (
-            int.from_bytes(header[start:stop], "little") for start, stop in ((16, 24), (28, 32))
-        )
-        compression = file.read(min(name_length, _MAX_NAME)).decode("latin-1")
-        packed = int.from_bytes(file.read(8), "little")
-        budget.spend(declared, "a chunk")
-        if compression:
-            check_chunk(path, file.read(min(packed, length)), compression, declared)
-
-
-def check_chunk(path: Path, compressed: bytes, compression: str, declared: int) -> None:
-    """Compare the size of a chunk of an MCAP file with the declared size."""
-    size = 0
-    if compression:
-        check_part(path, declared, _MAX_CHUNK, "a chunk")
-    if compression == "lz4":
-        size = _lz4_size(compressed, declared)
-    elif compression == "zstd":
-        size = _zstd_size(compressed, declared)
-    if size > declared:
-        raise DamagedError(
-            f"{path} is damaged: a chunk of {declared} bytes unpacks to more than that"
-        )
-
-
-def _zstd_size(compressed: bytes, limit: int) -> int:
-    """Return the unpacked size of all frames before any damage, counted up to about `limit`."""
-    zstd, total, left = _zstd(), 0, memoryview(compressed)
-    while left and total <= limit:
-        try:
-            size = zstd.get_frame_info(left).decompressed_size
-            length = zstd.get_frame_size(left)
-        except zstd.ZstdError:
-            size, length = None, len(left)
-        total += size or _count(zstd.ZstdDecompressor(), left[:length], zstd.ZstdError, limit)
-        left = left[length:]
-    return total
-
-
-def _lz4_size(compressed: bytes, limit: int) -> int:
-    """Return the unpacked size of a frame before any damage, counted up to about `limit`."""
-    lz4 = import_extra("lz4.frame", "reading bags", EXTRA)
-    return _count(lz4.LZ4FrameDecompressor(), compressed, RuntimeError, limit)
-
-
-def _count(decompressor: Any, compressed: Any, damage: type[Exception], limit: int) -> int:
-    """Return the number of bytes that a decompressor gives, up to about `limit`."""
-    total = 0
-    with suppress(damage):
-        while total <= limit:
-            count = len(decompressor.decompress(compressed, max_length=_STEP))
-            total += count
-            compressed = b""
-            if decompressor.eof or not count:
-                break
-    return total
-
-
-def _zstd() -> Any:
-    """Import the module that rosbags uses."""
-    name = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
-    return import_extra(name, "reading bags", EXTRA)
-
 
 _MCAP, _ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
@@ -348,7 +209,8 @@ def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]
     compressed = file.read(chunk.end - chunk.data - 4)
     compression = chunk.fields.get(b"compression", b"none").decode("latin-1")
     try:
-        content = decompress_chunk(path, Budget(path), compressed, compression)
+        with library_errors(path):
+            content = _decompress(compressed, compression)
     except DamagedError:
         return {}
     inner = io.BytesIO(content)
@@ -357,6 +219,13 @@ def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]
         for record in _records(inner, 0, len(content))
         if record.kind == _CONNECTION
     }
+
+
+def _decompress(compressed: bytes, compression: str) -> bytes:
+    if compression == "lz4":
+        content: bytes = import_extra("lz4.frame", "reading bags", EXTRA).decompress(compressed)
+        return content
+    return bz2.decompress(compressed) if compression == "bz2" else compressed
 
 
 def _chunk_info(chunk: _Chunk) -> bytes:

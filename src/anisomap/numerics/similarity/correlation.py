@@ -23,7 +23,7 @@ from scipy.sparse import csc_array
 
 from anisomap.numerics.columns import columns, rank_columns
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
-from anisomap.numerics.precision import Reals, float_type, mirror, row_blocks
+from anisomap.numerics.precision import MAX_SQUARED, Reals, float_type, mirror, row_blocks
 from anisomap.numerics.similarity.co_occurrence import (
     CHUNK_FRAMES,
     Codes,
@@ -297,10 +297,6 @@ def _float32_deviations(
 def _chunks(readings: NDArray[np.generic]) -> Iterator[NDArray[np.generic]]:
     for start in range(0, len(readings), CHUNK_FRAMES):
         yield readings[start : start + CHUNK_FRAMES]
-
-
-MAX_SQUARED = 1e100
-"""Magnitude above which readings are scaled before squaring; likewise below its inverse."""
 
 
 def pearson(readings: ArrayLike) -> Reals:

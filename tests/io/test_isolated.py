@@ -1,0 +1,151 @@
+"""Files of libraries are read in another process, of which users notice nothing."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+
+from anisomap import io
+from anisomap.errors import FileError, MissingExtraError
+from anisomap.io import isolated
+
+READINGS = np.random.default_rng(3).random((50, 4)).round(3)
+WORKS = "sys.modules['anisomap.io.isolated']._idle[os.getpid()][0]._process.pid"
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    scipy.io.savemat(tmp_path / "skin.mat", {"readings": READINGS})
+    return tmp_path / "skin.mat"
+
+
+@pytest.fixture
+def damaged(path: Path) -> Path:
+    """A file whose type of numbers is unknown, which scipy does not check."""
+    found = path.with_name("damaged.mat")
+    whole = bytearray(path.read_bytes())
+    at = whole.index(b"readings") + len("readings")
+    whole[at] = 200
+    found.write_bytes(whole)
+    return found
+
+
+def test_a_library_that_crashes_costs_a_file_alone(path: Path, damaged: Path) -> None:
+    for _ in range(2):
+        with pytest.raises(FileError, match=r"damaged.mat is damaged: .* \(segmentation fault\)"):
+            io.read(damaged)
+        np.testing.assert_array_equal(io.read(path).readings, READINGS)
+
+
+def test_streams_that_are_open_at_the_same_time(path: Path) -> None:
+    with io.open_stream(path, frames=7) as stream, io.open_stream(path, frames=7) as again:
+        assert len(next(again.blocks).readings) == len(next(stream.blocks).readings) == 7
+        np.testing.assert_array_equal(io.read(path).readings, READINGS)
+    with ThreadPoolExecutor(4) as threads:
+        for found in threads.map(io.read, [path] * 12):
+            np.testing.assert_array_equal(found.readings, READINGS)
+
+
+def test_relative_paths(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    io.read(path)
+    monkeypatch.chdir(path.parent)
+    np.testing.assert_array_equal(io.read("skin.mat").readings, READINGS)
+    with pytest.raises(FileError, match=r"^skin\.mat holds a single|^there is no file b\.mat"):
+        io.read("b.mat")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked on Unix")
+def test_a_forked_process_reads_by_itself(path: Path) -> None:
+    with io.open_stream(path) as stream:
+        child = os.fork()
+        if child == 0:
+            os._exit(int(io.read(path).n_frames != len(READINGS)))
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert len(next(stream.blocks).readings) == len(READINGS)
+    assert io.read(path).n_frames == len(READINGS)
+
+
+def test_a_script_is_not_run_again_and_leaves_nothing(path: Path) -> None:
+    """It has no guard of `__main__`, a module that hides one of Python's, and its own folder."""
+    (path.parent / "script.py").write_text(
+        "import os, sys, tempfile\n"
+        "print('begins')\n"
+        "from anisomap import io\n"
+        f"print(io.read('{path.name}').n_frames, os.listdir(tempfile.gettempdir())[0][:9])\n"
+    )
+    (path.parent / "temporary").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-X", "dev", "script.py"],
+        env={**os.environ, "TMPDIR": "temporary", "TEMP": "temporary", "TMP": "temporary"},
+        cwd=path.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["begins", "50", "anisomap-"]
+    assert "ResourceWarning" not in done.stderr
+    assert not list((path.parent / "temporary").iterdir())
+
+
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="needs Linux, to wait for any process")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_it_ends_with_the_process_that_asks(path: Path, number: int) -> None:
+    code = (
+        "import os, sys; from anisomap import io; io.read(sys.argv[1]);"
+        f"print({WORKS}, flush=True); input()"
+    )
+    asks = subprocess.Popen(
+        [sys.executable, "-c", code, path],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    with asks:
+        assert asks.stdout is not None
+        works = os.pidfd_open(int(asks.stdout.readline()))
+        kill = os.killpg if number == signal.SIGINT else os.kill  # Ctrl-C reaches both
+        kill(asks.pid, number)
+        assert select.select([works], [], [], 60)[0]
+        os.close(works)
+        assert asks.communicate()[1].count(b"Traceback") == (number == signal.SIGINT)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit of processor time")
+def test_a_library_that_computes_without_end_is_stopped(tmp_path: Path, monkeypatch) -> None:
+    """Tags of the file lead back."""
+    pytest.importorskip("mne")
+    corpus = Path(__file__).parents[1] / "corpus" / "mne-22"
+    file = next(path for path in corpus.rglob("*") if path.is_file())
+    monkeypatch.setattr(isolated, "_SECONDS", 1)
+    with pytest.raises(FileError, match=r"takes more than (1 s|\d+ MB)"):
+        io.read(file)
+
+
+def test_missing_libraries_name_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for library in ("h5py", "pyarrow", "rosbags", "PIL", "mne"):
+        (tmp_path / f"{library}.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(tmp_path)
+    isolated.stop_all()
+    try:
+        for extra, name, magic in (
+            ("hdf5", "skin.h5", b"\x89HDF\r\n\x1a\n"),
+            ("mat", "v73.mat", b"MATLAB 7.3 MAT-file"),
+            ("parquet", "a.feather", b"ARROW1\0\0"),
+            ("ros", "run.bag", b"#ROSBAG V2.0\n"),
+            ("images", "film.gif", b"GIF89a"),
+            ("mne", "run.bdf", b"\xffBIOSEMI"),
+        ):
+            (tmp_path / name).write_bytes(magic)
+            with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'") as e:
+                io.read(tmp_path / name)
+            assert e.value.extra == extra
+    finally:
+        isolated.stop_all()
