@@ -9,7 +9,6 @@ from __future__ import annotations
 import gzip
 import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -25,6 +24,7 @@ from anisomap.errors import AnisomapError, AnisomapWarning
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import load_body
+from fuzzing.checks import processor_time
 
 MAX_RATIO = 9.0
 """Largest ratio of times, far from those of linear and of quadratic growth."""
@@ -154,10 +154,10 @@ def _seconds(folder: Path, name: str, size: int, make: Make, factor: int) -> flo
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
         for _ in range(_REPEATS):
-            started = time.process_time()
+            started = processor_time()
             with suppress(AnisomapError):  # of what is limited by its size
                 read(path)
-            times.append(time.process_time() - started)
+            times.append(processor_time() - started)
     return min(times)
 
 

@@ -196,11 +196,11 @@ def test_small_bombs_are_refused(tmp_path: Path, monkeypatch, name: str) -> None
     assert is_refusal(str(caught.value)), caught.value
 
 
-@pytest.mark.parametrize("name", ["cells.mat", "pages.tif"])
-def test_a_library_that_needs_much_memory_is_stopped(tmp_path: Path, name: str) -> None:
-    BOMBS[name](tmp_path / name, LARGE)
+def test_a_library_that_needs_much_memory_is_stopped(tmp_path: Path) -> None:
+    path = tmp_path / "pages.tif"
+    BOMBS[path.name](path, LARGE)
     with pytest.raises(FileError, match=r"takes more than \d+ MB of memory; it is damaged or a"):
-        io.read(tmp_path / name)
+        io.read(path)
 
 
 @pytest.mark.slow

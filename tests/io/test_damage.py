@@ -79,7 +79,8 @@ def test_pathological_text(put, tolerantly, name: str, whole: str) -> None:
         assert not survives(reader, put(name, whole), tolerantly)
 
 
-@pytest.mark.parametrize("compressed", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("compressed", [False, True])
 def test_a_damaged_matlab_file_that_ends_a_library(tmp_path, tolerantly, compressed: bool) -> None:
     """scipy looks up the types of numbers without a check."""
     path = tmp_path / "skin.mat"

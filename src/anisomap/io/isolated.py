@@ -47,6 +47,7 @@ _SECONDS, _BYTES_PER_SECOND = 20, 50_000  # processor time on a slow machine
 _PATIENCE = 10  # time by the clock on a busy machine, per processor time
 _WATCH_S = 0.05
 _OUT_OF_MEMORY = 99  # exit code
+_NO_SPACE = (errno.EFBIG, errno.ENOMEM)
 
 # `anisomap.io` itself imports all formats, which takes longer than to read a file.
 _SERVE = """
@@ -171,7 +172,8 @@ class _Reader:
         if -code == getattr(signal, "SIGXCPU", 0) or said.startswith("Timeout"):
             seconds = self._request["seconds"]
             return FileError(f"{path}: reading takes more than {seconds} s; it is damaged")
-        if code == _OUT_OF_MEMORY or -code == getattr(signal, "SIGKILL", 0):
+        killed = code == _OUT_OF_MEMORY or -code == getattr(signal, "SIGKILL", 0)
+        if killed or "MemoryError" in said:  # also while an error was answered
             return FileError(_too_large(self._request))
         if 0 <= code < 256:
             return RuntimeError(f"the process that reads {path} has ended: {said}")
@@ -309,7 +311,7 @@ def _parts(request: dict[str, Any]) -> Generator[Any, None, None]:
                     yield vars(block)
     except FileError as error:
         cause = error.__cause__
-        if isinstance(cause, MemoryError) or getattr(cause, "errno", 0) == errno.EFBIG:
+        if isinstance(cause, MemoryError) or getattr(cause, "errno", 0) in _NO_SPACE:
             raise FileError(_too_large(request)) from cause
         raise
 
