@@ -180,8 +180,8 @@ def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64],
         if not rows:
             raise FileError(f"{file} is empty")
         Budget(file).check(8 * len(rows) ** 2, "its matrix")
-        read_rows = _from_list if lists and _is_list(rows) else _from_table
-        values, names = read_rows(file, rows)
+        pairs = _pairs_of(rows) if lists else []
+        values, names = _from_list(file, pairs) if pairs else _from_table(file, rows)
         return _symmetric(file, values, distinct_names(file, names))
 
 
@@ -196,26 +196,21 @@ def _number(cell: str) -> float | None:
     if cell.lower() in _UNKNOWN:
         return math.nan
     try:
-        return parse_number(cell.replace(",", "."))
+        return parse_number(cell, None)
     except ValueError:
         return None
 
 
-def _is_list(rows: Rows) -> bool:
-    """Return whether all rows are two names and a value; three rows of numbers are a matrix."""
-    body = _without_header(rows)
-    if not body or any(len(row) != 3 or _number(row[2]) is None for row in body):
-        return False
-    texts = {_number(cell) is None for row in body for cell in row[:2]}
-    return texts == {True} or (texts == {False} and len(body) > 3)
+def _pairs_of(rows: Rows) -> Rows:
+    """Return the rows of a list, two names and a value each; three rows of numbers are a matrix."""
+    pairs = rows[len(rows[0]) != 3 or _number(rows[0][2]) is None :]
+    if any(len(row) != 3 or _number(row[2]) is None for row in pairs):
+        return []
+    texts = {_number(cell) is None for row in pairs for cell in row[:2]}
+    return pairs if texts == {True} or (texts == {False} and len(pairs) > 3) else []
 
 
-def _without_header(rows: Rows) -> Rows:
-    return rows[len(rows[0]) != 3 or _number(rows[0][2]) is None :]
-
-
-def _from_list(file: Path, rows: Rows) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    body = _without_header(rows)
+def _from_list(file: Path, body: Rows) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     names = tuple(dict.fromkeys(name for row in body for name in row[:2]))
     Budget(file).check(8 * len(names) ** 2, "its matrix")
     index = {name: i for i, name in enumerate(names)}

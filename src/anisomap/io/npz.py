@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.recordings.contacts import NOUNS, noun_of
 from anisomap.io.recordings.events import Events, stream_events
 from anisomap.io.recordings.npy import Header, read_header
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasing_times
@@ -49,13 +50,7 @@ _RECORDING_KEYS = {
     *("names", "times", "rate_hz", "units", "source", "metadata"),
 }
 _TIMES, _NUMBERED = ("times", "time", "spike_times"), ("events", "event")
-_SENSORS = {
-    **dict.fromkeys(("ids", "taxels", "contacts"), "taxel"),
-    **dict.fromkeys(("sensors", "sensor"), "sensor"),
-    **dict.fromkeys(("channels", "channel"), "channel"),
-    **dict.fromkeys(("electrodes", "electrode"), "electrode"),
-    **dict.fromkeys(("units", "unit", "spike_clusters"), "unit"),
-}
+_SENSORS = (*NOUNS, "spike_clusters")
 
 
 @contextmanager
@@ -281,7 +276,7 @@ def _blocks(
 
 def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -> Stream:
     """Create a stream of the events in an archive."""
-    path, noun = archive.path, _SENSORS[which]
+    path, noun = archive.path, noun_of(which)
     moments = archive.required(at, NUMBERS).astype(np.float64)
     sensors = archive.required(which, WHOLE).astype(np.int64)
     if moments.ndim != 1 or moments.shape != sensors.shape:
@@ -303,7 +298,7 @@ def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -
         path,
         Events(moments, sensors.astype(np.intp), names, timed=at in _TIMES),
         bin_s=bin_s,
-        spikes=noun in ("channel", "electrode", "unit") and at in _TIMES,
+        spikes=noun in ("channel", "electrode", "unit", "neuron") and at in _TIMES,
         positions=positions,
         units="" if positions is None else archive.text("units"),
         metadata={"format": "NumPy archive of events"},

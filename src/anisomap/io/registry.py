@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -427,19 +428,15 @@ def _recognise(file: Path) -> Format:
     start = read_head(file)
     *marked, text_format = FORMATS
     suffixes = [s.lower() for s in file.suffixes if s.lower() != ".gz"]
-    for chosen in FORMATS:
-        if chosen.signature and start.startswith(chosen.signature):
-            return chosen
-    for chosen in marked:
-        if chosen.matches(file, start):
-            return chosen
+    own = (f for f in FORMATS if f.signature and start.startswith(f.signature))
+    by_content = itertools.chain(own, (f for f in marked if f.matches(file, start)))
+    if chosen := next(by_content, None):
+        return chosen
     if file.is_dir():
         raise FileError(_folder_message(file))
-    for chosen in FORMATS:
-        if suffixes and suffixes[-1] in chosen.suffixes:
-            return chosen
-    if text_format.matches(file, start):
-        return text_format
+    by_suffix = (f for f in FORMATS if suffixes and suffixes[-1] in f.suffixes)
+    if chosen := next(by_suffix, text_format if text_format.matches(file, start) else None):
+        return chosen
     raise FileError(
         f"{file} has an unknown format; 'anisomap formats' lists the formats that are read"
     )

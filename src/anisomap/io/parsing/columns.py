@@ -32,6 +32,7 @@ _PER_SECOND = {
     **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
     **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
 }
+_NAMING_TIME = _TIME_WORDS - {"t"}
 # Units that can be a whole column name; the other units may also name sensors.
 _TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 _COUNTER_NAMES = {
@@ -92,12 +93,15 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
         guessed = [
             i
             for i, name in enumerate(header)
-            if i not in known and _mentions_time(name) and _rises(table[:, i])
+            if i not in known
+            and not _NAMING_TIME.isdisjoint(words_of(name))
+            and _rises(table[:, i])
         ]
         times += guessed
         known = {*times, *counters}
-        first = next((i for i in range(len(header)) if i not in known), None)
-        if first is not None and _has_odd_name(header, first) and _is_clock(table[:, first]):
+        first = next((i for i in range(len(header)) if i not in known), len(header))
+        odd = first < len(header) and _has_odd_name(header, first)
+        if odd and _rises(table[:, first]) and _is_steady(table[:, first]):
             guessed.append(first)
             (counters if _counts_by_one(table[:, first]) else times).append(first)
     return Roles(
@@ -171,31 +175,25 @@ def units_per_second(name: str, times: NDArray[np.float64]) -> float:
     return next((per_second for threshold, per_second in _EPOCHS if start > threshold), 1.0)
 
 
-def _mentions_time(name: str) -> bool:
-    return any(word in _TIME_WORDS - {"t"} for word in words_of(name))
-
-
 def _has_odd_name(header: Sequence[str], column: int) -> bool:
     """Return whether later columns are numbered alike (``s0``, ``s1``), and this one is not."""
     own, *others = (re.sub(r"\d+", "#", name) for name in header[column:])
     return len(others) > 1 and len(set(others)) == 1 and "#" in others[0] and own != others[0]
 
 
-def _is_clock(column: NDArray[np.float64]) -> bool:
-    return _rises(column) and _is_steady(column)
-
-
 def _is_counter(column: NDArray[np.float64]) -> bool:
     """Return whether a column holds integers that mostly increase; restarts are allowed."""
-    whole = np.isfinite(column).all() and (column == np.floor(column)).all()
-    return bool(
-        whole and (len(column) == 1 or np.mean(np.diff(column) > 0) >= _MIN_STEADY_FRACTION)
-    )
+    steps = np.diff(column)
+    mostly = not steps.size or bool(np.mean(steps > 0) >= _MIN_STEADY_FRACTION)
+    return _is_whole(column) and mostly
 
 
 def _counts_by_one(column: NDArray[np.float64]) -> bool:
-    whole = np.isfinite(column).all() and (column == np.floor(column)).all()
-    return bool(whole and (np.diff(column) == 1).all())
+    return _is_whole(column) and bool((np.diff(column) == 1).all())
+
+
+def _is_whole(column: NDArray[np.float64]) -> bool:
+    return bool(np.isfinite(column).all() and (column == np.floor(column)).all())
 
 
 def _rises(column: NDArray[np.float64]) -> bool:

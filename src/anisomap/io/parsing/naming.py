@@ -18,16 +18,13 @@ def distinct_names(path: Path, names: Sequence[str]) -> tuple[str, ...]:
     """Make repeated names distinct, with a warning: ``a, a, b`` becomes ``a, a_2, b``."""
     if len(set(names)) == len(names):
         return tuple(names)
-    taken, seen = set(names), set[str]()
-    counts: dict[str, int] = {}
-    found = []
+    taken, found, counts = set(names), dict[str, None](), dict[str, int]()
     for name in names:
         unique = name
-        while unique in seen or (unique != name and unique in taken):
+        while unique in found or (unique != name and unique in taken):
             counts[name] = counts.get(name, 1) + 1
             unique = f"{name}_{counts[name]}"
-        seen.add(unique)
-        found.append(unique)
+        found[unique] = None
     repeated = [quote_if_needed(name) for name in counts]
     example = next(iter(counts))
     warn(

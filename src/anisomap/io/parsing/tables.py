@@ -450,7 +450,7 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
         header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
         n_columns = len(header) if body else 0
         because = f"the header names {n_columns}"
-        first_line = _line_after_header(sample, delimiter)
+        first_line = found[1][0] if body else len(sample) + 1
     else:
         n_columns, trailing, first_line = width - empty, empty, 1
         because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
@@ -513,12 +513,6 @@ def _all_records(sample: Sequence[str], delimiter: str | None) -> Iterator[Recor
         yield from records(sample, delimiter)
     except csv.Error:
         return
-
-
-def _line_after_header(sample: Sequence[str], delimiter: str | None) -> int:
-    rest = iter(sample)
-    next(records(rest, delimiter))  # the header may span several lines
-    return len(sample) - sum(1 for _ in rest) + 1
 
 
 def _looks_like_header(

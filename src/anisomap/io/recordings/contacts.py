@@ -22,7 +22,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.columns import is_time, units_per_second, words_of
-from anisomap.io.parsing.source import open_text, quote, read_json_items
+from anisomap.io.parsing.source import open_text, quote, read_head, read_json_items
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     LineError,
@@ -37,15 +37,15 @@ from anisomap.io.parsing.tables import (
 from anisomap.io.recordings.events import EventList, Events, name_sensors, stream_events
 from anisomap.io.stream import ReadOptions, Stream
 
-_NOUNS = {
+NOUNS = {
     **dict.fromkeys(("id", "ids", "taxel", "taxels", "contacts", "active", "touched"), "taxel"),
     **dict.fromkeys(("sensor", "sensors"), "sensor"),
     **dict.fromkeys(("channel", "channels"), "channel"),
     **dict.fromkeys(("electrode", "electrodes"), "electrode"),
-    **dict.fromkeys(("unit", "units"), "unit"),
+    **dict.fromkeys(("unit", "units", "clusters"), "unit"),
     **dict.fromkeys(("neuron", "neurons"), "neuron"),
 }
-_OF_SENSORS = {*_NOUNS, "index", "indices", "list", "activated", "contact", "number", "no"}
+_OF_SENSORS = {*NOUNS, "index", "indices", "list", "activated", "contact", "number", "no"}
 _MOMENTS = {"event", "events", "contact", "touch", "frame", "sample", "index", "no", "number"}
 _VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weight"}
 
@@ -67,9 +67,7 @@ def _stream(path: Path, contacts: Iterable[_Contact], bin_s: float | None) -> St
         names, moment, active, value = contact
         valued = valued or value is not None
         found.add(moment, active, 1.0 if value is None else value)
-    nouns = (_NOUNS.get(word, "taxel") for word in words_of(names[1]))
-    noun = next((noun for noun in nouns if noun != "taxel"), "taxel")
-    sensors, index = name_sensors(found.sensors, noun)
+    sensors, index = name_sensors(found.sensors, noun_of(names[1]))
     at = np.array(found.moments, dtype=np.float64)
     # Without a name of a time, whole numbers count events.
     timed = is_time(names[0]) or bool((at != np.floor(at)).any())
@@ -83,6 +81,12 @@ def _stream(path: Path, contacts: Iterable[_Contact], bin_s: float | None) -> St
     return stream_events(path, events, bin_s=bin_s, metadata={"format": "list of contacts"})
 
 
+def noun_of(name: str) -> str:
+    """Return what precedes the numbers of sensors in a column: ``channel`` for ``channel_ids``."""
+    nouns = (NOUNS.get(word, "taxel") for word in words_of(name))
+    return next((noun for noun in nouns if noun != "taxel"), "taxel")
+
+
 def _find_columns(names: Sequence[str]) -> tuple[int, int, int] | None:
     """Find the columns of moments, of sensors and of values, -1 without one, by their names."""
     words = [words_of(name) for name in names]
@@ -94,7 +98,7 @@ def _find_columns(names: Sequence[str]) -> tuple[int, int, int] | None:
     sensors = [
         i
         for i, each in enumerate(words)
-        if _OF_SENSORS.issuperset(each) and any(word in _NOUNS for word in each)
+        if _OF_SENSORS.issuperset(each) and any(word in NOUNS for word in each)
     ]
     values = [i for i, each in enumerate(words) if each and _VALUES.issuperset(each)]
     if (len(moments), len(sensors)) != (1, 1) or moments == sensors or len(values) > 1:
@@ -133,35 +137,38 @@ def is_text(path: Path, head: bytes) -> bool:
     Further columns, other than a value, make the file a table of readings. Without a header, rows
     must hold a number that does not decrease and different whole numbers, and differ in length.
     """
+    return _layout_of(head) is not None
+
+
+def _layout_of(head: bytes) -> _Layout | None:
+    """Return the layout of a list of contacts by its first bytes; see `is_text`."""
     if b"\0" in head or b"\n" not in head:
-        return False
+        return None
     lines = head.decode("utf-8-sig", "replace").splitlines(keepends=True)
     # The last line may be incomplete.
     lines = lines if lines[-1].endswith("\n") else lines[:-1]
     try:
         layout = _find_layout(lines)
         if layout is None:
-            return _find_bare_layout(lines) is not None
+            return _find_bare_layout(lines)
         found = _rows(lines, layout.delimiter)[1:]
     except csv.Error:
-        return False
-    width = max(map(len, found), default=0)
-    if not found or (width > len(layout.header) and not layout.ragged):
-        return False
+        return None
     # Ids are whole numbers, or words that are no numbers.
-    return all(
-        len(fields) > max(layout.numbers)
+    fits = found and all(
+        (layout.ragged or len(fields) <= len(layout.header))
+        and len(fields) > max(layout.numbers)
         and is_number(fields[layout.moment])
         and all(text.isdecimal() or not is_number(text) for text in layout.ids(fields))
         for fields in found
     )
+    return layout if fits else None
 
 
 @contextmanager
 def open_text_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes."""
-    sample = read_sample(path)
-    layout = _find_layout(sample) or _find_bare_layout(sample)
+    layout = _layout_of(read_head(path))
     if layout is None:
         raise FileError(f"{path} lacks a header that names a time and the sensors")
     yield _stream(path, _read_text(path, layout), options.bin_s)
