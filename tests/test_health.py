@@ -14,7 +14,7 @@ import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair, summarise
 from anisomap.health import CHECKS, STATUSES, spoiling, weaknesses
 from anisomap.health.recording_faults.gaps import find_bridged
-from anisomap.live.coach import confirmed_faults
+from anisomap.live.quick_map import confirmed_faults
 from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.sensor_map import is_faulty

@@ -10,8 +10,7 @@ import pytest
 
 import anisomap
 from anisomap.errors import MissingExtraError
-from anisomap.live.exports import MAX_RATE_HZ, SESSIONS, save_session
-from anisomap.live.saving import save_map
+from anisomap.live.saving import MAX_RATE_HZ, SESSIONS, save_map, save_session
 from skins import flat_skin
 
 SKIN = flat_skin(n_frames=400)  # at 50 Hz

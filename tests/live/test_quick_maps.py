@@ -9,11 +9,11 @@ from anisomap import Recording, reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
 from anisomap.live.batches import Batch
-from anisomap.live.coach import confirmed_faults
 from anisomap.live.quick_map import (
     SAMPLE_FRAMES,
     QuickMapper,
     TouchStatistics,
+    confirmed_faults,
     turned_onto,
 )
 from anisomap.numerics.procrustes import fit_similarity

@@ -4,7 +4,7 @@
 `batches`             what a source of frames is, and what it yields
 `sources`             where frames come from
 `recorder`            the recording on disk
-`quick_map`           the quick map, and `coach` where to touch next
+`quick_map`           the quick map, and where to touch next
 `examination`         the checked map
 `workers`             the processes that make both
 `session_maps`        when maps are made, and what they show so far

@@ -61,9 +61,8 @@ class JournalWriter:
         self._held: list[str] = []
         self._held_bytes = 0
         self._written_at = time.monotonic()
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_BINARY", 0)
         try:
-            self._file = os.open(path, flags, 0o644)
+            self._file = path.open("xb", buffering=0)
         except FileExistsError:
             raise FileError(f"{path} exists; a live session writes a new recording") from None
         except OSError as error:
@@ -93,22 +92,19 @@ class JournalWriter:
 
     def close(self) -> None:
         """Write what is held, and close the file."""
-        if self._file >= 0:
-            try:
+        if not self._file.closed:
+            with self._file:
                 self.flush()
-            finally:
-                os.close(self._file)
-                self._file = -1
 
     def _write(self, content: bytes) -> None:
         done = 0
         try:
             while done < len(content):
-                done += os.write(self._file, content[done:])
+                done += self._file.write(content[done:])
         except OSError as error:
-            whole = content.rfind(b"\n", 0, done) + 1
-            os.ftruncate(self._file, self._size + whole)
-            self._size += whole
+            self._size += content.rfind(b"\n", 0, done) + 1
+            self._file.truncate(self._size)
+            self._file.seek(self._size)
             raise FileError(f"cannot write {self.path}: {error.strerror or error}") from error
         self._size += len(content)
 

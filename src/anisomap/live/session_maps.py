@@ -12,9 +12,8 @@ import numpy as np
 from anisomap.diagnosis.parts import MIN_FRAMES
 from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.health import SensorHealth
-from anisomap.live.coach import confirmed_faults
 from anisomap.live.examination import Examination, ExaminationOptions
-from anisomap.live.quick_map import QuickMap
+from anisomap.live.quick_map import QuickMap, confirmed_faults
 from anisomap.live.recorder import Segment
 from anisomap.live.workers import Answer, Task, Worker
 from anisomap.usability import LEVELS, UNKNOWN

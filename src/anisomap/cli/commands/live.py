@@ -129,8 +129,8 @@ def live(
     from anisomap.cli.outputs import Outputs, read_reference
     from anisomap.io.presets import check_preset
     from anisomap.live import ExaminationOptions, LiveSession
-    from anisomap.live.exports import SESSIONS
     from anisomap.live.page.server import Server
+    from anisomap.live.saving import SESSIONS
     from anisomap.live.sources.replay import SimulatedHand
     from anisomap.methods import find_method
 
