@@ -17,7 +17,7 @@ from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import find_copies
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.layout.explanation import Explained, explain, module_members
+from anisomap.layout.explanation import explain, module_members
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.layout.chance import (
     ReadingStatistics,
@@ -26,9 +26,9 @@ from anisomap.numerics.layout.chance import (
     own_agreement,
     reading_statistics,
 )
-from anisomap.numerics.layout.evidence import REACH, Evidence, Move, neighbour_spacing
+from anisomap.numerics.layout.evidence import REACH, Move, neighbour_spacing
 from anisomap.numerics.layout.moves import ModuleShapes
-from anisomap.numerics.layout.search import Search, Verdict
+from anisomap.numerics.layout.search import Search
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
@@ -287,10 +287,10 @@ def check_layout(
         part = joined.select(columns)
         checked = _Checked(
             stated,
+            rows,
             joined.signals.contacts[columns],
             constant=~joined.varying()[columns],
             copies=[one.sensors for one in find_copies(part.readings, *part.extremes)],
-            rows=rows,
             spacing=spacing,
             members=members,
             statistics=known.select(columns),
@@ -299,81 +299,78 @@ def check_layout(
         return checked.result(notes)
 
 
+@dataclass(eq=False)
 class _Checked:
-    """The steps of a check; sensors are numbered as in the columns that were matched."""
+    """The steps of a check; sensors are numbered as in the columns that were matched.
 
-    def __init__(
-        self,
-        layout: SensorMap,
-        contacts: NDArray[np.intp],
-        *,
-        constant: NDArray[np.bool_],
-        copies: Sequence[Sequence[int]],
-        rows: NDArray[np.intp],
-        spacing: float,
-        members: Sequence[NDArray[np.intp]],
-        statistics: ReadingStatistics,
-        rng: np.random.Generator,
-    ) -> None:
-        self._layout = layout
-        self._rng = rng
-        self._rows = rows
-        self._spacing = spacing
-        self._positions = layout.positions[rows]
-        self._names = [layout.names[i] for i in rows]
-        column = np.full(layout.n_sensors, -1)
-        column[rows] = np.arange(len(rows))
-        self._label = np.full(layout.n_sensors, NO_MODULE)
-        for k, inside in enumerate(members):
-            self._label[inside] = k
-        present = [column[inside][column[inside] >= 0] for inside in members]
-        self._modules = ModuleShapes.of(
-            [inside for inside in present if len(inside)], self._positions
-        )
-        self._statistics = statistics
-        self._contacts = contacts
-        self._constant, self._copies = constant, copies
-        self._usable = self._statistics.tested & (self._contacts >= MIN_CONTACTS)
-        self._findings: list[LayoutFinding] = []
+    rows: Of the sensors, in the layout.
+    contacts: Of each sensor.
+    constant: Whether each is.
+    copies: Groups of sensors that read one wire.
+    members: Rows of the layout that each module has.
+    """
+
+    layout: SensorMap
+    rows: NDArray[np.intp]
+    contacts: NDArray[np.intp]
+    constant: NDArray[np.bool_]
+    copies: Sequence[Sequence[int]]
+    spacing: float
+    members: Sequence[NDArray[np.intp]]
+    statistics: ReadingStatistics
+    rng: np.random.Generator
+
+    def __post_init__(self) -> None:
+        self.positions = self.layout.positions[self.rows]
+        self.names = [self.layout.names[i] for i in self.rows]
+        column = np.full(self.layout.n_sensors, -1)
+        column[self.rows] = np.arange(len(self.rows))
+        self.label = np.full(self.layout.n_sensors, NO_MODULE)
+        for k, inside in enumerate(self.members):
+            self.label[inside] = k
+        present = [column[inside][column[inside] >= 0] for inside in self.members]
+        self.modules = ModuleShapes.of([one for one in present if len(one)], self.positions)
+        self.usable = self.statistics.tested & (self.contacts >= MIN_CONTACTS)
+        self.findings: list[LayoutFinding] = []
+        near: Any = KDTree(self.positions).query_ball_point(self.positions, REACH * self.spacing)
+        self.neighbours = [[j for j in found if j != i] for i, found in enumerate(near)]
 
     def result(self, notes: tuple[str, ...]) -> LayoutCheck:
         """Carry out all steps."""
         self._find_dead()
-        self._find_doubled(self._copies)
-        if np.count_nonzero(self._usable) < MIN_SENSORS:
+        self._find_doubled()
+        if np.count_nonzero(self.usable) < MIN_SENSORS:
             raise InputError(
-                f"only {np.count_nonzero(self._usable)} of {len(self._rows)} sensors read anything "
+                f"only {np.count_nonzero(self.usable)} of {len(self.rows)} sensors read anything "
                 f"beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
             )
-        search = Search(
-            self._statistics, self._positions, self._usable, self._spacing, self._modules
-        )
+        search = Search(self.statistics, self.positions, self.usable, self.spacing, self.modules)
         stated_agreement = own_agreement(search.evidence)
-        self._p, self._explained = agreement_as_a_whole(search.evidence, self._rng)
-        if self._p > _MAX_P or self._explained < _HALF_WRONG:
+        self.p, self.explained = agreement_as_a_whole(search.evidence, self.rng)
+        if self.p > _MAX_P or self.explained < _HALF_WRONG:
             return self._as_a_whole(stated_agreement, notes)
         search.run()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
-        if not self._findings and self._explained < _MANY_WRONG:
+        if not self.findings and self.explained < _MANY_WRONG:
             return self._as_a_whole(stated_agreement, notes)
-        verdict = NOT_CONSISTENT if self._findings else CONSISTENT
+        verdict = NOT_CONSISTENT if self.findings else CONSISTENT
         return self._summary(proposed, stated_agreement, verdict, notes)
 
     def _as_a_whole(self, agreement: NDArray[np.float64], notes: tuple[str, ...]) -> LayoutCheck:
         """Judge a layout that explains too little for accusations of single sensors."""
-        told = np.mean(self._usable) >= _MIN_TESTED
-        self._findings = []
-        self._usable[:] = False
+        told = np.mean(self.usable) >= _MIN_TESTED
+        self.findings = []
+        self.usable[:] = False
         text = (
-            f"about {1 - max(0.0, self._explained) ** 0.5:.0%} of the sensors are not where the "
+            f"about {1 - max(0.0, self.explained) ** 0.5:.0%} of the sensors are not where the "
             "layout states, too many to say which: check that it is of this skin, and the order of "
             "its sensors"
             if told
             else "the recording says too little of the sensors: touch them more, and more evenly"
         )
         verdict = CONTRADICTED if told else UNKNOWN
-        return self._summary(self._positions, agreement, verdict, (text, *notes))
+        return self._summary(self.positions, agreement, verdict, (text, *notes))
 
     def _find_dead(self) -> None:
         """Find constant sensors that should have been touched, as their neighbours were.
@@ -381,89 +378,75 @@ class _Checked:
         Sensors differ in sensitivity: at least as many contacts are expected as the least sensitive
         of the others have, relative to their neighbours.
         """
-        tree = KDTree(self._positions)
-        near: Any = tree.query_ball_point(self._positions, REACH * self._spacing)
         around = np.array(
-            [
-                np.median(self._contacts[[j for j in n if j != i]]) if len(n) > 1 else 0.0
-                for i, n in enumerate(near)
-            ]
+            [np.median(self.contacts[near]) if near else 0.0 for near in self.neighbours]
         )
-        alive = (self._contacts > 0) & (around > 0)
+        alive = (self.contacts > 0) & (around > 0)
         if not alive.any():
             return
-        least = float(np.quantile(self._contacts[alive] / around[alive], _LEAST_SENSITIVE))
-        for i in np.flatnonzero(self._constant & (around * least >= MIN_CONTACTS)).tolist():
+        least = float(np.quantile(self.contacts[alive] / around[alive], _LEAST_SENSITIVE))
+        for i in np.flatnonzero(self.constant & (around * least >= MIN_CONTACTS)).tolist():
             text = (
-                f"{self._names[i]} is constant, although its neighbours were touched "
+                f"{self.names[i]} is constant, although its neighbours were touched "
                 f"{around[i]:.0f} times"
             )
-            self._findings.append(LayoutFinding("dead", np.array([i]), text))
+            self.findings.append(LayoutFinding("dead", np.array([i]), text))
 
-    def _find_doubled(self, copies: Sequence[Sequence[int]]) -> None:
+    def _find_doubled(self) -> None:
         """Report those sensors of one wire that fit their places less than another."""
-        for group in copies:
-            fits = {i: self._fit_without(i, set(group)) for i in group if self._usable[i]}
+        for group in self.copies:
+            fits = {}
+            for i in group:
+                near = [j for j in self.neighbours[i] if j not in group and self.usable[j]]
+                if self.usable[i]:
+                    similar = self.statistics.similarity[i, near]
+                    fits[i] = float(similar.mean()) if near else -1.0
             source, *others = sorted(fits, key=lambda i: -fits[i]) or [-1]
             for copy in others:
-                text = f"{self._names[copy]} repeats the readings of {self._names[source]}"
-                self._findings.append(LayoutFinding("doubled", np.array([copy]), text))
-                self._usable[copy] = False
-
-    def _fit_without(self, sensor: int, pair: set[int]) -> float:
-        """Return the mean similarity of a sensor to its neighbours, without a pair."""
-        tree = KDTree(self._positions)
-        near = tree.query_ball_point(self._positions[sensor], REACH * self._spacing)
-        others = [j for j in near if j not in pair and self._usable[j]]
-        return float(self._statistics.similarity[sensor, others].mean()) if others else -1.0
+                text = f"{self.names[copy]} repeats the readings of {self.names[source]}"
+                self.findings.append(LayoutFinding("doubled", np.array([copy]), text))
+                self.usable[copy] = False
 
     def _explain(self, search: Search) -> NDArray[np.float64]:
         """Explain the new places, keep what the final evidence supports, and return the places."""
         evidence = search.evidence
         proposed = evidence.positions.copy()
         explained = explain(
-            self._positions,
+            self.positions,
             proposed,
-            self._modules,
-            spacing=self._spacing,
+            self.modules,
+            spacing=self.spacing,
             rigid=search.rigid,
-            names=self._names,
+            names=self.names,
         )
         for group in explained:
-            move = Move(group.sensors, proposed[group.sensors])
-            before = evidence.moved(Move(group.sensors, self._positions[group.sensors]))
+            sensors = group.sensors
+            move = Move(sensors, proposed[sensors])
+            before = evidence.moved(Move(sensors, self.positions[sensors]))
             verdict = search.judge(before, move, group.alternatives, rigid=group.kind == "moved")
             stated, there = (
-                _mean(agreement(before, group.sensors, places[group.sensors]))
-                for places in (self._positions, proposed)
+                _mean(agreement(before, sensors, places[sensors]))
+                for places in (self.positions, proposed)
             )
             if not verdict.holds or there <= stated:
-                proposed[group.sensors] = self._positions[group.sensors]
+                proposed[sensors] = self.positions[sensors]
                 continue
-            self._findings.append(self._finding(group, before, move, verdict))
+            distance = np.linalg.norm(move.places - self.positions[sensors], axis=1)
+            changed = distance > 0
+            untested = [self.names[i] for i in sensors[changed] if not self.usable[i]]
+            caveat = f" ({join_items(untested, _MAX_NAMED)} not tested)" if untested else ""
+            finding = LayoutFinding(
+                group.kind,
+                sensors[changed],
+                group.text + caveat,
+                displacement=float(np.median(distance[changed])),
+                agreement_stated=stated,
+                agreement_proposed=there,
+                chance=verdict.chance,
+                gain=verdict.gain,
+            )
+            self.findings.append(finding)
         return proposed
-
-    def _finding(
-        self, group: Explained, before: Evidence, move: Move, verdict: Verdict
-    ) -> LayoutFinding:
-        stated = agreement(before, move.sensors, self._positions[move.sensors])
-        there = agreement(before, move.sensors, move.places)
-        distance = np.linalg.norm(move.places - self._positions[move.sensors], axis=1)
-        changed = distance > 0
-        untested = [self._names[i] for i in group.sensors[changed] if not self._usable[i]]
-        text = group.text
-        if untested:
-            text += f" ({join_items(untested, _MAX_NAMED)} not tested)"
-        return LayoutFinding(
-            group.kind,
-            group.sensors[changed],
-            text,
-            float(np.median(distance[changed])),
-            _mean(stated),
-            _mean(there),
-            verdict.chance,
-            verdict.gain,
-        )
 
     def _summary(
         self,
@@ -472,37 +455,37 @@ class _Checked:
         verdict: str,
         notes: tuple[str, ...],
     ) -> LayoutCheck:
-        n_sensors = self._layout.n_sensors
+        n_sensors = self.layout.n_sensors
         status = [NOT_TESTED] * n_sensors
-        for column in np.flatnonzero(self._usable):
-            status[self._rows[column]] = OK
+        for column in np.flatnonzero(self.usable):
+            status[self.rows[column]] = OK
         order = list(KINDS)
-        findings = sorted(self._findings, key=lambda f: (order.index(f.kind), int(f.sensors.min())))
+        findings = sorted(self.findings, key=lambda f: (order.index(f.kind), int(f.sensors.min())))
         for finding in findings:
             for column in finding.sensors:
-                status[self._rows[column]] = finding.kind
-        untested = [self._layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
+                status[self.rows[column]] = finding.kind
+        untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested and len(untested) < n_sensors:
             notes += (
                 f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
                 f"nothing of them: {join_items(untested, _MAX_NAMED)}",
             )
-        positions = self._layout.positions.copy()
-        positions[self._rows] = proposed
+        positions = self.layout.positions.copy()
+        positions[self.rows] = proposed
         values = np.full(n_sensors, np.nan)
-        values[self._rows] = np.where(self._usable, stated_agreement, np.nan)
+        values[self.rows] = np.where(self.usable, stated_agreement, np.nan)
         values.setflags(write=False)
-        self._label.setflags(write=False)
+        self.label.setflags(write=False)
         return LayoutCheck(
-            self._layout,
-            at_positions(self._layout, positions),
+            self.layout,
+            at_positions(self.layout, positions),
             tuple(status),
-            tuple(replace(f, sensors=self._rows[f.sensors]) for f in findings),
+            tuple(replace(f, sensors=self.rows[f.sensors]) for f in findings),
             values,
-            self._label,
-            self._spacing,
-            self._p,
-            self._explained,
+            self.label,
+            self.spacing,
+            self.p,
+            self.explained,
             verdict,
             notes,
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -277,23 +276,17 @@ def _moved(
 
 
 def _closed(edges: dict[int, int]) -> list[list[int]]:
-    """Return the cycles of a map; chains that end are left out."""
-    found, seen = [], set()
+    """Return the cycles of a map; chains that end, or run into a cycle, are left out."""
+    found: list[list[int]] = []
+    seen: set[int] = set()
     for start in sorted(edges):
-        path = list(itertools.islice(_followed(edges, start), len(edges) + 1))
-        if start not in seen and len(path) <= len(edges) and edges.get(path[-1]) == start:
+        path = [start]
+        while len(path) <= len(edges) and (following := edges.get(path[-1], start)) != start:
+            path.append(following)
+        if start not in seen and edges.get(path[-1]) == start:
             found.append(path)
             seen.update(path)
     return found
-
-
-def _followed(edges: dict[int, int], start: int) -> Iterable[int]:
-    at = start
-    while True:
-        yield at
-        at = edges.get(at, -1)
-        if at in (-1, start):
-            return
 
 
 def _span(members: NDArray[np.intp], names: Sequence[str]) -> str:

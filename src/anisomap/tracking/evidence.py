@@ -163,7 +163,8 @@ def gather_evidence(
     left_out = tuple(drop)
     total: Evidence | None = None
     for run in runs:
-        mapped = run.varying() & ~sensor_mask(run.names, [d for d in left_out if _has(run, d)])
+        here = [one for one in left_out if not isinstance(one, str) or one in run.names]
+        mapped = run.varying() & ~sensor_mask(run.names, here)
         if np.count_nonzero(mapped) < _MIN_VARYING:
             raise InputError(
                 f"{run.source or 'the recording'} is no evidence of distances: "
@@ -238,10 +239,6 @@ def _evidence_of(run: Recording, method: str, dimensions: int, options: MethodOp
     )
 
 
-def _has(run: Recording, sensor: str | int) -> bool:
-    return not isinstance(sensor, str) or sensor in run.names
-
-
 MIN_COMPARED = 8
 """Minimum number of sensors on the map and in the recording; fewer give no typical difference."""
 
@@ -286,9 +283,8 @@ def find_moves(
     the median and the median absolute deviation of all.
     """
     compared = set(evidence.names) & set(fresh.names)
-    placed = [
-        i for i in np.flatnonzero(sensor_map.placed).tolist() if sensor_map.names[i] in compared
-    ]
+    placed = np.flatnonzero(sensor_map.placed)
+    placed = placed[[sensor_map.names[i] in compared for i in placed]]
     if len(placed) < MIN_COMPARED:
         return None
     names = tuple(sensor_map.names[i] for i in placed)
@@ -296,7 +292,9 @@ def find_moves(
     old_similarity, old_known = similarity_of(evidence, key, names)
     new_similarity, new_known = similarity_of(fresh, key, names)
     agreement = profile_agreement(new_similarity, old_similarity, new_known, old_known)
-    far = _far(sensor_map, np.array(placed))
+    places, component = sensor_map.positions[placed], sensor_map.component[placed]
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    far = (apart > FAR * spacing_of(sensor_map)) | (component[:, None] != component)
     if not far.any():
         return None
     elsewhere = np.where(far, agreement, -np.inf)
@@ -307,13 +305,17 @@ def find_moves(
     z = (gain - middle) / max(sigma, np.finfo(float).tiny)
     p_values = np.where(gain > 0, np.minimum(1.0, len(names) * ndtr(-z)), 1.0)
     p_values.setflags(write=False)
-    best = elsewhere.argmax(axis=1)
     return Moves(
         names=names,
         p_values=p_values,
-        like=tuple(names[j] for j in best),
+        like=tuple(names[j] for j in elsewhere.argmax(axis=1)),
         moved=tuple(name for name, p in zip(names, p_values, strict=True) if p < level),
     )
+
+
+def spacing_of(sensor_map: SensorMap) -> float:
+    """Return the median distance between neighbours on the largest component."""
+    return median_spacing(sensor_map.positions[sensor_map.component == 0])
 
 
 def common_similarity(first: Evidence, second: Evidence) -> str:
@@ -324,18 +326,8 @@ def common_similarity(first: Evidence, second: Evidence) -> str:
 def similarity_of(
     evidence: Evidence, key: str, names: Sequence[str]
 ) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
-    """Return the similarity of some sensors, and which pairs of them are known.
-
-    Returns similarity (n, n), known.
-    """
+    """Return the similarity of n sensors, and which pairs of them are known, (n, n) each."""
     rows = match_names(names, evidence.names)
     inside = np.ix_(rows, rows)
     pairs = evidence.sums[key].statistics(key)
     return pairs.similarity[inside], pairs.known[inside]
-
-
-def _far(sensor_map: SensorMap, placed: NDArray[np.intp]) -> NDArray[np.bool_]:
-    places, component = sensor_map.positions[placed], sensor_map.component[placed]
-    spacing = median_spacing(sensor_map.positions[sensor_map.component == 0])
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    return np.asarray((apart > FAR * spacing) | (component[:, None] != component))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
-from anisomap.evidence import SIMILARITIES, PairStatistics
+from anisomap.evidence import SIMILARITIES, PairStatistics, Similarity
 from anisomap.numerics.contacts.contact_agreement import (
     agreement_of_sums,
     distinct_contacts,
@@ -29,7 +30,7 @@ class PairSums:
     Attributes
     ----------
     products : ndarray of shape (n, n)
-        Sums of products, symmetric; see `POOLINGS`.
+        Sums of products, symmetric; see `_POOLINGS`.
     squares : ndarray of shape (n, n)
         Sums of squares of the sensor of the row, over recordings that contain the sensor of the
         column as well.
@@ -52,23 +53,14 @@ class PairSums:
 
     @classmethod
     def of(cls, readings: NDArray[np.generic], similarity: str, *, bins: int) -> PairSums:
-        """Compute the sums of one recording.
-
-        Parameters
-        ----------
-        readings : ndarray of shape (T, n)
-            Finite readings of sensors that vary.
-        similarity : str
-            A key of `anisomap.evidence.SIMILARITIES`.
-        bins : int
-            Bins per sensor, for entropies.
-        """
-        chosen, shape = SIMILARITIES[similarity], (readings.shape[1],) * 2
-        if similarity in _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
+        """Sum over the complete readings of one recording, shape (T, n), of varying sensors."""
+        chosen, shape = _similarity(similarity), (readings.shape[1],) * 2
+        if similarity == _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
             return cls(*(np.zeros(shape) for _ in fields(cls)))
         readings, _ = chosen.referred(readings)
         found, variance = chosen.with_variance(readings, bins)
-        products, squares, weight = _pooling(similarity).sums(readings, found)
+        pool, _ = _POOLINGS.get(similarity, _OF_CORRELATION)
+        products, squares, weight = pool(readings, found)
         return cls(
             products,
             np.array(np.broadcast_to(squares[:, None], shape)),
@@ -87,50 +79,34 @@ class PairSums:
 
     def spread(self, rows: NDArray[np.intp], n_sensors: int) -> PairSums:
         """Return the sums of `n_sensors` sensors, of which these are the given rows."""
-        return PairSums(*(_spread(getattr(self, f.name), rows, n_sensors) for f in fields(self)))
+        found = np.zeros((len(fields(self)), n_sensors, n_sensors))
+        for matrix, f in zip(found, fields(self), strict=True):
+            matrix[np.ix_(rows, rows)] = getattr(self, f.name)
+        return PairSums(*found)
 
     def without(self, sensors: NDArray[np.intp]) -> PairSums:
         """Return sums in which no pair of the given sensors is known."""
-        kept = np.ones(len(self.products), dtype=bool)
-        kept[sensors] = False
+        kept = ~np.isin(np.arange(len(self.products)), sensors)
         inside = kept[:, None] & kept
         return PairSums(*(np.where(inside, getattr(self, f.name), 0.0) for f in fields(self)))
 
     def statistics(self, similarity: str) -> PairStatistics:
-        """Return the similarity of all pairs, and its sampling variance.
-
-        Parameters
-        ----------
-        similarity : str
-            The key that was given to `of`.
-        """
+        """Return the similarity of all pairs, by the key given to `of`, and its variance."""
+        _similarity(similarity)
         known = self.known
-        finished = _pooling(similarity).finish(self)
-        values = np.where(known | np.eye(len(known), dtype=bool), finished, 0.0)
+        _, finish = _POOLINGS.get(similarity, _OF_CORRELATION)
+        values = np.where(known | np.eye(len(known), dtype=bool), finish(self), 0.0)
         noise = np.divide(1.0, self.precision, out=np.ones_like(values), where=known)
         return PairStatistics.from_similarity(
             values, noise=noise, known=known, statistic=similarity
         )
 
 
-@dataclass(frozen=True)
-class Pooling:
-    """Sums of a similarity.
-
-    sums: ``sums(readings, similarity)`` returns sums of products, shape (n, n), sums of squares,
-        shape (n,), and the weight of the recording.
-    finish: Returns the similarity of `PairSums`, shape (n, n).
-    """
-
-    sums: Callable[
-        [NDArray[np.generic], Reals], tuple[NDArray[np.float64], NDArray[np.float64], float]
-    ]
-    finish: Callable[[PairSums], Reals]
+_Sums: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], float]
+"""Sums of products, shape (n, n), and of squares, shape (n,), and the weight of a recording."""
 
 
-def _correlation_sums(
-    readings: NDArray[np.generic], similarity: Reals
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _correlation_sums(readings: NDArray[np.generic], similarity: Reals) -> _Sums:
     """Weight a correlation by how much its sensors vary, in ranks, which have no unit."""
     n_frames = len(readings)
     ranks = ranks_of_depths(readings) / n_frames
@@ -149,20 +125,12 @@ def _finished_correlation(sums: PairSums) -> Reals:
     return np.asarray(correlation)
 
 
-def _contact_sums(
-    readings: NDArray[np.generic], _: Reals
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _contact_sums(readings: NDArray[np.generic], _: Reals) -> _Sums:
     together, total = weighted_contacts(readings)
     return together, np.asarray(np.diag(together)), total
 
 
-def _finished_agreement(sums: PairSums) -> Reals:
-    return agreement_of_sums(sums.products, sums.squares, sums.weights)
-
-
-def _mean_sums(
-    readings: NDArray[np.generic], similarity: Reals
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _mean_sums(readings: NDArray[np.generic], similarity: Reals) -> _Sums:
     n_frames = float(len(readings))
     return np.asarray(n_frames * similarity), np.full(len(similarity), n_frames), n_frames
 
@@ -172,33 +140,29 @@ def _finished_mean(sums: PairSums) -> Reals:
     return np.asarray(np.divide(sums.products, sums.weights, out=found, where=sums.weights > 0))
 
 
-_CORRELATION = Pooling(_correlation_sums, _finished_correlation)
-
-POOLINGS: Mapping[str, Pooling] = MappingProxyType(
+_OF_CONTACTS = "contact-agreement"
+_Pooling: TypeAlias = tuple[
+    Callable[[NDArray[np.generic], Reals], _Sums], Callable[[PairSums], Reals]
+]
+_OF_CORRELATION: _Pooling = (_correlation_sums, _finished_correlation)
+_POOLINGS: Mapping[str, _Pooling] = MappingProxyType(
     {
-        "contact-agreement": Pooling(_contact_sums, _finished_agreement),
-        "mutual-information": Pooling(_mean_sums, _finished_mean),
+        _OF_CONTACTS: (
+            _contact_sums,
+            lambda sums: agreement_of_sums(sums.products, sums.squares, sums.weights),
+        ),
+        "mutual-information": (_mean_sums, _finished_mean),
     }
 )
-"""Sums of similarities that are no correlations.
+"""How readings and their similarity are summed, and the similarity of sums, if no correlation.
 
 Correlations are pooled as covariances within recordings are; a sensor that hardly varies in one of
 them has little weight there. Agreements have exact sums, over the distinct contacts of each
 recording. Mutual information is averaged over frames.
 """
 
-_OF_CONTACTS = ("contact-agreement",)
 
-
-def _pooling(similarity: str) -> Pooling:
-    if similarity not in SIMILARITIES:
-        raise InputError(f"there is no similarity {similarity!r}")
-    return POOLINGS.get(similarity, _CORRELATION)
-
-
-def _spread(
-    matrix: NDArray[np.float64], rows: NDArray[np.intp], n_sensors: int
-) -> NDArray[np.float64]:
-    found = np.zeros((n_sensors, n_sensors))
-    found[np.ix_(rows, rows)] = matrix
-    return found
+def _similarity(key: str) -> Similarity:
+    if key not in SIMILARITIES:
+        raise InputError(f"there is no similarity {key!r}")
+    return SIMILARITIES[key]

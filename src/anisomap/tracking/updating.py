@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,6 @@ from scipy.spatial import KDTree
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
-from anisomap.evaluation.scoring import median_spacing
 from anisomap.health import assess
 from anisomap.numerics.kriging import Kernel, predict_field
 from anisomap.numerics.neighbours import padded
@@ -30,6 +30,7 @@ from anisomap.tracking.evidence import (
     gather_evidence,
     map_evidence,
     similarity_of,
+    spacing_of,
 )
 from anisomap.wording import join_items
 
@@ -58,19 +59,18 @@ class _Frame:
     base: NDArray[np.float64]
     field: NDArray[np.float64]
 
-    def carry(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transform points of the map of all evidence, shape (m, l), without corrections."""
-        return self.to_old.apply(padded(self.to_before.apply(points), self.base.shape[1]))
-
-    def corrections(
+    def carry(
         self, points: NDArray[np.float64], spacing: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Predict the corrections at carried points, and their RMS errors."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Transform points of the map of all evidence, (m, l): without and with corrections.
+
+        Also the RMS errors of these, (m,).
+        """
+        carried = self.to_old.apply(padded(self.to_before.apply(points), self.base.shape[1]))
+        kernel = Kernel(_REACH * spacing, _NOISE)
+        found, variance = predict_field(self.base, self.field, carried, kernel)
         size = float(np.sqrt(np.mean(np.sum(self.field**2, axis=1))))
-        found, variance = predict_field(
-            self.base, self.field, points, Kernel(_REACH * spacing, _NOISE)
-        )
-        return found, size * np.sqrt(variance)
+        return carried, carried + found, size * np.sqrt(variance)
 
 
 def carry_over(
@@ -81,41 +81,32 @@ def carry_over(
     extra: Sequence[str] = (),
 ) -> SensorMap:
     """Bring a map of new evidence into the frame of an old map."""
-    new = [n for n in (*after.names, *extra) if n not in set(old.names)]
-    names = (*old.names, *dict.fromkeys(new))
+    names = tuple(dict.fromkeys((*old.names, *after.names, *extra)))
     grown = _grown(old, names)
-    row = {name: i for i, name in enumerate(names)}
     positions, component = np.array(grown.positions), np.array(grown.component)
     errors = np.array(grown.errors)
     normals = None if grown.normals is None else np.array(grown.normals)
-    spacing = median_spacing(old.positions[old.component == 0])
     # Positions that were measured are worth more than any map.
-    measured = {n for n, e in zip(old.names, old.errors, strict=True) if old.anchored and e == 0}
+    measured = (grown.errors == 0) & old.anchored
     for label in range(len(after.component_sizes)):
         members = np.flatnonzero(after.component == label)
-        listed = [after.names[i] for i in members]
         frame = _frame(old, before, after, members, moved)
         if frame is None:
             continue
-        carried = frame.carry(after.positions[members])
-        found, doubt = frame.corrections(carried, spacing)
-        found += carried
-        kept = {old.names[i]: place for place, i in enumerate(frame.rows)}
-        neighbours = KDTree(frame.base)
-        for place, name in enumerate(listed):
-            i = row[name]
-            if name in kept:
-                shift = carried[place] - frame.base[kept[name]]
-                if name not in measured:
-                    positions[i] = old.positions[i] + shift
-                continue
-            positions[i], component[i] = found[place], frame.label
-            near = np.atleast_1d(
-                neighbours.query(carried[place], k=min(_NEIGHBOURS, len(frame.rows)))[1]
-            )
-            errors[i] = np.hypot(np.max(old.errors[frame.rows[near]]), doubt[place])
-            if normals is not None:
-                normals[i] = np.nan
+        rows = match_names([after.names[i] for i in members], names)
+        carried, corrected, doubt = frame.carry(after.positions[members], spacing_of(old))
+        place = np.full(len(names), -1)
+        place[frame.rows] = np.arange(len(frame.rows))
+        place = place[rows]
+        kept = (place >= 0) & ~measured[rows]
+        positions[rows[kept]] += carried[kept] - frame.base[place[kept]]
+        new, appended = place < 0, rows[place < 0]
+        positions[appended], component[appended] = corrected[new], frame.label
+        nearest = range(1, 1 + min(_NEIGHBOURS, len(frame.rows)))
+        near = KDTree(frame.base).query(carried[new], k=nearest)[1]
+        errors[appended] = np.hypot(old.errors[frame.rows[near]].max(axis=1), doubt[new])
+        if normals is not None:
+            normals[appended] = np.nan
     return replace(
         grown,
         positions=positions,
@@ -133,17 +124,19 @@ def carry_over(
 def _grown(old: SensorMap, names: tuple[str, ...]) -> SensorMap:
     """Append sensors without a position to a map."""
     more = len(names) - old.n_sensors
+
+    def padded_rows(values: NDArray[Any], fill: float = np.nan) -> NDArray[Any]:
+        return np.pad(values, ((0, more), (0, 0))[: values.ndim], constant_values=fill)
+
     return replace(
         old,
         names=names,
-        positions=np.pad(old.positions, ((0, more), (0, 0)), constant_values=np.nan),
-        component=np.pad(old.component, (0, more), constant_values=UNPLACED),
+        positions=padded_rows(old.positions),
+        component=padded_rows(old.component, UNPLACED),
         health=(*old.health, *(UNASSESSED,) * more),
-        errors=np.pad(old.errors, (0, more), constant_values=np.nan),
+        errors=padded_rows(old.errors),
         covariances=None,  # those of the old recordings alone
-        normals=None
-        if old.normals is None
-        else np.pad(old.normals, ((0, more), (0, 0)), constant_values=np.nan),
+        normals=None if old.normals is None else padded_rows(old.normals),
     )
 
 
@@ -303,7 +296,7 @@ def update_map(
     if not 0 < level < 1:
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
     sensor_map.check_coordinates("on the map")
-    if not median_spacing(sensor_map.positions[sensor_map.component == 0]) > 0:
+    if not spacing_of(sensor_map) > 0:
         raise InputError("sensors of the map coincide; give a map with distinct positions")
     evidence = replace(evidence, dimensions=sensor_map.dimensions)
     runs = as_runs(recording)
@@ -322,6 +315,9 @@ def update_map(
     extra = [name for name in joined.names if name not in {*sensor_map.names, *after.names}]
     placed = carry_over(sensor_map, before, after, moved, extra)
     healthy = {sensor.name: sensor.status for sensor in assess(runs)}
+    notes = tuple(_notes(moves))
+    for note in notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=2)
     placed = replace(
         placed,
         health=tuple(
@@ -333,17 +329,39 @@ def update_map(
             "frames": total.n_frames,
             "recordings": len(total.recordings),
         },
+        notes=tuple(dict.fromkeys((*placed.notes, *notes))),
     )
-    return _summarised(
-        sensor_map,
-        placed,
-        total=total,
-        old=evidence,
-        fresh=fresh,
-        joined=joined,
+    once, now = (
+        [name for name, known in zip(one.names, one.placed, strict=True) if known]
+        for one in (sensor_map, placed)
+    )
+    added = tuple(name for name in now if name not in set(once))
+    return Update(
+        map=placed,
+        evidence=total,
+        added=added,
         moved=moved,
+        silent=tuple(name for name in once if name not in set(fresh.names)),
+        unplaced=tuple(name for name in joined.names if name not in set(now)),
+        agreement=_agreement(evidence, fresh, moved),
+        difference=_as_difference(sensor_map, placed, moves, added),
         moves=moves,
+        notes=notes,
     )
+
+
+def _notes(moves: Moves | None) -> Iterator[str]:
+    """Yield what an update could not examine, and the sensors that moved."""
+    if moves is None:
+        yield (
+            "too few sensors of the map are in the recording to tell whether one moved: "
+            f"{MIN_COMPARED} that are not all near each other are needed"
+        )
+    elif moves.moved:
+        yield (
+            f"{len(moves.moved)} sensors moved since the map was made, and take their places from "
+            f"the new recording alone: {join_items(moves.moved)}"
+        )
 
 
 def _check_shared(sensor_map: SensorMap, evidence: Evidence, fresh: Evidence) -> None:
@@ -397,67 +415,16 @@ def _check_agreement(sensor_map: SensorMap, fresh: Evidence, moved: tuple[str, .
         )
 
 
-def _summarised(
-    before: SensorMap,
-    after: SensorMap,
-    *,
-    total: Evidence,
-    old: Evidence,
-    fresh: Evidence,
-    joined: Recording,
-    moved: tuple[str, ...],
-    moves: Moves | None,
-) -> Update:
-    placed_before = {before.names[i] for i in np.flatnonzero(before.placed)}
-    placed_after = {after.names[i] for i in np.flatnonzero(after.placed)}
-    recorded = set(fresh.names)
-    notes = []
-    if moves is None:
-        notes.append(
-            "too few sensors of the map are in the recording to tell whether one moved: "
-            f"{MIN_COMPARED} that are not all near each other are needed"
-        )
-    if moved:
-        notes.append(
-            f"{len(moved)} sensors moved since the map was made, and take their places from the "
-            f"new recording alone: {join_items(moved)}"
-        )
-    for note in notes:
-        warnings.warn(note, AnisomapWarning, stacklevel=3)
-    added = tuple(n for n in after.names if n in placed_after and n not in placed_before)
-    return Update(
-        map=replace(after, notes=tuple(dict.fromkeys((*after.notes, *notes)))),
-        evidence=total,
-        added=added,
-        moved=moved,
-        silent=tuple(n for n in before.names if n in placed_before and n not in recorded),
-        unplaced=tuple(n for n in joined.names if n not in placed_after),
-        agreement=_agreement(old, fresh, moved),
-        difference=_as_difference(before, after, moves, added),
-        moves=moves,
-        notes=tuple(notes),
-    )
-
-
 def _as_difference(
-    before: SensorMap,
-    after: SensorMap,
-    moves: Moves | None,
-    added: Sequence[str],
+    before: SensorMap, after: SensorMap, moves: Moves | None, added: Sequence[str]
 ) -> Difference:
     """Describe what an update changed as a comparison of two maps in one frame."""
     names = after.names
-    more = len(names) - before.n_sensors
-    old = np.pad(before.positions, ((0, more), (0, 0)), constant_values=np.nan)
+    old = _grown(before, names).positions
     distance = np.linalg.norm(after.positions - old, axis=1)
-    p_values = np.full(len(names), np.nan)
-    spacing = median_spacing(before.positions[before.component == 0])
-    moved: tuple[str, ...] = ()
-    if moves is not None:
-        moved = moves.moved
-        tested = dict(zip(moves.names, moves.p_values.tolist(), strict=True))
-        p_values = np.array([tested.get(name, np.nan) for name in names])
-    for array in (old, distance, p_values):
+    listed = {} if moves is None else dict(zip(moves.names, moves.p_values.tolist(), strict=True))
+    p_values = np.array([listed.get(name, np.nan) for name in names])
+    for array in (distance, p_values):
         array.setflags(write=False)
     return Difference(
         names=names,
@@ -465,12 +432,12 @@ def _as_difference(
         after=after.positions,
         distance=distance,
         p_values=p_values,
-        moved=np.isin(names, moved),
+        moved=np.isin(names, () if moves is None else moves.moved),
         appeared=np.isin(names, added),
         lost=np.zeros(len(names), dtype=bool),
         compared=np.isfinite(distance),
-        chance=FAR * spacing,
-        spacing=spacing,
+        chance=FAR * spacing_of(before),
+        spacing=spacing_of(before),
         scale=1.0,
         reflected=False,
         units=after.units,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import cdist, pdist
 
@@ -229,29 +229,22 @@ class PlaceFits:
         near = (self._distances[evidence.similar(sensor)] <= evidence.reach).any(axis=0)
         return np.flatnonzero(near & (self._distances[sensor] > 0))
 
-    def gains(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the gains of a sensor at the places of others, which are left out."""
-        evidence = self._evidence
-        after = evidence.falloff.log_likelihood(evidence.similarity[sensor], evidence.bins[others])
-        known = np.repeat(evidence.known[sensor][None], len(others), axis=0)
-        known[np.arange(len(others)), others] = False
-        before = self._total[sensor] - evidence.likelihood[sensor, others]
-        return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
+    def gains(self, sensors: ArrayLike, others: ArrayLike) -> NDArray[np.float64]:
+        """Return the gains of sensors at the places of others, which are left out: pairs, or one.
 
-    def gains_at(self, sensor: int, others: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the gains of others at the place of a sensor, which is left out."""
+        sensors, others (m,) or a number -> (m,).
+        """
         evidence = self._evidence
-        after = evidence.falloff.log_likelihood(evidence.similarity[others], evidence.bins[sensor])
-        known = evidence.known[others]
-        known[:, sensor] = False
-        before = self._total[others] - evidence.likelihood[others, sensor]
+        sensors, others = np.broadcast_arrays(sensors, others)
+        bins = evidence.bins[others]
+        after = evidence.falloff.log_likelihood(evidence.similarity[sensors], bins)
+        known = evidence.known[sensors]
+        known[np.arange(len(others)), others] = False
+        before = self._total[sensors] - evidence.likelihood[sensors, others]
         return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
 
     def best_gains(self, min_distance: float = 0.0) -> NDArray[np.float64]:
-        """Return the largest gain of each sensor at the place of another, shape (n,).
-
-        Returns (n,).
-        """
+        """Return the largest gain of each sensor at the place of another, shape (n,)."""
         best = np.full(len(self._distances), -np.inf)
         for i in np.flatnonzero(self._evidence.usable).tolist():
             places = self.places_near(i)

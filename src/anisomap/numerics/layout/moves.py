@@ -8,10 +8,9 @@ function here and one line to `PROPOSERS`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +75,7 @@ def _swaps(evidence: Evidence, allowed: NDArray[np.bool_]) -> list[Proposal]:
         partners = fits.places_near(i)
         partners = partners[allowed[partners]]
         if partners.size:
-            gains = fits.gains(i, partners) + fits.gains_at(i, partners)
+            gains = fits.gains(i, partners) + fits.gains(partners, i)
             best = int(gains.argmax())
             pair = np.array([i, partners[best]])
             places = evidence.positions[pair[::-1]]
@@ -191,15 +190,9 @@ def shifted_moves(positions: NDArray[np.float64], run: NDArray[np.intp]) -> tupl
     return tuple(Move(run, np.roll(positions[run], -step, axis=0)) for step in _STEPS)
 
 
-PROPOSERS: Mapping[str, Callable[[Evidence, ModuleShapes], list[Proposal]]] = MappingProxyType(
-    {
-        "exchanges": exchanges,
-        "turns": turns,
-        "cable shifts": cable_shifts,
-        "cycles": cycles,
-        "swaps": swaps,
-    }
-)
+Proposer: TypeAlias = Callable[[Evidence, ModuleShapes], list[Proposal]]
+
+PROPOSERS: tuple[Proposer, ...] = (exchanges, turns, cable_shifts, cycles, swaps)
 """All functions that propose permutations of places."""
 
 

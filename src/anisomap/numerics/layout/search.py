@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +19,12 @@ from anisomap.numerics.layout.evidence import (
     Evidence,
     Falloff,
     Move,
-    Proposal,
     fit_falloff,
 )
 from anisomap.numerics.layout.moves import (
     PROPOSERS,
     ModuleShapes,
+    Proposer,
     half_swaps,
     is_possible,
     patch_moves,
@@ -34,7 +32,6 @@ from anisomap.numerics.layout.moves import (
 )
 
 _MAX_ROUNDS = 12
-_OF_PATCHES = ("patches", "sensors")  # searches that do not permute places
 _MIN_RIGID = 0.5
 """Least gain of agreement of a patch on free places, relative to the median agreement.
 
@@ -43,19 +40,12 @@ right layouts of nao_torso, nao_head and insole_L, patches gained up to 0.45.
 """
 _LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
 
-_Searches: TypeAlias = Mapping[str, Callable[[Evidence, ModuleShapes], list[Proposal]]]
-
-SEARCHES: _Searches = MappingProxyType({**PROPOSERS, "patches": patch_moves})
-"""Functions that propose moves."""
-
-LAST_SEARCHES: tuple[_Searches, ...] = (
-    MappingProxyType({"half swaps": half_swaps}),
-    MappingProxyType({"sensors": single_moves}),
-)
-"""Functions that propose moves of one sensor, each used once no other move is left.
+SEARCHES = ((*PROPOSERS, patch_moves), (half_swaps,), (single_moves,))
+"""Functions that propose moves; those of one sensor are each used once no other move is left.
 
 Most sensors that fit another place have changed places with others that say where they belong.
 """
+_OF_PATCHES = (patch_moves, single_moves)  # searches that do not permute places
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +106,7 @@ class Search:
     def run(self) -> NDArray[np.float64]:
         """Return the positions after all moves that hold."""
         for _ in range(_MAX_ROUNDS):
-            if not any(self._round(searches) for searches in (SEARCHES, *LAST_SEARCHES)):
+            if not any(map(self._round, SEARCHES)):
                 break
             evidence = self.evidence
             self.evidence = replace(
@@ -124,30 +114,30 @@ class Search:
             )
         return self.evidence.positions
 
-    def _round(self, searches: _Searches) -> bool:
+    def _round(self, searches: Sequence[Proposer]) -> bool:
         proposals = [
-            (proposal, name)
-            for name, search in searches.items()
+            (proposal, search)
+            for search in searches
             for proposal in search(self.evidence, self._modules)
             if proposal.gain >= MIN_GAIN
         ]
         proposals.sort(key=lambda pair: -pair[0].gain)
         changed: set[int] = set()
-        for proposal, name in proposals:
+        for proposal, search in proposals:
             sensors = proposal.move.sensors
             if changed.intersection(sensors.tolist()):
                 continue
             if self.evidence.gain(proposal.move) < _LEFT * proposal.gain:
                 continue
             # Without the readings of both, a swap is no stronger evidence than a free place.
-            rigid = name not in PROPOSERS
+            rigid = search not in PROPOSERS
             if rigid and not is_possible(self.evidence, proposal.move):
                 continue
             verdict = self.judge(self.evidence, proposal.move, proposal.alternatives, rigid=rigid)
             if verdict.holds:
                 self.evidence = self.evidence.moved(proposal.move)
                 changed.update(sensors.tolist())
-                if name in _OF_PATCHES:
+                if search in _OF_PATCHES:
                     self.rigid.append(sensors)
         return bool(changed)
 
