@@ -394,21 +394,6 @@ def writable(sensor_map: SensorMap, path: Path) -> SensorMap:
 
 
 @pytest.fixture
-def read_back(sensor_map: SensorMap, map_file: Path) -> SensorMap:
-    """Return the map that a file is expected to contain."""
-    written = writable(sensor_map, map_file)
-    if map_file.name in FOREIGN_MAPS:
-        names = [str(7 * k + 9) for k in np.flatnonzero(written.placed)]
-        return replace(written.select(written.placed), names=names)
-    if map_file.suffix in (".npz", ".csv", ".tsv", ".json"):
-        return written
-    points = written.select(written.placed)
-    if map_file.suffix == ".txt":
-        return replace(points, names=[f"taxel{i}" for i in np.flatnonzero(written.placed)])
-    return replace(points, component=[0] * 4) if map_file.suffix == ".pcd" else points
-
-
-@pytest.fixture
 def exemplified() -> dict[str, set[str]]:
     """Names of the formats with an example recording, and with an example map."""
     return {

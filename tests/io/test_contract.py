@@ -67,15 +67,6 @@ def test_recordings_keep_the_contract(
     assert found.rate_hz in [pytest.approx(rate) for rate in (1, 10, 50, 100)]
 
 
-def test_maps_keep_the_contract(map_file: Path, read_back: SensorMap) -> None:
-    found = io.read_map(map_file)
-    np.testing.assert_array_equal(found.positions, read_back.positions)
-    np.testing.assert_array_equal(found.component, read_back.component)
-    assert found.names == read_back.names
-    assert found.units == read_back.units
-    assert not found.positions.flags.writeable
-
-
 def test_recordings_are_recognised_by_content(recording_file: Path) -> None:
     expected = io.read(recording_file)
     disguised = recording_file.rename(recording_file.with_name("data.bin"))
