@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -29,11 +29,12 @@ from anisomap.health import (
     summarise,
 )
 from anisomap.io.presets import with_grid
+from anisomap.io.stream import assemble
 from anisomap.memory import check_pair_memory
 from anisomap.methods import check_even_spacing
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
-from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, default_names, join_runs
+from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.wording import as_text
 
@@ -223,21 +224,8 @@ def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with io.open_stream(path, frames=1, options=how) as stream:
-            readings = next((block.readings for block in stream.blocks), None)
-            if readings is None:
-                raise InputError(f"{path} contains no frames")
-            frame = Recording(
-                readings,
-                names=stream.names or default_names(stream.n_sensors),
-                rate_hz=stream.rate_hz,
-                positions=stream.positions,
-                normals=stream.normals,
-                surface_distances=stream.surface_distances,
-                units=stream.units,
-                source=stream.source or path.name,
-                metadata=stream.metadata,
-            )
-    return with_grid(frame, how.grid)
+            frame = assemble(replace(stream, blocks=islice(stream.blocks, 1)))
+    return with_grid(replace(frame, times=None, source=frame.source or path.name), how.grid)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from anisomap import io
 from anisomap.cli import printing
 from anisomap.cli.console import Printer, console, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions, doubt_spacing
-from anisomap.errors import FileError
+from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct, check_target, together
 from anisomap.health import TouchCoverage, touch_coverage
@@ -124,15 +124,22 @@ class Outputs:
     ) -> list[tuple[str, Path]]:
         """Write the maps and the picture; return the files, each with its content."""
         written: list[tuple[str, Path]] = []
+        n_components = len(sensor_map.component_sizes)
         with progress("writing"), together():
             for path in self.maps:
-                if self.placing is None:
-                    io.write(sensor_map, path)
-                    written.append((content, path))
-                else:
+                files: Sequence[Path] = (path,)
+                if self.placing and self.placing.split_components:
                     inputs = list(filter(None, self.inputs))
-                    files = self.placing.write(sensor_map, path, inputs)
-                    written += [(content, file) for file in files]
+                    files = io.write_components(sensor_map, path, inputs=inputs)
+                elif self.placing and n_components > 1 and io.needs_scale(path):
+                    raise InputError(
+                        f"{path} has one frame, but the map has {n_components} components with "
+                        "unknown relative positions; write each to a file of its own with "
+                        "--split-components"
+                    )
+                else:
+                    io.write(sensor_map, path)
+                written += [(content, file) for file in files]
             if self.picture and draw:
                 from anisomap.drawing import figures
 

@@ -145,23 +145,6 @@ class PlacingOptions:
             sensor_map = replace(sensor_map, frame=self.frame)
         return sensor_map
 
-    def write(
-        self, sensor_map: SensorMap, path: Path, inputs: Iterable[Path] = ()
-    ) -> tuple[Path, ...]:
-        """Write a map, or each of its connected components, over no input; return the files."""
-        from anisomap import io
-
-        if self.split_components:
-            return io.write_components(sensor_map, path, inputs=inputs)
-        n_components = len(sensor_map.component_sizes)
-        if n_components > 1 and io.needs_scale(path):
-            raise InputError(
-                f"{path} has one frame, but the map has {n_components} components with unknown "
-                "relative positions; write each to a file of its own with --split-components"
-            )
-        io.write(sensor_map, path)
-        return (path,)
-
 
 DEFAULT_PLACING = PlacingOptions()
 

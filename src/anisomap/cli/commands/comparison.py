@@ -22,6 +22,7 @@ from anisomap.wording import printable
 
 if TYPE_CHECKING:
     from anisomap.comparison import Comparison
+    from anisomap.io import ReadOptions
     from anisomap.recording import Recording
 
 _FACTS = ("recording", "sensors x frames", "map", "scored")
@@ -185,9 +186,10 @@ def compare(
             raise FileError(
                 f"cannot write {path}: give a name that ends in {' or '.join(_WRITERS)}"
             )
-    check_distinct(outputs, [*(file for file, _ in _files(recordings)), *reading.inputs])
+    files = _files(recordings)
+    check_distinct(outputs, [*(file for file, _ in files), *reading.inputs])
     comparisons = []
-    for path, recording in _read(recordings, reading, missing):
+    for path, recording in _read(files, reading.checked(), missing):
         for k in dimensions or (None,):
             with progress(f"mapping {path.name}") as report_progress:
                 found = compare_methods(
@@ -225,44 +227,38 @@ def compare(
     printer.record(scores=[_values(comparison) for comparison in comparisons])
 
 
-def _files(given: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
+def _files(given: Sequence[Path]) -> list[tuple[Path, bool]]:
     """List files, and whether each was found in a folder that was given.
 
     A folder without NPZ files is passed on: it may be a recording, such as a session of YARP.
     """
-    for path in given:
-        found = sorted(path.glob("*.npz")) if path.is_dir() else []
-        yield from ((file, True) for file in found)
-        if not found:
-            yield path, False
+    folders = {path: sorted(path.glob("*.npz")) for path in given if path.is_dir()}
+    return [
+        (file, bool(folders.get(path))) for path in given for file in folders.get(path) or [path]
+    ]
 
 
 def _read(
-    given: Sequence[Path], reading: options.ReadingOptions, missing: options.Missing
+    files: Sequence[tuple[Path, bool]], how: ReadOptions, missing: options.Missing
 ) -> Iterator[tuple[Path, Recording]]:
     """Read recordings with positions; others are skipped in folders, and errors elsewhere."""
-    for path, in_folder in _files(given):
-        try:
-            recording = _with_positions(path, reading, missing)
-        except InputError as error:
-            if not in_folder:
-                raise
-            print_warning(f"skipped: {error}")
-        else:
-            yield path, recording
-
-
-def _with_positions(
-    path: Path, reading: options.ReadingOptions, missing: options.Missing
-) -> Recording:
     from anisomap import route
 
-    (recording,) = route.read_runs([path], reading.checked(), missing, progress=progress)
-    if recording.positions is None:
-        raise InputError(
-            f"{path} contains no true positions; compare requires recordings with positions"
-        )
-    return recording
+    for path, in_folder in files:
+        try:
+            (recording,) = route.read_runs([path], how, missing, progress=progress)
+        except InputError as error:
+            recording, problem = None, error
+        else:
+            problem = InputError(
+                f"{path} contains no true positions; compare requires recordings with positions"
+            )
+        if recording is not None and recording.positions is not None:
+            yield path, recording
+        elif in_folder:
+            print_warning(f"skipped: {problem}")
+        else:
+            raise problem
 
 
 def _values(comparison: Comparison) -> dict[str, object]:

@@ -38,7 +38,7 @@ def convert(
     from anisomap.cli.outputs import Outputs
     from anisomap.placement import METRES, median_spacing
 
-    Outputs(maps=[output], inputs=[map_file])
+    outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)
     sensor_map = io.read_map(map_file)
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
@@ -46,12 +46,12 @@ def convert(
     if placed.units in METRES:
         with suppress(InputError):  # a single sensor has no spacing
             spacing = median_spacing(placed)
-    written = placing.write(placed, output, [map_file])
+    written = outputs.write(placed)
     facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
     if spacing is not None:
         facts["median spacing"] = f"{spacing:.4g} {placed.units}"
     printer.facts(f"Map of {map_file.name}", facts | {"pose": placed.pose})
-    printer.files([("map", path) for path in written])
+    printer.files(written)
     printer.record(
         placed,
         "units known_up_to",
