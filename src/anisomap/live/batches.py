@@ -106,8 +106,7 @@ class Source:
 
     description: Origin, for the recording and the page.
     items: Iterates over what arrives, until the source ends or an event is set.
-    names: Names of the sensors, if they are known before the first frame.
-    truth: True positions of the sensors, if the source knows them.
+    names, truth: Names and true positions of the sensors, if they are known before the first frame.
     can_wait: Whether nothing is lost if it begins later, as in a replay: it begins when the
         processes that make maps have started.
     port: On which it listens; 0 for none.

@@ -31,12 +31,9 @@ class Examination:
     """A checked map.
 
     sensor_map: None if there is no map yet; see `reason`.
-    summary: Of the frames that were mapped.
     error_against_truth: RMS error in spacings, if the truth is known; else NaN.
     n_frames: Number of frames of the recording when it was read.
-    seconds: Time that the examination took.
     final: Whether all frames of the session are in the map.
-    reason: Why there is no map; empty if there is one.
     """
 
     sensor_map: SensorMap | None

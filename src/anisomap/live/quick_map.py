@@ -42,12 +42,9 @@ _MAX_NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """Advice to the person who touches the skin.
+    """Advice to the person who touches the skin: places that lack contacts, most urgent first.
 
-    places: Where contacts are lacking, the most urgent first.
-    untouched: Sensors that were never touched.
     share_done: Share of the evidence that is there, in [0, 1].
-    text: One sentence.
     """
 
     places: tuple[Place, ...] = ()
@@ -182,13 +179,9 @@ class QuickMap:
 
     positions (N, k): Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors
         without one.
-    n_frames: Number of frames so far, of which the map is made.
     seconds: Time that the map took to compute.
-    contacts (N,): Number of separate contacts of each sensor.
+    contacts, highest_depth (N,): Separate contacts, and largest excess over rest.
     pairs: Neighbours, which the page joins by lines.
-    advice: Where to touch next.
-    highest_depth (N,): Largest excess over rest so far.
-    names: Names of the sensors.
     left_out: Sensors that were dropped, and channels that are no sensors.
     reason: Why there is no map; empty if there is one.
     """

@@ -45,13 +45,7 @@ _TICK = 1e-6  # seconds; the last digit of the times in the file
 
 
 class JournalWriter:
-    """Appends frames to a new file.
-
-    path: Must not exist.
-    names: Names of the sensors; without them, the file has no header.
-    source: Origin of the recording.
-    header_bytes: Size of the lines before the first frame.
-    """
+    """Appends frames to a new file; without names of the sensors, it has no header."""
 
     def __init__(self, path: Path, names: Sequence[str] = (), source: str = "") -> None:
         check_target(path)
@@ -110,11 +104,7 @@ class JournalWriter:
 
 
 class JournalTail:
-    """Reads the frames that a `JournalWriter` appends, while it appends them.
-
-    n_sensors: Number of readings per line.
-    header_bytes: `JournalWriter.header_bytes`.
-    """
+    """Reads the frames that a `JournalWriter` appends, while it appends them."""
 
     def __init__(self, path: Path, n_sensors: int, header_bytes: int) -> None:
         self._stream = path.open("rb")
@@ -140,12 +130,7 @@ class JournalTail:
 
 @dataclass(frozen=True)
 class Segment:
-    """A file of a session.
-
-    header_bytes: Size of its lines before the first frame.
-    number: From 1.
-    source: Origin of the recording.
-    """
+    """A file of a session, numbered from 1, with the size of its lines before the first frame."""
 
     path: Path
     names: tuple[str, ...]
@@ -159,9 +144,7 @@ class Recorder:
 
     path: The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
         are left out: they belong to earlier sessions.
-    source: Origin of the recording.
-    notify: Receives sentences for the user.
-    begin: Receives each `Segment` when its file has been created.
+    notify, begin: Take sentences for the user, and each `Segment` when its file has been created.
     """
 
     def __init__(

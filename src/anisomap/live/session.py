@@ -73,10 +73,9 @@ class Arrivals:
 def read_levels(
     readings: NDArray[np.float64], first: NDArray[np.float64], quick: QuickMap | None
 ) -> NDArray[np.float64]:
-    """Return the deepest reading of each sensor, from 0 (rest) to 1 (its strongest so far).
+    """Return the deepest reading (N,) of each sensor, from 0 (rest) to 1 (its strongest so far).
 
-    readings (t, N), first (N,) -> (N,). Without a quick map, depths are relative to the first
-    frame, and to the deepest reading of all sensors.
+    Without a quick map, depths are relative to the first frame, and to the deepest reading of all.
     """
     if quick is not None and len(quick.names) == len(first):
         depth, full = quick.rest.depth(readings), quick.highest_depth
@@ -95,8 +94,6 @@ class LiveSession:
     at its end.
 
     recording: File for the recording; must not exist.
-    options: What maps are made with.
-    maps: The maps so far.
     levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
     anchors: Known positions of some sensors, by which saved maps are placed.
     ended, wanted_end: Set when the source has ended, and when the user has asked for the end.

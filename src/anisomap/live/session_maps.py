@@ -40,14 +40,9 @@ class Errors(NamedTuple):
 class SessionMaps:
     """Quick and checked maps of a recording that grows, made by two processes.
 
-    notify: Receives sentences for the user.
-    announce: Called when there is a new map.
+    notify, announce: Take sentences for the user; are called when there is a new map.
     clock: Returns the time since the start of the session in seconds.
-    quick: The last quick map.
-    checked: The last checked map.
-    curve: Errors of the checked maps over time.
     touched: Share of the sensors touched over time in seconds.
-    examining: Whether a checked map is being made.
     ready: Set when the process of quick maps has started.
     """
 

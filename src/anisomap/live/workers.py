@@ -41,8 +41,6 @@ class Task:
     """What a worker is to map from now on, or once.
 
     dimensions: Of quick maps, if the options leave it open.
-    n_frames: Number of frames of the recording.
-    final: Whether all frames of the session are in the map.
     """
 
     segment: Segment
@@ -56,8 +54,7 @@ class Task:
 class Answer:
     """What a worker sends; the first answer, which is empty, says that it has started.
 
-    found: A map of the file with this number.
-    problem: A sentence for the user.
+    number: Of the file that was mapped.
     final: Whether no final map follows.
     """
 
