@@ -35,7 +35,7 @@ def made(name: str) -> Body:
 def path_on(name: str, n_frames: int = 1000, seed: int = 1, **given: float) -> StrokePath:
     rng = np.random.default_rng(seed)
     options = options_for(StrokeOptions, made(name), given)
-    return draw_strokes(made(name), sample_skin(made(name), rng), n_frames, options, rng)
+    return draw_strokes(sample_skin(made(name), rng), n_frames, options, rng)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_strokes_are_lines_or_circles_in_all_directions() -> None:
 
 def test_a_path_over_one_sensor_is_finite() -> None:
     body, rng = sphere(1), np.random.default_rng(1)
-    path = draw_strokes(body, sample_skin(body, rng), 50, StrokeOptions(), rng)
+    path = draw_strokes(sample_skin(body, rng), 50, StrokeOptions(), rng)
     assert np.isfinite(path.points).all()
 
 
@@ -104,11 +104,11 @@ def test_a_settled_ball_has_the_given_depth(name: str) -> None:
     body = made(name)
     rng = np.random.default_rng(4)
     skin = sample_skin(body, rng)
-    path = draw_strokes(body, skin, 150, options_for(StrokeOptions, body), rng)
+    path = draw_strokes(skin, 150, options_for(StrokeOptions, body), rng)
     radius = 0.3 * body.reach
     depths = 0.1 * body.reach * path.presses
     cluster = Cluster(np.zeros((150, 1, 3)), np.array([radius]))
-    centres = cluster.placed(path, settle(body, skin, path, cluster, depths))[:, 0]
+    centres = cluster.placed(path, settle(skin, path, cluster, depths))[:, 0]
     error = (radius - body.distance(centres) - depths) / body.reach
     assert error.min() > -1e-3
     assert error.max() < 1e-2  # reached between the fingers of the hand only
@@ -119,10 +119,10 @@ def test_a_settled_capsule_touches_a_sphere_with_its_middle() -> None:
     rng = np.random.default_rng(5)
     body = sphere()
     skin = sample_skin(body, rng)
-    path = draw_strokes(body, skin, 200, StrokeOptions(), rng)
+    path = draw_strokes(skin, 200, StrokeOptions(), rng)
     axes = 0.4 * np.cross(path.normals, path.headings)[:, None]
     cluster = Cluster(np.zeros_like(axes), np.array([0.2]), axes)
-    heights = settle(body, skin, path, cluster, 0.1 * path.presses)
+    heights = settle(skin, path, cluster, 0.1 * path.presses)
     np.testing.assert_allclose(heights, 0.2 - 0.1 * path.presses, atol=1e-9)
 
 

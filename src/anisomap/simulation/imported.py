@@ -11,6 +11,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.solids import Points, Solid, load_mujoco, spread
+from anisomap.simulation.solids import Solid, load_mujoco, spread
 
 MAX_ELEMENTS = 10_000
 """The time in which MuJoCo 3.9 compiles a model is quadratic: 9 s for so many geoms or bodies."""
@@ -46,14 +47,9 @@ _VALUE_BYTES = 8
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def check_model(path: Path) -> None:
-    """Check the numbers, sizes and files that a model declares."""
-    _Model(path, Budget(path)).read(path)
-
-
 @dataclass
 class _Model:
-    """The counts of a model while its files are read."""
+    """The counts that a MuJoCo model declares, while its files are read."""
 
     path: Path
     budget: Budget
@@ -137,14 +133,11 @@ def _declared(name: str, attributes: Mapping[str, str]) -> Iterator[int]:
 
 
 def _integers(text: str) -> list[int]:
-    return [int(float(word)) for word in text.split() if _is_count(word)] or [1]
-
-
-def _is_count(word: str) -> bool:
-    try:
-        return math.isfinite(float(word)) and float(word) >= 0
-    except ValueError:
-        return False
+    found = []
+    for word in text.split():
+        with suppress(ValueError, OverflowError):
+            found.append(int(float(word)))
+    return [count for count in found if count >= 0] or [1]
 
 
 def _markup(path: Path) -> bytes:
@@ -290,7 +283,7 @@ def body_from_mjcf(
         If MuJoCo cannot read the model, or it has no geoms, or no sites and no sensors are given.
     """
     mujoco = load_mujoco()
-    check_model(path)
+    _Model(path, Budget(path)).read(path)
     try:
         with silent_library():
             model = mujoco.MjModel.from_xml_path(str(path))
@@ -389,34 +382,18 @@ def body_from_points(
     origin = (places.min(axis=0) + places.max(axis=0)) / 2
     centred = places - origin
     largest = _MAX_BALL_RADIUS * float(np.median(spacing))
-    radii = np.array(
-        [
-            _ball_radius(centred - at, normal, largest)
-            for at, normal in zip(centred, outward, strict=True)
-        ]
-    )
-    balls = [
-        solids.ball(radius, centre)
-        for radius, centre in zip(radii, centred - radii[:, None] * outward, strict=True)
-    ]
+    balls = []
+    for at, normal in zip(centred, outward, strict=True):
+        # The largest ball below the sensor without other sensors.
+        others = centred - at
+        others = others[others @ normal < 0]
+        touching = np.einsum("nd,nd->n", others, others) / (-2 * (others @ normal))
+        radius = float(min(largest, touching.min(initial=np.inf)))
+        balls.append(solids.ball(radius, at - radius * normal))
+    named = tuple(names)
     return Body(
-        name,
-        centred,
-        outward,
-        balls,
-        names=tuple(names),
-        units=units,
-        origin=origin,
-        is_whole=False,
+        name, centred, outward, balls, names=named, units=units, origin=origin, is_whole=False
     )
-
-
-def _ball_radius(others: Points, normal: Points, largest: float) -> float:
-    """Return the radius of the largest ball below a sensor at the origin without other sensors."""
-    below = others @ normal < 0
-    squared = np.einsum("nd,nd->n", others[below], others[below])
-    touching = squared / (-2 * (others[below] @ normal))
-    return float(min(largest, touching.min(initial=np.inf)))
 
 
 def _with_sensors(
@@ -428,7 +405,18 @@ def _with_sensors(
 ) -> Body:
     """Centre solids at the origin and add sensors."""
     corners = np.vstack([part.outline.vertices for part in parts])
-    _check_range(name, corners, parts)
+    # Products of three lengths neither overflow nor underflow, nor do sums round parts.
+    extent = np.ptp(corners, axis=0).max()
+    if not (np.abs(corners).max() < solids.MAX_LENGTH and extent > _MIN_LENGTH):
+        raise InputError(
+            f"the size of the body {name} is out of range; check its coordinates and unit"
+        )
+    least = min(float(np.ptp(part.outline.vertices, axis=0).max()) for part in parts)
+    if least < _MIN_SHARE * extent:
+        raise InputError(
+            f"the body {name} has an extent of {extent:.4g}, and a part of {least:.4g}, too small "
+            "to be resolved beside it; check its coordinates"
+        )
     origin = (corners.min(axis=0) + corners.max(axis=0)) / 2
     centred = [part.moved(np.eye(3), -origin) for part in parts]
     if isinstance(sensors, int | np.integer):
@@ -444,40 +432,19 @@ def _with_sensors(
                 "their coordinates and unit"
             )
         positions = places - origin
-        _check_near_surface(name, centred, positions, names, units)
+        distances = np.abs(solids.union_distance(centred, positions))
+        allowed = TOLERANCE * max(part.reach for part in centred)
+        if not distances.max() <= allowed:
+            worst = int(distances.argmax())
+            label = (tuple(names) or default_names(len(positions)))[worst]
+            raise InputError(
+                f"sensor {label} is {distances[worst]:.4g}{units and ' ' + units} off the surface "
+                f"of {name}, and {int((distances > allowed).sum())} sensors are more than "
+                f"{allowed:.4g} off; check that they use the frame and unit of the body"
+            )
         positions = solids.project(centred, positions)
         normals = solids.surface_normals(centred, positions)
     return Body(name, positions, normals, centred, names=tuple(names), units=units, origin=origin)
-
-
-def _check_range(name: str, corners: Points, parts: Sequence[Solid]) -> None:
-    """Check that products of three lengths neither overflow nor underflow, nor sums round parts."""
-    extent = np.ptp(corners, axis=0).max()
-    if not (np.abs(corners).max() < solids.MAX_LENGTH and extent > _MIN_LENGTH):
-        raise InputError(
-            f"the size of the body {name} is out of range; check its coordinates and unit"
-        )
-    least = min(float(np.ptp(part.outline.vertices, axis=0).max()) for part in parts)
-    if least < _MIN_SHARE * extent:
-        raise InputError(
-            f"the body {name} has an extent of {extent:.4g}, and a part of {least:.4g}, too small "
-            "to be resolved beside it; check its coordinates"
-        )
-
-
-def _check_near_surface(
-    name: str, parts: Sequence[Solid], positions: Points, names: Sequence[str], units: str
-) -> None:
-    distances = np.abs(solids.union_distance(parts, positions))
-    allowed = TOLERANCE * max(part.reach for part in parts)
-    if not distances.max() <= allowed:
-        worst = int(distances.argmax())
-        label = (tuple(names) or default_names(len(positions)))[worst]
-        raise InputError(
-            f"sensor {label} is {distances[worst]:.4g}{units and ' ' + units} off the surface of "
-            f"{name}, and {int((distances > allowed).sum())} sensors are more than {allowed:.4g} "
-            "off; check that they use the frame and unit of the body"
-        )
 
 
 def _solid_from_geom(

@@ -26,6 +26,8 @@ Sensors: TypeAlias = Iterable[str | int]
 Spans: TypeAlias = tuple[tuple[int, int], ...]
 Rewritten: TypeAlias = tuple[Readings, Sequence[int]]
 Injector: TypeAlias = Callable[..., Recording]
+Effect: TypeAlias = Callable[..., Any]
+Given: TypeAlias = dict[str, Any]
 
 METADATA_KEY = "faults"
 """Key of the metadata that holds the log as JSON."""
@@ -142,10 +144,7 @@ def logged(
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """Readings (T,) of one sensor before a fault, which it may overwrite, and a generator.
-
-    lowest, highest: Range of the finite readings of all sensors.
-    """
+    """Readings (T,) of one sensor, which a fault may overwrite; the range of those of all."""
 
     readings: Readings
     lowest: float
@@ -240,9 +239,7 @@ _RECORDING, _SENSORS = (
 _RNG = inspect.Parameter("rng", inspect.Parameter.KEYWORD_ONLY, default=0)
 
 
-def _change_channels(
-    effect: Callable[..., Any], kind: str, group: Group, parameters: dict[str, Any]
-) -> Recording:
+def _change_channels(effect: Effect, kind: str, group: Group, parameters: Given) -> Recording:
     recording, limits = group.recording, finite_range(group.readings)
     readings, faults = np.array(group.readings), []
     for i in recording.indices(group.sensors):
@@ -253,29 +250,25 @@ def _change_channels(
     return logged(replace(recording, readings=readings), faults)
 
 
-def _change_group(
-    effect: Callable[..., Any], kind: str, group: Group, parameters: dict[str, Any]
-) -> Recording:
+def _change_group(effect: Effect, kind: str, group: Group, parameters: Given) -> Recording:
     recording = group.recording
     readings, affected = effect(group, **parameters)
     faults = [Fault(kind, recording.names[i], all_frames(recording)) for i in affected]
     return logged(replace(recording, readings=readings), faults)
 
 
-def _change_frames(
-    effect: Callable[..., Any], _: str, group: Group, parameters: dict[str, Any]
-) -> Recording:
+def _change_frames(effect: Effect, _: str, group: Group, parameters: Given) -> Recording:
     changed: Recording = effect(group.recording, group.rng, **parameters)
     return changed
 
 
 def _form(
-    change: Callable[..., Recording], registry: dict[str, Injector]
-) -> Callable[..., Callable[[Callable[..., Any]], Injector]]:
+    change: Injector, registry: dict[str, Injector]
+) -> Callable[..., Callable[[Effect], Injector]]:
     """Return a decorator that enters functions of one form, given the ranges of parameters."""
 
-    def with_ranges(**ranges: Range) -> Callable[[Callable[..., Any]], Injector]:
-        def enter(effect: Callable[..., Any]) -> Injector:
+    def with_ranges(**ranges: Range) -> Callable[[Effect], Injector]:
+        def enter(effect: Effect) -> Injector:
             kind = effect.__name__.replace("_", "-")
 
             parameters = inspect.signature(effect).parameters.values()

@@ -36,8 +36,8 @@ from anisomap.simulation.options import (
 from anisomap.simulation.solids import Points, support
 from anisomap.simulation.strokes import (
     Cluster,
+    Skin,
     StrokeOptions,
-    SurfaceSample,
     draw_strokes,
     follow,
     sample_skin,
@@ -140,11 +140,8 @@ class RubbingOptions(StrokeOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         thickness = _PAD_RADIUS[0] * self.hand_size
-        if self.press_depth > thickness:
-            raise InputError(
-                f"press_depth must be at most the thickness of the palm ({thickness:g} m), "
-                f"got {self.press_depth:g} m; reduce it or increase hand_size"
-            )
+        bound = f"the thickness of the palm ({thickness:g} m)"
+        self.at_most("press_depth", thickness, bound, "; reduce it or increase hand_size")
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,28 +164,24 @@ class Palm:
 
     def moved(
         self,
-        body: Body,
-        skin: SurfaceSample,
+        skin: Skin,
         n_frames: int,
         options: RubbingOptions,
         rng: np.random.Generator,
-        *,
         visits: NDArray[np.float64] | None = None,
     ) -> tuple[Points, int]:
         """Move the palm along strokes. Returns centres of its pads (T, P, 3), number of strokes.
 
         visits (N,): see `draw_strokes`.
         """
-        path = draw_strokes(body, skin, n_frames, options, rng, visits=visits)
+        path = draw_strokes(skin, n_frames, options, rng, visits=visits)
         # The hand turns slowly about the normal.
         interval = options.frame_interval
         rate = 2 * smooth_random(n_frames, _TURN_PERIOD / interval, rng) - 1
         angles = rng.uniform(0, 2 * np.pi) + np.cumsum(_MAX_TURN_RATE * interval * rate)
         turned = np.einsum("tij,pj->tpi", path.orientations(angles), self.centres)
         cluster = Cluster(turned, self.radii)
-        sensing = options.detection_radius
-        centres = follow(body, skin, path, cluster, options, detection_radius=sensing)
-        return centres, path.n_strokes
+        return follow(skin, path, cluster, options, options.detection_radius), path.n_strokes
 
 
 def rubbing(
@@ -199,7 +192,7 @@ def rubbing(
     pads, radii, n_strokes = [], [], 0
     for _ in range(options.n_hands):
         palm = Palm.drawn(options.hand_size, rng)
-        centres, count = palm.moved(body, skin, n_frames, options, rng)
+        centres, count = palm.moved(skin, n_frames, options, rng)
         pads.append(centres)
         radii.append(palm.radii)
         n_strokes += count
@@ -240,7 +233,7 @@ class GuidedHand:
             visits[first] = np.minimum(visits[first], 0)
             visits[first[0]] = -1  # the hand is set down at the least visited sensor
         n_rubbing = max(1, n_frames - TRAVEL_FRAMES)
-        pads, _ = self._palm.moved(body, self._skin, n_rubbing, options, self.rng, visits=visits)
+        pads, _ = self._palm.moved(self._skin, n_rubbing, options, self.rng, visits)
         touched = read_balls(body.positions, pads, radii, options.detection_radius)
         return np.pad(touched, ((n_frames - n_rubbing, 0), (0, 0)))
 
@@ -276,11 +269,11 @@ def roller(
     radius, half = options.roller_radius, options.roller_length / 2
     sensing = options.detection_radius
     skin = sample_skin(body, rng)
-    path = draw_strokes(body, skin, n_frames, options, rng)
+    path = draw_strokes(skin, n_frames, options, rng)
     across = np.cross(path.normals, path.headings)
     axes = half * across[:, None]
     cluster = Cluster(np.zeros_like(axes), np.array([radius]), axes)
-    centres = follow(body, skin, path, cluster, options, detection_radius=sensing)
+    centres = follow(skin, path, cluster, options, sensing)
     readings = read_capsules(body.positions, centres - axes, centres + axes, radius, sensing)
     shape = solids.capsule(radius, [0, 0, -half], [0, 0, half])
     rotations = np.stack([path.normals, path.headings, across], axis=-1)
@@ -334,10 +327,10 @@ def self_touch(
     """Simulate a fingertip with sensors that strokes a body; the sensors of both respond."""
     radius, sensing = options.finger_radius, options.detection_radius
     skin = sample_skin(body, rng)
-    path = draw_strokes(body, skin, n_frames, options, rng)
+    path = draw_strokes(skin, n_frames, options, rng)
     cluster = Cluster(np.zeros((n_frames, 1, 3)), np.array([radius]))
     furthest = max(sensing, options.finger_detection_radius)
-    centres = follow(body, skin, path, cluster, options, detection_radius=furthest)
+    centres = follow(skin, path, cluster, options, furthest)
     # +z of the fingertip points at the skin, and rocks so that all its sensors touch.
     period = _ROCKING_PERIOD / options.frame_interval
     angles = [2 * smooth_random(n_frames, period, rng) - 1 for _ in range(2)]

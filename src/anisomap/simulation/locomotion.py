@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -35,6 +36,15 @@ from anisomap.simulation.options import (
 from anisomap.simulation.solids import load_mujoco
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
+_ARRIVAL_DISTANCE = 1.5  # reaches from a goal
+_GOAL_TIMEOUT = 10.0  # s
+_MAX_TIMESTEP = 0.006  # s, for a body with a reach of 1 m at a gravity of 9.81 m/s2
+_MAX_STEEPNESS = 0.35  # roughness / correlation length; on steeper ground the body stalls
+_SETTLING_TIME = 1.0  # s
+_MOVING_SPEED = 0.1  # x set speed
+_MIN_HALF_WIDTH = 4.0  # x reach
+# Limits beyond which a run is returned with a warning. A cylinder stops briefly to reverse.
+_MAX_MEDIAN_SLIP, _MIN_SHARE_MOVING = 0.1, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,29 +78,22 @@ class Terrain:
         x, y = np.meshgrid(across, across)
         index = np.arange(n * n).reshape(n, n)
         here, right, up, beyond = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-        faces = [
-            np.stack(part, axis=-1).reshape(-1, 3)
-            for part in ((here, right, beyond), (here, beyond, up))
-        ]
+        faces = np.array([[here, right, beyond], [here, beyond, up]])
         vertices = np.column_stack([x.ravel(), y.ravel(), self.heights.ravel()])
-        return Mesh(vertices, np.vstack(faces))
-
-    def distance(self, points: ArrayLike) -> Points:
-        """Compute the exact distance of points from the surface. points (n, 3) -> (n,)."""
-        return self._search.signed_distance(np.asarray(points, dtype=np.float64))
-
-    def readings(self, points: ArrayLike, detection_radius: float) -> NDArray[np.float32]:
-        """Read the ground with short-range proximity sensors. points (n, 3)."""
-        places = np.asarray(points, dtype=np.float64)
-        found = np.zeros(len(places), dtype=np.float32)
-        # The height above the highest peak is a lower bound of the distance.
-        near = places[:, 2] - self.heights.max() < detection_radius
-        found[near] = np.maximum(detection_radius - self.distance(places[near]), 0)
-        return found
+        return Mesh(vertices, np.moveaxis(faces, 1, -1).reshape(-1, 3))
 
     @cached_property
-    def _search(self) -> TriangleSearch:
-        return TriangleSearch(self.mesh)
+    def distance(self) -> Callable[[Points], Points]:
+        """Exact distance of points (n, 3) from the surface, shape (n,)."""
+        return TriangleSearch(self.mesh).signed_distance
+
+    def readings(self, points: Points, detection_radius: float) -> NDArray[np.float32]:
+        """Read the ground with short-range proximity sensors. points (n, 3)."""
+        found = np.zeros(len(points), dtype=np.float32)
+        # The height above the highest peak is a lower bound of the distance.
+        near = points[:, 2] - self.heights.max() < detection_radius
+        found[near] = np.maximum(detection_radius - self.distance(points[near]), 0)
+        return found
 
 
 def bumpy_terrain(
@@ -103,13 +106,6 @@ def bumpy_terrain(
     smooth -= smooth.mean()
     spread = float(np.sqrt(np.mean(smooth**2)))
     return Terrain(roughness / spread * smooth, cell)
-
-
-_ARRIVAL_DISTANCE = 1.5  # reaches from a goal
-_GOAL_TIMEOUT = 10.0  # s
-_MAX_TIMESTEP = 0.006  # s, for a body with a reach of 1 m at a gravity of 9.81 m/s2
-_MAX_STEEPNESS = 0.35  # roughness / correlation length; on steeper ground the body stalls
-_ROUNDING = 1e-9  # relative error of scaled lengths
 
 
 @dataclass(frozen=True)
@@ -164,22 +160,12 @@ class LocomotionOptions(PhysicsOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.timestep > _MAX_TIMESTEP:
-            raise InputError(
-                f"timestep must be at most {_MAX_TIMESTEP:g} s for stable contacts with the "
-                f"ground, got {self.timestep:g} s"
-            )
-        if self.cell > self.correlation / 2 * (1 + _ROUNDING):
-            raise InputError(
-                f"cell must be at most half of correlation ({self.correlation / 2:g} m), "
-                f"got {self.cell:g} m"
-            )
-        steepest = _MAX_STEEPNESS * self.correlation
-        if self.roughness > steepest * (1 + _ROUNDING):
-            raise InputError(
-                f"roughness must be at most {_MAX_STEEPNESS:g} x correlation ({steepest:g} m), "
-                f"got {self.roughness:g} m; the body would stall"
-            )
+        bound = f"{_MAX_TIMESTEP:g} s for stable contacts with the ground"
+        self.at_most("timestep", _MAX_TIMESTEP, bound)
+        half, steepest = self.correlation / 2, _MAX_STEEPNESS * self.correlation
+        self.at_most("cell", half, f"half of correlation ({half:g} m)")
+        bound = f"{_MAX_STEEPNESS:g} x correlation ({steepest:g} m)"
+        self.at_most("roughness", steepest, bound, "; the body would stall")
 
     @property
     def longest_step(self) -> float:
@@ -207,7 +193,10 @@ class Driver:
         self._is_cylinder, self._radius = solid.kind == "cylinder", solid.size[0]
         self._model = _build_model(mujoco, body, terrain, options)
         self._data = mujoco.MjData(self._model)
-        self._data.qpos[2] = _height_below(terrain, body.reach) + self._radius
+        # On the highest ground below the body, in the middle.
+        middle, cells = len(terrain.heights) // 2, math.ceil(body.reach / terrain.cell)
+        below = slice(middle - cells, middle + cells + 1)
+        self._data.qpos[2] = float(terrain.heights[below, below].max()) + self._radius
         if self._is_cylinder:
             lying = Rotation.from_euler("y", 90, degrees=True)
             self._data.qpos[3:7] = lying.as_quat(scalar_first=True)
@@ -227,7 +216,7 @@ class Driver:
             self._set_goal(np.zeros(2))
         elif (
             np.hypot(*to_goal) < _ARRIVAL_DISTANCE
-            or self._has_passed(to_goal)
+            or (self._is_cylinder and self._sense * (self._ahead() @ to_goal) < 0)  # passed it
             or self._elapsed > _GOAL_TIMEOUT
         ):
             self._set_goal(self._draw_goal())
@@ -270,10 +259,6 @@ class Driver:
         to_goal = self._goal - self._data.qpos[:2]
         self._sense = 1.0 if self._ahead() @ to_goal >= 0 else -1.0
 
-    def _has_passed(self, to_goal: NDArray[np.float64]) -> bool:
-        """Return whether a cylinder has passed its goal."""
-        return self._is_cylinder and bool(self._sense * (self._ahead() @ to_goal) < 0)
-
     def _is_leaving(self) -> bool:
         """Return whether a cylinder, which turns slowly, is near the edge and moving outwards."""
         place = self._data.qpos[:2]
@@ -296,13 +281,6 @@ class Driver:
         off = math.atan2(heading[0] * direction[1] - heading[1] * direction[0], heading @ direction)
         turning = min(max(off, -self._options.turning), self._options.turning)
         return np.asarray(self._sense * rate * axis + np.array([0, 0, turning]))
-
-
-def _height_below(terrain: Terrain, reach: float) -> float:
-    """Return the height of the highest ground below a body in the middle."""
-    middle, cells = len(terrain.heights) // 2, math.ceil(reach / terrain.cell)
-    below = slice(middle - cells, middle + cells + 1)
-    return float(terrain.heights[below, below].max())
 
 
 def _build_model(
@@ -334,19 +312,6 @@ def _build_model(
     return spec.compile()
 
 
-ROLLING = ("sphere", "cylinder")
-"""Kinds of solid that can roll."""
-
-# Limits beyond which a run is returned with a warning.
-MAX_MEDIAN_SLIP = 0.1
-MIN_SHARE_MOVING = 0.9  # not 1: a cylinder stops briefly to reverse
-MIN_SHARE_TOUCHED = 1.0
-
-_SETTLING_TIME = 1.0  # s
-_MOVING_SPEED = 0.1  # x set speed
-_MIN_HALF_WIDTH = 4.0  # x reach
-
-
 @dataclass(frozen=True, eq=False)
 class Journey:
     """Motion of a rolling body.
@@ -375,7 +340,8 @@ class Journey:
 def can_roll(body: Body) -> bool:
     """Return whether a body is a single sphere or cylinder centred at the origin."""
     first = body.solids[0]
-    return len(body.solids) == 1 and first.kind in ROLLING and not first.centre.any()
+    rolls = first.kind in ("sphere", "cylinder") and not first.centre.any()
+    return len(body.solids) == 1 and rolls
 
 
 def locomotion(
@@ -393,13 +359,10 @@ def locomotion(
     sensors = journey.sensors(unit.positions)
     readings = journey.terrain.readings(sensors.reshape(-1, 3), scaled.detection_radius)
     readings = reach * readings.reshape(n_frames, body.n_sensors)
-    measured = {
-        "median_slip": float(np.nanmedian(journey.slips)),
-        "share_moving": float(np.mean(journey.speeds > _MOVING_SPEED * scaled.speed)),
-        "share_touched": float(np.mean((readings > 0).any(axis=0))),
-        "deepest_overlap": reach * float(journey.overlaps.max()),
-    }
-    _warn_about(measured)
+    slip = float(np.nanmedian(journey.slips))
+    moving = float(np.mean(journey.speeds > _MOVING_SPEED * scaled.speed))
+    touched = float(np.mean((readings > 0).any(axis=0)))
+    _warn_about(slip, moving, touched)
     if np.abs(journey.centres[:, :2]).max() > scaled.half_width:
         raise InputError("the body rolled off the ground; use a lower speed or a larger half_width")
     ground = journey.terrain.mesh
@@ -411,7 +374,13 @@ def locomotion(
             Prop("ground", ground, np.zeros((1, 1, 3))),
             *(Prop("body", solid.outline, centres, rotations) for solid in body.solids),
         ),
-        facts={"timestep": options.step} | measured,
+        facts={
+            "timestep": options.step,
+            "median_slip": slip,
+            "share_moving": moving,
+            "share_touched": touched,
+            "deepest_overlap": reach * float(journey.overlaps.max()),
+        },
         sensors=reach * sensors,
     )
 
@@ -449,18 +418,15 @@ def simulate_journey(
     return Journey(terrain, *(np.array(column) for column in zip(*states, strict=True)))
 
 
-def _warn_about(measured: dict[str, float]) -> None:
+def _warn_about(slip: float, moving: float, touched: float) -> None:
     problems = []
-    if measured["median_slip"] > MAX_MEDIAN_SLIP:
-        problems.append(f"it slid at {measured['median_slip']:.0%} of its speed: increase friction")
-    if measured["share_moving"] < MIN_SHARE_MOVING:
+    if slip > _MAX_MEDIAN_SLIP:
+        problems.append(f"it slid at {slip:.0%} of its speed: increase friction")
+    if moving < _MIN_SHARE_MOVING:
+        problems.append(f"it stood still in {1 - moving:.0%} of the frames: reduce roughness")
+    if touched < 1:
         problems.append(
-            f"it stood still in {1 - measured['share_moving']:.0%} of the frames: reduce roughness"
-        )
-    if measured["share_touched"] < MIN_SHARE_TOUCHED:
-        problems.append(
-            f"only {measured['share_touched']:.0%} of the sensors touched the ground: "
-            "increase the number of frames"
+            f"only {touched:.0%} of the sensors touched the ground: increase the number of frames"
         )
     if problems:
         warnings.warn(f"the body did not roll well: {'; '.join(problems)}", AnisomapWarning, 3)

@@ -21,8 +21,8 @@ from anisomap.simulation.bodies import sphere
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import POSITIVE, Range
 
-REACH = "reach"
-SPACING = "spacing"
+REACH, SPACING = "reach", "spacing"
+_ROUNDING = 1e-9  # relative error of scaled lengths
 
 
 def option(
@@ -60,6 +60,13 @@ class ScenarioOptions:
                 raise InputError(
                     f"{entry.name} must be below {below} ({highest:g} {unit}), got {value:g} {unit}"
                 )
+
+    def at_most(self, name: str, limit: float, bound: str, advice: str = "") -> None:
+        """Check that an option is at most a limit, with a tolerance for rounding when scaled."""
+        value = getattr(self, name)
+        if value > limit * (1 + _ROUNDING):
+            unit = self.__dataclass_fields__[name].metadata["unit"]
+            raise InputError(f"{name} must be at most {bound}, got {value:g} {unit}{advice}")
 
     def scaled(self, factor: float) -> Self:
         """Scale all lengths by `factor`, as for a larger body or another unit of length."""

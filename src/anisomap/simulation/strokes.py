@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.simulation.body import ON_SURFACE, Body
 from anisomap.simulation.checks import between
@@ -75,25 +74,22 @@ class StrokeOptions(ScenarioOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         fastest = self.stroke_length / self.frame_interval
-        if self.speed * self.frame_interval > self.stroke_length:
-            raise InputError(
-                f"speed must be at most stroke_length / frame_interval ({fastest:g} m/s), "
-                f"got {self.speed:g} m/s"
-            )
+        self.at_most("speed", fastest, f"stroke_length / frame_interval ({fastest:g} m/s)")
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceSample:
-    """Dense sample of the surface of a body.
+class Skin:
+    """A body and a dense sample of its surface.
 
     points, normals (P, 3): The sensors, then points of the whole surface.
-    skin: Indices of the points that belong to the skin: no further from their nearest sensor than
-        its neighbours are, and with a similar normal.
+    covered: Indices of the points that belong to the skin: no further from their nearest sensor
+        than its neighbours are, and with a similar normal.
     """
 
+    body: Body
     points: Points
     normals: Points
-    skin: NDArray[np.intp]
+    covered: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +123,7 @@ class StrokePath:
         return np.stack([x_axes, np.cross(self.normals, x_axes), self.normals], axis=-1)
 
 
-def sample_skin(body: Body, rng: np.random.Generator) -> SurfaceSample:
+def sample_skin(body: Body, rng: np.random.Generator) -> Skin:
     """Sample the surface of a body and find the part that is covered by sensors."""
     drawn, outward = sample_surface(body.solids, _N_SAMPLES, rng)
     points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, outward])
@@ -136,13 +132,12 @@ def sample_skin(body: Body, rng: np.random.Generator) -> SurfaceSample:
     if body.n_sensors > 1:
         radius = np.maximum(radius, nearest_distances(body.positions))
     facing = np.einsum("pd,pd->p", normals, body.normals[sensor])
-    skin = np.flatnonzero((distance <= radius[sensor]) & (facing > _MIN_FACING))
-    return SurfaceSample(points, normals, skin)
+    covered = np.flatnonzero((distance <= radius[sensor]) & (facing > _MIN_FACING))
+    return Skin(body, points, normals, covered)
 
 
 def draw_strokes(
-    body: Body,
-    sample: SurfaceSample,
+    skin: Skin,
     n_frames: int,
     options: StrokeOptions,
     rng: np.random.Generator,
@@ -150,7 +145,7 @@ def draw_strokes(
     visits: NDArray[np.float64] | None = None,
 ) -> StrokePath:
     """Draw strokes over the skin of a body, towards the least visited sensors. visits (N,)."""
-    walk = _Walk(body, sample, options)
+    body, walk = skin.body, _Walk(skin, options)
     if visits is not None:
         walk.visits += visits
     state = _set_down(walk, rng)
@@ -197,14 +192,14 @@ def smooth_random(n_frames: int, period: float, rng: np.random.Generator) -> NDA
 class _Walk:
     """Skin and visit counts of a walk. Its state is (point, heading, normal), shape (3, 3)."""
 
-    def __init__(self, body: Body, sample: SurfaceSample, options: StrokeOptions) -> None:
-        self.options = options
+    def __init__(self, skin: Skin, options: StrokeOptions) -> None:
+        body, self.options = skin.body, options
         self.stride = options.speed * options.frame_interval
         self.n_steps = count_steps(self.stride, _MAX_STEP * body.reach)
         self.sensors, self.sensor_normals = body.positions, body.normals
         self.visits = np.zeros(body.n_sensors)
         self._sensor_tree = KDTree(body.positions)
-        self._points, self._normals = sample.points[sample.skin], sample.normals[sample.skin]
+        self._points, self._normals = skin.points[skin.covered], skin.normals[skin.covered]
         self._point_tree = KDTree(self._points)
         gaps = nearest_distances(self._points) if len(self._points) > 1 else [body.reach]
         self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self.stride / self.n_steps
@@ -315,17 +310,13 @@ class Cluster:
 
 
 def settle(
-    body: Body,
-    sample: SurfaceSample,
-    path: StrokePath,
-    cluster: Cluster,
-    depths: NDArray[np.float64],
+    skin: Skin, path: StrokePath, cluster: Cluster, depths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Lower a cluster along the normals of a path until it is in contact with the body.
 
     depths (T,) -> (T,).
     """
-    surface = KDTree(sample.points)
+    surface = KDTree(skin.points)
     extents = np.linalg.norm(cluster.offsets, axis=2)
     if cluster.axes is not None:
         extents += np.linalg.norm(cluster.axes, axis=2)
@@ -337,7 +328,7 @@ def settle(
         while may_sink or rise > _TOLERANCE * extents[t]:
             middle = point + heights[t] * normal
             near = surface.query_ball_point(middle, extents[t])
-            around = np.vstack([sample.points[near], point]) - middle
+            around = np.vstack([skin.points[near], point]) - middle
             rise = _required_rise(cluster, t, around, normal, depths[t])
             heights[t] += rise if may_sink else max(rise, 0.0)
             may_sink = False
@@ -345,21 +336,15 @@ def settle(
     points = cluster.placed(path, heights)[:, :, None]
     if cluster.axes is not None:
         points = points + np.linspace(-1, 1, _N_AXIS_POINTS)[:, None] * cluster.axes[:, :, None]
-    clear = body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
+    clear = skin.body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
     return np.asarray(heights + np.maximum((cluster.radii - clear).max(axis=1) - depths, 0))
 
 
 def follow(
-    body: Body,
-    sample: SurfaceSample,
-    path: StrokePath,
-    cluster: Cluster,
-    options: StrokeOptions,
-    *,
-    detection_radius: float,
+    skin: Skin, path: StrokePath, cluster: Cluster, options: StrokeOptions, detection_radius: float
 ) -> Points:
     """Move a cluster along a path, pressed into the skin or lifted out of range; (T, B, 3)."""
-    heights = settle(body, sample, path, cluster, options.press_depth * path.presses)
+    heights = settle(skin, path, cluster, options.press_depth * path.presses)
     return cluster.placed(path, heights + path.lifts * _LIFT_HEIGHT * detection_radius)
 
 
