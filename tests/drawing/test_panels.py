@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from anisomap.drawing import figures as fig
-from anisomap.drawing.figures import backend, charts, panels, scenes
+from anisomap.drawing.figures import backend, charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import NullTest, compare_maps, score, shepard, stress_per_point
 from anisomap.health import SensorHealth, touch_coverage
@@ -96,7 +96,7 @@ FIGURES = {
     "scores": lambda: charts.scores_figure("title", [GROUPS]),
     "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
     "coverage": lambda: charts.coverage_figure("title", *SHARES),
-    "gallery": lambda: panels.gallery_figure("title", [panels.truth_panel("", TRUTH)], 1, "note"),
+    "gallery": lambda: maps.gallery_figure("title", [maps.truth_panel("", TRUTH)], 1, "note"),
     "scene": lambda: scenes.scene_figure(SCENE),
     "bodies": lambda: scenes.bodies_figure("title", [SCENE], ["body"]),
 }
@@ -150,7 +150,7 @@ def test_charts_show_every_score_mean_and_null():
 
 
 def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
-    panel = panels.map_panel("", MAPS[3], SCORE, TRUTH)
+    panel = maps.map_panel("", MAPS[3], SCORE, TRUTH)
     np.testing.assert_allclose(panel.points[SCORE.sensors], SCORE.alignment.aligned)
     assert np.flatnonzero(panel.uncompared).tolist() == [3]
     assert not (panel.pairs == 3).any()
@@ -158,7 +158,7 @@ def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
 
 def test_a_truth_panel_shows_sensors_without_a_position_apart():
     on_maps = np.arange(20) != 7
-    panel = panels.truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
+    panel = maps.truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
     np.testing.assert_array_equal(panel.unplaced, TRUTH[[7]])
     np.testing.assert_array_equal(panel.points, TRUTH[on_maps])
     assert panel.labels == {7: "b"}
@@ -178,7 +178,7 @@ def test_legends_count_the_sensors_of_each_kind(k):
 @pytest.mark.parametrize(
     "draw",
     [
-        lambda: panels.gallery_figure("title", [], 2),
+        lambda: maps.gallery_figure("title", [], 2),
         lambda: charts.scores_figure("title", [[]]),
         lambda: charts.curves_figure("title", [], x_label="x"),
         lambda: scenes.bodies_figure("title", [SCENE], []),

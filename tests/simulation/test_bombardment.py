@@ -133,20 +133,6 @@ def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(stepped: 
     assert OPTIONS.softness / 2 < stepped.overlaps.max() < deepest * 2**0.25
 
 
-def test_momentum_changes_only_at_the_walls_and_the_body(stepped: Flight) -> None:
-    momentum = np.diff(stepped.centres.sum(axis=1), axis=0) / STEP
-    change = np.abs(np.diff(momentum, axis=0)).max(axis=1)
-    outside = np.minimum(
-        wall_gaps(stepped.centres, OPTIONS).min(axis=(1, 2)),
-        body_gaps(stepped.centres, OPTIONS).min(axis=1),
-    )
-    collided = ball_gaps(stepped.centres, OPTIONS).min(axis=1) < 0
-    alone = outside[1:-1] > 0
-    assert (alone & collided[1:-1]).sum() > 20
-    assert change[alone].max() < 1e-9
-    assert change[~alone].max() > 1
-
-
 def test_velocities_follow_the_maxwell_distribution(bombarded: Any) -> None:
     # A ball that bounces within a frame appears slower; quantiles hardly depend on these.
     late = np.diff(bombarded.flight.centres[1000:], axis=0).reshape(-1, 3)

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from anisomap.defaults import DEFAULT_BINS
-from anisomap.drawing.figures.panels import gallery_figure, map_panel, truth_panel
+from anisomap.drawing.figures.maps import gallery_figure, map_panel, truth_panel
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
 from anisomap.drawing.view import Panel
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case, true_positions

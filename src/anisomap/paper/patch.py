@@ -12,7 +12,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
-from anisomap.drawing.figures.panels import gallery_figure, map_panel, truth_panel
+from anisomap.drawing.figures.maps import gallery_figure, map_panel, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.paper.cases import (
     FAILED_RUNS,

@@ -50,15 +50,15 @@ class ScenarioOptions:
     frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value, unit = getattr(self, entry.name), entry.metadata["unit"]
-            if value is None:
-                continue
-            entry.metadata["values"].check(entry.name, value, unit)
-            below = entry.metadata["below"]
+        given = [(e.name, getattr(self, e.name), e.metadata) for e in fields(self)]
+        for name, value, limits in given:
+            if value is not None:
+                limits["values"].check(name, value, limits["unit"])
+        for name, value, limits in given:
+            below, unit = limits["below"], limits["unit"]
             if below and value >= (highest := getattr(self, below)):
                 raise InputError(
-                    f"{entry.name} must be below {below} ({highest:g} {unit}), got {value:g} {unit}"
+                    f"{name} must be below {below} ({highest:g} {unit}), got {value:g} {unit}"
                 )
 
     def at_most(self, name: str, limit: float, bound: str, advice: str = "") -> None:

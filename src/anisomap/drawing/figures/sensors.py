@@ -18,8 +18,12 @@ from anisomap.drawing.figures.backend import (
     panel_figure,
     set_title,
 )
-from anisomap.drawing.figures.maps import largest_component
-from anisomap.drawing.figures.panels import set_up_axes, write_label, write_labels
+from anisomap.drawing.figures.maps import (
+    largest_component,
+    set_up_axes,
+    write_label,
+    write_labels,
+)
 from anisomap.drawing.view import MAX_LABEL, Points, best_view, box_around, printable, segments
 from anisomap.evaluation import Score
 from anisomap.health import TouchCoverage
