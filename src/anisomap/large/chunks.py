@@ -96,26 +96,24 @@ class Excerpt:
     def reset(self) -> None:
         """Discard all frames."""
         self._parts: list[tuple[NDArray[np.intp], NDArray[Any]]] = []
-        self._stride, self._seen, self._n_kept = 1, 0, 0
+        self._stride, self._seen = 1, 0
 
     def add(self, chunk: NDArray[Any]) -> None:
         """Add the next frames, shape (t, N); only some segments are stored."""
         numbers = np.arange(self._seen, self._seen + len(chunk)) // self._segment
         self._seen += len(chunk)
+        self._parts += self._kept([(numbers, chunk)])
         # With very many sensors, a chunk is shorter than a segment.
         max_frames = max(2 * self._segment, self._n_readings // chunk.shape[1])
-        while self._n_kept + np.count_nonzero(numbers % self._stride == 0) > max_frames:
+        while sum(len(frames) for _, frames in self._parts) > max_frames:
             self._stride *= 2
-            parts, self._parts, self._n_kept = self._parts, [], 0
-            for held, frames in parts:
-                self._keep(held, frames)
-        self._keep(numbers, chunk)
+            self._parts = self._kept(self._parts)
 
-    def _keep(self, numbers: NDArray[np.intp], frames: NDArray[Any]) -> None:
-        chosen = numbers % self._stride == 0
-        if chosen.any():
-            self._parts.append((numbers[chosen], frames[chosen]))
-            self._n_kept += int(np.count_nonzero(chosen))
+    def _kept(
+        self, parts: Iterable[tuple[NDArray[np.intp], NDArray[Any]]]
+    ) -> list[tuple[NDArray[np.intp], NDArray[Any]]]:
+        chosen = ((held % self._stride == 0, held, frames) for held, frames in parts)
+        return [(held[kept], frames[kept]) for kept, held, frames in chosen if kept.any()]
 
     @property
     def whole(self) -> bool:

@@ -165,6 +165,13 @@ def stream_similarity(
         after="" if values is None else "values",
     )
     varying = total.varying() if values is None else values.varying()
+    notes: tuple[str, ...] = ()
+    if values is not None and not values.exact:
+        notes = (
+            f"{np.count_nonzero(values.n_rounded_bits)} of {values.n_sensors} sensors have more "
+            f"than {values.max_values} distinct values, which were rounded for bins, ranks and "
+            "rest values",
+        )
     excerpt = segments.recording(like)
     return StreamedSimilarity(
         similarity=chunked.finish(total),
@@ -175,7 +182,7 @@ def stream_similarity(
             _extrapolated(sensor, bool(varies), total.n_frames / excerpt.n_frames)
             for sensor, varies in zip(assess(excerpt), varying, strict=True)
         ),
-        notes=() if values is None else tuple(_rounding(values)),
+        notes=notes,
     )
 
 
@@ -248,15 +255,6 @@ def _check_unit(chunk: NDArray[Any]) -> None:
             f"the magnitude of readings in chunks must be 0 or between {1 / MAX_SQUARED:g} and "
             f"{MAX_SQUARED:g}, but that of sensor {beyond[0]} is {magnitude[beyond[0]]:g}; use "
             "another unit"
-        )
-
-
-def _rounding(values: ValueCounts) -> Iterator[str]:
-    rounded = np.flatnonzero(values.n_rounded_bits)
-    if rounded.size:
-        yield (
-            f"{rounded.size} of {values.n_sensors} sensors have more than {values.max_values} "
-            "distinct values, which were rounded for bins, ranks and rest values"
         )
 
 

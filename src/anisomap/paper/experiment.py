@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -169,18 +168,12 @@ def provide(
     name: str, columns: Mapping[str, str], rows: Callable[[Settings], Iterable[Row]], cost: float
 ) -> str:
     """Register an experiment without a section, which writes one table for others."""
-    REGISTRY[name] = Experiment(name, partial(_tabulate, name, columns, rows), cost=cost)
+
+    def tabulate(settings: Settings, _: Tables) -> Iterator[Table]:
+        yield Table(name, "Scores of all runs.", columns, [*rows(settings)], shown=False)
+
+    REGISTRY[name] = Experiment(name, tabulate, cost=cost)
     return name
-
-
-def _tabulate(
-    name: str,
-    columns: Mapping[str, str],
-    rows: Callable[[Settings], Iterable[Row]],
-    settings: Settings,
-    _: Tables,
-) -> Iterator[Table]:
-    yield Table(name, "Scores of all runs.", columns, [*rows(settings)], shown=False)
 
 
 def mean_by(rows: Iterable[Mapping[str, Any]], key: str, value: str) -> dict[Any, float]:
