@@ -166,7 +166,8 @@ def build_similarity_graph(
         build_graph(links, sketch, chosen.n_neighbours), sketch, small_chunks
     )
     links = links.concatenate(bridging)
-    health = assess(excerpt, best_match=_best_matches(links, len(sketch.mean)))
+    best = links.best(len(sketch.mean))
+    health = assess(excerpt, best_match=np.where(np.isfinite(best), best, np.nan))
     return SimilarityGraph(
         n_frames=sketch.n_frames,
         varying=sketch.varying,
@@ -255,14 +256,6 @@ def _candidates(
     found, _ = most_similar(sketch.projections[sensors], count)
     firsts, seconds = pairs_of(found)
     return sensors[firsts], sensors[seconds]
-
-
-def _best_matches(links: SensorPairs, n_sensors: int) -> NDArray[np.float64]:
-    """Return the highest r of each sensor with another, NaN without a link, shape (n,)."""
-    best = np.full(n_sensors, -np.inf)
-    for sensors in (links.firsts, links.seconds):
-        np.maximum.at(best, sensors, links.r)
-    return np.where(np.isfinite(best), best, np.nan)
 
 
 def _extrapolated(

@@ -49,13 +49,29 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
     times L / N).
     """
     n_points, n_landmarks = targets.rows.shape
-    degrees = np.diff(targets.edges.indptr)
-    weight = n_landmarks + targets.share * degrees
+    weight = n_landmarks + targets.share * np.diff(targets.edges.indptr)
     weight[targets.landmarks] += n_points
+    cuts = np.linspace(0, n_points, N_TASKS + 1).astype(int).tolist()
+    edges = targets.edges.indptr.astype(np.int64), targets.edges.indices, targets.edges.data
+    loops = load_loops("landmarks")
     with parallel_map(n_points) as map_tasks:
 
         def stress(positions: Floats) -> tuple[float, Floats]:
-            return _stress(targets, positions, map_tasks)
+            exact = np.ascontiguousarray((positions - positions.mean(axis=0)).T)
+            points = exact.astype(np.float32)
+            anchors = np.ascontiguousarray(points[:, targets.landmarks])
+            slopes, anchor_slopes = np.zeros_like(exact), np.zeros((N_TASKS, *anchors.shape))
+
+            def add(task: int) -> float:
+                rows = cuts[task], cuts[task + 1]
+                near = loops.add_edges_stress(exact, edges, targets.share, slopes, rows)
+                both = slopes, anchor_slopes[task]
+                far = loops.add_rows_stress(points, anchors, targets.rows, rows, both)
+                return float(near + far)
+
+            raw = sum(map_tasks(add, range(N_TASKS)))
+            slopes[:, targets.landmarks] += anchor_slopes.sum(axis=0)
+            return raw, np.ascontiguousarray(2 * slopes.T)
 
         blocks = np.array_split(targets.rows, N_TASKS)
         squares = sum(float(np.square(rows, dtype=np.float64).sum()) for rows in blocks)
@@ -79,30 +95,6 @@ def stress_of(targets: Targets, positions: Floats) -> tuple[float, float]:
         squared_sum += float(squares.sum())
         raw += float(((np.sqrt(squares) - targets.rows[begin : begin + 1024]) ** 2).sum())
     return raw, squared_sum
-
-
-def _stress(targets: Targets, positions: Floats, map_tasks: Any) -> tuple[float, Floats]:
-    n_points, dimensions = positions.shape
-    middle = positions.mean(axis=0)
-    exact = np.ascontiguousarray((positions - middle).T)
-    points = exact.astype(np.float32)
-    anchors = np.ascontiguousarray(points[:, targets.landmarks])
-    slopes = np.zeros((dimensions, n_points))
-    anchor_slopes = np.zeros((N_TASKS, *anchors.shape))
-    cuts = np.linspace(0, n_points, N_TASKS + 1).astype(int).tolist()
-    edges = targets.edges.indptr.astype(np.int64), targets.edges.indices, targets.edges.data
-    loops = load_loops("landmarks")
-
-    def add(task: int) -> float:
-        rows = cuts[task], cuts[task + 1]
-        near = loops.add_edges_stress(exact, edges, targets.share, slopes, rows)
-        both = slopes, anchor_slopes[task]
-        far = loops.add_rows_stress(points, anchors, targets.rows, rows, both)
-        return float(near + far)
-
-    raw = sum(map_tasks(add, range(N_TASKS)))
-    slopes[:, targets.landmarks] += anchor_slopes.sum(axis=0)
-    return raw, np.ascontiguousarray(2 * slopes.T)
 
 
 class PlacedComponent(NamedTuple):

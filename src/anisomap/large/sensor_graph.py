@@ -174,6 +174,13 @@ class SensorPairs(NamedTuple):
         """Return the pairs where a mask is true."""
         return SensorPairs(self.firsts[mask], self.seconds[mask], self.r[mask])
 
+    def best(self, n_sensors: int) -> NDArray[np.float64]:
+        """Return the highest r of each sensor, -inf without a pair, shape (N,)."""
+        best = np.full(n_sensors, -np.inf)
+        for sensors in (self.firsts, self.seconds):
+            np.maximum.at(best, sensors, self.r)
+        return best
+
 
 def pairs_of(
     found: NDArray[np.int64], sensors: ArrayLike | None = None
@@ -236,9 +243,7 @@ def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> Sensor
     sensors share too few neighbours (`MIN_SHARED`).
     """
     n_sensors = len(sketch.mean)
-    best = np.zeros(n_sensors)
-    np.maximum.at(best, pairs.firsts, pairs.r)
-    np.maximum.at(best, pairs.seconds, pairs.r)
+    best = np.maximum(pairs.best(n_sensors), 0)
     share = pairs.r / np.maximum(np.minimum(best[pairs.firsts], best[pairs.seconds]), 1e-300)
     usable = (pairs.r >= NUMERICAL_ZERO) & (share >= MIN_RELATIVE_R)
     null = largest_null_r(pairs, sketch, coincidences=0)
