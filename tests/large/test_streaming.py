@@ -9,7 +9,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 import anisomap
-from anisomap import Recording, SensorMapper, diagnose, reconstruct
+from anisomap import Recording, diagnose, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large import chunks
 from anisomap.large.checkpoints import Checkpoint
@@ -28,7 +28,6 @@ SKIN = Recording(READINGS)
 # In chunks, the covariogram is of r alone.
 EXACT = [name for name, method in METHODS.items() if not method.refinements]
 REFINED = sorted(set(METHODS) - set(EXACT))
-ONE_PER_SIMILARITY = {METHODS[name].similarity: name for name in reversed(EXACT)}.values()
 
 LOKY = {"backend": "loky", "inner_max_num_threads": 3}
 
@@ -64,31 +63,13 @@ def test_chunks_give_the_map_of_one_array(method):
     assert found.provenance["frames"] == 1500
 
 
-@pytest.mark.parametrize("method", ONE_PER_SIMILARITY)
-@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_partial_fit_gives_the_map_of_one_array(method):
-    parts = SensorMapper(n_components=2, method=method)
-    for part in np.split(READINGS, [2, 3, 900, 901]):
-        parts.partial_fit(part)
-    expected = SensorMapper(n_components=2, method=method).fit(READINGS)
-    np.testing.assert_allclose(parts.positions_, expected.positions_, atol=rounding(method))
-
-
 @pytest.mark.parametrize("method", REFINED)
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_refined_maps_do_not_depend_on_parts(method):
-    made = [reconstruct_chunks(cut_at(*cuts), method, 2) for cuts in ((), (7, 400, 1100))]
-    np.testing.assert_allclose(made[0].positions, made[1].positions, atol=1e-6)
-    assert made[0].provenance["similarity"] == "pearson"
-    fitted = []
-    for cuts in ([3, 900, 901], [1200]):
-        parts = SensorMapper(n_components=2, method=method)
-        for part in np.split(READINGS, cuts):
-            parts.partial_fit(part)
-        fitted.append(parts.positions_)
-    np.testing.assert_allclose(*fitted, atol=1e-6)
-    for found in (made[0].positions, fitted[0]):
-        assert anisomap.mantel(found, lattice(), permutations=0).r > 0.99
+def test_refined_maps_do_not_depend_on_chunks(method):
+    one, several = (reconstruct_chunks(cut_at(*cuts), method, 2) for cuts in ((), (7, 400, 1100)))
+    np.testing.assert_allclose(one.positions, several.positions, atol=1e-6)
+    assert one.provenance["similarity"] == "pearson"
+    assert anisomap.mantel(one, lattice(), permutations=0).r > 0.99
 
 
 def test_what_the_default_method_cannot_do_with_chunks_is_noted():
