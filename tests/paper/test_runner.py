@@ -1,14 +1,11 @@
 """The runner of experiments, with experiments that take no time, and numbers in documents."""
 
 import csv
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from benchmarks import numbers
-from hypothesis import given
-from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap.errors import FileError, InputError
@@ -88,24 +85,6 @@ def test_damaged_results_are_computed_again(tmp_path, name, damage):
         path.write_text(path.read_text()[:-3] if damage == "truncated" else "{}")
     assert compute(tmp_path) == {"text"}
     assert (tmp_path / "text" / "text.txt").read_text() == "text\n"
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("finished")
-    compute(folder, experiments=registry(FIRST))
-    record = (folder / "first" / runner.RECORD).read_bytes()
-    return folder, record
-
-
-@given(st.integers(0, 10_000), st.binary(min_size=1, max_size=4))
-def test_a_damaged_record_never_gives_other_rows(finished, position, junk):
-    folder, record = finished
-    position %= len(record)
-    damaged = record[:position] + junk + record[position + len(junk) :]
-    (folder / "first" / runner.RECORD).write_bytes(damaged)
-    found = runner.load(folder, "first", json.loads(record)["fingerprint"])
-    assert found is None or found["tables"][0].rows == ((1,),)
 
 
 @pytest.mark.parametrize(("broken", "error"), [(fail, InputError), (interrupt, KeyboardInterrupt)])
