@@ -204,7 +204,7 @@ def compressed(content):
         lambda content: rewritten(content, **{"values/counts": None}),
     ],
 )
-def test_other_files_are_refused_and_left_alone(tmp_path, held, damage):
+def test_other_files_are_refused(tmp_path, held, damage):
     file, content = tmp_path / "counts.npz", damage(held[0])
     file.write_bytes(content)
     with pytest.raises(FileError, match="damaged or not a checkpoint"):
