@@ -128,7 +128,7 @@ class _Reader:
         folders["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, sys.path))
         with self._said.open("wb") as said:
             self._process: Any = subprocess.Popen(  # noqa: S603
-                [sys.executable, "-P", "-c", _SERVE],
+                [sys.executable, "-P", "-c", _SERVE, self._folder],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=said,
@@ -277,6 +277,7 @@ def serve() -> None:
             caught.clear()
             faulthandler.cancel_dump_traceback_later()
             _send(answers, {**answer, "warnings": texts})
+    shutil.rmtree(sys.argv[1], ignore_errors=True)  # the process that asked has ended
 
 
 def _description(error: Exception) -> dict[str, Any]:
