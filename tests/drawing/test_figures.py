@@ -7,7 +7,7 @@ import sys
 import matplotlib as mpl
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
@@ -17,7 +17,6 @@ from anisomap.drawing.figures.maps import MAX_VECTOR_DOTS
 from anisomap.drawing.view import (
     MAX_JOINED,
     best_view,
-    drawn_components,
     neighbour_pairs,
     place_colours,
     printable,
@@ -295,24 +294,6 @@ def test_flat_bodies_are_not_seen_edge_on(thin):
     right, up, _ = view_axes(best_view(places))
     seen = places @ np.column_stack([right, up])
     assert np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)[1] > 0.3 * 40 * np.sqrt(80)
-
-
-@settings(max_examples=30)
-@given(st.integers(1, 3), st.integers(2, 3), st.booleans(), st.integers(0, 100))
-def test_aligned_components_have_the_errors_of_the_score(
-    dimensions, true_dimensions, planar, seed: int
-):
-    truth = spread(9, true_dimensions, seed)
-    truth[:, 2:] *= not planar
-    sensor_map = SensorMap(spread(9, dimensions, seed + 1))
-    scored = score(sensor_map, truth, exclude=[3, 7], permutations=0)
-    (component,) = drawn_components(sensor_map, scored)
-    assert sorted(component.sensors) == list(range(9))
-    assert set(component.sensors[component.uncompared]) == {3, 7}
-    errors = np.linalg.norm(component.points[~component.uncompared] - component.truth, axis=1)
-    np.testing.assert_allclose(errors, scored.alignment.errors)
-    curved = true_dimensions == 3 and not planar
-    assert component.dimensions == (3 if curved or dimensions == 3 else 2)
 
 
 @given(st.text(), st.integers(1, 20))

@@ -161,10 +161,7 @@ def test_sources_are_uniform_outside_the_body() -> None:
     half = ((1 + options.field_radius**3) / 2) ** (1 / 3)
     assert (distance < half).mean() == pytest.approx(0.5, abs=0.05)
     assert np.linalg.norm((places / distance[..., None]).mean(axis=(0, 1))) < 0.1
-    assert strengths.min() >= 0
-    assert strengths.max() <= options.strength
-    readings = read_pulses(body.positions, places, strengths, options.half_distance)
-    assert readings.mean(axis=0).std() < 0.1 * readings.mean()
+    assert 0 <= strengths.min() <= strengths.max() <= options.strength
 
 
 def test_fingertip_and_body_respond_to_the_same_contact() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.simulation import Body
 from anisomap.simulation.bodies import BODIES, sphere
-from anisomap.simulation.options import count_steps, options_for
+from anisomap.simulation.options import options_for
 from anisomap.simulation.solids import support
 from anisomap.simulation.strokes import (
     Cluster,
@@ -88,15 +88,6 @@ def test_a_path_over_one_sensor_is_finite() -> None:
     body, rng = sphere(1), np.random.default_rng(1)
     path = draw_strokes(sample_skin(body, rng), 50, StrokeOptions(), rng)
     assert np.isfinite(path.points).all()
-
-
-@given(st.integers(1, 50), st.floats(1e-3, 1e3))
-def test_the_number_of_steps_does_not_depend_on_the_unit_of_length(
-    n_steps: int, unit: float
-) -> None:
-    # The quotient of the two products can exceed n_steps by a rounding error.
-    assert count_steps(n_steps * 0.02 * unit, 0.02 * unit) == n_steps
-    assert count_steps((n_steps + 0.5) * unit, unit) == n_steps + 1
 
 
 @pytest.mark.parametrize("name", ["sphere", "hand", "holed-plate"])

@@ -25,19 +25,6 @@ def ground(seed: int = 0, roughness: float = 0.3) -> Terrain:
     return bumpy_terrain(2.0, 0.25, roughness, 0.6, np.random.default_rng(seed))
 
 
-def test_the_distance_is_that_of_the_nearest_sampled_point() -> None:
-    terrain = ground(3)
-    fine = np.linspace(-2, 2, 401)
-    x, y = map(np.ravel, np.meshgrid(fine, fine))
-    surface = np.column_stack([x, y, height(terrain, np.column_stack([x, y]))])
-    points = np.random.default_rng(0).uniform([-1, -1, -0.5], [1, 1, 1], size=(15, 3))
-    sampled = np.linalg.norm(points[:, None] - surface, axis=2).min(axis=1)
-    distance = terrain.distance(points)
-    assert (sampled >= np.abs(distance) - 1e-12).all()
-    assert (sampled <= np.abs(distance) + 0.01).all()
-    np.testing.assert_array_equal(distance > 0, points[:, 2] > height(terrain, points))
-
-
 def test_cells_have_the_diagonal_of_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     terrain = ground(2)
