@@ -84,6 +84,7 @@ RECORDINGS = [
     ("run.csv", HEADED + "2,late\n1,90\n", "line 62, column 2: 'late' is not a number"),
     ("run.csv", HEADED + "2\n1,90\n", "line 62 has 1 fields; it must have 2"),
     ("run.csv", "time,taxel\n", "only a header"),
+    ("run.csv", 'time,taxel\n0.5,1\n1.5,"2\n2.5,3\n', "unbalanced quotation marks (line 3"),
     ("run.csv", "time,taxel\n0.5,\n1.5,\n", "no event"),
     *(("x.jsonl", f"{GOOD}\n{row}\n{GOOD}\n", message) for row, message in WRONG_CONTACTS.items()),
     *(("x.json", f"[{GOOD}, {row}, {GOOD}]", message) for row, message in WRONG_CONTACTS.items()),

@@ -72,8 +72,12 @@ def warn_of_loss(path: Path, error: BaseException, found: str, fraction: float) 
     """Warn that only a fraction of a file could be read, such as ``"3 frames"``."""
     loss = 1 - fraction
     lost = f" (about {loss:.0%} of the file)" if loss > _MIN_REPORTED_LOSS else ""
-    problem = f"damaged or cut short ({error_reason(error)})"
-    warn(path, f"{problem}: read the {found} before the damage, lost the rest{lost}")
+    warnings.warn(
+        f"{path} is damaged or cut short ({error_reason(error)}): read the {found} before the "
+        f"damage, lost the rest{lost}",
+        AnisomapWarning,
+        stacklevel=3,
+    )
 
 
 HEAD_BYTES = 1 << 16
@@ -167,9 +171,10 @@ class TextLines(io.TextIOWrapper):
         self._path, self._raw, self._size = path, raw, max(path.stat().st_size, 1)
 
     def __next__(self) -> str:  # type: ignore[override]
-        line = self.last = self.readline(_MAX_LINE)
+        line = self.readline(_MAX_LINE)
         if not line:
             raise StopIteration
+        self.last = line
         if len(line) == _MAX_LINE:
             raise _long_line(self._path)
         return line

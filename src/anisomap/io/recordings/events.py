@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,16 +116,15 @@ def stream_events(
     span: tuple[float, float] | None = None,
     spikes: bool = False,
     contacts: bool = False,
-    positions: NDArray[np.float64] | None = None,
-    units: str = "",
-    metadata: Mapping[str, Scalar] | None = None,
+    metadata: Mapping[str, Scalar],
+    **known: Any,
 ) -> Stream:
     """Create a stream of frames from events.
 
     Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
     or its value. With bins, a reading is the number of events in the bin, or the last value.
 
-    positions (N, 2).
+    known: Further fields of the stream.
     """
     if not (events.sensors >= 0).any():
         raise FileError(f"{path} holds no event")
@@ -141,33 +140,28 @@ def stream_events(
         bin_s = DEFAULT_BIN_S
         problem = f"events are counted in bins of {bin_s:g} s, the default width"
         warn(path, f"{problem}; choose another with --bin-width (bin_s in Python)")
-    facts: dict[str, Scalar] = dict(metadata or {})
-    times: NDArray[np.float64] | None = None
+    facts: dict[str, Scalar]
     if bin_s is None:
-        moments, frames = np.unique(events.moments, return_inverse=True)
-        facts["frames"] = "one per time" if events.timed else "one per event"
-        if events.timed:
-            times = np.asarray(moments, dtype=np.float64)
+        times, frames = np.unique(events.moments, return_inverse=True)
+        facts = {"frames": "one per time" if events.timed else "one per event"}
     else:
         frames, n_bins = _bins(path, events.moments, bin_s, span)
-        facts["bin_s"] = bin_s
         times = np.asarray(np.arange(n_bins) * bin_s, dtype=np.float64)
-    n_frames = len(times) if times is not None else int(frames.max()) + 1
-    n_sensors = len(events.names)
+        facts = {"bin_s": bin_s}
+    n_frames, n_sensors = len(times), len(events.names)
     what = f"a recording of {n_frames} frames and {n_sensors} sensors"
     Budget(path).check_readings(n_frames, n_sensors, 4, what)
     return Stream(
         path,
         n_sensors,
-        _blocks(events, frames, n_frames, times, counted=bin_s is not None),
+        _blocks(events, frames, times, counted=bin_s is not None),
         names=events.names,
         rate_hz=None if bin_s is None else 1 / bin_s,
-        positions=positions,
-        units=units,
         source=path.name,
-        metadata=facts,
+        metadata={**metadata, **facts},
         from_zero=True,
         silent_are_zero=True,
+        **known,
     )
 
 
@@ -189,14 +183,10 @@ def _bins(
 
 
 def _blocks(
-    events: Events,
-    frames: NDArray[np.intp],
-    n_frames: int,
-    times: NDArray[np.float64] | None,
-    *,
-    counted: bool,
+    events: Events, frames: NDArray[np.intp], times: NDArray[np.float64], *, counted: bool
 ) -> Iterator[Block]:
-    step = max(1, BLOCK_BYTES // (4 * len(events.names)))
+    n_frames, n_sensors = len(times), len(events.names)
+    step = max(1, BLOCK_BYTES // (4 * n_sensors))
     for first in range(0, n_frames, step):
         last = min(first + step, n_frames)
         inside = slice(*np.searchsorted(frames, [first, last]))
@@ -204,9 +194,9 @@ def _blocks(
         active = columns >= 0
         where = rows[active], columns[active]
         kind = np.float32 if events.values is None else np.float64
-        readings = np.zeros((last - first, len(events.names)), kind)
+        readings = np.zeros((last - first, n_sensors), kind)
         if counted and events.values is None:
             np.add.at(readings, where, 1)
         else:
             readings[where] = 1 if events.values is None else events.values[inside][active]
-        yield Block(readings, last / n_frames, None if times is None else times[first:last])
+        yield Block(readings, last / n_frames, times[first:last] if events.timed else None)

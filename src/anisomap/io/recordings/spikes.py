@@ -21,7 +21,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,10 +100,9 @@ def stream_spikes(
     bin_s: float | None,
     *,
     names: tuple[str, ...] = (),
-    positions: NDArray[np.float64] | None = None,
-    span: tuple[float, float] | None = None,
+    **known: Any,
 ) -> Stream:
-    """Create a stream of spike counts. positions (N, 2)."""
+    """Create a stream of spike counts; `known` are further arguments of `stream_events`."""
     vectors = [each.whole().astype(np.float64).ravel() for each in trains.times]
     times = np.concatenate(vectors)
     if trains.index is None:
@@ -112,16 +111,9 @@ def stream_spikes(
     else:
         counts = _counts(path, trains, trains.index, len(times))
     units = np.repeat(np.arange(len(counts)), counts)
-    names = names or tuple(f"e{i}" for i in range(len(counts)))
-    return stream_events(
-        path,
-        Events(times, units, names),
-        bin_s=bin_s,
-        span=span,
-        spikes=True,
-        positions=positions,
-        metadata={"format": "spike trains"},
-    )
+    events = Events(times, units, names or tuple(f"e{i}" for i in range(len(counts))))
+    facts = {"format": "spike trains"}
+    return stream_events(path, events, bin_s=bin_s, spikes=True, metadata=facts, **known)
 
 
 def _counts(path: Path, trains: SpikeTrains, index: Dataset, n_spikes: int) -> NDArray[np.intp]:
