@@ -18,27 +18,16 @@ def methods(*, printer: options.Printing = options.PRINTER) -> None:
     from anisomap.evidence import SIMILARITIES
     from anisomap.methods import METHODS, PAPER_METHODS
 
-    _print_rows(
-        printer,
-        "Methods",
-        ("name", "summary", "source"),
-        [
-            (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
-            for name, method in METHODS.items()
-        ],
-    )
-    _print_rows(
-        printer,
-        "Stock methods, for comparison only (anisomap compare)",
-        ("name", "summary", "extra"),
-        [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()],
-    )
-    _print_rows(
-        printer,
-        "Similarities",
-        ("name", "summary"),
-        [(name, similarity.summary) for name, similarity in SIMILARITIES.items()],
-    )
+    own = [
+        (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
+        for name, method in METHODS.items()
+    ]
+    stock = [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()]
+    similarities = [(name, similarity.summary) for name, similarity in SIMILARITIES.items()]
+    _print_rows(printer, "Methods", "name summary source", own)
+    title = "Stock methods, for comparison only (anisomap compare)"
+    _print_rows(printer, title, "name summary extra", stock)
+    _print_rows(printer, "Similarities", "name summary", similarities)
 
 
 def formats(*, printer: options.Printing = options.PRINTER) -> None:
@@ -56,8 +45,7 @@ def formats(*, printer: options.Printing = options.PRINTER) -> None:
         )
         for form in FORMATS
     ]
-    columns = ("name", "suffixes", "reads", "writes", "extra", "summary")
-    _print_rows(printer, "Formats", columns, rows)
+    _print_rows(printer, "Formats", "name suffixes reads writes extra summary", rows)
 
 
 def bodies(*, printer: options.Printing = options.PRINTER) -> None:
@@ -69,8 +57,7 @@ def bodies(*, printer: options.Printing = options.PRINTER) -> None:
         body = make()
         size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
         rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
-    columns = ("name", "sensors", "reach", "spacing", "summary")
-    _print_rows(printer, "Bodies", columns, rows)
+    _print_rows(printer, "Bodies", "name sensors reach spacing summary", rows)
     printer.line("A closed mesh, a MuJoCo model or a file of positions works, too:")
     printer.line("  anisomap simulate part.stl --sensors 200")
 
@@ -89,7 +76,7 @@ def scenarios(
 
     if scenario is None:
         rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
-        _print_rows(printer, "Scenarios", ("name", "summary"), rows)
+        _print_rows(printer, "Scenarios", "name summary", rows)
         return
     parameters = list(_parameters(scenario))
     printer.record(scenario=scenario, parameters=parameters)
@@ -112,7 +99,7 @@ def faults(*, printer: options.Printing = options.PRINTER) -> None:
         )
         affects = "sensors" if name in FAULTS else "all sensors"
         rows.append((name, affects, taken or "-", _first_line(function)))
-    _print_rows(printer, "Faults", ("name", "affects", "parameters", "summary"), rows)
+    _print_rows(printer, "Faults", "name affects parameters summary", rows)
 
 
 def _parameters(scenario: str) -> Iterator[dict[str, Any]]:
@@ -134,12 +121,12 @@ def _parameters(scenario: str) -> Iterator[dict[str, Any]]:
             yield {"name": name, "default": getattr(defaults, name), "summary": summary}
 
 
-def _print_rows(
-    printer: Printer, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
-) -> None:
-    printer.table(title, columns, rows)
+def _print_rows(printer: Printer, title: str, columns: str, rows: Sequence[Sequence[str]]) -> None:
+    """Print and record a table; its columns are separated by blanks."""
+    names = columns.split()
+    printer.table(title, names, rows)
     key = title.split(",", maxsplit=1)[0].lower().replace(" ", "_")
-    printer.values[key] = [dict(zip(columns, row, strict=True)) for row in rows]
+    printer.values[key] = [dict(zip(names, row, strict=True)) for row in rows]
 
 
 def _first_line(thing: object) -> str:
