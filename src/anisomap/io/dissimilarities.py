@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import (
     file_errors,
     library_errors,

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.contacts import NOUNS, noun_of
 from anisomap.io.recordings.events import Events, stream_events
 from anisomap.io.recordings.npy import Header, read_header

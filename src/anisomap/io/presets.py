@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
-from anisomap.io.parsing.naming import cells_of
+from anisomap.io.parsing.names import cells_of
 from anisomap.io.parsing.source import warn
 from anisomap.recording import Recording, default_names
 

@@ -18,7 +18,7 @@ from anisomap.files import atomic_write, check_distinct, check_target, together
 from anisomap.io import isolated, npz
 from anisomap.io.maps import csv, json, point_files, robot_models
 from anisomap.io.parsing.facts import check_encodable, texts_of
-from anisomap.io.parsing.naming import distinct_names, match_names
+from anisomap.io.parsing.names import distinct_names, match_names
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, with_grid
 from anisomap.io.recordings import (

@@ -21,7 +21,7 @@ from anisomap.evidence import SIMILARITIES
 from anisomap.files import atomic_write, check_target
 from anisomap.io.npz import NUMBERS, Archive, open_archive, to_json, write_arrays
 from anisomap.io.parsing.facts import check_encodable
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import file_errors
 from anisomap.methods import find_method
 from anisomap.options import MethodOptions

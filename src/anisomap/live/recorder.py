@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.files import check_target
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.delimited_text import header_text
 from anisomap.live.batches import Batch
 from anisomap.recording import default_names

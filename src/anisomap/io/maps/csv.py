@@ -28,7 +28,7 @@ from anisomap.io.parsing.facts import (
     read_properties,
     write_comments,
 )
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import file_errors, quote, read_lines
 from anisomap.io.parsing.tables import (
     LineError,

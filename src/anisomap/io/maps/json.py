@@ -17,7 +17,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
-from anisomap.io.parsing.naming import distinct_names
+from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import quote, read_json
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError, import_extra
 from anisomap.io.parsing.facts import format_value, read_comments
-from anisomap.io.parsing.naming import distinct_names, numbers_of
+from anisomap.io.parsing.names import distinct_names, numbers_of
 from anisomap.io.parsing.source import numbered_lines, quote, read_lines
 from anisomap.io.parsing.tables import LineError, parse_row
 from anisomap.placement import Taxels, pad_to_3d, surface_normals, to_taxels

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files import open_regular
-from anisomap.io.parsing.columns import (
+from anisomap.io.parsing.names import (
     ROWS_LOOKED_AT,
     is_time,
     roles_by_name,

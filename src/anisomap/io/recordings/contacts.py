@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap.errors import FileError
-from anisomap.io.parsing.columns import is_time, units_per_second, words_of
+from anisomap.io.parsing.names import is_time, units_per_second, words_of
 from anisomap.io.parsing.source import open_text, quote, read_head, read_json_items
 from anisomap.io.parsing.tables import (
     DELIMITERS,

@@ -1,7 +1,7 @@
 """Recordings as delimited text, with one line per frame and one column per sensor.
 
 `anisomap.io.parsing.tables` detects delimiter, decimal comma, header and columns of text, which
-are skipped; `anisomap.io.parsing.columns` detects times and frame counters. Files may be gzipped.
+are skipped; `anisomap.io.parsing.names` detects times and frame counters. Files may be gzipped.
 All readings of a frame may also be a list in one quoted cell, as here of two mats::
 
     Timestamp,left,right
@@ -24,14 +24,14 @@ from pathlib import Path
 import numpy as np
 
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.columns import (
+from anisomap.io.parsing.facts import read_comments, write_comments
+from anisomap.io.parsing.names import (
     ROWS_LOOKED_AT,
     Roles,
     roles_by_content,
     roles_by_name,
     warn_of_guesses,
 )
-from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.source import TextLines, quote, quote_if_needed, warn
 from anisomap.io.parsing.tables import (
     LineError,
@@ -48,8 +48,7 @@ from anisomap.io.parsing.tables import (
     records,
     unguard_formula,
 )
-from anisomap.io.recordings import contacts
-from anisomap.io.recordings import spikes as spike_tables
+from anisomap.io.recordings import contacts, events
 from anisomap.io.stream import (
     Block,
     Content,
@@ -103,7 +102,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         return
     sample, known, metadata = _read_start(path)
     if options.bin_s is not None and not known:
-        yield spike_tables.stream_table(path, options.bin_s)
+        yield events.stream_spike_table(path, options.bin_s)
         return
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
     table = find_table(path, sample, own)

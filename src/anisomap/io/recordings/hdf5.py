@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from anisomap.errors import import_extra
 from anisomap.files import check_regular
-from anisomap.io.parsing.columns import is_time, units_per_second
+from anisomap.io.parsing.names import is_time, units_per_second
 from anisomap.io.parsing.source import library_errors
-from anisomap.io.recordings.spikes import SpikeTrains, find_spike_trains, stream_spikes
+from anisomap.io.recordings.events import SpikeTrains, find_spike_trains, stream_spikes
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
