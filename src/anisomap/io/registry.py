@@ -33,7 +33,7 @@ from anisomap.io.recordings import (
     pressure_mats,
     robot_logs,
 )
-from anisomap.io.ros import bag_files, bags, repair
+from anisomap.io.ros import bag_files, bags
 from anisomap.io.stream import (
     BLOCK_FRAMES,
     Block,
@@ -69,7 +69,8 @@ class Format:
     write_map, write_recording: ``write_map(sensor_map, path)`` and
         ``write_recording(recording, path)``. Equal input gives equal bytes.
     contents: ``contents(path, options)`` lists the possible recordings in a file.
-    extra: Extra that installs the required library; empty if none is required.
+    extra: Extra that installs the required library; empty if none is required. Recordings of
+        formats with an extra are read in another process: see `anisomap.io.isolated`.
     in_metres: Whether the format stores metres, so that a map needs a scale.
     signature: First bytes of the files that anisomap writes, if no other format's files start with
         them. They decide before `recognises`, since names and notes may contain marks of others.
@@ -138,7 +139,7 @@ FORMATS = (
            arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA,
            magics=arrow.MAGICS),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
-           bags.open_recording, contents=bags.contents, extra=repair.EXTRA,
+           bags.open_recording, contents=bags.contents, extra=bag_files.EXTRA,
            magics=tuple(bag_files.MAGICS)),
     Format("mne", (".edf", ".bdf", ".fif", ".vhdr"), "EDF, BDF, FIF, BrainVision", None,
            biosignals.open_recording, contents=biosignals.contents, extra=biosignals.EXTRA,

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -86,8 +85,7 @@ def _open(path: Path) -> Iterator[Any]:
     if not suffix:
         raise FileError(f"{path} is not EDF, BDF, FIF or BrainVision, whatever its suffix")
     io = import_extra("mne.io", "reading EDF, BDF, FIF and BrainVision", EXTRA)
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of names that are not those of MNE, and of old files
+    with tempfile.TemporaryDirectory() as folder:
         named = path
         suffix += ".gz" if is_gzipped(path) else ""
         if not path.name.lower().endswith(suffix):

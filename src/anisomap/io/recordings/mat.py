@@ -11,7 +11,6 @@ Source: The MathWorks (2024). MAT-File Level 5 File Format.
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -102,8 +101,7 @@ def _open(path: Path) -> Iterator[tuple[list[_Lists], list[Dataset]]]:
         with open_datasets(path, EXTRA, frames_last=True) as datasets:
             yield [], datasets
         return
-    with library_errors(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with library_errors(path):
         listed = scipy.io.whosmat(path)
     datasets = [_dataset(path, *each) for each in listed]
     cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
@@ -126,8 +124,7 @@ def _reader(path: Path, name: str) -> Callable[[int, int], NDArray[Any]]:
 
 
 def _load(path: Path, names: list[str]) -> dict[str, Any]:
-    with library_errors(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with library_errors(path):
         found = scipy.io.loadmat(path, variable_names=names)
         return {name: found[name] for name in names}
 

@@ -23,12 +23,12 @@ from anisomap.errors import FileError, import_extra
 from anisomap.io.parsing.source import guarded_iter, library_errors
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.ros.bag_files import (
+    EXTRA,
     METADATA,
     register_definitions,
     rosbags_path,
     warn_of_missing_end,
 )
-from anisomap.io.ros.repair import EXTRA
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
