@@ -224,8 +224,7 @@ _METRICS: Mapping[str, Callable[[Reals, Reals], Reals]] = MappingProxyType(
 )
 """Metrics by name: functions of the correlations r (N, N) and of the dissimilarities 1 / r."""
 
-_STOCK = ("som-on-r", "isomap-on-r")
-RIVALS = (*METHODS, *_METRICS, *_STOCK)
+RIVALS = (*METHODS, *_METRICS, "som-on-r", "isomap-on-r")
 RIVALS_COLUMNS = {
     "run": _RIVAL_COLUMNS["run"],
     "runs": "number of runs",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,8 +148,7 @@ SMACOF = SmacofOptions(solver="majorization")
 """The paper's algorithm; the default is faster."""
 
 
-@dataclass(frozen=True, eq=False)
-class ScoredMap:
+class ScoredMap(NamedTuple):
     """A map and its score."""
 
     sensor_map: SensorMap
@@ -177,14 +176,11 @@ def map_and_score(
     """
     published = replace(options or MethodOptions(), smacof=SMACOF)
     sensor_map = reconstruct(recording, method, dimensions, options=published)
-    result = score(
+    truth, units = true_positions(recording, dimensions), recording.units
+    return ScoredMap(
         sensor_map,
-        true_positions(recording, dimensions),
-        exclude=exclude,
-        units=recording.units,
-        permutations=permutations,
+        score(sensor_map, truth, exclude=exclude, units=units, permutations=permutations),
     )
-    return ScoredMap(sensor_map, result)
 
 
 SCORE_COLUMNS = {
@@ -250,8 +246,18 @@ def score_rows(
                     exclude=excluded,
                     options=MethodOptions(bins=bins),
                 )
-                cells = _score_cells(scored, is_cylinder=is_cylinder)
-                yield (run, seed, method, k, bins, *cells)
+                result, found = scored.score, scored.sensor_map
+                mapped = found.positions[result.sensors]
+                shape: Row = (math.nan,) * 4
+                if is_cylinder and k == 3:
+                    shape = cylinder_shape(mapped, result.truth)
+                yield (
+                    *(run, seed, method, k, bins, result.mantel.r),
+                    *_null_cells(result.mantel),
+                    *(result.rms_in_spacings, result.neighbours_kept),
+                    *(straightness(mapped, result.truth), *shape),
+                    *(found.stress, found.n_iterations),
+                )
 
 
 def stopped(rows: Iterable[Mapping[str, Any]]) -> str:
@@ -265,24 +271,6 @@ def null_box(row: Mapping[str, Any]) -> NullBox:
     quantiles = ("whisker_low", "quartile_1", "median", "quartile_3", "whisker_high")
     outliers = tuple(float(value) for value in str(row["null_outliers"]).split())
     return NullBox(**{name: row[f"null_{name}"] for name in quantiles}, outliers=outliers)
-
-
-def _score_cells(scored: ScoredMap, *, is_cylinder: bool) -> Row:
-    result = scored.score
-    mapped = scored.sensor_map.positions[result.sensors]
-    shape: Row = (math.nan,) * 4
-    if is_cylinder and scored.sensor_map.dimensions == 3:
-        shape = cylinder_shape(mapped, result.truth)
-    return (
-        result.mantel.r,
-        *_null_cells(result.mantel),
-        result.rms_in_spacings,
-        result.neighbours_kept,
-        straightness(mapped, result.truth),
-        *shape,
-        scored.sensor_map.stress,
-        scored.sensor_map.n_iterations,
-    )
 
 
 def _null_cells(mantel: Mantel) -> Row:

@@ -47,14 +47,6 @@ _FRAMES: tuple[float, ...] = (250, 500, 1000, 2000, 4000, 8000, 16000, 32000)
 _QUICK_FRAMES: tuple[float, ...] = (60, 120, 250)
 
 
-def _usual(case: Case, settings: Settings, seed: int, _: float) -> Recording:
-    return case.record(settings, seed)
-
-
-def _usual_options(_: float) -> MethodOptions:
-    return MethodOptions()
-
-
 @dataclass(frozen=True)
 class Parameter:
     """A parameter and the values to try.
@@ -77,8 +69,10 @@ class Parameter:
     values: tuple[float, ...]
     quick_values: tuple[float, ...]
     default: float
-    record: Callable[[Case, Settings, int, float], Recording] = _usual
-    options: Callable[[float], MethodOptions] = _usual_options
+    record: Callable[[Case, Settings, int, float], Recording] = lambda case, settings, seed, _: (
+        case.record(settings, seed)
+    )
+    options: Callable[[float], MethodOptions] = lambda _: MethodOptions()
     cases: tuple[Case, ...] = CASES
     methods: tuple[str, ...] = METHODS
 
