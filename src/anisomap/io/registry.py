@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -300,13 +301,8 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
     """
     file = Path(path)
     with file_errors(file):
-        chosen = _recognise(file)
-        if chosen.read_map is None:
-            raise FileError(
-                f"{file} ({chosen.summary}) holds no positions; "
-                f"formats with positions: {_suffixes(f for f in FORMATS if f.read_map)}"
-            )
-        found = chosen.read_map(file)
+        _, read_it = _find_reader(file, "read_map", "positions")
+        found: SensorMap = read_it(file)
         if found.component.min() < UNPLACED or found.component.max() >= found.n_sensors:
             raise FileError(f"{file}: components must be numbered from 0, with -1 for unplaced")
         return found
@@ -384,27 +380,18 @@ def _match(
 def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
     with ExitStack() as stack:
         with file_errors(file):
-            chosen = _recognise(file)
-            if chosen.open_recording is None:
-                raise FileError(
-                    f"{file} ({chosen.summary}) holds no recording; "
-                    f"recording formats: {_suffixes(f for f in FORMATS if f.open_recording)}"
-                )
+            chosen, opened = _find_reader(file, "open_recording", "recordings")
+            described = f"{file} ({chosen.summary})"
             if options.select and chosen.contents is None:
-                raise FileError(
-                    f"{file} ({chosen.summary}) holds a single recording; "
-                    f"leave out --select {options.select}"
-                )
-            opened = chosen.open_recording
+                problem = f"holds a single recording; leave out --select {options.select}"
+                raise FileError(f"{described} {problem}")
             if chosen.extra:
                 opened = partial(isolated.open_recording, opened)
             stream = stack.enter_context(opened(file, options))
             budget = Budget(stream.path)  # of several files, the one with the readings
             budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")
             if options.bin_s is not None and not stream.silent_are_zero:
-                raise FileError(
-                    f"{file} ({chosen.summary}) holds readings, not events; leave out --bin-width"
-                )
+                raise FileError(f"{described} holds readings, not events; leave out --bin-width")
             stream = replace(stream, names=distinct_names(file, stream.names))
             if options.positions is not None and not options.preset:
                 stream = _with_positions(stream, options.positions)
@@ -423,6 +410,17 @@ def _checked(blocks: Iterator[Block], file: Path, budget: Budget) -> Iterator[Bl
             readings = block.readings
             budget.spend(readings.size * bytes_kept(readings.dtype), "its table of readings")
             yield block
+
+
+def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[..., Any]]:
+    """Return the format of a file, and its function to read what is looked for."""
+    chosen = _recognise(file)
+    reader = getattr(chosen, kind)
+    if reader is None:
+        able = (", ".join(f.suffixes) or f.summary for f in FORMATS if getattr(f, kind))
+        problem = f"holds no {what}; formats with {what}: {'; '.join(able)}"
+        raise FileError(f"{file} ({chosen.summary}) {problem}")
+    return chosen, reader
 
 
 def _recognise(file: Path) -> Format:
@@ -454,10 +452,6 @@ def _folder_message(folder: Path) -> str:
         f"{folder} is a folder; give its files instead to read them as several runs of one skin: "
         f"{join_items([path.name for path in files], _MAX_LISTED)}"
     )
-
-
-def _suffixes(formats: Iterable[Format]) -> str:
-    return "; ".join(", ".join(f.suffixes) if f.suffixes else f.summary for f in formats)
 
 
 def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
