@@ -11,7 +11,6 @@ from sklearn.manifold import Isomap
 
 import anisomap
 from anisomap.comparison import (
-    COMPARED,
     RIVALS,
     compare_methods,
     map_by_rival,
@@ -182,18 +181,3 @@ def test_dimensions_that_positions_span(dimensions):
 def test_what_cannot_be_compared_is_refused(arguments, options, message):
     with pytest.raises(InputError, match=message):
         compare_methods(*arguments, **options)
-
-
-def test_the_default_comparison_holds_stock_methods():
-    assert set(RIVALS) < set(COMPARED)
-    assert not set(RIVALS) & set(anisomap.METHODS)
-
-
-@pytest.mark.parametrize(("name", "n_sensors"), [("nao_torso", 210), ("insole_L", 253)])
-def test_isomap_on_r_beats_the_paper_on_real_bodies(hard_recordings_folder, name, n_sensors):
-    """Neither method draws random numbers."""
-    recording = anisomap.read(hard_recordings_folder / f"{name}.npz")
-    found = compare_methods(recording, ["r-anisomap", "isomap-on-r"])
-    paper, stock = (score.mantel_r for score in found.scores)
-    assert stock > paper
-    assert len(found.sensors) == n_sensors

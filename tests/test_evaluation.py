@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist, squareform
 from scipy.stats import ortho_group, pearsonr
 from sklearn.isotonic import IsotonicRegression
 
-from anisomap import Recording, SensorMap, reconstruct
+from anisomap import Recording, SensorMap
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import (
     align,
@@ -27,7 +27,7 @@ from anisomap.evaluation import (
     stress_per_point,
 )
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from skins import flat_skin, lattice
+from skins import lattice
 
 seeds = st.integers(0, 10_000)
 
@@ -394,14 +394,3 @@ def test_shifts_leave_unrelated_sensors_alike_and_related_ones_apart():
     assert np.mean(np.array(p) <= 0.1) < 0.25
     related = np.column_stack([walks[0, :, 0], walks[0, :, 0] + 0.1 * steps[1, 100:, 0]])
     assert shift_test(related, strongest, n_shifts=19, greater=True).p_value == 0.05
-
-
-def test_the_stress_of_a_map_of_a_skin_is_no_chance():
-    readings = flat_skin(n_frames=600).readings
-    found = shift_test(
-        readings, lambda x: reconstruct(x, "r-anisomap", 2).stress, n_shifts=9, rng=3
-    )
-    assert found.p_value == 0.1
-    assert found.observed < found.null.min()
-    again = shift_test(readings, lambda x: float(x[0, 0]), n_shifts=3, rng=3)
-    assert again.null.shape == (3,)

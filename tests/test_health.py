@@ -62,7 +62,11 @@ def test_a_faulty_sensor_is_found_and_no_other(fault, seed):
     assert found.status == {"dead": "silent"}.get(fault, fault)
 
 
-@pytest.mark.parametrize("skin", [flat_skin, seeing_patch])
+def thresholded(seed):
+    return Recording(flat_skin(seed=seed).readings > 0.5)
+
+
+@pytest.mark.parametrize("skin", [flat_skin, seeing_patch, thresholded])
 @pytest.mark.parametrize("seed", range(2))
 def test_healthy_skins_give_no_false_alarms(skin, seed):
     assert Counter(sensor.status for sensor in assess(skin(seed=seed))) == {"ok": 42}
@@ -84,11 +88,6 @@ def test_faults_of_a_simulated_skin_are_found_and_nothing_else(fault):
     found = {sensor.name: sensor.status for sensor in assess(broken) if sensor.status != "ok"}
     status = {"dead": "silent"}.get(fault, fault)
     assert found == {"s5": status, "s17": status}
-
-
-def test_thresholded_sensors_are_healthy():
-    readings = np.array(flat_skin().readings) > 0.5
-    assert {sensor.status for sensor in assess(Recording(readings))} == {"ok"}
 
 
 @given(gain=st.sampled_from([-4.0, -0.5, 0.25, 8.0]), offset=st.sampled_from([0.0, 256.0]))
@@ -246,6 +245,18 @@ def test_sound_recordings_have_no_faults_and_are_not_changed(skin):
         found = repair(recording)
         assert found.findings == ()
         assert found.recording is recording
+
+
+@pytest.mark.parametrize("slope", [1, -30])
+def test_slow_changes_are_drift_alone(slope):
+    skin, rng = wired_at_random(301), np.random.default_rng(0)
+    ramps = slope * np.outer(np.linspace(0, 1, skin.n_frames), rng.uniform(0.1, 1, 72))
+    noise = 0.01 * rng.normal(size=ramps.shape)
+    assert kinds(find_faults(skin.readings + ramps + noise)) == {"drift"}
+
+
+def test_noise_has_no_faults():
+    assert find_faults(np.random.default_rng(0).normal(size=(4000, 60))) == ()
 
 
 @pytest.mark.slow

@@ -199,12 +199,29 @@ def next_places(
     component: ArrayLike | None = None,
     n_places: int = N_PLACES,
 ) -> tuple[Place, ...]:
-    """Find the places on a map that lack most contacts, the most urgent first; none in common.
+    """Find the places on a map that lack most contacts.
 
-    positions (N, k): NaN for sensors without a position. need (N,): See `needed_evidence`.
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+        NaN for sensors without a position.
+    need : array_like of shape (N,)
+        From `needed_evidence`.
+    component : array_like of int, shape (N,), optional
+        Component of each sensor, -1 without a position; one component by default.
+    n_places : int
+        Maximum number of places.
 
+    Returns
+    -------
+    tuple of Place
+        The most urgent first. They share no sensor. Empty if no place lacks the evidence of half a
+        sensor.
+
+    Notes
+    -----
     Greedy: the sensor with most `need` within two spacings is the first place; what lies there
-    counts as touched when the next is chosen. A place lacks the evidence of half a sensor or more.
+    counts as touched when the next is chosen.
     """
     points = np.asarray(positions, dtype=np.float64)
     lacking = np.array(need, dtype=np.float64)

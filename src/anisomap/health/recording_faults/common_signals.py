@@ -32,7 +32,6 @@ _MIN_GROUP = 3  # sensors of a board
 _MIN_FRAMES = 100
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
 _CLIP = 3.0  # median absolute deviations; larger changes are contacts
-_LEAST_WIDTH = 0.1  # of the median sensor's, so that no sensor decides alone; chosen by hand
 _LOW = 0.35  # quantile of readings that are at rest
 _MAX_ROUNDS, _MAX_FRAMES = 12, 8192  # of the fit of gains
 _SCREENED = 1024, 32  # frames and sensors in which the noise of a group is fitted first
@@ -260,7 +259,8 @@ def _common_course(
         scaled = (values - rest) / gains
         left = scaled - course[:, None]
         width = _one_sided_width(side * left)
-        width = np.maximum(width, _LEAST_WIDTH * max(float(np.median(width)), 1e-9))
+        # No sensor counts more than the median sensor: of few, one could decide.
+        width = np.maximum(width, max(float(np.median(width)), 1e-9))
         weight = (np.abs(left) <= _CLIP * width) / width**2
         total = weight.sum(axis=1)
         mean = (weight * scaled).sum(axis=1) / np.where(total > 0, total, 1)

@@ -19,13 +19,7 @@ from anisomap.wording import join_items
 _MAX_LAG = 40  # greatest lag that is searched, in frames; chosen by hand
 _N_PARTNERS = 6  # most similar sensors of each sensor, whose lags are compared
 _MAX_VALUES = 1 << 19  # readings of an excerpt; chosen for about half a second
-_MIN_SENSORS = 8
-_SCREENED = 96  # sensors of which lags are searched first, if there are twice as many
-# Least share of the lost correlation that their lags restore, and of their links of which a part of
-# the recording gives the same lags. On simulated and real skins of 220 to 737 sensors in which lags
-# were found (seeds 21 to 23), they were at least .42 and .78, and at most .32 and .58 on seven of
-# eight without; on the other, .71 and .58.
-_MIN_EXPLAINED_OF_FEW, _MIN_AGAIN_OF_FEW = 0.35, 0.6
+_MIN_SENSORS, _MAX_SENSORS = 8, 128  # compared; the others take the lag of the most similar one
 _CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tuned on seeds 1 and 2
 _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
@@ -51,12 +45,12 @@ def find_lags(recording: Recording) -> Iterator[Found]:
     are. Contacts that move also give neighbours a lag, but of either sign, spread over many values,
     and different from one time to another; a lag of the read-out is the same for all pairs of two
     groups and in all quarters of the recording. It must restore as much correlation as such a lag
-    costs links within groups. Of many sensors, some are searched first.
+    costs links within groups.
     """
     lags = np.zeros(recording.n_sensors, dtype=np.intp)
     varying = np.flatnonzero(recording.varying())
     for _ in range(_MAX_ROUNDS):
-        found = _find_once(_aligned(recording.readings, lags), varying, screened=not lags.any())
+        found = _find_once(_aligned(recording.readings, lags), varying)
         if found is None:
             break
         lags = lags + found
@@ -94,20 +88,12 @@ def _aligned(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
     return shifted
 
 
-def _find_once(
-    readings: NDArray[Any], varying: NDArray[np.intp], *, screened: bool
-) -> NDArray[np.intp] | None:
-    chosen = varying[some_sensors(varying.size)]
+def _find_once(readings: NDArray[Any], varying: NDArray[np.intp]) -> NDArray[np.intp] | None:
+    chosen = varying[some_sensors(varying.size, _MAX_SENSORS)]
     frames = middle_frames(len(readings), max(1024, _MAX_VALUES // max(1, chosen.size)))
     values = readings[frames][:, chosen]
     if chosen.size < _MIN_SENSORS or len(values) < 8 * _MAX_LAG:
         return None
-    if screened and chosen.size >= 2 * _SCREENED:
-        few = _Fit.of(values[:, some_sensors(chosen.size, _SCREENED)])
-        if not few.explains(_MIN_EXPLAINED_OF_FEW):
-            return None
-        if np.mean(list(few.found_again())) < _MIN_AGAIN_OF_FEW:
-            return None
     fit = _Fit.of(values)
     if not fit.is_clear():
         return None
@@ -217,18 +203,6 @@ class _Fit:
         """Lag of each link."""
         return np.asarray(self.lags[self.j] - self.lags[self.i])
 
-    def restored(self) -> tuple[float, float]:
-        """Return the correlation that the lags restore, and that which any lags could."""
-        across = self.expected != 0
-        without = self.curves[across, _MAX_LAG]
-        restored = _at(self.curves, self.expected)[across] - without
-        return float(restored.sum()), float((self.peak[across] - without).sum())
-
-    def explains(self, share: float) -> bool:
-        """Return whether there are lags, and restore at least a share of the lost correlation."""
-        restored, lost = self.restored()
-        return bool(self.expected.any()) and restored >= share * lost
-
     def found_again(self) -> Iterator[float]:
         """Yield the share of the links for which each part of the recording gives the same lags."""
         across = self.expected != 0
@@ -255,12 +229,14 @@ class _Fit:
             kept = kept[_MAX_LAG:] + kept[_MAX_LAG::-1]
             cost = 1 - kept / max(float(kept[0]), 1e-12)
         gain = (self.peak * cost[np.minimum(np.abs(expected), _MAX_LAG)])[across].sum()
+        without = self.curves[across, _MAX_LAG]
+        restored = (_at(self.curves, expected)[across] - without).sum()
         return bool(
-            self.restored()[0] >= _MIN_GAIN * gain
+            restored >= _MIN_GAIN * gain
+            and restored >= _MIN_EXPLAINED * (self.peak[across] - without).sum()
             and agreement >= max(_MIN_AGREEMENT, _MIN_RELATIVE * within)
             and opposite <= _MAX_OPPOSITE
             and within >= _MIN_WITHIN
-            and self.explains(_MIN_EXPLAINED)
             and all(share >= _MIN_AGAIN for share in self.found_again())
         )
 
