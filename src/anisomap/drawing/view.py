@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -193,7 +193,12 @@ def best_view(*configurations: Points) -> View:
 
     *configurations (n, 3).
     """
-    areas = [_area(view, configurations) for view in VIEWS]
+    # Product over configurations of the area of the ellipse that approximates the projection.
+    centred = [points - points.mean(axis=0) for points in configurations]
+    areas = []
+    for view in VIEWS:
+        seen = [points @ view_axes(view)[:2].T for points in centred]
+        areas.append(float(np.prod([np.linalg.svd(flat, compute_uv=False) for flat in seen])))
     areas[0] *= _DEFAULT_VIEW_BONUS
     return VIEWS[int(np.argmax(areas))]
 
@@ -359,9 +364,3 @@ def _with_axes(points: Points, dimensions: int) -> Points:
     """Append zeros or drop the last coordinates, to a given number of coordinates."""
     missing = max(0, dimensions - points.shape[1])
     return np.asarray(np.pad(points, ((0, 0), (0, missing)))[:, :dimensions])
-
-
-def _area(view: View, configurations: Sequence[Points]) -> float:
-    """Product over configurations of the area of the ellipse that approximates the projection."""
-    flat = [(points - points.mean(axis=0)) @ view_axes(view)[:2].T for points in configurations]
-    return float(np.prod([np.linalg.svd(seen, compute_uv=False) for seen in flat]))

@@ -38,6 +38,7 @@ _PLANE_EDGE, _PLANE_THICKNESS = 2.0, 0.2
 _TORUS_RADIUS, _TORUS_TUBE = 0.75, 0.3
 _CUBE_EDGE = 1.4
 _HOLE_RADIUS, _PLATE_RADIUS, _PLATE_THICKNESS = 0.4, 1.0, 0.2
+CYLINDER_PLACEMENTS = ("columns", "fibonacci", "random")
 MAX_DENSITY = 8.0
 """Ratio of the densities of sensors at the two poles of the uneven sphere."""
 
@@ -71,7 +72,17 @@ def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) 
             f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
         )
     COUNT.check("n_sensors", n_sensors)
-    angles, heights = CYLINDER_PLACEMENTS[placement](n_sensors, np.random.default_rng(seed))
+    angles = _GOLDEN_ANGLE * np.arange(n_sensors)
+    heights = midpoints(n_sensors, CYLINDER_LENGTH)
+    if placement == "columns":
+        n_rows = _divided(n_sensors, _CYLINDER_COLUMNS, "number of columns")
+        columns = 2 * np.pi * np.arange(_CYLINDER_COLUMNS) / _CYLINDER_COLUMNS
+        angles = np.repeat(columns, n_rows)
+        heights = np.tile(midpoints(n_rows, CYLINDER_LENGTH), _CYLINDER_COLUMNS)
+    elif placement == "random":
+        rng = np.random.default_rng(seed)
+        angles = rng.uniform(0, 2 * np.pi, n_sensors)
+        heights = rng.uniform(-CYLINDER_LENGTH / 2, CYLINDER_LENGTH / 2, n_sensors)
     around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
     return Body(
         name="cylinder" if placement == "columns" else f"cylinder-{placement}",
@@ -79,29 +90,6 @@ def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) 
         normals=around,
         solids=[solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)],
     )
-
-
-def _columns(n_sensors: int, _: np.random.Generator) -> tuple[Points, Points]:
-    n_rows = _divided(n_sensors, _CYLINDER_COLUMNS, "number of columns")
-    angles = 2 * np.pi * np.arange(_CYLINDER_COLUMNS) / _CYLINDER_COLUMNS
-    heights = midpoints(n_rows, CYLINDER_LENGTH)
-    return np.repeat(angles.astype(np.float64), n_rows), np.tile(heights, _CYLINDER_COLUMNS)
-
-
-def _fibonacci(n_sensors: int, _: np.random.Generator) -> tuple[Points, Points]:
-    angles = np.asarray(_GOLDEN_ANGLE * np.arange(n_sensors), dtype=np.float64)
-    return angles, midpoints(n_sensors, CYLINDER_LENGTH)
-
-
-def _random(n_sensors: int, rng: np.random.Generator) -> tuple[Points, Points]:
-    angles = rng.uniform(0, 2 * np.pi, n_sensors)
-    return angles, rng.uniform(-CYLINDER_LENGTH / 2, CYLINDER_LENGTH / 2, n_sensors)
-
-
-CYLINDER_PLACEMENTS: Mapping[str, Callable[[int, np.random.Generator], tuple[Points, Points]]] = (
-    MappingProxyType({"columns": _columns, "fibonacci": _fibonacci, "random": _random})
-)
-"""Angles and heights of the sensors of a cylinder, given their number and a generator."""
 
 
 def y_shape(n_sensors: int = 105) -> Body:

@@ -199,23 +199,17 @@ def _shortest_paths(body: Body) -> NDArray[np.float64]:
     turn = np.einsum("hd,hd->h", np.diff(normals[edges], axis=1)[:, 0], directions)
     # An arc that turns by an angle a is longer than its chord by the factor 1 + a^2 / 24.
     arc = chord * (1 + (turn / chord) ** 2 / 24)
-    valid = _on_surface(points, normals, edges, chord)
-    ends = edges[valid].T.astype(np.int32)  # scipy 1.14 takes no others
-    graph = coo_array((arc[valid], tuple(ends)), shape=(len(points), len(points)))
-    found = dijkstra(graph.tocsr(), directed=False, indices=np.arange(body.n_sensors))
-    between = found[:, : body.n_sensors]
-    return np.asarray(np.minimum(between, between.T))
-
-
-def _on_surface(
-    points: Points, normals: Points, edges: NDArray[np.intp], chord: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Mark edges that follow the surface, not those through air or across a thin plate."""
+    # Edges follow the surface, and do not pass through air or across a thin plate: around a corner
+    # of 90 degrees, but not to the other face.
     start, end = edges.T
-    # Accepts an edge around a corner of 90 degrees, but not to the other face of a thin plate.
     similar = np.einsum("hd,hd->h", normals[start], normals[end]) > _MIN_FACING
     middle = (points[start] + points[end]) / 2
     distance, nearest = map(np.asarray, KDTree(points).query(middle))
     sag = np.abs(np.einsum("hd,hd->h", middle - points[nearest], normals[nearest]))
     gap = 3 * float(np.median(nearest_distances(points)))
-    return np.asarray(similar & (sag <= _MAX_SAG * chord) & (distance <= _MAX_SAG * chord + gap))
+    valid = similar & (sag <= _MAX_SAG * chord) & (distance <= _MAX_SAG * chord + gap)
+    ends = edges[valid].T.astype(np.int32)  # scipy 1.14 takes no others
+    graph = coo_array((arc[valid], tuple(ends)), shape=(len(points), len(points)))
+    found = dijkstra(graph.tocsr(), directed=False, indices=np.arange(body.n_sensors))
+    between = found[:, : body.n_sensors]
+    return np.asarray(np.minimum(between, between.T))

@@ -242,7 +242,10 @@ def simulate_flight(
     model = _build_model(mujoco, body, options)
     data = mujoco.MjData(model)
     data.qpos[:] = centres.ravel()
-    data.qvel[:] = _draw_velocities(options, rng).ravel()
+    # The Maxwell distribution is the equilibrium of collisions.
+    velocities = rng.standard_normal((options.n_balls, 3)) * options.speeds[:, None]
+    mean_square = np.mean(np.sum(velocities**2, axis=1))
+    data.qvel[:] = (velocities * (options.speed / math.sqrt(mean_square))).ravel()
     masses = np.repeat(options.masses, 3)
     flight = Flight(
         np.empty((n_frames, options.n_balls, 3)), np.empty(n_frames), np.empty(n_frames)
@@ -287,13 +290,6 @@ def _place_balls(
                 f"box of half-width {half:g} m; use fewer or smaller balls, or a larger box"
             )
     return placed
-
-
-def _draw_velocities(options: BombardmentOptions, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw velocities from the Maxwell distribution, the equilibrium of collisions."""
-    velocities = rng.standard_normal((options.n_balls, 3)) * options.speeds[:, None]
-    mean_square = np.mean(np.sum(velocities**2, axis=1))
-    return np.asarray(velocities * (options.speed / math.sqrt(mean_square)))
 
 
 def _build_model(mujoco: ModuleType, body: Body, options: BombardmentOptions) -> Any:

@@ -21,7 +21,8 @@ class Range:
     def check(self, name: str, value: float, unit: str = "") -> None:
         """Check that a parameter is within the range."""
         if self.whole:
-            if _is_integer(value) and self.contains(value):
+            is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if is_integer and self.contains(value):
                 return
             raise InputError(f"{name} must be {self.text}, got {value}")
         if not (np.isfinite(value) and self.contains(value)):
@@ -44,7 +45,3 @@ POSITIVE = Range("positive", lambda value: value > 0)
 COUNT = at_least(1, whole=True)
 SHARE = Range("above 0 and at most 1", lambda value: 0 < value <= 1)
 INNER_SHARE = Range("above 0 and below 1", lambda value: 0 < value < 1)
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -97,20 +97,17 @@ class _Model:
         for candidate in sorted({folder / file for folder in folders}):
             if not candidate.exists():
                 continue
-            if name not in _INCLUDES:
-                self._check_part(candidate)
+            if name in _INCLUDES:
+                before = self.n_elements
+                self.read(candidate)
+                if name == "model":
+                    self.n_attachable += self.n_elements - before
                 continue
-            before = self.n_elements
-            self.read(candidate)
-            if name == "model":
-                self.n_attachable += self.n_elements - before
-
-    def _check_part(self, file: Path) -> None:
-        with open_regular(file) as stream:
-            head = stream.read(24)
-        if head.startswith(_PNG):
-            width, height = (int.from_bytes(head[at : at + 4], "big") for at in (16, 20))
-            self.budget.check(4 * width * height, str(file))
+            with open_regular(candidate) as stream:
+                head = stream.read(24)
+            if head.startswith(_PNG):
+                width, height = (int.from_bytes(head[at : at + 4], "big") for at in (16, 20))
+                self.budget.check(4 * width * height, str(candidate))
 
     def _refuse_types(self, *_: object) -> None:
         raise FileError(f"{self.path} declares a document type, which is not supported")

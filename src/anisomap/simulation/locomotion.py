@@ -212,7 +212,10 @@ class Driver:
         data, options = self._data, self._options
         self._elapsed += options.step
         to_goal = self._goal - data.qpos[:2]
-        if self._is_leaving():
+        # A cylinder turns slowly; near the edge and moving outwards, it heads for the middle.
+        outward = self._sense * self._ahead() * np.sign(data.qpos[:2]) > 0
+        beyond = np.abs(data.qpos[:2]) > self._goal_limit
+        if self._is_cylinder and (outward & beyond).any():
             self._set_goal(np.zeros(2))
         elif (
             np.hypot(*to_goal) < _ARRIVAL_DISTANCE
@@ -258,13 +261,6 @@ class Driver:
         # A cylinder keeps rolling forwards or backwards until it has reached or passed its goal.
         to_goal = self._goal - self._data.qpos[:2]
         self._sense = 1.0 if self._ahead() @ to_goal >= 0 else -1.0
-
-    def _is_leaving(self) -> bool:
-        """Return whether a cylinder, which turns slowly, is near the edge and moving outwards."""
-        place = self._data.qpos[:2]
-        outward = self._sense * self._ahead() * np.sign(place) > 0
-        beyond = np.abs(place) > self._goal_limit
-        return self._is_cylinder and bool((outward & beyond).any())
 
     def _ahead(self) -> NDArray[np.float64]:
         """Return the direction in which the body rolls when it spins about its own axis."""

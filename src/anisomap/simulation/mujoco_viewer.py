@@ -35,13 +35,6 @@ class NoScreenError(AnisomapError):
     """No display is available, and off-screen rendering is not possible."""
 
 
-def has_screen() -> bool:
-    """Return whether a display is available."""
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 def render(
     scene: Scene, frames: Sequence[int], *, width: int = 960, height: int = 720
 ) -> list[NDArray[np.uint8]]:
@@ -100,7 +93,8 @@ def _render_here(
 
 def show(scene: Scene, speed: float = 1.0) -> None:
     """Play a scene in MuJoCo's viewer until its window is closed."""
-    if not has_screen():
+    named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not (named or sys.platform in ("darwin", "win32")):
         raise NoScreenError("MuJoCo's viewer needs a display, and none is available")
     mujoco = load_mujoco()
     viewer = importlib.import_module("mujoco.viewer")

@@ -193,7 +193,12 @@ def run_simulation(
     chosen = find_scenario(scenario)
     given = find_body(body)
     options = options_for(chosen.options, given, parameters)
-    number = _seed_number(seed)
+    if isinstance(seed, np.random.Generator):
+        number = int(seed.integers(2**63))
+    elif isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"seed must be a non-negative integer or a numpy Generator, got {seed!r}")
+    else:
+        number = int(seed)
     result = chosen.run(given, n_frames, options, np.random.default_rng(number), progress)
     metadata = {
         "body": given.name,
@@ -307,11 +312,3 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
             f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
         )
     return make(**options) if n_sensors is None else make(n_sensors, **options)
-
-
-def _seed_number(seed: int | np.random.Generator) -> int:
-    if isinstance(seed, np.random.Generator):
-        return int(seed.integers(2**63))
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(f"seed must be a non-negative integer or a numpy Generator, got {seed!r}")
-    return int(seed)

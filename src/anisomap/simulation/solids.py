@@ -164,12 +164,8 @@ def load_mujoco() -> ModuleType:
     """
     mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
     if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(_log_warning)
+        mujoco.set_mju_user_warning(lambda text: _logger.info("MuJoCo warns: %s", text))
     return mujoco
-
-
-def _log_warning(message: str) -> None:
-    _logger.info("MuJoCo warns: %s", message)
 
 
 def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
@@ -235,15 +231,6 @@ def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
     return found
 
 
-def _exposed(solids: Sequence[Solid], points: Points, depth: float) -> NDArray[np.bool_]:
-    """Return whether points lie in no solid deeper than `depth`, shape (n,)."""
-    exposed = np.ones(len(points), dtype=np.bool_)
-    for solid in solids:
-        (near,) = np.nonzero(exposed & (solid.outside_ball(points) < 0))
-        exposed[near] = solid.distance(points[near]) >= -depth
-    return exposed
-
-
 def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
     """Compute the normalised gradient of the distance: the outward normal on the surface.
 
@@ -285,10 +272,6 @@ def _cylinder_distance(points: Points, size: tuple[float, ...]) -> Points:
     return _from_slabs(beyond)
 
 
-def _box_distance(points: Points, size: tuple[float, ...]) -> Points:
-    return _from_slabs(np.abs(points) - size)
-
-
 def _from_slabs(beyond: Points) -> Points:
     """Combine the distances beyond faces that meet at right angles, shape (n, faces)."""
     outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
@@ -318,11 +301,11 @@ def _ellipsoid_distance(points: Points, size: tuple[float, ...]) -> Points:
     return np.asarray(sign * np.linalg.norm(outer - feet, axis=1))
 
 
-_DISTANCES = {
+_DISTANCES: dict[str, Callable[[Points, tuple[float, ...]], Points]] = {
     "sphere": _capsule_distance,
     "capsule": _capsule_distance,
     "cylinder": _cylinder_distance,
-    "box": _box_distance,
+    "box": lambda points, size: _from_slabs(np.abs(points) - size),
     "ellipsoid": _ellipsoid_distance,
 }
 
@@ -405,9 +388,11 @@ def sample_surface(
             if count
         ]
         points, normals = (np.vstack(parts) for parts in zip(*drawn, strict=True))
-        if len(solids) > 1:
-            exposed = _exposed(solids, points, depth)
-            points, normals = points[exposed], normals[exposed]
+        exposed = np.ones(len(points), dtype=np.bool_)
+        for solid in solids if len(solids) > 1 else ():
+            (near,) = np.nonzero(exposed & (solid.outside_ball(points) < 0))
+            exposed[near] = solid.distance(points[near]) >= -depth
+        points, normals = points[exposed], normals[exposed]
         found.append((points, normals))
         n_found += len(points)
         if n_found >= n_points:

@@ -161,7 +161,8 @@ def draw_strokes(
         n_done += len(stroke)
         if len(stroke):
             state = stroke[-1]
-            walk.count_visits(stroke[:, 0])
+            nearest = np.asarray(walk.sensor_tree.query(stroke[:, 0])[1])
+            walk.visits += np.bincount(nearest, minlength=body.n_sensors)
         if failures == _MAX_FAILURES or rng.random() < options.lift_share:
             landing = _set_down(walk, rng)
             frames += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
@@ -198,16 +199,11 @@ class _Walk:
         self.n_steps = count_steps(self.stride, _MAX_STEP * body.reach)
         self.sensors, self.sensor_normals = body.positions, body.normals
         self.visits = np.zeros(body.n_sensors)
-        self._sensor_tree = KDTree(body.positions)
+        self.sensor_tree = KDTree(body.positions)
         self._points, self._normals = skin.points[skin.covered], skin.normals[skin.covered]
         self._point_tree = KDTree(self._points)
         gaps = nearest_distances(self._points) if len(self._points) > 1 else [body.reach]
         self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self.stride / self.n_steps
-
-    def count_visits(self, points: Points) -> None:
-        """Count a visit of the sensor nearest to each point."""
-        nearest = np.asarray(self._sensor_tree.query(points)[1])
-        self.visits += np.bincount(nearest, minlength=len(self.visits))
 
     def step(self, state: Points, turn: float) -> Points | None:
         """Take one step; return None if it leaves the skin."""

@@ -145,7 +145,15 @@ def curves_figure(
         for i, panel in enumerate(panels):
             axes = figure.add_subplot(rows, columns, i + 1, sharey=first)
             first = first or axes
-            _draw_curves(axes, panel, looks)
+            if panel.default is not None and panel.x.min() <= panel.default <= panel.x.max():
+                axes.axvline(panel.default, color=FAINT, linewidth=0.9, linestyle=":")
+            for method, values in panel.curves.items():
+                _draw_runs(axes, panel.x, values, looks[method].colour, looks[method].marker)
+            if panel.marked:
+                low: Any = {"transform": axes.get_xaxis_transform()}
+                heights = [0.04] * len(panel.marked)
+                axes.plot(panel.marked, heights, "*", color=INK, markersize=9, **low)
+            set_title(axes, panel.title)
             if logarithmic:
                 axes.set_xscale("log")
             _mark_values(axes, panel.x, [f"{value:g}" for value in panel.x])
@@ -197,19 +205,6 @@ def _draw_scores(axes: Axes, groups: Sequence[ScoreGroup]) -> None:
     axes.grid(axis="y")
     axes.set_axisbelow(True)
     axes.axhline(0, color=FAINT, linewidth=0.8)
-
-
-def _draw_curves(axes: Axes, curves: CurvePanel, looks: Mapping[str, MethodLook]) -> None:
-    if curves.default is not None and curves.x.min() <= curves.default <= curves.x.max():
-        axes.axvline(curves.default, color=FAINT, linewidth=0.9, linestyle=":")
-    for method, values in curves.curves.items():
-        _draw_runs(axes, curves.x, values, looks[method].colour, looks[method].marker)
-    if curves.marked:
-        axes.plot(
-            curves.marked, [0.04] * len(curves.marked), "*", color=INK, markersize=9,
-            transform=axes.get_xaxis_transform(),
-        )  # fmt: skip
-    set_title(axes, curves.title)
 
 
 def _draw_runs(

@@ -37,10 +37,6 @@ def load_libraries() -> tuple[Any, Any]:
     return jinja2, import_extra("plotly.offline", "a report", "report")
 
 
-def _printable(facts: Mapping[str, str]) -> dict[str, str]:
-    return {printable(name): printable(value) for name, value in facts.items()}
-
-
 def _policy(scripts: list[str]) -> str:
     """Return a content security policy without network access and without foreign scripts.
 
@@ -153,7 +149,9 @@ def render_report(
             method=method_sentences(sensor_map),
             provenance=provenance(sensor_map, score, origin or {}),
             picture=_encoded(figure_png),
-            touches=None if touches is None else _printable(touches.facts),
+            touches=None
+            if touches is None
+            else {printable(name): printable(value) for name, value in touches.facts.items()},
             touch_picture=_encoded(None if touches is None else touches.map_png),
             series_picture=_encoded(None if touches is None else touches.series_png),
             style=_text("report.css"),
