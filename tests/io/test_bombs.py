@@ -199,7 +199,7 @@ def test_small_bombs_are_refused(tmp_path: Path, monkeypatch, name: str) -> None
 def test_a_library_that_needs_much_memory_is_stopped(tmp_path: Path) -> None:
     path = tmp_path / "pages.tif"
     BOMBS[path.name](path, LARGE)
-    with pytest.raises(FileError, match=r"takes more than \d+ MB of memory; it is damaged or a"):
+    with pytest.raises(FileError, match="decompression bomb"):
         io.read(path)
 
 

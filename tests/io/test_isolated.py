@@ -61,7 +61,7 @@ def test_relative_paths(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     io.read(path)
     monkeypatch.chdir(path.parent)
     np.testing.assert_array_equal(io.read("skin.mat").readings, READINGS)
-    with pytest.raises(FileError, match=r"^skin\.mat holds a single|^there is no file b\.mat"):
+    with pytest.raises(FileError, match=r"^there is no file b\.mat"):
         io.read("b.mat")
 
 
