@@ -1,8 +1,8 @@
 """The recording of a live session: delimited text that grows frame by frame.
 
 The file is a recording that `anisomap.read` reads at any time, also after the process was killed:
-whole lines are handed to the operating system, at most `FLUSH_S` after a frame has arrived. Nothing
-that arrives is lost, whatever its shape.
+whole lines are handed to the operating system, in every tick of the session. Nothing that arrives
+is lost, whatever its shape.
 """
 
 from __future__ import annotations
@@ -26,9 +26,6 @@ from anisomap.io.recordings.delimited_text import header_text
 from anisomap.live.batches import Batch
 from anisomap.recording import default_names
 from anisomap.wording import printable
-
-FLUSH_S = 0.1
-"""Longest time in seconds for which frames are held before they are written; the promise is 1 s."""
 
 MAX_SEGMENTS = 50
 """Files of one session, above which frames of another width go to the file of odd frames."""
@@ -54,7 +51,6 @@ class JournalWriter:
         self.path = path
         self._held: list[str] = []
         self._held_bytes = 0
-        self._written_at = time.monotonic()
         try:
             self._file = path.open("xb", buffering=0)
         except FileExistsError:
@@ -73,12 +69,9 @@ class JournalWriter:
             self._held_bytes += len(line)
             if self._held_bytes >= _HELD_BYTES:
                 self.flush()
-        if time.monotonic() - self._written_at >= FLUSH_S:
-            self.flush()
 
     def flush(self) -> None:
         """Hand all frames to the operating system."""
-        self._written_at = time.monotonic()
         if self._held:
             content = "".join(self._held).encode()
             self._held, self._held_bytes = [], 0
@@ -186,7 +179,8 @@ class Recorder:
             return
         with self._lock:
             now = time.monotonic()
-            self._notice_silence(now)
+            if self.arrived_at is not None and now - self.arrived_at > _SILENCE_S:
+                self._notify(f"no frame for {now - self.arrived_at:.1f} s")
             if self._writer is None:
                 self._start(width)
             if width == self.width:
@@ -323,10 +317,6 @@ class Recorder:
             f"{n_frames} frame{'s' if n_frames > 1 else ''} of {width} readings instead of "
             f"{self.width} set aside in {self._odd_writer.path.name}"
         )
-
-    def _notice_silence(self, now: float) -> None:
-        if self.arrived_at is not None and now - self.arrived_at > _SILENCE_S:
-            self._notify(f"no frame for {now - self.arrived_at:.1f} s")
 
     def _close(self) -> None:
         if self._writer is not None:

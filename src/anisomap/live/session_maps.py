@@ -85,9 +85,8 @@ class SessionMaps:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the sensors; empty before the first frame."""
-        if self.quick is not None:
-            return self.quick.names
-        return () if self._segment is None else self._segment.names
+        known = self.quick or self._segment
+        return () if known is None else known.names
 
     @property
     def n_sensors(self) -> int:
@@ -154,9 +153,8 @@ class SessionMaps:
         now = self._clock()
         if not self.touched or now - self.touched[-1][0] >= _SHARE_S:
             self.touched = [*_thinned(self.touched), (now, self.share_touched)]
-        if self.examining or self._segment is None:
-            return
-        if n_frames < max(MIN_FRAMES, _GROWTH * self._examined_frames):
+        few = n_frames < max(MIN_FRAMES, _GROWTH * self._examined_frames)
+        if self.examining or few or self._segment is None:
             return
         # Half of the time is left to other processes.
         took = 0.0 if self.checked is None else self.checked.seconds
