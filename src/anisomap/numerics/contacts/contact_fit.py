@@ -28,7 +28,7 @@ Matrix = NDArray[np.float64]
 
 # Chosen by hand on simulated skins, seeds 101 to 105; lengths in sensor spacings.
 _WARM_UP_ROUNDS = 4  # of contacts and profile before sensors move
-_INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 4
+_INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 2
 _SURFACE_OFFSET = 0.7  # of a contact's extent; initial distance of its centre from the skin
 _OUTLIER_FACTOR = 4.0  # times the upper quartile range; contacts that score lower are dropped
 _MAX_DROPPED = 0.4  # of all contacts
@@ -92,21 +92,23 @@ def initial_state(contacts: Contacts, positions: Matrix) -> ContactState:
     radius = 1.05 * float(np.median(extents)) * (1.22 if k > 2 else 1.0)
     thresholds = np.linspace(0, 0.7 * radius, contacts.max_level)
     profile = Profile(thresholds, 0.1 * radius, radius, 0.2 * radius)
-    offset = np.zeros_like(centres)
+    starts = [centres]
     if k > 2:
         offset = _SURFACE_OFFSET * extents[:, None] * _normals(contacts, points)
-    above, below = (
+        starts = [centres + offset, centres - offset]
+    sides = [
         locate(
             contacts,
             positions,
-            np.column_stack([centres + side * offset, np.full(len(extents), radius)]),
+            np.column_stack([start, np.full(len(extents), radius)]),
             profile,
             steps=_INITIAL_LOCATION_STEPS,
         )
-        for side in (1, -1)
-    )
-    better = np.where((above.scores >= below.scores)[:, None], above.states, below.states)
-    state = ContactState(positions, better, profile, np.ones(len(extents), dtype=bool))
+        for start in starts
+    ]
+    likelier = np.argmax([side.scores for side in sides], axis=0)
+    states = np.array([side.states for side in sides])[likelier, np.arange(len(extents))]
+    state = ContactState(positions, states, profile, np.ones(len(extents), dtype=bool))
     for _ in range(_WARM_UP_ROUNDS):
         state = relocated(contacts, state)
     return state

@@ -200,10 +200,12 @@ def minimise_lbfgs(
     the length of the first step, which L-BFGS-B sets to 1, and the slope there is 1 as well.
     """
     raw, gradient = stress(start)
-    trace, root = [raw], np.sqrt(scale)
+    trace = [raw]
+    minimal = raw <= NEGLIGIBLE * squares or not gradient.any()
+    if minimal or max_iterations == 0:
+        return SolverResult(start, trace, minimal)
+    root = np.sqrt(scale)
     step = float(np.linalg.norm(gradient / root))
-    if max_iterations == 0 or raw <= NEGLIGIBLE * squares or step == 0:
-        return SolverResult(start, trace, raw <= NEGLIGIBLE * squares or step == 0)
     root /= step
 
     def scaled(parameters: Floats) -> tuple[float, Floats]:
