@@ -31,9 +31,10 @@ skins. Maps of rolling cylinders were linear images of the maps by heights by at
 insoles, whose heights they do not explain either, by at most .33.
 """
 
-_MAX_UNEXPLAINED = 1 / 3
-"""Share of the heights that a map left unexplained which remains in a better one: at most .21 on
-rolling cylinders and swept skins, at least .54 on soles and retinas."""
+_MAX_UNEXPLAINED = 0.45
+"""Share of the heights that a map left unexplained which remains in a better one: at most .42 on
+rolling cylinders and swept skins, at least .54 on soles and retinas. Where it is exceeded, the map
+stays as it is; where a wrong map replaces it, maps of halves differ and it is not usable."""
 
 _MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
 _CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
