@@ -313,8 +313,9 @@ def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
 
 
 _DAMPING = 0.01  # of the curvature's diagonal; chosen by hand
-# Relative, of conjugate gradients: a step is corrected by the next one. 1e-3 gave the same maps.
-_TOLERANCE_BUNDLE_ADJUSTMENT = 0.03
+_TOLERANCE_BUNDLE_ADJUSTMENT = (
+    1e-3  # relative, of conjugate gradients: a step is corrected by the next one
+)
 _MAX_ITERATIONS_BUNDLE_ADJUSTMENT = 1000  # of conjugate gradients
 
 
