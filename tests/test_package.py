@@ -77,8 +77,9 @@ def test_the_release_is_stated_alike():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     stated = dict(re.findall(r"^(version|date-released): (.*)$", citation, re.MULTILINE))
     assert stated["version"] == anisomap.__version__
-    _, changes, *_ = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")
-    assert changes.startswith(f"[{stated['version']}] - {stated['date-released']}\n")
+    _, *sections = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## ")
+    released = [changes for changes in sections if not changes.startswith("[Unreleased]")]
+    assert released[0].startswith(f"[{stated['version']}] - {stated['date-released']}\n")
 
 
 def test_every_public_name_can_be_had():
