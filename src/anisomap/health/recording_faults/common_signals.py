@@ -32,6 +32,8 @@ _MIN_GROUP = 3  # sensors of a board
 _MIN_FRAMES = 100
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
 _CLIP = 3.0  # median absolute deviations; larger changes are contacts
+_MIN_WEIGHTED = 30  # sensors from which they are weighted: of few, one could decide; by hand
+_LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
 _LOW = 0.35  # quantile of readings that are at rest
 _MAX_ROUNDS, _MAX_FRAMES = 12, 8192  # of the fit of gains
 _SCREENED = 1024, 32  # frames and sensors in which the noise of a group is fitted first
@@ -245,11 +247,12 @@ def _common_course(
     """Fit one course with gains to sensors, without those in contact.
 
     A low quantile starts, which is at rest even if contacts cover half of the skin, and then the
-    mean of the sensors within 3 deviations of it, weighted by the reciprocals of their variances:
-    sensors often in contact then count less.
+    mean of the sensors within 3 deviations of it. Many are weighted by the reciprocals of their
+    variances: sensors often in contact then count less.
     """
     low = _LOW if np.median(((values - values.mean(axis=0)) ** 3).sum(axis=0)) >= 0 else 1 - _LOW
     side = 1.0 if low < 0.5 else -1.0
+    weighted = values.shape[1] >= _MIN_WEIGHTED
     rest = np.quantile(values, low, axis=0)
     fast = np.diff(values, 2, axis=0)
     gains = deviation_from_median(fast)
@@ -259,9 +262,8 @@ def _common_course(
         scaled = (values - rest) / gains
         left = scaled - course[:, None]
         width = _one_sided_width(side * left)
-        # No sensor counts more than the median sensor: of few, one could decide.
-        width = np.maximum(width, max(float(np.median(width)), 1e-9))
-        weight = (np.abs(left) <= _CLIP * width) / width**2
+        width = np.maximum(width, _LEAST_WIDTH * max(float(np.median(width)), 1e-9))
+        weight = (np.abs(left) <= _CLIP * width) / (width**2 if weighted else 1.0)
         total = weight.sum(axis=1)
         mean = (weight * scaled).sum(axis=1) / np.where(total > 0, total, 1)
         course = np.where(total > 0, mean, course)
@@ -274,8 +276,6 @@ def _common_course(
             break
         rest = np.quantile(values - np.outer(course, gains), low, axis=0)
         course = course - np.median(course)
-        if (np.abs(step) <= _SAME_GAIN * gains).all():
-            break
     return gains, course
 
 
