@@ -14,7 +14,7 @@ from anisomap.numerics.geodesic.contact_heights import (
     linear_share,
     peak_lengths,
 )
-from anisomap.numerics.geodesic.neighbours import local_dimension
+from anisomap.numerics.geodesic.neighbours import local_dimension, neighbour_graph
 from anisomap.numerics.geodesic.path_lengths import fit_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
@@ -93,22 +93,36 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
         return None
     if len(some) < n_sensors:
         heights, sharing = _heights(pairs, np.arange(n_sensors))
-    links = height_links(heights.compare())
+    by_readings = neighbour_graph(
+        np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.changes
+    )
+    # Readings tell neighbours on regular columns, heights elsewhere: see the documentation.
+    candidates = [
+        lengths
+        for links in (height_links(heights.compare()), by_readings)
+        if (lengths := _relative_lengths(heights, links)) is not None
+    ]
+    # In three dimensions, also of flat maps: those of a body that rolls look flat.
+    maps = [fit_path_lengths(lengths, SPATIAL) for lengths in candidates]
+    shares = [explained_share(heights.halves, one, sharing).share for one in maps]
+    if not shares:
+        return None
+    best = int(np.argmax(np.nan_to_num(shares, nan=-np.inf)))
+    left = 1 - shares[best]
+    explains = left <= _MAX_UNEXPLAINED * (1 - explained.share)
+    if not (explains and linear_share(maps[best], given) >= _HALF):
+        return None
+    k = given.shape[1]
+    return _scaled(maps[best] if k == SPATIAL else fit_path_lengths(candidates[best], k), given)
+
+
+def _relative_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Reals | None:
+    """Return lengths of links by contact peaks, with a median of 1; None if none is measured."""
     lengths = peak_lengths(heights, links)
     known = np.isfinite(lengths)
     if not known.any():
         return None
-    typical = float(np.median(lengths[known]))
-    relative = np.where(known, lengths, typical * links) / typical
-    # In three dimensions, also of flat maps: those of a body that rolls look flat.
-    fitted = fit_path_lengths(relative, SPATIAL)
-    left = 1 - explained_share(heights.halves, fitted, sharing).share
-    if left > _MAX_UNEXPLAINED * (1 - explained.share) or linear_share(fitted, given) < _HALF:
-        return None
-    dimensions = given.shape[1]
-    return _scaled(
-        fitted if dimensions == SPATIAL else fit_path_lengths(relative, dimensions), given
-    )
+    return np.asarray(np.where(known, lengths / np.median(lengths[known]), links))
 
 
 def _heights(
