@@ -17,8 +17,8 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.blending import Blend, blend, blended_correlation
 from anisomap.numerics.reliability.sampling_noise import sampling_variance, thinning
+from anisomap.numerics.reliability.split_half import Blend, blend, blended_correlation
 from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.reference import without_common_signal

@@ -28,7 +28,7 @@ from anisomap.large.sensor_graph import (
     edge_lengths,
     pairs_of,
 )
-from anisomap.numerics.compiled import landmarks as loops
+from anisomap.numerics.compiled import stress as loops
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
 from anisomap.numerics.graph import neighbour_graphs as search
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar

@@ -21,7 +21,7 @@ from anisomap.numerics.contacts.likelihood import (
     locate,
     negative_log_likelihood,
 )
-from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.split_half import blended_correlation
 from anisomap.reconstruction import reconstruct_from
 from skins import lattice
 

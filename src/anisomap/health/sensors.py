@@ -1,7 +1,7 @@
 """Health of sensors: silent, stuck, saturating, isolated, noisy, or with few contacts.
 
 Each sensor is compared with the other sensors of the recording, since typical values differ between
-skins, at the stated rate of false alarms of `anisomap.numerics.reliability.outliers`. To add a
+skins, at the stated rate of false alarms of `anisomap.numerics.reliability.significance`. To add a
 fault, add one function and one line to `_TESTS`.
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
-from anisomap.numerics.reliability.outliers import outlying
+from anisomap.numerics.reliability.significance import outlying
 from anisomap.numerics.signals import Signals, medians, middle_frames, some_sensors, unit_rows
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
@@ -159,7 +159,7 @@ def assess(
     from one that was never touched. Sensors with fewer than 5 contacts have ``"few contacts"``:
     too little to tell. The other statuses are faults: a sensor has far more white noise than the
     others, or resembles none as they do. Each test accuses 0.05 healthy sensors of a recording on
-    average, and at most one in 1,000: see `anisomap.numerics.reliability.outliers`. The paper
+    average, and at most one in 1,000: see `anisomap.numerics.reliability.significance`. The paper
     leaves out sensors that never vary, and keeps one that saturates intermittently (section
     "Prototyping Issues").
     """

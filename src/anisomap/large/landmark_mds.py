@@ -53,7 +53,7 @@ def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: in
     weight[targets.landmarks] += n_points
     cuts = np.linspace(0, n_points, N_TASKS + 1).astype(int).tolist()
     edges = targets.edges.indptr.astype(np.int64), targets.edges.indices, targets.edges.data
-    loops = load_loops("landmarks")
+    loops = load_loops("stress")
     with parallel_map(n_points) as map_tasks:
 
         def stress(positions: Floats) -> tuple[float, Floats]:
@@ -166,7 +166,7 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
     def relax(begin: int) -> None:
         chosen = ranked[begin : begin + SOURCES_PER_TASK]
         tile = np.empty((len(found), len(chosen)), dtype=np.float32)
-        load_loops("landmarks").relax_from(tile, sources[chosen], order, edges)
+        load_loops("graphs").relax_from(tile, sources[chosen], order, edges)
         found[:, chosen] = tile
 
     with parallel_map(len(found)) as map_tasks:

@@ -203,7 +203,7 @@ def correlations(
     totals = np.zeros(len(pairs[0]))
     scale = np.divide(1, sketch.deviation, out=np.zeros(len(sketch.mean)), where=sketch.varying)
     bounds = np.linspace(0, len(totals), N_TASKS + 1).astype(int).tolist()
-    add = load_loops("landmarks").add_products
+    add = load_loops("similarity").add_pair_products
     with parallel_map(len(sketch.mean)) as map_tasks:
         for chunk in chunks:
             still = (chunk == chunk[0]).all(axis=0)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from anisomap.errors import InputError
-from anisomap.numerics.kriging import Kernel
-from anisomap.numerics.neighbours import nearest_others
+from anisomap.numerics.neighbours import Kernel, nearest_others
 from anisomap.numerics.procrustes import SINGULAR, similarity_freedom
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import METRES

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from anisomap.errors import InputError
-from anisomap.numerics.kriging import Kernel
+from anisomap.numerics.neighbours import Kernel
 from anisomap.numerics.procrustes import (
     SINGULAR,
     Similarity,

@@ -8,7 +8,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
-from anisomap.numerics.kriging import Kernel
+from anisomap.numerics.neighbours import Kernel
 from anisomap.numerics.procrustes import extent, fit_similarity
 from anisomap.numerics.surfaces import Points, TriangleSearch
 from anisomap.placement.handedness import Tied

@@ -16,8 +16,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.health import assess
-from anisomap.numerics.kriging import Kernel, predict_field
-from anisomap.numerics.neighbours import padded
+from anisomap.numerics.neighbours import Kernel, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
 from anisomap.recording import Recording, as_runs, join_runs, match_names
 from anisomap.sensor_map import UNASSESSED, UNPLACED, SensorMap

@@ -4,7 +4,7 @@ import types
 
 import numpy as np
 
-from anisomap.numerics.compiled.jit import loop
+from anisomap.numerics.compiled.parallel import loop
 
 SOURCE = """
 def double(values):

@@ -15,7 +15,7 @@ from anisomap.numerics.geodesic.neighbours import (
     unevenness,
 )
 from anisomap.numerics.graph.dissimilarity import partial_correlation
-from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.split_half import blended_correlation
 from skins import flat_skin, lattice, rubbed
 
 

@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.sparse.csgraph import csgraph_from_dense, floyd_warshall
 from scipy.spatial.distance import pdist, squareform
 
+from anisomap.numerics.compiled.graphs import SIDE
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
-from anisomap.numerics.compiled.paths import SIDE
 from anisomap.numerics.graph.metric import metricise, shortest_paths
 from skins import lattice
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from anisomap.numerics.reliability.blending import blended_correlation
+from anisomap.numerics.reliability.split_half import blended_correlation
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin

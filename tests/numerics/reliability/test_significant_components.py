@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.reliability.significance import significant_components
+from anisomap.numerics.reliability.split_half import blended_correlation
 from skins import flat_skin
 
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.errors import InputError
-from anisomap.numerics.reliability.blending import blended_correlation
 from anisomap.numerics.reliability.split_half import (
+    blended_correlation,
     correlation_and_reliability,
     split_blocks,
 )

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.compiled.jit import loop
+from anisomap.numerics.compiled.parallel import loop
 from anisomap.numerics.compiled.stress import REORDERED, WIDTH
 
 Singles: TypeAlias = NDArray[np.float32]

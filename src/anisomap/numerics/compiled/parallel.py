@@ -1,4 +1,4 @@
-"""Lazy import of compiled loops, and numbers of threads for loops and BLAS."""
+"""Compilation and lazy import of loops, and numbers of threads for loops and BLAS."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from threadpoolctl import ThreadpoolController
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 MIN_COMPILED_ROWS = 500
 """Minimum rows of a matrix for compiled loops; below, importing numba costs more than it saves."""
@@ -28,6 +29,20 @@ class MapFunction(Protocol):
     def __call__(self, task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:
         """Return the results in the order of the items."""
         ...
+
+
+def loop(**flags: Any) -> Callable[[Loop], Loop]:
+    """Compile a function on its first call, without the global interpreter lock, and cache it."""
+    njit = import_module("numba").njit
+
+    def compiled(function: Loop) -> Loop:
+        try:
+            fast: Loop = njit(function, nogil=True, cache=True, **flags)
+        except RuntimeError:  # no folder for the cache
+            fast = njit(function, nogil=True, **flags)
+        return fast
+
+    return compiled
 
 
 def load_loops(name: str) -> Any:

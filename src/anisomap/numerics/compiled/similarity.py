@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.compiled.jit import loop
+from anisomap.numerics.compiled.parallel import loop
+from anisomap.numerics.compiled.stress import REORDERED
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 
 
@@ -312,3 +314,37 @@ def sum_logarithms(
                 total += logs[alone]
                 neither -= marginals[p]
             joint[i, j] = total + logs[neither]
+
+
+@loop(fastmath=REORDERED)
+def add_pair_products(
+    series: Singles,
+    still: NDArray[np.bool_],
+    pairs: tuple[Ints, Ints],
+    totals: Floats,
+    part: tuple[int, int],
+) -> None:
+    """Add to `totals` the inner products of pairs of rows of `series`.
+
+    Rows marked by `still` are constant, as are most sensors within a chunk; they are not multiplied
+    frame by frame.
+    """
+    firsts, seconds = pairs
+    n_frames = series.shape[1]
+    for pair in range(part[0], part[1]):
+        i, j = firsts[pair], seconds[pair]
+        if still[i] and still[j]:
+            totals[pair] += n_frames * np.float64(series[i, 0]) * series[j, 0]
+            continue
+        if still[i]:
+            i, j = j, i
+        left, right = series[i], series[j]
+        total = np.float32(0)
+        if still[j]:
+            for t in range(n_frames):
+                total += left[t]
+            total *= right[0]
+        else:
+            for t in range(n_frames):
+                total += left[t] * right[t]
+        totals[pair] += total

@@ -12,8 +12,7 @@ from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correl
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.blending import blended_correlation
-from anisomap.numerics.reliability.split_half import split_blocks
+from anisomap.numerics.reliability.split_half import blended_correlation, split_blocks
 
 _MIN_SIMILARITY = 1e-3
 """Clipping of S before -log S, chosen by hand: smaller values are indistinguishable from 0."""

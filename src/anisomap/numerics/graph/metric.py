@@ -32,7 +32,7 @@ def shortest_paths(lengths: Reals) -> Reals:
     Only tiles on and above the diagonal are computed. They are copied to consecutive memory, as in
     products of matrices (Goto & van de Geijn 2008, doi:10.1145/1356052.1356053).
     """
-    loops = load_loops("paths")
+    loops = load_loops("graphs")
     n_nodes, side = len(lengths), loops.SIDE
     blocks = _blocks(n_nodes, side)
     pairs = [(rows, columns) for i, rows in enumerate(blocks) for columns in blocks[i:]]

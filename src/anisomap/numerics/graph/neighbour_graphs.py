@@ -176,9 +176,7 @@ def most_similar(
             for left in range(0, n_sensors, COLUMNS):
                 block = mine @ rows[left : left + COLUMNS].T if whole is None else whole[part]
                 kept = found[part], products[part]
-                load_loops("neighbours").keep_greatest(
-                    block, left, labels[queries[part]], labels, kept
-                )
+                load_loops("graphs").keep_greatest(block, left, labels[queries[part]], labels, kept)
 
         map_threads(search, range(0, len(queries), ROWS))
     return found, products

@@ -1,7 +1,4 @@
-"""Common neighbours of connected sensors.
-
-Statistically significant links between sensors, and the components that they connect.
-"""
+"""Statistically significant links between sensors, and sensors that differ from all others."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+from scipy.special import ndtr
 
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.neighbours import tree_edges
@@ -29,7 +27,7 @@ def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[n
     """Count the common neighbours of the two ends of each edge. graph (N, N)."""
     shared = np.zeros(graph.nnz, dtype=np.int64)
     offsets, ends = graph.indptr.astype(np.int64), graph.indices.astype(np.uint32)
-    load_loops("neighbours").count_shared(offsets, ends, shared)
+    load_loops("graphs").count_shared(offsets, ends, shared)
     return shared
 
 
@@ -208,3 +206,28 @@ def _strongest_first(links: Reals) -> list[tuple[int, int]]:
     """List the edges of the maximum spanning tree of links by decreasing strength."""
     edges = ((links[new, joined], joined, new) for new, joined in tree_edges(links))
     return [(i, j) for _, i, j in sorted(edges, reverse=True)]
+
+
+FALSE_ALARMS = 0.05
+"""Expected number of healthy sensors of a recording that are outlying, and at most one in 1,000."""
+
+_LEAST_SPREAD = 0.4  # of the logarithms of levels: sensors of one skin differ by a factor of 1.5
+_MIN_COMPARED = 8  # from which a distribution is fitted
+_NORMAL_MAD = 0.6745  # median absolute deviation of a normal distribution
+
+
+def outlying(levels: NDArray[np.float64], variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
+    """Return whether each of n positive levels is too high among the others, (n,).
+
+    variance: Sampling variance of the logarithm of each level.
+
+    Logarithms of the levels of healthy sensors are normal, with the median and the median absolute
+    deviation of all.
+    """
+    if len(levels) < _MIN_COMPARED:
+        return np.zeros(len(levels), dtype=bool)
+    logarithm = np.log(levels)
+    beyond = logarithm - np.median(logarithm)
+    spread = max(float(np.median(np.abs(beyond))) / _NORMAL_MAD, _LEAST_SPREAD)
+    deviation = np.sqrt(spread**2 + np.asarray(variance))
+    return np.asarray(ndtr(-beyond / deviation) < min(1e-3, FALSE_ALARMS / len(levels)))

@@ -1,4 +1,4 @@
-"""Compiled loops of shortest paths."""
+"""Compiled loops of graphs: shortest paths of all pairs and from some nodes, and neighbours."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.numerics.compiled.jit import loop
+from anisomap.numerics.compiled.parallel import loop
 
 Reals = NDArray[np.floating[Any]]
+Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
@@ -98,3 +99,91 @@ def lower_rows(tiles: Reals, inwards: Reals, outwards: Reals, rows: Range) -> No
             tile = tiles[tile_number(row, column, n_blocks)]
             for middle in range(n_middles):
                 lower_tile(tile, inwards[middle, row], outwards[middle, column])
+
+
+@loop()
+def relax_from(
+    tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
+) -> None:
+    """Fill ``tile[u, s]`` with the length of the shortest path from ``sources[s]`` to node u.
+
+    Bellman-Ford from several sources: sweeps over the nodes in alternating `order` until no path
+    becomes shorter. ``stamps[u]`` contains the times of the last improvement and of the last visit
+    of node u: neighbours that have not improved since the visit are skipped.
+    """
+    offsets, ends, lengths = edges
+    tile[:] = np.inf
+    stamps = np.zeros((len(tile), 2), np.int64)
+    for column in range(len(sources)):
+        tile[sources[column], column] = 0
+        stamps[sources[column], 0] = 1
+    clock, step, any_shorter = 1, 1, True
+    while any_shorter:
+        any_shorter = False
+        for node in order[::step]:
+            clock += 1
+            row = tile[node]
+            shorter = 0
+            for edge in range(offsets[node], offsets[node + 1]):
+                if stamps[ends[edge], 0] > stamps[node, 1]:
+                    other, length = tile[ends[edge]], lengths[edge]
+                    for source in range(len(row)):
+                        through = other[source] + length
+                        shorter |= through < row[source]
+                        row[source] = min(row[source], through)
+            stamps[node, 1] = clock
+            if shorter:
+                stamps[node, 0] = clock
+                any_shorter = True
+        step = -step
+
+
+@loop()
+def count_shared(
+    offsets: NDArray[np.int64], ends: NDArray[np.uint32], shared: NDArray[np.int64]
+) -> None:
+    """Count, for each edge of a graph, the common neighbours of its two ends.
+
+    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``; `shared` has the shape of
+    `ends`. Unsigned node numbers avoid the check for negative indices.
+    """
+    is_neighbour = np.zeros(len(offsets) - 1, np.uint8)
+    for i in range(len(offsets) - 1):
+        for edge in range(offsets[i], offsets[i + 1]):
+            is_neighbour[ends[edge]] = 1
+        for edge in range(offsets[i], offsets[i + 1]):
+            j = ends[edge]
+            others = ends[offsets[j] : offsets[j + 1]]
+            total = np.uint32(0)
+            for k in range(others.size):
+                total += is_neighbour[others[k]]
+            shared[edge] = total
+        for edge in range(offsets[i], offsets[i + 1]):
+            is_neighbour[ends[edge]] = 0
+
+
+@loop()
+def keep_greatest(
+    block: Singles, left: int, own: Ints, groups: Ints, greatest: tuple[Ints, Singles]
+) -> None:
+    """Update the greatest entries of each row with a block of columns.
+
+    `block` contains the columns of the matrix from `left` on. `greatest` contains column numbers
+    and entries per row, in decreasing order of the entries. Columns of the row's `own` group are
+    skipped.
+    """
+    ends, values = greatest
+    count = ends.shape[1]
+    for i in range(len(block)):
+        row, kept, places = block[i], values[i], ends[i]
+        least = kept[count - 1]
+        for j in range(len(row)):
+            if row[j] > least and groups[left + j] != own[i]:
+                place = count - 1
+                while place > 0 and kept[place - 1] < row[j]:
+                    kept[place] = kept[place - 1]
+                    places[place] = places[place - 1]
+                    place -= 1
+                kept[place] = row[j]
+                places[place] = left + j
+                least = kept[count - 1]
