@@ -37,8 +37,8 @@ def test_reconstruction_can_start_from_every_stage(method):
             entered = reconstruct_from(method=method, dimensions=2, **given)
         assert entered.provenance["precomputed"] == stage
         only_started = refined and stage != "similarity"
-        assert any("are unrefined" in str(w.message) for w in told) == only_started
-        assert any("contacts did not refine the map" in str(w.message) for w in told) == (
+        assert any("positions are not refined" in str(w.message) for w in told) == only_started
+        assert any("the map was not refined by contacts" in str(w.message) for w in told) == (
             method == "contact-fit" and stage == "similarity"
         )
         if not only_started:

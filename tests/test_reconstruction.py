@@ -117,7 +117,7 @@ def test_the_number_of_contacts_is_in_the_provenance():
 
 def test_rejected_contact_fits_keep_the_covariogram_map_with_a_note():
     skin = seeing_patch()
-    with pytest.warns(AnisomapWarning, match="contacts did not refine the map") as told:
+    with pytest.warns(AnisomapWarning, match="the map was not refined by contacts") as told:
         found = reconstruct(skin, "contact-fit", 2)
     assert found.notes == tuple(str(warning.message) for warning in told)
     assert found.provenance["n_contacts"] == 0

@@ -282,8 +282,7 @@ def reconstruct_from(
     if bool(recipe.refinements) and pairs is None:
         notes = (
             *notes,
-            f"{method} refines positions by the similarity, which was not given: these positions "
-            "are unrefined",
+            f"the positions are not refined: for this, {method} needs the similarity",
         )
     _check_related(configuration, options)
     provenance = options_provenance(method, options) | plan.provenance
@@ -310,7 +309,10 @@ def _check_size(
             f"dropped, got {n_mapped} of {len(mapped)}"
         )
     if dimensions != AUTO and dimensions > n_mapped:
-        raise InputError(f"{dimensions} dimensions require as many sensors, got {n_mapped}")
+        raise InputError(
+            f"a map in {dimensions} dimensions requires at least {dimensions} sensors, "
+            f"got {n_mapped}"
+        )
     check_pair_memory(int(n_mapped), refined=bool(recipe.refinements))
 
 

@@ -135,14 +135,14 @@ live skin.csv --coached --headless                        | --coached is for a s
 
 NEEDS_PHYSICS = """
 live --simulate nobody                             | there is no body
-simulate teapot                                    | nor a file of that name; choose from sphere
+simulate teapot                                    | no body or file 'teapot'; choose from sphere
 simulate sphere --frames 0                         | frames
 simulate sphere --seed -1                          | seed
 simulate sphere --sensors -4                       | n_sensors must be an integer of at least 1
 simulate sphere --sensors where.csv                | --sensors must be the number of sensors
 simulate cylinder --placement spiral               | choose from columns, fibonacci, random
 simulate sphere --placement random                 | the body sphere has no option placement
-simulate missing.stl --placement random            | --placement is an option of named bodies
+simulate missing.stl --placement random            | --placement applies to named bodies only
 simulate sphere -p n_balls                         | write NAME=VALUE
 simulate sphere -p n_balls=many                    | 'many' is not a number
 simulate sphere -p n_bals=3                        | has no parameter 'n_bals'
@@ -153,7 +153,7 @@ simulate sphere --video run.avi                    | must end in .gif or .mp4
 simulate sphere --runs 2 --picture run.png         | leave out --runs
 simulate missing.stl                               | there is no file missing.stl
 scenarios rain                                     | no scenario 'rain'
-coverage teapot                                    | there is no body 'teapot'
+coverage teapot                                    | no body or file 'teapot'
 coverage sphere -m magic                           | there is no method 'magic'
 coverage sphere --picture curve.bmp                | must end in .png, .svg or .pdf
 coverage sphere -p pace=1                          | has no parameter 'pace'

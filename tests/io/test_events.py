@@ -148,7 +148,7 @@ def test_positions_match_by_number(put: Put) -> None:
     assert found.names == ("s0", "s1", "s2")
     np.testing.assert_array_equal(found.positions, [[0, 0], [np.nan, np.nan], [2, 0]])
     other = put("other.csv", "name,x,y\nleft,2,0\nright,0,0\n")
-    with pytest.raises(FileError, match=r"other\.csv has no position for a sensor of .*x\.csv"):
+    with pytest.raises(FileError, match=r"other\.csv has no position for any sensor of .*x\.csv"):
         io.read(put("x.csv", "1,2,3\n4,5,6\n"), options=OPTIONS(positions=other))
 
 

@@ -24,7 +24,7 @@ def find(body: str, sensors: str | None, **options: Any) -> Body:
         )
     if options:
         raise InputError(
-            f"--{next(iter(options))} is an option of named bodies, and {body} is none of them"
+            f"--{next(iter(options))} applies to named bodies only, and {body} is a file"
         )
     path = Path(body)
     if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _contains_only_points(path):
@@ -34,8 +34,8 @@ def find(body: str, sensors: str | None, **options: Any) -> Body:
         return load_body(path, given)
     if not path.exists():
         raise InputError(
-            f"there is no body {body!r}, nor a file of that name; choose from {', '.join(BODIES)}, "
-            "or give a mesh, a MuJoCo model or a file of positions"
+            f"there is no body or file {body!r}; choose from {', '.join(BODIES)}, or give a mesh, "
+            "a MuJoCo model or a file of positions"
         )
     found = _positions(path)
     return body_from_points(

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NOT_MAPS = {
-    **dict.fromkeys((".png", ".svg", ".pdf"), "a picture: name it by --picture"),
-    ".html": "a report: name it by --report of anisomap map",
+    **dict.fromkeys((".png", ".svg", ".pdf"), "pictures are written by --picture"),
+    ".html": "reports are written by --report of anisomap map",
 }
 
 
@@ -100,8 +100,8 @@ class Outputs:
         every = (*self.maps, self.recording, self.picture, self.report, *self.others)
         check_distinct(filter(None, every), filter(None, self.inputs))
         for path in self.maps:
-            if kind := _NOT_MAPS.get(path.suffix.lower()):
-                raise FileError(f"{path} would not hold a map but {kind}")
+            if hint := _NOT_MAPS.get(path.suffix.lower()):
+                raise FileError(f"cannot write a map to {path}: {hint}")
             io.check_writable(path)
         if self.recording:
             check_target(self.recording)

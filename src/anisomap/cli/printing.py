@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -96,8 +96,11 @@ def print_health(
         return
     columns = ("sensor", "status", "range", "values", "active", "contacts", "best r")
     printer.table(title, columns, rows)
+    alike: defaultdict[str, list[str]] = defaultdict(list)
     for sensor in shown:
-        printer.line(f"  {sensor.name}: {sensor.reason}")
+        alike[sensor.reason].append(sensor.name)
+    for reason, names in alike.items():
+        printer.line(f"  {join_items(names)}: {reason}")
     if len(faulty) > len(shown):
         printer.line(
             f"  ... and {len(faulty) - len(shown)} more sensors: anisomap info --all lists them"
@@ -132,7 +135,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
         {
             "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions"
-            + (f", but only {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
+            + (f", of which {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
             **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
             **({"order along the line": join_items(order, len(order))} if order else {}),
             **({"refined by": join_items(steps)} if steps else {}),
@@ -140,7 +143,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
             + (f"; sensors in each: {join_items(sizes, max_items=12)}" if len(sizes) > 1 else ""),
             "Stress-1": f"{number(sensor_map.stress)} "
             + (
-                "(within components; small ones always fit)"
+                "(within components; small components always fit)"
                 if len(sizes) > 1
                 else "(0 is a perfect fit of the metric)"
             ),
@@ -203,8 +206,8 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
             "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} permutations)",
         }
     facts |= {
-        "RMS error": f"{number(result.rms)} {units}, or {number(result.rms_in_spacings)} times the "
-        f"median sensor spacing ({number(result.spacing)} {units})",
+        "RMS error": f"{number(result.rms)} {units}, or "
+        f"{number(result.rms_in_spacings, 3)} spacings of {number(result.spacing)} {units}",
         "median error": f"{number(result.median_error)} {units}",
         "mirrored": "yes" if result.alignment.reflected else "no",
         "neighbours kept": percent(result.neighbours_kept),
@@ -276,7 +279,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
         told.append(f"{apart} of {len(coverage.pairs)} pairs of neighbours never touched together")
     around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
     untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
-    enough = f"no place lacks contacts: neighbours had about {ENOUGH_CONTACTS} or more together"
+    enough = f"nowhere: all neighbours had about {ENOUGH_CONTACTS} contacts or more together"
     return {
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),

@@ -286,10 +286,10 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
         method.similarity,
         method.contact_similarity,
     ):
-        return "the map does not follow from the readings of one recording in memory"
+        return "a verdict needs the readings that the map was made from"
     n_sensors, n_frames = np.count_nonzero(sensor_map.component == 0), runs[0].n_frames
     reasons = {
-        f"{sensor_map.method} does not refine maps, and has no verdicts: use "
+        f"maps by {sensor_map.method} have no verdict: use "
         f"{DEFAULT_METHOD}": not method.refinements,
         "the recordings have different sensors: map one of them": len(runs) > 1,
         f"only {n_sensors} sensors are related, and a verdict needs {MIN_SENSORS}: touch more of "

@@ -132,8 +132,7 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     groups = _aligned_groups(pair)
     if not groups:
         raise InputError(
-            "the maps cannot be aligned: no connected component of the one shares "
-            f"{MIN_COMPARED} sensors with one of the other"
+            f"the maps cannot be aligned: {MIN_COMPARED} sensors must be connected on both maps"
         )
     n_sensors = len(pair.names)
     aligned = np.full_like(pair.after, np.nan)

@@ -274,7 +274,7 @@ def _saturating(b: Behaviour) -> dict[int, str]:
 def _isolated(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(np.nan_to_num(b.best_match)))
     return {
-        i: f"resembles no other sensor as the others do: its highest r is {b.best_match[i]:.2f} "
+        i: f"resembles no other sensor: its highest r is {b.best_match[i]:.2f} "
         f"(typical: {typical:.2f})"
         for i in np.flatnonzero(b.unlike).tolist()
     }

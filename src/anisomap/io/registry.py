@@ -369,8 +369,8 @@ def _match(
     rows = match_names(names, truth.names)
     if all(row is None or not truth.placed[row] for row in rows):
         raise FileError(
-            f"{file} has no position for a sensor of {path}: its names are {truth.names[0]} ... "
-            f"{truth.names[-1]}, those of the recording {names[0]} ... {names[-1]}"
+            f"{file} has no position for any sensor of {path}: it names {truth.names[0]} ... "
+            f"{truth.names[-1]}, and the recording {names[0]} ... {names[-1]}"
         )
     unknown = np.full(truth.dimensions, np.nan)
     return rows, np.array([unknown if row is None else truth.positions[row] for row in rows])

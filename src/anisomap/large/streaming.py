@@ -43,8 +43,8 @@ from anisomap.sensor_map import SILENT, SensorMap
 logger = logging.getLogger(__name__)
 
 _NOT_EXAMINED = (
-    "the map has very unequal distances between neighbours; heights of contacts, which may give "
-    "better ones, were not examined: map a part of the recording that fits in memory"
+    "distances between neighbours on the map are very unequal, and may be wrong: to correct them "
+    "by the heights of contacts, map a part of the recording that fits in memory"
 )
 
 _MAX_EXAMINED = 2000  # sensors; finding the neighbours of more takes longer than the map
@@ -220,8 +220,8 @@ def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:
     recipe = find_method(made.method)
     if computed_similarity(recipe.similarity) != recipe.similarity:
         yield (
-            "the recording was read in blocks, so the similarity is Pearson's r alone, without "
-            "rank correlation, contacts were not examined, and the map was not judged"
+            "the recording was read in blocks, so the map rests on Pearson's r alone, without rank "
+            "correlation and contacts, and has no verdict"
         )
     largest = np.flatnonzero(made.component == 0)
     if (
@@ -252,9 +252,8 @@ def _check_unit(chunk: NDArray[Any]) -> None:
     beyond = np.flatnonzero(squares_overflow(magnitude))
     if beyond.size:
         raise InputError(
-            f"the magnitude of readings in chunks must be 0 or between {1 / MAX_SQUARED:g} and "
-            f"{MAX_SQUARED:g}, but that of sensor {beyond[0]} is {magnitude[beyond[0]]:g}; use "
-            "another unit"
+            f"readings in chunks must be 0 or between {1 / MAX_SQUARED:g} and {MAX_SQUARED:g} in "
+            f"magnitude, but sensor {beyond[0]} reads {magnitude[beyond[0]]:g}; use another unit"
         )
 
 

@@ -341,8 +341,8 @@ class _Checked:
         self._find_doubled()
         if np.count_nonzero(self.usable) < MIN_SENSORS:
             raise InputError(
-                f"only {np.count_nonzero(self.usable)} of {len(self.rows)} sensors read anything "
-                f"beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
+                f"only {np.count_nonzero(self.usable)} of {len(self.rows)} sensors are related to "
+                f"others beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
             )
         search = Search(self.statistics, self.positions, self.usable, self.spacing, self.modules)
         stated_agreement = own_agreement(search.evidence)
@@ -364,10 +364,10 @@ class _Checked:
         self.usable[:] = False
         text = (
             f"about {1 - max(0.0, self.explained) ** 0.5:.0%} of the sensors are not where the "
-            "layout states, too many to say which: check that it is of this skin, and the order of "
-            "its sensors"
+            "layout states, too many to name: check that the layout belongs to this skin, and "
+            "the order of its sensors"
             if told
-            else "the recording says too little of the sensors: touch them more, and more evenly"
+            else "the recording says too little about the sensors: touch them more, and more evenly"
         )
         verdict = CONTRADICTED if told else UNKNOWN
         return self._summary(self.positions, agreement, verdict, (text, *notes))
@@ -468,7 +468,7 @@ class _Checked:
         if untested and len(untested) < n_sensors:
             notes += (
                 f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
-                f"nothing of them: {join_items(untested, _MAX_NAMED)}",
+                f"nothing about them: {join_items(untested, _MAX_NAMED)}",
             )
         positions = self.layout.positions.copy()
         positions[self.rows] = proposed

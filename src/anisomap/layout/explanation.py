@@ -265,7 +265,7 @@ def _moved(
         if not sensors.size:
             continue
         if len(sensors) > 1:
-            text = f"{len(sensors)} sensors belong to another place, as a whole"
+            text = f"{len(sensors)} sensors belong to another place, all together"
         elif target[sensors[0]] >= 0:
             text = f"{names[sensors[0]]} has the place of {names[target[sensors[0]]]}"
         else:

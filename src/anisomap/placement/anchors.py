@@ -279,8 +279,8 @@ def _check_extent(targets: Points) -> None:
         )
     if np.ptp(targets, axis=0).max() <= max(SINGULAR * furthest, _MIN_LENGTH):
         raise InputError(
-            f"the positions of the {len(targets)} anchors are all the same; give those that were "
-            "measured on the robot, in metres"
+            f"all {len(targets)} anchors have the same position; give the positions measured on "
+            "the robot, in metres"
         )
 
 

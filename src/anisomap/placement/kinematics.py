@@ -146,8 +146,8 @@ class KinematicTree:
             leader = self._joints.get(joint.mimic.joint)
             if leader is None or leader.mimic is not None:
                 raise InputError(
-                    f"joint {joint.name!r} must follow a joint that follows none, got "
-                    f"{joint.mimic.joint!r}"
+                    f"joint {joint.name!r} mimics {joint.mimic.joint!r}, which is missing or "
+                    "mimics another joint"
                 )
             return joint.mimic.multiplier * self._angle(leader, angles) + joint.mimic.offset
         if joint.name not in angles:

@@ -303,8 +303,8 @@ def _with_missing(found: Placement, before: SensorMap) -> Placement:
     if not missing:
         return found
     note = (
-        f"{len(missing)} sensors were left out when the map was placed, since their component "
-        f"could not be: {join_items(missing)}"
+        f"{len(missing)} sensors were left out, since their component could not be placed: "
+        f"{join_items(missing)}"
     )
     return replace(found, map=replace(after, notes=(*before.notes, note)), left_out=missing)
 

@@ -70,5 +70,5 @@ def _proposed(fit: ContactFit, precision: float) -> Proposal:
 
 
 def _rejected(positions: Reals, reason: str) -> Proposal:
-    note = f"contacts did not refine the map, which is that of the covariogram: {reason}"
+    note = f"the map was not refined by contacts: {reason}"
     return Proposal(positions, notes=(note,), facts={"n_contacts": 0})

@@ -167,7 +167,7 @@ def gather_evidence(
         mapped = run.varying() & ~sensor_mask(run.names, here)
         if np.count_nonzero(mapped) < _MIN_VARYING:
             raise InputError(
-                f"{run.source or 'the recording'} is no evidence of distances: "
+                f"{run.source or 'the recording'} holds no evidence of distances: only "
                 f"{np.count_nonzero(mapped)} of its {run.n_sensors} sensors vary"
             )
         check_pair_memory(int(np.count_nonzero(mapped)), refined=bool(recipe.refinements))

@@ -172,8 +172,8 @@ def _frame(
     field = target - base
     if np.sum(field**2) > (1 - _EXPLAINED) * np.sum((target - target.mean(axis=0)) ** 2):
         raise InputError(
-            "the statistics are not those of the map: a map that is made of them has another "
-            "shape; give the file that was written with the map"
+            "the statistics belong to a map of another shape; give the file that was written with "
+            "this map"
         )
     return _Frame(there, label, to_before, to_old, base, field)
 
@@ -354,12 +354,12 @@ def _notes(moves: Moves | None) -> Iterator[str]:
     if moves is None:
         yield (
             "too few sensors of the map are in the recording to tell whether one moved: "
-            f"{MIN_COMPARED} that are not all near each other are needed"
+            f"at least {MIN_COMPARED} are needed that are not all close together"
         )
     elif moves.moved:
         yield (
-            f"{len(moves.moved)} sensors moved since the map was made, and take their places from "
-            f"the new recording alone: {join_items(moves.moved)}"
+            f"{len(moves.moved)} sensors moved since the map was made, and are placed by the new "
+            f"recording alone: {join_items(moves.moved)}"
         )
 
 
@@ -368,8 +368,8 @@ def _check_shared(sensor_map: SensorMap, evidence: Evidence, fresh: Evidence) ->
     known = placed & set(evidence.names)
     if len(known) <= sensor_map.dimensions:
         raise InputError(
-            f"the statistics are not those of the map: they share {len(known)} placed sensors; "
-            "give the file that was written with the map"
+            f"the statistics belong to another map: they share {len(known)} placed sensors with "
+            "this one; give the file that was written with this map"
         )
     shared = known & set(fresh.names)
     if len(shared) <= evidence.dimensions:

@@ -139,8 +139,7 @@ def compare(
     recordings: Annotated[
         list[Path],
         Parameter(
-            help="Files of recordings with positions, or folders, which stand for the NPZ files in "
-            "them."
+            help="Recordings with known positions, or folders of such recordings as NPZ files."
         ),
         options.existing,
     ],

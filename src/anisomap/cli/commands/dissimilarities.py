@@ -61,7 +61,9 @@ def find(
     elif wanted is None and len(files) == 1:
         found = io.find_dissimilarities(files[0])
     if found is None and weights is not None:
-        raise InputError("--weights are those of dissimilarities: give --dissimilarities as well")
+        raise InputError(
+            "--weights applies to dissimilarities only: give --dissimilarities as well"
+        )
     return found
 
 

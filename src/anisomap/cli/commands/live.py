@@ -314,7 +314,7 @@ def _finish(
     elif final is not None:
         print_warning(f"there is no map: {final.reason}")
     elif written:
-        print_warning("the final map was not made; the recording is whole")
+        print_warning("the final map was not made; the recording is complete")
     else:
         print_warning("no frame arrived, so nothing was recorded")
     printer.record(

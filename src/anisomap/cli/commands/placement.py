@@ -326,7 +326,7 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
             f"component {label}" if len(placement.methods) > 1 else "placed by": method
             for label, method in enumerate(placement.methods)
         },
-        "handedness": "that of the skin" if placed.handed else "unknown",
+        "handedness": "as on the skin" if placed.handed else "unknown",
     }
     if errors.size:
         facts["error (90 %)"] = (

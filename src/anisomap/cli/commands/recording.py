@@ -283,8 +283,8 @@ def map_recording(
         len(recordings) > 1 or repair or keep_statistics or min_quality or large.given
     ):
         raise InputError(
-            "dissimilarities are one file, without a verdict: leave out other files, --repair, "
-            "--keep-statistics, --min-quality and the options for large recordings"
+            "dissimilarities are read from one file, and get no verdict: leave out other files, "
+            "--repair, --keep-statistics, --min-quality and the options for large recordings"
         )
     maps = output or [options.beside(recordings[0], ".map.csv")]
     statistics = io.statistics_beside(maps[0]) if keep_statistics else None

@@ -126,7 +126,7 @@ def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
             )
         meaning = "correlation of the distances on the map with the true distances; at most 1"
         in_spacings = (
-            f"or {number(score.rms_in_spacings, 2)} times the median spacing, "
+            f"or {number(score.rms_in_spacings, 2)} spacings of "
             f"{number(score.spacing, unit=score.units)}"
         )
         kept = "share of the true nearest neighbours that are also nearest on the map"
@@ -207,7 +207,7 @@ def sensor_table(
             scale = np.where(sensor_map.component == 0, score.alignment.scale, np.nan)
         unit = "" if units in UNSCALED else f" ({printable(units)})"
         radii = scale * ellipses(sensor_map.covariances)[0].max(axis=1)
-        fact = Fact(f"95 %{unit}", "", "longest half axis of the ellipse of 95 %, by chance alone")
+        fact = Fact(f"95 %{unit}", "", "longest half axis of the 95 % ellipse")
         columns.append((fact, lambda i: _numeric(float(radii[i]))))
     if health:
         known = [assessed.get(name) for name in sensor_map.names]

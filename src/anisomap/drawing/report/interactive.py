@@ -236,7 +236,7 @@ def _hover(
         lines = [f"<b>{name}</b>", f"index {component.sensors[i]}, component {component.number}"]
         lines += [f"health: {_without_markup(status)}", f"({place}){units}"]
         if radii is not None and math.isfinite(radii[i]):
-            lines.append(f"95 % within {radii[i]:.3g}{units} by chance")
+            lines.append(f"95 % within {radii[i]:.3g}{units}")
         if component.uncompared[i]:
             lines.append("not compared with the truth")
         elif errors is not None:
