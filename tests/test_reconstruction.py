@@ -42,7 +42,7 @@ def test_a_rubbed_flat_skin_is_reconstructed(method):
 def test_every_method_makes_a_map_far_above_its_null(method, dimensions):
     # All sensors have the same entropy here, which information distance stands and falls with.
     skin = seeing_patch()
-    untouched = pytest.warns(AnisomapWarning, match="contacts did not refine .* are at rest")
+    untouched = pytest.warns(AnisomapWarning, match="not refined by contacts: .* are at rest")
     with untouched if method == "contact-fit" else contextlib.nullcontext():
         sensor_map = reconstruct(skin, method, dimensions)
     assert sensor_map.positions.shape == (42, dimensions)

@@ -263,7 +263,7 @@ def test_statistics_of_another_map_are_refused():
     other = SensorMap(sensor_map.positions[order], names=sensor_map.names)
     strange = SensorMap(sensor_map.positions, names=[f"t{i}" for i in range(SENSORS)])
     for wrong in (other, strange):
-        with pytest.raises(InputError, match=r"not those of the map|contradicts the map"):
+        with pytest.raises(InputError, match=r"statistics belong to|contradicts the map"):
             quiet(update_map, wrong, evidence, day(32))
     with pytest.raises(InputError, match="level"):
         update_map(sensor_map, evidence, day(32), level=0)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure, touch_figure
+from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, plot_touches, save_figure
 from anisomap.drawing.figures.maps import MAX_VECTOR_DOTS
 from anisomap.drawing.view import (
     MAX_JOINED,
@@ -193,7 +193,7 @@ def test_names_are_drawn_literally_on_few_or_coincident_sensors():
     assert figure_bytes(map_figure(sensor_map, scored), "svg")
     readings = np.random.default_rng(0).uniform(size=(50, len(UNFRIENDLY))) > 0.8
     coverage = touch_coverage(sensor_map, Recording(readings, names=UNFRIENDLY))
-    assert figure_bytes(touch_figure(sensor_map, coverage), "svg")
+    assert figure_bytes(plot_touches(sensor_map, coverage).figure, "svg")
 
 
 def test_titles_and_notes_say_what_is_drawn():

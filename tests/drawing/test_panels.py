@@ -88,11 +88,11 @@ PANELS = {
 }
 FIGURES = {
     "map": lambda: fig.map_figure(MAPS[3]),
-    "touches": lambda: fig.touch_figure(MAPS[3], TOUCHED[3]),
+    "touches": lambda: fig.plot_touches(MAPS[3], TOUCHED[3]).figure,
     "series": lambda: fig.series_figure(RECORDING, DOUBTED),
-    "difference": lambda: fig.difference_figure(difference(2)),
-    "placement": lambda: fig.placement_figure(*placed(3), TRIANGLE),
-    "layout": lambda: fig.layout_figure(checked(2)),
+    "difference": lambda: fig.plot_difference(difference(2)).figure,
+    "placement": lambda: fig.plot_placement(*placed(3), TRIANGLE).figure,
+    "layout": lambda: fig.plot_layout(checked(2)).figure,
     "scores": lambda: charts.scores_figure("title", [GROUPS]),
     "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
     "coverage": lambda: charts.coverage_figure("title", *SHARES),

@@ -172,7 +172,7 @@ class Outputs:
                 touches = None
                 if examined is not None and coverage is not None:
                     doubted = [sensor for sensor in examined.health if sensor.status != "ok"]
-                    touch = figures.touch_figure(shown, coverage, result)
+                    touch = figures.plot_touches(shown, coverage, result).figure
                     series = figures.series_figure(examined.recording, doubted) if doubted else None
                     touches = report.Touches(
                         printing.touch_facts(coverage, shown.names),

@@ -160,6 +160,12 @@ def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[
     return found
 
 
+def drawn_dimensions(sensor_map: SensorMap, score: Score | None = None) -> int:
+    """Return the number of coordinates, 2 or 3, in which a map is drawn."""
+    known = 0 if score is None else _true_dimensions(score)
+    return 3 if max(known, sensor_map.dimensions) > 2 else 2
+
+
 def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
     """Find neighbouring sensors.
 
@@ -250,19 +256,16 @@ def _prepared(
     sensor_map: SensorMap, sensors: NDArray[np.intp], number: int, score: Score | None = None
 ) -> Panel:
     """Align a component with the truth, or centre it."""
+    dimensions = drawn_dimensions(sensor_map, score)
     if score is None:
         points = sensor_map.positions[sensors]
         points = points - points.mean(axis=0)
-        dimensions = min(max(points.shape[1], 2), 3)
         truth, units = np.empty((0, dimensions)), sensor_map.units
         linear = np.eye(sensor_map.dimensions)
     else:
         sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
         alignment = score.alignment
         points = alignment.apply(sensor_map.positions[sensors])
-        dimensions = min(max(points.shape[1], 2), 3)
-        if max(_true_dimensions(score), sensor_map.dimensions) < 3:
-            dimensions = 2
         truth, units = _with_axes(score.truth, dimensions), score.units
         linear = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
     points = _with_axes(points, dimensions)

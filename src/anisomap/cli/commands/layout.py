@@ -94,7 +94,9 @@ def check(
         raise
     title = f"{layout_file.name} and {recording_file.name}"
     files = outputs.write(
-        found.corrected, lambda: figures.layout_figure(found, title), "corrected positions"
+        found.corrected,
+        lambda: figures.plot_layout(found, title=title).figure,
+        "corrected positions",
     )
     _print(printer, found, f"{layout_file.name} against {recording_file.name}")
     printer.files(files)

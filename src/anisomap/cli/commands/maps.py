@@ -94,7 +94,7 @@ def diff(
     before, after = io.read_map(before_file), io.read_map(after_file)
     found = compare_maps(before, after, level=significance)
     title = f"{before_file.name} and {after_file.name}"
-    files = outputs.write(after, lambda: figures.difference_figure(found, title))
+    files = outputs.write(after, lambda: figures.plot_difference(found, title=title).figure)
     _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
     printer.files(files)
     return DIFFERENT if found.found else 0
@@ -230,7 +230,9 @@ def update(
     title = f"{map_file.name} and its update"
     with together():
         io.write_statistics(found.evidence, new_statistics)
-        written = outputs.write(updated, lambda: figures.difference_figure(found.difference, title))
+        written = outputs.write(
+            updated, lambda: figures.plot_difference(found.difference, title=title).figure
+        )
     _print_update(printer, found, map_file.name)
     printer.files([("statistics", new_statistics), *written])
 

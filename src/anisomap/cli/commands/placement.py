@@ -291,7 +291,7 @@ def place_map(
     if frame:
         placement = replace(placement, map=replace(placement.map, frame=frame))
     files = outputs.write(
-        placement.map, lambda: figures.placement_figure(placement, anchors, surface)
+        placement.map, lambda: figures.plot_placement(placement, anchors, surface).figure
     )
     _print(printer, placement, map_file.name)
     if spacing:

@@ -11,24 +11,17 @@ from anisomap.drawing.figures.charts import (
 )
 from anisomap.drawing.figures.maps import map_figure, plot, plot_distances, plot_map
 from anisomap.drawing.figures.sensors import (
-    difference_figure,
-    layout_figure,
-    placement_figure,
     plot_difference,
     plot_layout,
     plot_placement,
     plot_touches,
-    touch_figure,
 )
 
 __all__ = [
     "KINDS",
     "check_writable",
-    "difference_figure",
     "figure_bytes",
-    "layout_figure",
     "map_figure",
-    "placement_figure",
     "plot",
     "plot_difference",
     "plot_distances",
@@ -43,5 +36,4 @@ __all__ = [
     "save_figure",
     "series_figure",
     "stress_figure",
-    "touch_figure",
 ]

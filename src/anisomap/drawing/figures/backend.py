@@ -12,6 +12,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.drawing.view import printable
 from anisomap.errors import FileError, InputError, import_extra
 from anisomap.files import atomic_write, check_target
 
@@ -41,6 +43,8 @@ MARKERS = ("o", "s", "^", "D")
 """Markers that go with `PALETTE`, for printing in black and white."""
 
 _SHORT = 0.6  # of the longest axis
+_NOTE, _TITLE = 0.05, 0.09  # of the height of a figure
+_MAX_TITLE = 80  # characters
 _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -85,12 +89,39 @@ def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
     return figure.add_subplot(*position, projection="3d" if dimensions == 3 else None)
 
 
+@dataclass(frozen=True)
+class Caption:
+    """Text around a panel that has a figure of its own.
+
+    legend: Columns of a legend above the panel; 0 for none.
+    size: Of the figure, in inches.
+    """
+
+    title: str = ""
+    note: str = ""
+    legend: int = 0
+    size: tuple[float, float] = (8.0, 7.2)
+
+    def write(self, figure: Figure) -> None:
+        """Write the caption, and make space for it."""
+        figure.set_size_inches(*self.size)
+        bottom, top = (_NOTE if self.note else 0.0), (_TITLE if self.title else 0.0)
+        figure.set_layout_engine("constrained", rect=(0, bottom, 1, 1 - bottom - top))
+        if self.legend:
+            figure.legend(
+                loc="upper right", ncols=self.legend, frameon=False, bbox_to_anchor=(0.99, 0.96)
+            )
+        write_title(figure, printable(self.title, _MAX_TITLE))
+        write_notes(figure, [self.note])
+
+
 PANELS: dict[str, Callable[..., Axes]] = {}
 """Functions that draw one panel, by name: those decorated with `panel`."""
 
 _SHARED_SECTIONS = """
 ax : matplotlib Axes, optional
-    Axes to draw into, with ``projection="3d"`` for data in 3D. A new figure is created by default.
+    Axes to draw into, with ``projection="3d"`` for data in 3D. A new figure is created by default,
+    some with a title, a legend and a note.
 
 Returns
 -------
@@ -107,25 +138,31 @@ MissingExtraError
 
 
 def panel(
-    dimensions: int | Callable[[Any], int] = 2,
-) -> Callable[[Callable[P, None]], Callable[P, Axes]]:
-    """Make a function that draws into axes open or check them first, and return them.
+    dimensions: int | Callable[..., int] = 2,
+) -> Callable[[Callable[P, Caption | None]], Callable[P, Axes]]:
+    """Let a function that draws into axes open a figure or check given axes, and return the axes.
 
-    dimensions: Of the axes; a function computes them from the first argument.
+    dimensions: Of the axes; a function computes them from the data.
     """
 
-    def decorate(draw: Callable[P, None]) -> Callable[P, Axes]:
-        names = inspect.signature(draw)
+    def decorate(draw: Callable[P, Caption | None]) -> Callable[P, Axes]:
+        signature = inspect.signature(draw)
 
         @wraps(draw)
         def plot(*args: P.args, **kwargs: P.kwargs) -> Axes:
-            given = names.bind(*args, **kwargs).arguments
-            data = next(iter(given.values()))
-            axes = open_axes(
-                given.get("ax"), dimensions(data) if callable(dimensions) else dimensions
-            )
-            draw(*args, **(kwargs | {"ax": axes}))  # type: ignore[arg-type]
-            return axes
+            data = dict(signature.bind(*args, **kwargs).arguments)
+            axes: Axes = data.pop("ax", None)
+            count = dimensions(*data.values()) if callable(dimensions) else dimensions
+            if axes is not None:
+                _check_axes(axes, count)
+                draw(*args, **kwargs)
+                return axes
+            with drawing_style():
+                figure = new_figure(6.0, 5.4, layout="constrained")
+                axes = add_axes(figure, count)
+                if caption := draw(*args, **(kwargs | {"ax": axes})):  # type: ignore[arg-type]
+                    caption.write(figure)
+                return axes
 
         text = inspect.cleandoc(draw.__doc__ or "")
         plot.__doc__ = text + _SHARED_SECTIONS if "\nParameters\n" in text else text
@@ -135,41 +172,10 @@ def panel(
     return decorate
 
 
-def open_axes(ax: Axes | None, dimensions: int) -> Axes:
-    """Check given axes, or create a figure with axes."""
-    if ax is None:
-        with drawing_style():
-            return add_axes(new_figure(6.0, 5.4, layout="constrained"), dimensions)
-    if (ax.name == "3d") != (dimensions == 3):
+def _check_axes(axes: Axes, dimensions: int) -> None:
+    if (axes.name == "3d") != (dimensions == 3):
         wanted = "3D axes (projection='3d')" if dimensions == 3 else "2D axes"
-        raise InputError(f"the data need {wanted}, got axes with projection {ax.name!r}")
-    return ax
-
-
-def panel_figure(
-    plot: Callable[..., Axes],
-    *data: object,
-    title: str = "",
-    note: str = "",
-    columns: int = 0,
-    size: tuple[float, float] = (8.0, 7.2),
-    drawn: tuple[float, float] = (0.0, 1.0),
-) -> Figure:
-    """Draw one panel below a title and a legend, and above a note.
-
-    columns: Of the legend; 0 for none. size: In inches. drawn: Lower end and height of the panel.
-    """
-    with drawing_style():
-        figure: Figure = plot(*data).figure
-        figure.set_size_inches(*size)
-        figure.set_layout_engine("constrained", rect=(0, drawn[0], 1, drawn[1]))
-        if columns:
-            figure.legend(
-                loc="upper right", ncols=columns, frameon=False, bbox_to_anchor=(0.99, 0.96)
-            )
-        write_title(figure, title)
-        write_notes(figure, [note])
-        return figure
+        raise InputError(f"the data need {wanted}, got axes with projection {axes.name!r}")
 
 
 def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:

@@ -101,8 +101,8 @@ class CurvePanel:
     """
 
     title: str
-    x: NDArray[np.float64]
-    curves: Mapping[str, NDArray[np.float64]]
+    x: Values
+    curves: Mapping[str, Values]
     default: float | None = None
     marked: Sequence[float] = ()
 
@@ -156,7 +156,10 @@ def curves_figure(
             set_title(axes, panel.title)
             if logarithmic:
                 axes.set_xscale("log")
-            _mark_values(axes, panel.x, [f"{value:g}" for value in panel.x])
+            axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x])
+            axes.minorticks_off()
+            axes.grid()
+            axes.set_axisbelow(True)
             axes.set_xlabel(x_label)
             if i % columns == 0:
                 axes.set_ylabel(y_label)
@@ -207,22 +210,13 @@ def _draw_scores(axes: Axes, groups: Sequence[ScoreGroup]) -> None:
     axes.axhline(0, color=FAINT, linewidth=0.8)
 
 
-def _draw_runs(
-    axes: Axes, x: Values, values: Values, colour: str, marker: str, **labelled: str
-) -> None:
+def _draw_runs(axes: Axes, x: Values, values: Values, colour: str, marker: str) -> None:
     """Draw every run as a dot and their mean as a curve. x (L,), values (L, S)."""
     axes.plot(x, values, ".", color=colour, alpha=0.35, markersize=4)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all runs may be NaN
         mean = np.nanmean(values, axis=1)
-    axes.plot(x, mean, color=colour, marker=marker, markersize=4.5, **labelled)
-
-
-def _mark_values(axes: Axes, x: Values, labels: Sequence[str]) -> None:
-    axes.set_xticks(x, labels)
-    axes.minorticks_off()
-    axes.grid()
-    axes.set_axisbelow(True)
+    axes.plot(x, mean, color=colour, marker=marker, markersize=4.5)
 
 
 def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
@@ -249,26 +243,21 @@ def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
 
 
 def coverage_figure(
-    title: str, n_frames: NDArray[np.intp], rate_hz: float, shares: dict[str, Values]
+    title: str, n_frames: NDArray[np.intp], rate_hz: float, shares: Mapping[str, Values]
 ) -> Figure:
     """Draw shares over the length of a recording: every seed, and the mean over seeds.
 
     shares (L, S).
     """
-    with drawing_style():
-        figure = new_figure(7.2, 4.6)
-        figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
-        axes = figure.add_subplot()
-        for (name, values), colour, marker in zip(shares.items(), PALETTE, MARKERS, strict=False):
-            _draw_runs(axes, n_frames, values, colour, marker, label=name)
-        axes.set_xscale("log")
-        _mark_values(axes, n_frames, [f"{n}\n{n / rate_hz:.3g} s" for n in n_frames])
-        axes.set_ylim(-0.03, 1.03)
-        axes.set_xlabel("length of the recording (frames, seconds)")
-        axes.set_ylabel("share; Mantel r")
-        axes.legend(loc="lower right", frameon=False)
-        write_title(figure, title)
-        return figure
+    looks = map(MethodLook, shares, PALETTE, MARKERS)
+    return curves_figure(
+        title,
+        [CurvePanel("", n_frames, shares)],
+        x_label=f"frames, {rate_hz:g} per second",
+        y_label="share; Mantel r",
+        logarithmic=True,
+        looks=dict(zip(shares, looks, strict=True)),
+    )
 
 
 @panel()

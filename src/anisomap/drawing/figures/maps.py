@@ -20,7 +20,6 @@ from anisomap.drawing.figures.backend import (
     drawing_style,
     load,
     new_figure,
-    open_axes,
     panel,
     set_ticks,
     set_title,
@@ -38,6 +37,7 @@ from anisomap.drawing.view import (
     best_view,
     box_around,
     drawn_components,
+    drawn_dimensions,
     layout_notes,
     neighbour_pairs,
     outlines,
@@ -172,7 +172,8 @@ def plot(
     return plot_map(sensor_map, result, ax=ax)
 
 
-def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | None = None) -> Axes:
+@panel(lambda sensor_map, score=None: drawn_dimensions(sensor_map, score))
+def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | None = None) -> None:
     """Plot the largest component of a map in one panel.
 
     Parameters
@@ -181,26 +182,8 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | No
         Of more than three dimensions, the first three are drawn.
     score : Score, optional
         Score of this map: the map is aligned with the truth, and true neighbours are joined.
-    ax : matplotlib Axes, optional
-        Axes to draw into, with ``projection="3d"`` for a map in 3D or a truth in 3D. A new figure
-        is created by default.
-
-    Returns
-    -------
-    matplotlib Axes
-        `ax`, or the new axes; their figure is ``axes.figure``.
-
-    Raises
-    ------
-    InputError
-        If no sensor has a position, or `ax` has another number of dimensions.
-    MissingExtraError
-        If matplotlib is not installed.
     """
-    shown = largest_component(sensor_map, score)
-    axes = open_axes(ax, shown.dimensions)
-    draw_configuration(axes, shown)
-    return axes
+    draw_configuration(ax, largest_component(sensor_map, score))
 
 
 @panel()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ from anisomap.drawing.figures.backend import (
     MARKERS,
     PALETTE,
     Axes,
+    Caption,
     panel,
-    panel_figure,
     set_title,
 )
 from anisomap.drawing.figures.maps import (
@@ -32,19 +32,13 @@ from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from anisomap.evaluation import Difference
     from anisomap.layout import LayoutCheck
     from anisomap.placement import Anchors, Placement
     from anisomap.scene import Mesh
 
 _MAX_LABELS = 12
-# Of the panel in a figure with a legend: columns of the legend, lower end and height of the panel.
-_FOUR: Any = {"columns": 4, "drawn": (0.05, 0.87)}
-
-# Chosen by eye.
-_DOT_AREA = 40.0
+_DOT_AREA = 40.0  # chosen by eye
 _CLASSES = (
     "none",
     f"fewer than {MIN_CONTACTS}",
@@ -81,17 +75,18 @@ _STATUSES = {
 """Statuses of `LayoutCheck` that are drawn alike."""
 
 
-def difference_figure(
-    difference: Difference, title: str = "Differences between two maps"
-) -> Figure:
-    """Draw two maps in one frame, with an arrow for each sensor that moved."""
-    note = "Arrows lead from the first map to the second, which is aligned with the first."
-    return panel_figure(plot_difference, difference, title=printable(title, 80), note=note, **_FOUR)
+@panel(lambda difference, *_: min(3, difference.before.shape[1]))
+def plot_difference(
+    difference: Difference, *, title: str = "Differences between two maps", ax: Axes = None
+) -> Caption:
+    """Plot two maps in one frame, with an arrow for each sensor that moved.
 
-
-@panel(lambda difference: min(3, difference.before.shape[1]))
-def plot_difference(difference: Difference, *, ax: Axes = None) -> None:
-    """Plot the panel of `difference_figure`."""
+    Parameters
+    ----------
+    difference : Difference
+        From `anisomap.evaluation.compare_maps`.
+    title : str
+    """
     moved, lost, appeared = difference.moved, difference.lost, difference.appeared
     kinds = {
         "unchanged": difference.compared & ~moved & ~lost & ~appeared,
@@ -104,33 +99,28 @@ def plot_difference(difference: Difference, *, ax: Axes = None) -> None:
     labels = {int(i): difference.names[i] for i in worst[:_MAX_LABELS]}
     arrows = np.where(moved[:, None], difference.after, np.nan)
     _draw_displacements(ax, before, arrows, kinds, labels, units=difference.units)
+    note = "Arrows lead from the first map to the second, which is aligned with the first."
+    return Caption(title, note, legend=4)
 
 
-def placement_figure(
-    placement: Placement, anchors: Anchors | None = None, mesh: Mesh | None = None
-) -> Figure:
-    """Draw a placed map, and where its anchors are."""
-    placed = placement.map
-    note = "Positions in metres."
-    if np.isfinite(placed.errors).any():
-        error = float(np.nanmedian(placed.errors))
-        note = f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
-    title = printable(f"Placed in {placed.frame}: {placement.methods[0]}", 70)
-    shown = (placement, anchors, mesh)
-    return panel_figure(
-        plot_placement, *shown, title=title, note=note, columns=4, drawn=(0.05, 0.86)
-    )
-
-
-@panel(lambda placement: min(3, placement.map.dimensions))
+@panel(lambda placement, *_: min(3, placement.map.dimensions))
 def plot_placement(
     placement: Placement,
     anchors: Anchors | None = None,
     mesh: Mesh | None = None,
     *,
     ax: Axes = None,
-) -> None:
-    """Plot the panel of `placement_figure`."""
+) -> Caption:
+    """Plot a placed map, and where its anchors are.
+
+    Parameters
+    ----------
+    placement : Placement
+        From `anisomap.placement.place`.
+    anchors : Anchors, optional
+    mesh : Mesh, optional
+        Drawn in 3D only.
+    """
     placed = placement.map
     names = set(() if anchors is None else anchors.names)
     known = np.array([name in names for name in placed.names], dtype=bool)
@@ -142,39 +132,24 @@ def plot_placement(
     if mesh is not None and ax.name == "3d":
         look = {"color": "#c9cdd2", "alpha": 0.25, "linewidth": 0, "zorder": 0}
         ax.plot_trisurf(*mesh.vertices.T, triangles=mesh.faces, **look)
+    note = "Positions in metres."
+    if np.isfinite(placed.errors).any():
+        error = float(np.nanmedian(placed.errors))
+        note = f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
+    return Caption(f"Placed in {placed.frame}: {placement.methods[0]}", note, legend=4)
 
 
-def layout_figure(check: LayoutCheck, title: str = "Check of a layout") -> Figure:
-    """Draw a layout, with arrows from the stated places to those that the readings propose.
+@panel(lambda check, *_: min(3, check.layout.dimensions))
+def plot_layout(
+    check: LayoutCheck, *, title: str = "Check of a layout", ax: Axes = None
+) -> Caption:
+    """Plot a layout, with arrows from the stated places to those that the readings propose.
 
     Parameters
     ----------
     check : LayoutCheck
-        See `anisomap.check_layout`.
+        From `anisomap.check_layout`.
     title : str
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Save it with `save_figure`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    note = "Arrows lead from the stated position of a sensor to that indicated by its readings."
-    title = printable(title, 80)
-    return panel_figure(plot_layout, check, title=title, note=note, columns=3, drawn=(0.05, 0.87))
-
-
-@panel(lambda check: min(3, check.layout.dimensions))
-def plot_layout(check: LayoutCheck, *, ax: Axes = None) -> None:
-    """Plot the panel of `layout_figure`.
-
-    Parameters
-    ----------
-    check : LayoutCheck
     """
     layout, status = check.layout, np.array(check.status)
     kinds = {kind: np.isin(status, every) & layout.placed for kind, every in _STATUSES.items()}
@@ -184,6 +159,8 @@ def plot_layout(check: LayoutCheck, *, ax: Axes = None) -> None:
     labels = {i: layout.names[i] for i in first}
     arrows = np.where(changed[:, None], end, np.nan)
     _draw_displacements(ax, start, arrows, kinds, labels, units=layout.units)
+    note = "Arrows lead from the stated position of a sensor to the one that its readings indicate."
+    return Caption(title, note, legend=3)
 
 
 def _draw_displacements(
@@ -202,7 +179,7 @@ def _draw_displacements(
     shown = [points for points in shown if len(points)]
     limits = box_around(*shown)
     set_up_axes(axes, limits, best_view(*shown) if start.shape[1] == 3 else (0.0, 0.0), units)
-    size = 40.0 * float(np.clip(np.sqrt(60 / drawn.sum()), 0.1, 1))
+    size = _DOT_AREA * float(np.clip(np.sqrt(60 / drawn.sum()), 0.1, 1))
     for kind, chosen in kinds.items():
         if not chosen.any():
             continue
@@ -230,21 +207,14 @@ def _draw_arrows(axes: Axes, places: Points, arrows: Points, colour: str) -> Non
         axes.plot(*(places + arrows).T, ".", color=FAINT, markersize=3, markeredgecolor=INK)
 
 
-def touch_figure(
-    sensor_map: SensorMap, coverage: TouchCoverage, score: Score | None = None
-) -> Figure:
-    """Draw the panel of `plot_touches`; the arguments are the same."""
-    return panel_figure(plot_touches, sensor_map, coverage, score, size=(8.0, 5.6))
-
-
-@panel(lambda sensor_map: 3 if sensor_map.dimensions > 2 else 2)
+@panel(lambda sensor_map, *_: 3 if sensor_map.dimensions > 2 else 2)
 def plot_touches(
     sensor_map: SensorMap,
     coverage: TouchCoverage,
     score: Score | None = None,
     *,
     ax: Axes = None,
-) -> None:
+) -> Caption:
     """Plot contacts by place on the map, neighbours never touched together, and where to touch.
 
     Sensors are darker the more contacts they had. Red lines join neighbours that were never
@@ -287,3 +257,4 @@ def plot_touches(
         frameon=False, fontsize=8, title="contacts", loc="upper left", bbox_to_anchor=(1.02, 1)
     )
     set_title(ax, "Contacts, and where to touch next (1: first)")
+    return Caption(size=(8.0, 5.6))
