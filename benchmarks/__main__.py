@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.comparison import Row, Setting, run
+from benchmarks.comparison import Row, run
 from benchmarks.stages import STAGES
 from benchmarks.tables import draw, markdown, significant, write_csv
 
@@ -28,20 +28,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torso = _torso(chosen.recordings)
     sizes = chosen.sensors or SIZES + LARGE * chosen.large
     n_frames = chosen.frames or (LARGE_FRAMES if chosen.large else FRAMES)
-    max_slow_sensors = 4000 if chosen.large else SIZES[0]
     rows: list[Row] = []
     for n_sensors in sizes:
-        setting = Setting(n_sensors, n_frames, torso, max_slow_sensors, more=chosen.large)
         for name in chosen.stages:
             family, compare = STAGES[name]
-            for comparison in compare(setting):
+            for comparison in compare(n_sensors, n_frames, torso):
                 for row in run(comparison, family, n_sensors):
                     rows.append(row)
                     _print(row)
             write(rows, chosen.output, n_frames)
     draw(rows, figure_folder(chosen.output) / "bench.png")
     print(f"wrote {chosen.output}")
-    wrong = [row for row in rows if row.same is False]
+    wrong = [row for row in rows if not row.same]
     for row in wrong:
         print(f"WRONG: {row.stage}, {row.dataset}, {row.n_sensors} sensors", file=sys.stderr)
     return 1 if wrong else 0
@@ -71,9 +69,9 @@ def _torso(folder: Path | None) -> Path | None:
 
 
 def _print(row: Row) -> None:
-    verdict = row.same if isinstance(row.same, str) else ("same" if row.same else "WRONG")
-    ratio = f", {significant(row.ratio)} x {row.reference}, {verdict}" if row.reference else ""
-    print(f"{row.n_sensors}: {row.stage}, {row.dataset}: {row.cpu:.3g} s{ratio}", flush=True)
+    verdict = "same" if row.same else "WRONG"
+    ratio = f"{significant(row.ratio)} x {row.reference}, {verdict}"
+    print(f"{row.n_sensors}: {row.stage}, {row.dataset}: {row.cpu:.3g} s, {ratio}", flush=True)
 
 
 def write(rows: Sequence[Row], folder: Path, n_frames: int) -> None:

@@ -181,9 +181,3 @@ def _overlap(places: Matrix, shift: Matrix) -> tuple[NDArray[np.intp], NDArray[n
     apart, nearest = map(np.asarray, tree.query(places + shift))
     here = np.flatnonzero(apart <= pitch)
     return here, nearest[here]
-
-
-def torso_dissimilarity(path: Path, n_sensors: int, n_frames: int) -> Matrix:
-    """Return the dissimilarities of `tiled_torso`."""
-    readings = tiled_torso(path, n_sensors, n_frames)
-    return _as_working_type(regularised_reciprocal(pearson(readings)))

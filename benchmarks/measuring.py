@@ -44,14 +44,6 @@ class Cost:
     clock: float
     memory: float = math.nan
 
-    def times(self, factor: float) -> Cost:
-        """Return the cost of `factor` times the work; its memory is unknown."""
-        return self if factor == 1 else Cost(self.cpu * factor, self.clock * factor)
-
-    def and_then(self, other: Cost) -> Cost:
-        """Return the cost of both, one after the other."""
-        return Cost(self.cpu + other.cpu, self.clock + other.clock)
-
 
 def n_cores() -> int:
     """Return the number of cores this process may use."""

@@ -89,11 +89,11 @@ def _cells(row: Row) -> tuple[str, ...]:
         seconds(row.clock_all_cores),
         _megabytes(row.memory),
         f"{row.reference} ({row.details})" if row.details else row.reference,
-        ("≈ " if row.estimated else "") + seconds(row.reference_cpu) if row.reference else "",
+        ("≈ " if row.estimated else "") + seconds(row.reference_cpu),
         _megabytes(row.reference_memory),
         f"**{ratio}**" if row.missed else ratio,
         f"{goal} (missed)" if row.missed else goal,
-        row.same if isinstance(row.same, str) else ("yes" if row.same else "**NO**"),
+        "yes" if row.same else "**NO**",
     )
 
 
@@ -122,11 +122,6 @@ def _growth(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             continue
         before, last = known[-2:]
         sizes = [before.n_sensors, last.n_sensors]
-        of_reference = (
-            growth_exponent(sizes, [before.reference_cpu, last.reference_cpu])
-            if reference
-            else math.nan
-        )
         yield (
             stage,
             dataset,
@@ -134,7 +129,7 @@ def _growth(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             f"{last.n_sensors:,}",
             f"{growth_exponent(sizes, [before.cpu, last.cpu]):.1f}",
             reference,
-            "" if math.isnan(of_reference) else f"{of_reference:.1f}",
+            f"{growth_exponent(sizes, [before.reference_cpu, last.reference_cpu]):.1f}",
         )
 
 
@@ -182,15 +177,12 @@ def _draw_family(axes: Axes, rows: Sequence[Row]) -> None:
         grouped(rows).items(), looks, strict=False
     ):
         sizes = [row.n_sensors for row in group]
-        label = f"{stage}: {dataset}" + (f"  (dashed: {reference})" if reference else "")
+        label = f"{stage}: {dataset}  (dashed: {reference})"
         axes.plot(sizes, [row.cpu for row in group], "-", color=colour, marker=mark, label=label)
-        if reference:
-            axes.plot(sizes, [row.reference_cpu for row in group], "--", color=colour)
-            for row in group:
-                fill = "white" if row.estimated else colour
-                axes.plot(
-                    row.n_sensors, row.reference_cpu, mark, color=colour, markerfacecolor=fill
-                )
+        axes.plot(sizes, [row.reference_cpu for row in group], "--", color=colour)
+        for row in group:
+            fill = "white" if row.estimated else colour
+            axes.plot(row.n_sensors, row.reference_cpu, mark, color=colour, markerfacecolor=fill)
     sizes = sorted({row.n_sensors for row in rows})
     axes.set(xscale="log", yscale="log", xlabel="sensors", ylabel="CPU time (s)")
     axes.set_xticks(sizes, [f"{size:,}" for size in sizes])

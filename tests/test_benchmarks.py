@@ -13,22 +13,18 @@ from benchmarks import (
     limits,
     measuring,
     neural,
-    paths,
     placement,
     quality,
-    scalings,
     self_touch,
-    similarities,
+    stages,
     steps,
     trust,
     updating,
-    whole_maps,
 )
 from benchmarks.__main__ import main
 from benchmarks.comparison import Comparison, Reference, Row, run
 from benchmarks.inputs import flat_skin, rubbed_skin
 from benchmarks.measuring import measure, threads
-from benchmarks.stages import STAGES
 from benchmarks.tables import markdown
 from threadpoolctl import threadpool_info
 
@@ -51,8 +47,8 @@ def recordings(tmp_path):
 def small_shares(monkeypatch):
     monkeypatch.setattr(measuring, "MIN_SECONDS", 0)
     monkeypatch.setattr(comparison, "n_cores", lambda: 1)
-    monkeypatch.setattr(similarities, "N_PAIRS", 20)
-    monkeypatch.setattr(scalings, "MAX_STEPS", 50)
+    for name, value in {"N_PAIRS": 20, "MAX_REFERENCE_SENSORS": 30, "MAX_ONE_HOT": 100}.items():
+        monkeypatch.setattr(stages, name, value)
 
 
 def rows_of(path):
@@ -61,26 +57,22 @@ def rows_of(path):
 
 
 @pytest.mark.slow
-def test_all_stages_on_small_skins(tmp_path, recordings, small_shares, monkeypatch, capsys):
+def test_all_stages_on_small_skins(tmp_path, recordings, small_shares, capsys):
     """Of 61 sensors, the slow references do a share of the work."""
-    for module in (similarities, paths, scalings, whole_maps):
-        monkeypatch.setattr(module, "MAX_REFERENCE_SENSORS", 30)
-    for module in (similarities, whole_maps):
-        monkeypatch.setattr(module, "MAX_ONE_HOT", 100)
     folder = tmp_path / "out"
     given = ["--recordings", str(recordings), "--sensors", "30", "61", "--frames", "400"]
     assert main([*given, "--output", str(folder)]) == 0
     names = {path.name for path in folder.iterdir()}
     assert names == {"bench-table.md", "bench.csv", "bench.png"}
     rows = rows_of(folder / "bench.csv")
-    assert {row["family"] for row in rows} == {family for family, _ in STAGES.values()}
+    assert {row["family"] for row in rows} == {family for family, _ in stages.STAGES.values()}
     assert all(float(row["cpu"]) >= 0 and float(row["clock_all_cores"]) >= 0 for row in rows)
-    verdicts = [row["same"] for row in rows if row["reference"]]
-    assert set(verdicts) - {"True"} == {v for v in verdicts if v.startswith("another map")}
-    shares = {row["stage"]: row["details"] for row in rows if row["estimated"] == "True"}
+    assert {row["same"] for row in rows} == {"True"}
+    shares = {row["stage"]: row["details"] for row in rows if row["n_sensors"] == "61"}
     assert shares["metricising"] == "30 sensors x 8.41"
     assert shares["Torgerson"] == "30 sensors x 8.41"
-    assert shares["SMACOF, 30 iterations"] == "30 sensors x 4.13"
+    assert shares["Spearman rho"] == "30 sensors x 4.13"
+    assert not shares["SMACOF"]
     table = (folder / "bench-table.md").read_text(encoding="utf-8")
     assert "NO" not in table
     assert "exponent of N" in table
@@ -89,9 +81,7 @@ def test_all_stages_on_small_skins(tmp_path, recordings, small_shares, monkeypat
 
 
 def test_a_wrong_result_is_reported_and_fails(tmp_path, small_shares, monkeypatch, capsys):
-    monkeypatch.setattr(
-        similarities, "pearson", lambda readings: 0.5 * similarities.correlation(readings)
-    )
+    monkeypatch.setattr(stages, "pearson", lambda readings: 0.5 * np.corrcoef(readings.T))
     (tmp_path / "_static").mkdir()  # as in the documentation: figures go there
     given = ["--sensors", "40", "--frames", "300", "--stages", "pearson", "torgerson"]
     assert main([*given, "--output", str(tmp_path)]) == 1
@@ -104,8 +94,9 @@ def test_a_wrong_result_is_reported_and_fails(tmp_path, small_shares, monkeypatc
 
 
 def row(**known):
-    usual = Row(4000, "family", "stage", "input", 1.0, 1.0, 1.0, 0.5, 10.0)
-    return replace(usual, reference="library", reference_cpu=40.0, same=True, **known)
+    times = (1.0, 1.0, 1.0, 0.5, 10.0)
+    usual = Row(4000, "family", "stage", "input", *times, "library", "", 40.0, 1.0, None, same=True)
+    return replace(usual, **known)
 
 
 def test_only_a_missed_goal_is_marked_and_growth_is_an_exponent():
@@ -132,33 +123,30 @@ def test_one_thread_is_one_thread():
         assert {found["num_threads"] for found in threadpool_info()} <= {1}
 
 
-def test_a_comparison_is_checked_once_and_gives_a_row_per_reference():
-    checked = []
-
-    def same(result):
-        checked.append(result)
-        return result == 3
-
-    cost = measuring.Cost(2.0, 2.0)
-    references = (Reference("one", cost, same, goal=7), Reference("two", cost, lambda _: "other"))
+def test_a_comparison_gives_a_row_per_reference():
+    references = (
+        Reference("one", lambda: 3, lambda result, expected: result == expected, goal=7),
+        Reference("two", lambda: 4, lambda result, expected: result == expected),
+        Reference("three", lambda: 3, lambda *_: True, share="part", factor=4),
+    )
     small, large = (
         list(run(Comparison("s", "i", lambda: 3, references), "f", n)) for n in (10, 4000)
     )
-    assert checked == [3, 3]
-    assert [found.same for found in small] == [True, "other"]
-    assert [found.goal for found in small + large] == [None, None, 7, None]
+    assert [found.same for found in small] == [True, False, True]
+    assert [found.details for found in small] == ["", "", "part x 4"]
+    assert [found.goal for found in small + large] == [None] * 3 + [7, None, None]
 
 
 def test_slightly_wrong_paths_and_eigenvectors_are_rejected():
     lengths = flat_skin(60)
-    right = paths.metricise(lengths)
-    assert paths.are_shortest_paths(right, lengths)
-    assert not paths.are_shortest_paths(lengths, lengths)
-    assert not paths.are_shortest_paths(right * (1 + 1e-9), lengths)
-    vectors = paths.torgerson(right, 3)
-    assert paths.are_eigenvectors(vectors, right)
-    assert not paths.are_eigenvectors(vectors * 1.01, right)
-    assert not paths.are_eigenvectors(np.random.default_rng(0).normal(size=(60, 3)), right)
+    right = stages.metricise(lengths)
+    assert stages.are_shortest_paths(right, lengths)
+    assert not stages.are_shortest_paths(lengths, lengths)
+    assert not stages.are_shortest_paths(right * (1 + 1e-9), lengths)
+    vectors = stages.torgerson(right, 3)
+    assert stages.are_eigenvectors(vectors, right)
+    assert not stages.are_eigenvectors(vectors * 1.01, right)
+    assert not stages.are_eigenvectors(np.random.default_rng(0).normal(size=(60, 3)), right)
 
 
 def measured(benchmark, folder, label, *arguments):
