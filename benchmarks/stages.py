@@ -28,7 +28,12 @@ from anisomap import AnisomapWarning, SensorMap, reconstruct
 from anisomap.defaults import DEFAULT_BINS
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof, torgerson
+from anisomap.numerics.scaling.multidimensional_scaling import (
+    Scaling,
+    SmacofOptions,
+    smacof,
+    torgerson,
+)
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import information_from_codes
@@ -101,13 +106,18 @@ def correlations(n_sensors: int, n_frames: int, torso: Path | None) -> Iterator[
     for dataset, readings in inputs.items():
         reference = on_first_sensors(
             "numpy.corrcoef",
-            lambda few, readings=readings: np.corrcoef(readings[:, :few].T),
+            partial(by_corrcoef, readings),
             are_equal(1e-5),
             readings.shape[1],
             power=2,
             goal=2,
         )
         yield Comparison("Pearson r", dataset, partial(pearson, readings), (reference,))
+
+
+def by_corrcoef(readings: Matrix, few: int) -> Matrix:
+    """Pearson's r by numpy."""
+    return np.asarray(np.corrcoef(readings[:, :few].T))
 
 
 def rank_correlations(n_sensors: int, n_frames: int, _: Path | None) -> Iterator[Comparison]:
@@ -223,8 +233,8 @@ def shortest_paths(n_sensors: int, n_frames: int, torso: Path | None) -> Iterato
         lengths = make()
         reference = on_first_sensors(
             "scipy floyd_warshall",
-            lambda few, lengths=lengths: by_floyd_warshall(lengths[:few, :few]),
-            lambda paths, _, lengths=lengths: are_shortest_paths(paths, lengths),
+            partial(by_floyd_warshall, lengths),
+            _checked(are_shortest_paths, lengths),
             n_sensors,
             power=3,
             goal=goal,
@@ -232,9 +242,16 @@ def shortest_paths(n_sensors: int, n_frames: int, torso: Path | None) -> Iterato
         yield Comparison("metricising", dataset, partial(metricise, lengths), (reference,))
 
 
-def by_floyd_warshall(lengths: Matrix) -> Matrix:
+def _checked(
+    check: Callable[[Matrix, Matrix], bool], data: Matrix
+) -> Callable[[Matrix, Matrix], bool]:
+    """Return a function that checks a result against what it was computed from."""
+    return lambda result, _: check(result, data)
+
+
+def by_floyd_warshall(lengths: Matrix, few: int) -> Matrix:
     """Shortest paths by scipy."""
-    graph = csgraph_from_dense(lengths, null_value=np.inf)
+    graph = csgraph_from_dense(lengths[:few, :few], null_value=np.inf)
     return np.asarray(floyd_warshall(graph, directed=False))
 
 
@@ -245,7 +262,7 @@ def are_shortest_paths(paths: Matrix, lengths: Matrix) -> bool:
     # Every entry is an edge, zeros included; scipy's own conversion needs much more memory.
     ends = np.tile(np.arange(n_nodes, dtype=np.int32), n_nodes)
     offsets = np.arange(n_nodes + 1, dtype=np.int32) * n_nodes
-    graph = csr_array((lengths.ravel(), ends, offsets), shape=lengths.shape)
+    graph: Any = csr_array((lengths.ravel(), ends, offsets), shape=lengths.shape)
     close = 1e-12 if paths.dtype == np.float64 else 1e-5
     symmetric = np.array_equal(paths[sources], paths[:, sources].T)
     expected = dijkstra(graph, indices=sources)
@@ -258,7 +275,7 @@ def classical_scaling(n_sensors: int, _: int, __: Path | None) -> Iterator[Compa
     reference = on_first_sensors(
         "scipy.linalg.eigh",
         lambda few: full_torgerson(metric[:few, :few]),
-        lambda positions, _: are_eigenvectors(positions, metric),
+        _checked(are_eigenvectors, metric),
         n_sensors,
         power=3,
         goal=50,
@@ -311,12 +328,12 @@ def scaling(n_sensors: int, _: int, __: Path | None) -> Iterator[Comparison]:
         steps = int(np.argmax(ours().trace <= target))
         options = SmacofOptions(0, steps, SmacofOptions.solver)
         name = "sklearn smacof" if weights is None else "numpy, inverse precomputed"
-        reference = Reference(
-            name,
-            theirs,
-            lambda found, _, target=target: bool(found.raw_stress <= target),
-        )
+        reference = Reference(name, theirs, _reaches(target))
         yield Comparison("SMACOF", dataset, partial(ours, options=options), (reference,))
+
+
+def _reaches(target: float) -> Callable[[Scaling, Any], bool]:
+    return lambda found, _: found.raw_stress <= target
 
 
 def majorised(metric: Matrix, start: Matrix, weights: Matrix | None = None) -> Matrix:
@@ -356,23 +373,22 @@ def raw_stress(positions: Matrix, metric: Matrix, weights: Matrix | None = None)
 def whole_maps(n_sensors: int, n_frames: int, _: Path | None) -> Iterator[Comparison]:
     """Map readings, and make the same maps by functions of other libraries."""
     readings = rubbed_skin(n_sensors, n_frames)[0]
-    similarities: dict[str, tuple[str, Callable[[Matrix], Matrix], int, float]] = {
-        "r-anisomap": ("corrcoef", lambda part: np.corrcoef(part.T), MAX_REFERENCE_SENSORS, 12),
-        "i-anisomap": (
-            "one-hot product",
-            lambda part: one_hot_information(maximum_entropy_codes(part, DEFAULT_BINS)),
-            MAX_ONE_HOT // DEFAULT_BINS,
-            25,
-        ),
+
+    def by_one_hot(readings: Matrix, few: int) -> Matrix:
+        return one_hot_information(maximum_entropy_codes(readings[:, :few], DEFAULT_BINS))
+
+    similarities = {
+        "r-anisomap": ("corrcoef", by_corrcoef, MAX_REFERENCE_SENSORS, 12),
+        "i-anisomap": ("one-hot product", by_one_hot, MAX_ONE_HOT // DEFAULT_BINS, 25),
     }
     for method, (name, compare, most, goal) in similarities.items():
 
         def by_libraries(
-            few: int, compare: Callable[[Matrix], Matrix] = compare
+            few: int, compare: Callable[[Matrix, int], Matrix] = compare
         ) -> tuple[Matrix, float]:
-            similarity = compare(readings[:, :few])
+            similarity = compare(readings, few)
             lengths = regularised_reciprocal((similarity + similarity.T) / 2)
-            metric = by_floyd_warshall(np.asarray(lengths))
+            metric = by_floyd_warshall(np.asarray(lengths), few)
             return metric, raw_stress(majorised(metric, full_torgerson(metric)), metric)
 
         def same(_: Any, expected: tuple[Matrix, float], method: str = method) -> bool:

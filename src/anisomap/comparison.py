@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -25,6 +25,7 @@ from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
+from anisomap.immutable import Immutable
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.reconstruction import reconstruct
@@ -285,10 +286,10 @@ class MethodScore:
     """
 
     method: str
-    mantel_r: float
-    rms_in_spacings: float
-    sensor_map: SensorMap | None
-    n_placed: int
+    mantel_r: float = math.nan
+    rms_in_spacings: float = math.nan
+    sensor_map: SensorMap | None = None
+    n_placed: int = 0
     reason: str = ""
 
     @property
@@ -298,7 +299,7 @@ class MethodScore:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Immutable):
     """Scores of several methods on one recording.
 
     Attributes
@@ -415,22 +416,15 @@ def compare_methods(
     for sensor_map, _ in made:
         if sensor_map is not None and _is_scored(sensor_map):
             common &= sensor_map.component == 0
-    scores = []
-    for method, (sensor_map, reason) in zip(methods, made, strict=True):
-        if sensor_map is None:
-            scores.append(MethodScore(method, math.nan, math.nan, None, 0, reason))
-        else:
-            scores.append(_scored(method, sensor_map, truth[kept], common))
-    sensors = kept[common]
-    sensors.setflags(write=False)
-    return Comparison(
-        name or recording.source,
-        recording.n_sensors,
-        recording.n_frames,
-        dimensions,
-        sensors,
-        tuple(scores),
-    )
+    scores = [
+        MethodScore(method, reason=reason)
+        if sensor_map is None
+        else _scored(method, sensor_map, truth[kept], common)
+        for method, (sensor_map, reason) in zip(methods, made, strict=True)
+    ]
+    shape = recording.n_sensors, recording.n_frames
+    name = name or recording.source
+    return Comparison(name, *shape, dimensions, kept[common], tuple(scores))
 
 
 def touched(recording: Recording, min_touches: int) -> NDArray[np.bool_]:
@@ -470,14 +464,15 @@ def _scored(
     common: NDArray[np.bool_],
 ) -> MethodScore:
     n_placed = int(np.count_nonzero(sensor_map.component == 0))
+    unscored = MethodScore(method, sensor_map=sensor_map, n_placed=n_placed)
     if not _is_scored(sensor_map):
         reason = f"its largest component holds {n_placed} of {len(truth)} sensors"
-        return MethodScore(method, math.nan, math.nan, sensor_map, n_placed, reason)
+        return replace(unscored, reason=reason)
     try:
         found = score(SensorMap(sensor_map.positions[common]), truth[common], permutations=0)
     except InputError as error:
-        return MethodScore(method, math.nan, math.nan, sensor_map, n_placed, str(error))
-    return MethodScore(method, found.mantel.r, found.rms_in_spacings, sensor_map, n_placed)
+        return replace(unscored, reason=str(error))
+    return replace(unscored, mantel_r=found.mantel.r, rms_in_spacings=found.rms_in_spacings)
 
 
 def _is_scored(sensor_map: SensorMap) -> bool:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.precision import MAX_SQUARED
 from anisomap.numerics.signals import Signals
@@ -28,11 +28,9 @@ MAX_READING = 1e150
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
 """How to handle missing readings: see `Recording.complete`."""
 
-_Array = TypeVar("_Array", bound=NDArray[np.generic])
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Recording:
+class Recording(Immutable):
     """Readings of N sensors over T frames, with metadata.
 
     Parameters
@@ -86,7 +84,7 @@ class Recording:
         check_names(names, n_sensors)
         times, rate_hz = self.times, self.rate_hz
         if times is not None:
-            times = _frozen(np.array(times, dtype=np.float64))
+            times = np.array(times, dtype=np.float64)
             _check_times(times, n_frames)
             rate_hz = float(1 / np.median(np.diff(times))) if n_frames > 1 else rate_hz
         if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
@@ -96,24 +94,14 @@ class Recording:
             "normals": ((n_sensors, 3),),
             "surface_distances": ((n_sensors, n_sensors),),
         }
-        for name, shapes in truth.items():
-            if getattr(self, name) is not None:
-                array = _frozen(np.array(getattr(self, name), dtype=np.float64))
-                _check_shape(name, array, shapes)
-                object.__setattr__(self, name, array)
-        for name, value in {
-            "readings": readings,
-            "names": names,
-            "times": times,
-            "rate_hz": rate_hz,
-            "metadata": MappingProxyType(dict(self.metadata)),
-        }.items():
-            object.__setattr__(self, name, value)
-
-    def __reduce__(self) -> tuple[Callable[..., Recording], tuple[dict[str, object]]]:
-        # A mappingproxy cannot be pickled.
-        own = {one.name: getattr(self, one.name) for one in fields(self)}
-        return _rebuilt, ({**own, "metadata": dict(self.metadata)},)
+        known = {
+            name: np.array(getattr(self, name), dtype=np.float64)
+            for name in truth
+            if getattr(self, name) is not None
+        }
+        for name, array in known.items():
+            _check_shape(name, array, truth[name])
+        self.set_fields(readings=readings, names=names, times=times, rate_hz=rate_hz, **known)
 
     def __repr__(self) -> str:
         details = [f"{self.n_frames} frames", f"{self.n_sensors} sensors"]
@@ -159,7 +147,10 @@ class Recording:
 
         At least one of them is NaN or infinite if readings of the sensor are missing.
         """
-        return _frozen(self.readings.min(axis=0)), _frozen(self.readings.max(axis=0))
+        found = self.readings.min(axis=0), self.readings.max(axis=0)
+        for array in found:
+            array.setflags(write=False)
+        return found
 
     @cached_property
     def signals(self) -> Signals:
@@ -387,7 +378,7 @@ def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
     dtype = np.float32 if fits_float32 else np.float64
     if array.dtype == dtype and array.base is None and not array.flags.writeable:
         return array  # already immutable: do not copy a large recording
-    return _frozen(np.array(array, dtype=dtype))
+    return np.array(array, dtype=dtype)
 
 
 def _unmasked(values: Any) -> Any:
@@ -396,11 +387,6 @@ def _unmasked(values: Any) -> Any:
         return values
     dtype = np.result_type(values.dtype, np.float16)
     return values.astype(dtype).filled(np.nan)
-
-
-def _frozen(array: _Array) -> _Array:
-    array.setflags(write=False)
-    return array
 
 
 def _check_shape(
@@ -424,10 +410,6 @@ def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
             f"times must increase, but frame {frame} ({times[frame]:g} s) "
             f"is not after frame {frame - 1} ({times[frame - 1]:g} s)"
         )
-
-
-def _rebuilt(fields: dict[str, Any]) -> Recording:
-    return Recording(**fields)
 
 
 _MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from anisomap.errors import InputError, import_extra
+from anisomap.immutable import Immutable
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.usability import Verdict
 from anisomap.wording import html_table
@@ -22,8 +22,8 @@ UNPLACED = -1
 UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
 
-MAX_COORDINATE = 1e100
-"""Greatest coordinate of sensors that are aligned or placed: sums of squares are finite."""
+MAX_COORDINATE = 1e75
+"""Greatest coordinate of what is aligned or placed: fourth powers of lengths are finite."""
 
 UNASSESSED = "unassessed"
 """Health of a sensor before `anisomap.diagnose`."""
@@ -37,16 +37,8 @@ FEW_CONTACTS = "few contacts"
 DEFAULT_FRAME = "skin"
 
 
-def _no_labels() -> NDArray[np.intp]:
-    return np.empty(0, dtype=np.intp)
-
-
-def _no_values() -> NDArray[np.float64]:
-    return np.empty(0)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class SensorMap:
+class SensorMap(Immutable):
     """Positions of N sensors, known up to rotation, translation, scale and reflection, or placed.
 
     ``len(m)`` is the number of sensors, ``m["name"]`` the position of one, and ``np.asarray(m)``
@@ -113,7 +105,7 @@ class SensorMap:
 
     positions: NDArray[np.float64]
     names: tuple[str, ...] = ()
-    component: NDArray[np.intp] = field(default_factory=_no_labels)
+    component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     health: tuple[str, ...] = ()
     units: str = "arbitrary"
     frame: str = DEFAULT_FRAME
@@ -127,7 +119,7 @@ class SensorMap:
     mirrored: bool = False
     handed: bool = False
     anchored: bool = False
-    errors: NDArray[np.float64] = field(default_factory=_no_values)
+    errors: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     covariances: NDArray[np.float64] | None = None
     normals: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
@@ -162,26 +154,18 @@ class SensorMap:
             raise InputError(
                 "sensors must have a finite position if and only if their component is not -1"
             )
-        for array in (positions, component, errors):
-            array.setflags(write=False)
-        for field_name, value in {
-            "positions": positions,
-            "names": names,
-            "component": component,
-            "health": health,
-            "errors": errors,
-            "covariances": None
+        self.set_fields(
+            positions=positions,
+            names=names,
+            component=component,
+            health=health,
+            errors=errors,
+            covariances=None
             if self.covariances is None
             else _as_covariances(self.covariances, positions.shape),
-            "normals": None if self.normals is None else _as_normals(self.normals, n_sensors),
-            "notes": tuple(self.notes),
-            "provenance": MappingProxyType(dict(self.provenance)),
-        }.items():
-            object.__setattr__(self, field_name, value)
-
-    def __reduce__(self) -> tuple[Callable[..., SensorMap], tuple[dict[str, object]]]:
-        # A mappingproxy cannot be pickled.
-        return _rebuilt, ({**vars(self), "provenance": dict(self.provenance)},)
+            normals=None if self.normals is None else _as_normals(self.normals, n_sensors),
+            notes=tuple(self.notes),
+        )
 
     @property
     def n_sensors(self) -> int:
@@ -374,7 +358,6 @@ def _as_covariances(covariances: ArrayLike, shape: tuple[int, ...]) -> NDArray[n
         )
     lower = np.tril_indices(dimensions, -1)
     array[:, lower[0], lower[1]] = array[:, lower[1], lower[0]]  # exactly symmetric
-    array.setflags(write=False)
     return array
 
 
@@ -382,12 +365,7 @@ def _as_normals(normals: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
     array = np.array(normals, dtype=np.float64)
     if array.shape != (n_sensors, 3):
         raise InputError(f"normals must have shape ({n_sensors}, 3), got {array.shape}")
-    array.setflags(write=False)
     return array
-
-
-def _rebuilt(fields: dict[str, Any]) -> SensorMap:
-    return SensorMap(**fields)
 
 
 def check_coordinates(points: NDArray[np.float64], names: Sequence[str], what: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from scipy.special import ndtr, ndtri
 from anisomap.defaults import LEVEL
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
+from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity_robustly
 from anisomap.recording import match_names, match_sensors
@@ -34,11 +34,9 @@ _MIN_SPREAD: float = 0.5 * np.log(np.log(4) / np.log(2)) / _UPPER_QUARTILE
 
 _LARGEST_LOGARITHM = 700.0  # of a floating-point number
 
-Array = TypeVar("Array", bound=NDArray[np.generic])
-
 
 @dataclass(frozen=True, eq=False)
-class Difference:
+class Difference(Immutable):
     """Comparison of two maps of one skin.
 
     Attributes
@@ -155,14 +153,14 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     here = pair.placed & pair.working
     return Difference(
         names=pair.names,
-        before=_frozen(pair.before),
-        after=_frozen(aligned),
-        distance=_frozen(distance),
-        p_values=_frozen(p_values),
-        moved=_frozen(p_values < level),
-        appeared=_frozen(here[1] & ~here[0]),
-        lost=_frozen(here[0] & ~here[1]),
-        compared=_frozen(compared),
+        before=pair.before,
+        after=aligned,
+        distance=distance,
+        p_values=p_values,
+        moved=p_values < level,
+        appeared=here[1] & ~here[0],
+        lost=here[0] & ~here[1],
+        compared=compared,
         chance=min(limits),
         spacing=median_spacing(pair.before[groups[0][0]]),
         scale=groups[0][1].scale,
@@ -269,8 +267,3 @@ class _Tail:
     def quantile(self, p_value: float) -> float:
         logarithm = np.log(self.median) - self.spread * ndtri(p_value)
         return float(np.exp(min(logarithm, _LARGEST_LOGARITHM)))
-
-
-def _frozen(array: Array) -> Array:
-    array.setflags(write=False)
-    return array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.defaults import PERMUTATIONS
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.sensor_map import SensorMap
 
@@ -25,7 +27,7 @@ MIN_SENSORS_COMPARED = 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Mantel:
+class Mantel(Immutable):
     """Mantel r of two distance matrices, and its null distribution.
 
     Attributes
@@ -104,23 +106,10 @@ def mantel(
     McGregor et al. (2011), section "Results"; Mantel (1967), Cancer Research 27: 209-220. Sensors
     are relabelled, not pairs: the distances of one configuration constrain each other.
     """
-    a, b = _same_sensors(first, second)
-    n_sensors = len(a)
-    a, b = _standardised(a), _standardised(b)
-    null = np.empty(permutations)
-    # float32 suffices for the null and is twice as fast.
-    a32, b32 = a.astype(np.float32), b.astype(np.float32)
-    generator = np.random.default_rng(0 if rng is None else rng)
-    report_every = max(1, permutations // 100)
-    with limited_blas(n_sensors):
-        for i in range(permutations):
-            order = generator.permutation(n_sensors)
-            null[i] = np.vdot(a32[order].take(order, axis=1), b32) / 2
-            if progress is not None and i % report_every == 0:
-                progress(i / permutations)
-    null.setflags(write=False)
-    r = float(np.clip(np.vdot(a, b) / 2, -1, 1))
-    return Mantel(r=r, null=null, n_sensors=n_sensors)
+    a, b = (_standardised(matrix) for matrix in _same_sensors(first, second))
+    a32, b32 = a.astype(np.float32), b.astype(np.float32)  # suffices, and is twice as fast
+    null = _null(lambda one: float(np.vdot(one, b32)) / 2, a32, permutations, rng, progress)
+    return Mantel(r=float(np.clip(np.vdot(a, b) / 2, -1, 1)), null=null, n_sensors=len(a))
 
 
 def partial_mantel(
@@ -162,7 +151,6 @@ def partial_mantel(
     """
     a, b, c = (_standardised(matrix) for matrix in _same_sensors(first, second, third))
     r23 = float(np.vdot(b, c)) / 2
-    generator = np.random.default_rng(0 if rng is None else rng)
 
     def partial(relabelled: NDArray[np.float64]) -> float:
         r12, r13 = float(np.vdot(relabelled, b)) / 2, float(np.vdot(relabelled, c)) / 2
@@ -172,10 +160,27 @@ def partial_mantel(
     r = partial(a)
     if not np.isfinite(r):
         raise InputError("the third configuration determines one of the others: nothing is left")
-    orders = (generator.permutation(len(a)) for _ in range(permutations))
-    null = np.array([partial(a[order].take(order, axis=1)) for order in orders])
-    null.setflags(write=False)
+    null = _null(partial, a, permutations, rng)
     return Mantel(r=float(np.clip(r, -1, 1)), null=null, n_sensors=len(a))
+
+
+def _null(
+    statistic: Callable[[NDArray[Any]], float],
+    matrix: NDArray[Any],
+    permutations: int,
+    rng: np.random.Generator | int | None,
+    progress: Callable[[float], None] | None = None,
+) -> NDArray[np.float64]:
+    """Compute a statistic of a matrix (N, N) after random permutations of its sensors."""
+    generator = np.random.default_rng(0 if rng is None else rng)
+    null, report_every = np.empty(permutations), max(1, permutations // 100)
+    with limited_blas(len(matrix)):
+        for i in range(permutations):
+            order = generator.permutation(len(matrix))
+            null[i] = statistic(matrix[order].take(order, axis=1))
+            if progress is not None and i % report_every == 0:
+                progress(i / permutations)
+    return null
 
 
 def _same_sensors(*configurations: SensorMap | ArrayLike) -> list[NDArray[np.float64]]:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.scaling.dissimilarity_scaling import monotone_regression
 
@@ -20,7 +21,7 @@ Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Shepard:
+class Shepard(Immutable):
     """Shepard diagram of P pairs of points with known dissimilarities, which increase.
 
     Attributes
@@ -60,7 +61,7 @@ class Shepard:
 
 
 @dataclass(frozen=True, eq=False)
-class NullTest:
+class NullTest(Immutable):
     """A statistic, and its distribution if nothing relates sensors or objects.
 
     Attributes
@@ -151,10 +152,7 @@ def shepard(dissimilarities: ArrayLike, positions: ArrayLike) -> Shepard:
     order, disparities = monotone_regression(wanted[first, second], actual[first, second])
     pairs = pairs[order]
     first, second = pairs.T
-    found = Shepard(wanted[first, second], actual[first, second], disparities, pairs)
-    for array in (found.dissimilarities, found.distances, found.disparities, found.pairs):
-        array.setflags(write=False)
-    return found
+    return Shepard(wanted[first, second], actual[first, second], disparities, pairs)
 
 
 def shift_test(
@@ -285,7 +283,6 @@ def _null_test(
 ) -> NullTest:
     null = np.array(values)
     extreme = np.count_nonzero(null >= observed if greater else null <= observed)
-    null.setflags(write=False)
     return NullTest(observed, null, (extreme + 1) / (len(null) + 1), hypothesis)
 
 

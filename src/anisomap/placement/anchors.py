@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtri
 
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import Kernel, nearest_others
 from anisomap.numerics.procrustes import SINGULAR, similarity_freedom
 from anisomap.numerics.surfaces import Points
@@ -22,7 +23,7 @@ from anisomap.placement.handedness import (
     fit_scaled,
     krige,
 )
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, check_coordinates
 from anisomap.wording import join_items
 
 # Anchors that are suggested; tuned on the iCub hexagon and palm, the plantar recording, and halves
@@ -32,7 +33,7 @@ _SHARE_INSIDE = 0.5  # of the sensors
 
 
 @dataclass(frozen=True, eq=False)
-class Anchors:
+class Anchors(Immutable):
     """Sensors with a known position in the frame of the robot.
 
     Parameters
@@ -65,12 +66,8 @@ class Anchors:
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise InputError(f"anchor {join_items(repeated)} is given more than once")
-        bad = [n for n, row in zip(names, positions, strict=True) if not np.isfinite(row).all()]
-        if bad:
-            raise InputError(f"anchor {join_items(bad)} must have finite coordinates")
-        positions.setflags(write=False)
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "positions", positions)
+        check_coordinates(positions, names, "among the anchors")
+        normals = None
         if self.normals is not None:
             normals = np.array(self.normals, dtype=np.float64)
             if normals.shape != (len(names), 3) or positions.shape[1] != 3:
@@ -81,8 +78,7 @@ class Anchors:
             lengths = np.linalg.norm(normals, axis=1, keepdims=True)
             known = np.isfinite(lengths) & (lengths > 0)
             normals = np.where(known, normals / np.where(known, lengths, 1.0), np.nan)
-            normals.setflags(write=False)
-            object.__setattr__(self, "normals", normals)
+        self.set_fields(names=names, positions=positions, normals=normals)
 
     def select(self, rows: NDArray[np.intp]) -> Anchors:
         """Return some of the anchors."""
@@ -181,7 +177,7 @@ _REACH, _NOISE = 1.0, 1.0
 # Other fields that are tried with many anchors, likewise.
 _REACHES, _NOISES = (0.25, 0.5, 1.0), (0.1, 0.3, 1.0)
 _MIN_REACH = 3.0  # spacings; a field that changes faster would change the spacing
-_MIN_LENGTH, _MAX_LENGTH = 1e-50, 1e50  # metres; fourth powers are within the range of float64
+_MIN_LENGTH = 1e-50  # metres; fourth powers are within the range of float64
 _MAX_FOLDS, _MANY, _FEW_FOLDS = 50, 200, 10  # groups left out in turn; fewer of many anchors
 
 
@@ -224,7 +220,12 @@ def fit_anchors(
     """
     x, y = tied.anchors, tied.targets
     _check_spread(x, known.spacing)
-    _check_extent(y)
+    furthest = float(np.abs(y).max())
+    if np.ptp(y, axis=0).max() <= max(SINGULAR * furthest, _MIN_LENGTH):
+        raise InputError(
+            f"all {len(y)} anchors have the same position; give the positions measured on the "
+            "robot, in metres"
+        )
     reflected, handed = choose_hand(tied, known, normals)
     fit = fit_scaled(x, y, known, reflected)
     n, k = y.shape
@@ -266,21 +267,6 @@ def _check_spread(anchors: Points, spacing: float) -> None:
         raise InputError(
             f"the {n} anchors lie {where} on the map, so the rotation is unknown; give another "
             "anchor far from them"
-        )
-
-
-def _check_extent(targets: Points) -> None:
-    """Check that anchors are apart, and that products of four lengths do not overflow."""
-    furthest = float(np.abs(targets).max())
-    if not furthest < _MAX_LENGTH:
-        raise InputError(
-            f"an anchor has a coordinate of {furthest:.3g} m, which is out of range; check the "
-            "positions of the anchors and their unit"
-        )
-    if np.ptp(targets, axis=0).max() <= max(SINGULAR * furthest, _MIN_LENGTH):
-        raise InputError(
-            f"all {len(targets)} anchors have the same position; give the positions measured on "
-            "the robot, in metres"
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,12 +14,13 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
-from anisomap.sensor_map import SensorMap
+from anisomap.recording import Scalar
+from anisomap.sensor_map import MAX_COORDINATE, UNPLACED, SensorMap
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
 """Length of each supported unit in metres."""
 
-_MIN_LENGTH, _MAX_LENGTH = 1e-150, 1e150  # their squares are normal floating-point numbers
+_MIN_LENGTH = 1e-150  # its square is a normal floating-point number
 _LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")
 
 
@@ -82,16 +84,46 @@ def check_placeable(sensor_map: SensorMap, handedness: str) -> None:
     sensor_map.check_coordinates("on the map")
 
 
-def rescaled(sensor_map: SensorMap, factor: float, units: str) -> SensorMap:
-    """Multiply all lengths of a map by a factor."""
-    covariances = sensor_map.covariances
+def in_frame_of_robot(
+    sensor_map: SensorMap,
+    positions: NDArray[np.float64],
+    errors: NDArray[np.float64],
+    *,
+    handed: bool,
+    mirrored: bool,
+    placed_by: Mapping[str, Scalar],
+    normals: NDArray[np.float64] | None = None,
+    frame: str = "",
+) -> SensorMap:
+    """Return a map at positions (N, k) in metres, with errors (N,) and the facts of its placing."""
     return replace(
         sensor_map,
-        positions=factor * sensor_map.positions,
-        errors=factor * sensor_map.errors,
-        covariances=None if covariances is None else factor**2 * covariances,
-        units=units,
+        positions=positions,
+        component=np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED),
+        errors=errors,
+        covariances=None,  # errors contain them
+        normals=normals,
+        units="m",
+        frame=frame or sensor_map.frame,
+        handed=handed,
+        anchored=True,
+        mirrored=mirrored,
+        provenance={**sensor_map.provenance, **placed_by},
     )
+
+
+def rescaled(sensor_map: SensorMap, factor: float, units: str) -> SensorMap:
+    """Multiply all lengths of a map by a factor."""
+    scaled = _stretched(sensor_map, np.full(sensor_map.dimensions, factor))
+    return replace(scaled, errors=factor * sensor_map.errors, units=units)
+
+
+def _stretched(sensor_map: SensorMap, factors: NDArray[np.float64]) -> SensorMap:
+    """Multiply each coordinate of a map by a factor. factors (k,)."""
+    covariances = sensor_map.covariances
+    if covariances is not None:
+        covariances = np.outer(factors, factors) * covariances
+    return replace(sensor_map, positions=factors * sensor_map.positions, covariances=covariances)
 
 
 def in_millimetres(sensor_map: SensorMap) -> SensorMap:
@@ -131,7 +163,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     factor = spacing / median_spacing(sensor_map)
     largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
     # Distances are computed from squares, which must neither underflow nor overflow.
-    if not (spacing > _MIN_LENGTH and factor > 0 and largest < _MAX_LENGTH):
+    if not (spacing > _MIN_LENGTH and factor > 0 and largest < MAX_COORDINATE):
         raise InputError(
             f"a spacing of {spacing:g} {units} takes the positions out of the range of "
             "floating-point numbers; check its unit"
@@ -161,16 +193,9 @@ def mirrored(sensor_map: SensorMap) -> SensorMap:
         raise InputError("the map is in the frame of the robot, so it must not be reflected")
     flip = np.ones(sensor_map.dimensions)
     flip[0] = -1.0
-    normals = sensor_map.normals
-    return replace(
-        sensor_map,
-        positions=flip * sensor_map.positions,
-        covariances=None
-        if sensor_map.covariances is None
-        else np.outer(flip, flip) * sensor_map.covariances,
-        normals=None if normals is None else normals * [-1.0, 1.0, 1.0],
-        mirrored=not sensor_map.mirrored,
-    )
+    normals = None if sensor_map.normals is None else sensor_map.normals * [-1.0, 1.0, 1.0]
+    flipped = _stretched(sensor_map, flip)
+    return replace(flipped, normals=normals, mirrored=not sensor_map.mirrored)
 
 
 def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import (
     Evidence,
@@ -38,7 +39,7 @@ _MAX_DIGITS = 9  # longer numbers are serial numbers, not positions on a cable
 
 
 @dataclass(frozen=True, eq=False)
-class Modules:
+class Modules(Immutable):
     """The modules of N sensors.
 
     Parameters
@@ -83,10 +84,7 @@ class Modules:
             raise InputError(f"modules must be numbered from 0 to {len(self.labels) - 1}, or -1")
         if template.ndim != 2 or template.shape[1] not in (2, 3):
             raise InputError(f"a template must have shape (P, 2) or (P, 3), got {template.shape}")
-        object.__setattr__(self, "labels", tuple(self.labels))
-        for name, array in (("index", index), ("pads", pads), ("template", template)):
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        self.set_fields(labels=tuple(self.labels), index=index, pads=pads, template=template)
         self._check_pads()
 
     def _check_pads(self) -> None:

@@ -16,6 +16,7 @@ from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     METRES,
     check_placeable,
+    in_frame_of_robot,
     mirrored,
     rescaled,
     scaled_to_spacing,
@@ -279,18 +280,14 @@ def _anchored(
         measured = np.isfinite(residuals)
         positions[where[measured]] = anchors.positions[measured]
         errors[where[measured]] = 0.0
-    result = replace(
+    result = in_frame_of_robot(
         sensor_map,
-        positions=positions,
-        component=np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED),
-        errors=errors,
-        covariances=None,  # errors contain them
-        normals=None if shape.surface is None else normals,
-        units="m",
+        positions,
+        errors,
         handed=handed,
-        anchored=True,
         mirrored=mirror[0],
-        provenance={**sensor_map.provenance, "anchors": len(where), "placed_by": methods[0]},
+        placed_by={"anchors": len(where), "placed_by": methods[0]},
+        normals=None if shape.surface is None else normals,
     )
     found = Placement(result, anchors.names, residuals, left_out, tuple(methods), ())
     return _with_missing(found, sensor_map)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,18 @@ from anisomap.numerics.procrustes import (
 )
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.anchors import COVERAGE, fit_anchors
-from anisomap.placement.frames import METRES, check_placeable, median_spacing, pad_to_3d
+from anisomap.placement.frames import (
+    METRES,
+    check_placeable,
+    in_frame_of_robot,
+    median_spacing,
+    pad_to_3d,
+)
 from anisomap.placement.handedness import Known, Tied
 from anisomap.placement.kinematics import KinematicTree
 from anisomap.placement.placing import Placement
 from anisomap.recording import Recording, match_names
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import MAX_COORDINATE, SensorMap
 
 # Chosen by hand.
 _MIN_DEPTH = 0.1  # of the range of readings; light contacts have a noisy centre
@@ -33,7 +39,6 @@ _RANGE_QUANTILE = 0.998  # of the depths of a patch; excludes glitches
 _MIN_SENSORS = 3  # active on each patch; the centre of fewer is known to a spacing only
 _APART = 1.0  # spacings between contacts of one run of frames
 _NEIGHBOURS = 6  # contacts that a contact is compared with
-_MAX_COORDINATE = 1e100  # so that sums of squares are finite
 # Tuned on the simulations of `benchmarks.self_touch`, seeds 1 to 20.
 _SYSTEMATIC = 0.02  # share of the variance of contacts that is alike for all, as by curvature
 _INCONSISTENT = 3.0  # medians of the misfits of contacts
@@ -161,18 +166,14 @@ def place_by_self_touch(
         positions[members], errors[members] = fit.positions[:n_members], fit.errors[:n_members]
         how, handed, reflected = fit.how, fit.handed, fit.reflected
     method = f"{how}, {int(used.sum())} of {len(used)} contacts"
-    placed = replace(
+    placed = in_frame_of_robot(
         sensor_map,
-        positions=positions,
-        errors=errors,
-        covariances=None,  # errors contain them
-        normals=None,
-        units="m",
-        frame=touches.link,
+        positions,
+        errors,
         handed=handed,
-        anchored=True,
         mirrored=sensor_map.mirrored != reflected,
-        provenance={**sensor_map.provenance, "contacts": int(used.sum()), "placed_by": method},
+        placed_by={"contacts": int(used.sum()), "placed_by": method},
+        frame=touches.link,
     )
     return TouchPlacement(placed, frames, used, residuals, method)
 
@@ -223,9 +224,9 @@ def _contacts(
     known = METRES[other.units] * across[frames]
     turned = np.einsum("nij,nj->ni", pose[frames, :3, :3], known)
     places, targets = own[frames], turned + pose[frames, :3, 3]
-    if max(np.abs(places).max(), np.abs(targets).max()) > _MAX_COORDINATE:
+    if max(np.abs(places).max(), np.abs(targets).max()) > MAX_COORDINATE:
         raise InputError(
-            f"coordinates of contacts must be below {_MAX_COORDINATE:g}; check the units of the "
+            f"coordinates of contacts must be at most {MAX_COORDINATE:g}; check the units of the "
             "layouts and of the robot"
         )
     return places, targets, frames

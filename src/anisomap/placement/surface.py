@@ -13,6 +13,7 @@ from anisomap.numerics.procrustes import extent, fit_similarity
 from anisomap.numerics.surfaces import Points, TriangleSearch
 from anisomap.placement.handedness import Tied
 from anisomap.scene import Mesh
+from anisomap.sensor_map import MAX_COORDINATE
 
 # Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.
 _INDEPENDENT = 20.0  # independent errors of a map, which are correlated between neighbours
@@ -26,7 +27,6 @@ _BEND_ANCHOR_WEIGHT = 10.0  # of an anchor against the nearest point; 3 to 30 gi
 _BEND_ITERATIONS, _BEND_CONVERGED = 25, 1e-3  # the largest step, in sizes of the map
 # Points drawn on the mesh, about 1 % of its size apart: far less than the distances compared.
 _N_SAMPLES = 20_000
-_MAX_COORDINATE = 1e75  # m; the square of an area, the fourth power of a length, is finite
 
 
 class Surface:
@@ -39,8 +39,8 @@ class Surface:
         corners = mesh.vertices[mesh.faces]
         if not len(corners) or not np.isfinite(corners).all():
             raise InputError("a mesh must have triangles with finite vertices")
-        if np.abs(corners).max() > _MAX_COORDINATE:
-            raise InputError(f"coordinates of a mesh must be at most {_MAX_COORDINATE:g} m")
+        if np.abs(corners).max() > MAX_COORDINATE:
+            raise InputError(f"coordinates of a mesh must be at most {MAX_COORDINATE:g} m")
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         areas = np.linalg.norm(doubled, axis=1)
         if not areas.sum() > 0:

@@ -21,6 +21,7 @@ from anisomap.live.examination import Examination
 from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.saving import EXPORTS, save_map, save_report
 from anisomap.live.session import LiveSession
+from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement import Anchors, parse_anchor
 from anisomap.sensor_map import SensorMap
@@ -248,26 +249,26 @@ def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[
     placed = np.isfinite(found).all(axis=1)
     if found.shape[1] != quick.positions.shape[1]:
         return turned_onto(found, None) if placed.any() else None
-    shared = placed & np.isfinite(quick.positions).all(axis=1)
-    if np.count_nonzero(shared) <= found.shape[1]:
-        return None
-    return fit_similarity(found[shared], quick.positions[shared]).apply(found)
+    return _aligned(found, quick)
 
 
 def _stated(truth: SensorMap | None, quick: QuickMap) -> str | None:
     """Return the stated layout in the frame of the quick map; None if it cannot be turned."""
     if truth is None:
         return None
-    found = _in_order(truth, truth.positions, quick)
+    turned = _aligned(_in_order(truth, truth.positions, quick), quick)
+    return None if turned is None else _encoded(turned)
+
+
+def _aligned(found: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64] | None:
+    """Fit positions of the sensors of a quick map to it, in its dimensions; None for too few."""
     shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
     width = max(found.shape[1], quick.positions.shape[1])
     if np.count_nonzero(shared) <= width:
         return None
-    places, points = (
-        np.pad(array, ((0, 0), (0, width - array.shape[1]))) for array in (found, quick.positions)
-    )
+    places, points = padded(found, width), padded(quick.positions, width)
     turned = fit_similarity(places[shared], points[shared]).apply(places)
-    return _encoded(turned[:, : quick.positions.shape[1]])
+    return np.asarray(turned[:, : quick.positions.shape[1]])
 
 
 def _doubt(quick: QuickMap) -> NDArray[np.float64]:

@@ -55,13 +55,18 @@ def replay(path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
                     n_frames = max(1, int(_BATCH_S * speed / (times[1] - times[0])))
                 for at in range(0, len(times), n_frames):
                     part = slice(at, at + n_frames)
-                    due = started + (times[part][-1] / speed if speed else 0.0)
-                    if stop.wait(max(0.0, due - time.monotonic())):
+                    if _stopped_before(started, times[part][-1], speed, stop):
                         return
                     yield Batch(np.asarray(block.readings[part], dtype=np.float64), times[part])
         yield Notice("the recording has ended")
 
     return Source(f"replay of {path.name}", items, names, truth, can_wait=True)
+
+
+def _stopped_before(started: float, clock: float, speed: float, stop: Event) -> bool:
+    """Wait until a recording that is replayed has reached a time; return whether it was stopped."""
+    due = started + clock / speed if speed else started
+    return stop.wait(max(0.0, due - time.monotonic()))
 
 
 def _times(block: Block, begin: float, step: float) -> NDArray[np.float64]:
@@ -100,8 +105,7 @@ class SimulatedHand(Source):
         started, n_frames, interval = time.monotonic(), 0, self._options.frame_interval
         while not stop.is_set():
             for row in self._hand.rub(BOUT_FRAMES, *self.where()):
-                due = started + (n_frames * interval / self._speed if self._speed else 0)
-                if stop.wait(max(0.0, due - time.monotonic())):
+                if _stopped_before(started, n_frames * interval, self._speed, stop):
                     return
                 times = np.array([n_frames * interval])
                 yield Batch(row[None].astype(np.float64), times)
