@@ -239,7 +239,7 @@ FIVE = [0, 8, 66, 31, 40]
         *(
             (truth, anchors_at(factor * truth + shift, FIVE), message)
             for truth in (FLAT, CURVED)
-            for factor, shift, message in ((0, 0.3, "all the same"), (1e-200, 0, "all the same"))
+            for factor, shift, message in ((0, 0.3, "same position"), (1e-200, 0, "same position"))
         ),
     ],
 )  # fmt: skip
