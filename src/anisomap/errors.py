@@ -10,10 +10,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from anisomap.wording import shortened
+from anisomap.wording import printable, shortened
 
 MAX_CHARACTERS = 300
 """Maximum length of the message of an error; names from files may be of any length."""
+
+_MAX_REASON = 200
 
 
 class AnisomapError(Exception):
@@ -37,6 +39,10 @@ class FileError(InputError):
     """A file is missing, damaged, of an unexpected format, or cannot be written."""
 
 
+class DamagedError(FileError):
+    """A file that is damaged behind its first bytes; what is before the damage may be read."""
+
+
 class MissingExtraError(AnisomapError, ImportError):
     """An optional dependency that the call needs is not installed.
 
@@ -55,6 +61,12 @@ class MissingExtraError(AnisomapError, ImportError):
 
 class AnisomapWarning(UserWarning):
     """A result is less reliable than it appears; the message gives the reason."""
+
+
+def error_reason(error: BaseException) -> str:
+    """Return the message of an exception on one line, shortened to printable characters."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return printable(shortened(text, _MAX_REASON))
 
 
 def import_extra(module: str, purpose: str, extra: str) -> Any:

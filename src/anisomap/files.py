@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import os
 import stat
 import sys
@@ -177,18 +176,3 @@ def silent_library() -> Iterator[None]:
         os.dup2(original, _STANDARD_ERROR)
         os.close(original)
         os.close(null)
-
-
-@contextmanager
-def without_log(name: str) -> Iterator[None]:
-    """Keep the messages of a library from stderr, where logging prints them without a handler.
-
-    Handlers that an application has set up receive them all the same.
-    """
-    handler = logging.NullHandler()
-    logger = logging.getLogger(name)
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)

@@ -14,13 +14,13 @@ import pytest
 import scipy
 
 import crashing
-from anisomap import io
+from anisomap import io, reader_process
 from anisomap.errors import AnisomapWarning, FileError, MissingExtraError
 from anisomap.io import isolated
 from anisomap.io.stream import assemble
 
 READINGS = np.random.default_rng(3).random((50, 4)).round(3)
-WORKS = "sys.modules['anisomap.io.isolated']._idle[os.getpid()][0]._process.pid"
+WORKS = "sys.modules['anisomap.reader_process']._idle[os.getpid()][0]._process.pid"
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def test_a_library_that_crashes_costs_the_rest_of_a_file(path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of processor time")
 def test_a_library_that_computes_without_end_is_stopped(path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(isolated, "_SECONDS", 1)
+    monkeypatch.setattr(reader_process, "_SECONDS", 1)
     with pytest.raises(FileError, match=r"skin.mat: reading takes more than 1 s; it is damaged"):
         isolated.contents(crashing.contents, path, io.ReadOptions())
 
@@ -130,7 +130,7 @@ def test_missing_libraries_name_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     for library in ("h5py", "pyarrow", "rosbags", "PIL", "mne"):
         (tmp_path / f"{library}.py").write_text("raise ImportError")
     monkeypatch.syspath_prepend(tmp_path)
-    isolated.stop_all()
+    reader_process.stop_all()
     try:
         for extra, name, magic in (
             ("hdf5", "skin.h5", b"\x89HDF\r\n\x1a\n"),
@@ -145,4 +145,4 @@ def test_missing_libraries_name_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
                 io.read(tmp_path / name)
             assert e.value.extra == extra
     finally:
-        isolated.stop_all()
+        reader_process.stop_all()

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.files import open_regular
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import (
     file_errors,
-    library_errors,
     open_text,
     quote,
     read_head,
@@ -150,8 +150,8 @@ def _may_be_square(file: Path) -> bool:
     with file_errors(file), suppress(FileError):
         head = read_head(file)
         if head.startswith(npy.MAGIC):
-            with library_errors(file):  # the map is closed before anything of it is read
-                shape = np.load(file, mmap_mode="r", allow_pickle=False).shape
+            with open_regular(file) as stream:
+                shape = npy.read_header(stream, "the array").shape
             return len(shape) == 2 and shape[0] == shape[1]
         if head.startswith(delimited_text.SIGNATURE) or not delimited_text.recognises(file, head):
             return False

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import math
 import sys
-import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -210,17 +209,7 @@ class Archive:
         packed = min(info.compress_size, self.budget.size)
         self.budget.check(info.file_size, info.filename, reachable=ratio * packed)
         with self.zip.open(info) as member:
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    header = read_header(member)
-            except zipfile.BadZipFile:
-                raise
-            except Exception as error:  # numpy evaluates a literal; any error may result
-                raise FileError(
-                    f"{self.path}: the header of the array {name} is damaged"
-                ) from error
-            yield member, header
+            yield member, read_header(member, f"the array {name}")
 
 
 def _whole(member: IO[bytes], header: Header) -> NDArray[Any]:

@@ -71,7 +71,7 @@ class Format:
         ``write_recording(recording, path)``. Equal input gives equal bytes.
     contents: ``contents(path, options)`` lists the possible recordings in a file.
     extra: Extra that installs the required library; empty if none is required. Recordings of
-        formats with an extra are read in another process: see `anisomap.io.isolated`.
+        formats with an extra are read in another process: see `anisomap.reader_process`.
     in_metres: Whether the format stores metres, so that a map needs a scale.
     signature: First bytes of the files that anisomap writes, if no other format's files start with
         them. They decide before `recognises`, since names and notes may contain marks of others.

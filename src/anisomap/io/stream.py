@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.source import DamagedError, warn, warn_of_loss
+from anisomap.errors import DamagedError, FileError, InputError
+from anisomap.io.parsing.source import warn, warn_of_loss
 from anisomap.recording import Recording, Scalar, default_names
 from anisomap.wording import join_items
 

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import AnisomapWarning, FileError, import_extra
+from anisomap.errors import AnisomapWarning, FileError, error_reason, import_extra
 from anisomap.files import open_regular
-from anisomap.io.parsing.source import HEAD_BYTES, file_errors, guarded_iter, quote
+from anisomap.io.parsing.source import HEAD_BYTES, file_errors, quote
 from anisomap.placement import METRES, Taxels, to_taxels
 from anisomap.placement.kinematics import SLIDING, TURNING, Joint, KinematicTree, Mimic, transform
 from anisomap.sensor_map import SensorMap
@@ -326,20 +326,26 @@ def _elements(path: Path) -> Iterator[tuple[list[Any], Any]]:
     """
     if path.stat().st_size > _MAX_BYTES:
         raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
-    library = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
     around = list[Any]()
+    for event, element in _events(path):
+        if event == "start":
+            around.append(element)
+            if len(around) > _MAX_DEPTH:
+                raise FileError(f"{path} has more than {_MAX_DEPTH} nested elements")
+            continue
+        around.pop()
+        yield around, element
+        if around and around[-1].tag != "joint":
+            del around[-1][0]  # the parser is ahead, so that others may follow
+
+
+def _events(path: Path) -> Iterator[tuple[str, Any]]:
+    library = import_extra("defusedxml.ElementTree", "reading XML", EXTRA)
     with open_regular(path) as stream:
-        parsed = library.iterparse(stream, events=("start", "end"), forbid_dtd=True)
-        for event, element in guarded_iter(iter(parsed), path):
-            if event == "start":
-                around.append(element)
-                if len(around) > _MAX_DEPTH:
-                    raise FileError(f"{path} has more than {_MAX_DEPTH} nested elements")
-                continue
-            around.pop()
-            yield around, element
-            if around and around[-1].tag != "joint":
-                del around[-1][0]  # the parser is ahead, so that others may follow
+        try:
+            yield from library.iterparse(stream, ("start", "end"), forbid_dtd=True)
+        except (SyntaxError, ValueError, LookupError) as error:
+            raise FileError(f"{path} is damaged or cut short: {error_reason(error)}") from error
 
 
 def _part(joint: Any, part: str, key: str, default: str = "") -> str:

@@ -27,7 +27,7 @@ from anisomap.io.parsing.names import (
     units_per_second,
     warn_of_guesses,
 )
-from anisomap.io.parsing.source import guarded_iter, library_errors, quote
+from anisomap.io.parsing.source import quote
 from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose
 from anisomap.recording import Scalar
 
@@ -92,17 +92,14 @@ def _open(path: Path) -> Iterator[_Source]:
         stream.seek(0)
         if magic.startswith(_PARQUET):
             parquet = import_extra("pyarrow.parquet", "reading Parquet", EXTRA)
-            with library_errors(path):
-                file = parquet.ParquetFile(stream, pre_buffer=False)
-            with file:
+            with parquet.ParquetFile(stream, pre_buffer=False) as file:
                 yield _Source(path, file.schema_arrow, partial(_of_parquet, file))
             return
         arrow = import_extra("pyarrow", "reading Arrow", EXTRA)
         if magic.startswith(_FEATHER):
             # The file format is the streaming format between this number and an index.
             stream.seek(len(_FEATHER))
-        with library_errors(path):
-            reader = arrow.ipc.open_stream(stream)
+        reader = arrow.ipc.open_stream(stream)
         size = max(path.stat().st_size, 1)
         yield _Source(path, reader.schema, partial(_of_arrow, reader, lambda: stream.tell() / size))
 
@@ -179,17 +176,14 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
         raise FileError(f"{source.path}: column {name} must hold lists of numbers, got {kind}")
     clock = next((column for column in plain if is_time(column)), None)
     columns = [name, *([clock] if clock else []), *([_EPISODE] if _EPISODE in plain else [])]
-    batches = guarded_iter(source.batches(columns), source.path)
-    first, batches = _peek(source.path, batches)
-    with library_errors(source.path):
-        n_sensors = _rows(source.path, first.column(name), name, None).shape[1]
+    first, batches = _peek(source.path, source.batches(columns))
+    n_sensors = _rows(source.path, first.column(name), name, None).shape[1]
     times, rate_hz = _clock(source, first, clock)
 
     def blocks() -> Iterator[Block]:
         for batch, fraction in batches:
-            with library_errors(source.path):
-                rows = _rows(source.path, batch.column(name), name, n_sensors)
-                stamps = _column(batch.column(times)) if times else None
+            rows = _rows(source.path, batch.column(name), name, n_sensors)
+            stamps = _column(batch.column(times)) if times else None
             if stamps is not None:
                 stamps = stamps / units_per_second(times or "", stamps)
             yield Block(rows, fraction, stamps)
@@ -206,11 +200,8 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
 
 
 def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
-    batches = guarded_iter(source.batches(plain), source.path)
-    first, batches = _peek(source.path, batches)
-    with library_errors(source.path):
-        start = _table(first)[:ROWS_LOOKED_AT]
-    roles = roles_by_name(plain, start)
+    first, batches = _peek(source.path, source.batches(plain))
+    roles = roles_by_name(plain, _table(first)[:ROWS_LOOKED_AT])
     warn_of_guesses(source.path, plain, roles)
     kept = [name for i, name in enumerate(plain) if i not in roles.non_sensors]
     if not kept:
@@ -218,8 +209,7 @@ def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
 
     def blocks() -> Iterator[Block]:
         for batch, fraction in batches:
-            with library_errors(source.path):
-                table = _table(batch)
+            table = _table(batch)
             times = None if roles.time is None else table[:, roles.time] / roles.per_second
             yield Block(np.delete(table, roles.non_sensors, axis=1), fraction, times)
 
@@ -245,8 +235,7 @@ def _clock(source: _Source, first: Any, clock: str | None) -> tuple[str | None, 
     """Return the column of times, or only the rate if there are episodes."""
     if clock is None or _EPISODE not in first.schema.names:
         return clock, None
-    with library_errors(source.path):
-        times, episodes = _column(first.column(clock)), _column(first.column(_EPISODE))
+    times, episodes = _column(first.column(clock)), _column(first.column(_EPISODE))
     steps = np.diff(times)[np.diff(episodes) == 0]
     rate_hz = 1 / float(np.median(steps)) if steps.size and np.median(steps) > 0 else None
     return None, rate_hz

@@ -19,7 +19,7 @@ import numpy as np
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files import read_small
-from anisomap.io.parsing.source import is_gzipped, library_errors, quote, read_head
+from anisomap.io.parsing.source import is_gzipped, quote, read_head
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
@@ -48,24 +48,21 @@ _N_LOC = 3  # of the numbers about the place of a channel, the first are its pos
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the types of channels."""
     with _open(path) as raw:
-        return _contents(path, raw)
+        return _contents(raw)
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open the channels of type `options.select`, or of the only type of sensors."""
     with _open(path) as raw:
-        chosen = choose(path, _contents(path, raw), options.select, "type of channels").name
-        with library_errors(path):
-            kinds = raw.get_channel_types()
-            picked = [i for i, kind in enumerate(kinds) if kind == chosen]
-            places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
-            data = Path(raw.filenames[0] or path)
+        chosen = choose(path, _contents(raw), options.select, "type of channels").name
+        picked = [i for i, kind in enumerate(raw.get_channel_types()) if kind == chosen]
+        places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
         known = np.isfinite(places).all(axis=1) & places.any(axis=1)
         yield Stream(
-            data,
+            Path(raw.filenames[0] or path),
             len(picked),
-            _blocks(path, raw, picked, int(raw.n_times)),
+            _blocks(raw, picked, int(raw.n_times)),
             names=tuple(raw.ch_names[i] for i in picked),
             rate_hz=float(raw.info["sfreq"]),
             positions=np.where(known[:, None], places, np.nan) if known.any() else None,
@@ -93,12 +90,9 @@ def _open(path: Path) -> Iterator[Any]:
             named.symlink_to(path.resolve())
         if kind == "brainvision":
             _check_named(path)
-        with library_errors(path):
-            raw = getattr(io, f"read_raw_{kind}")(os.fspath(named), preload=False, verbose="ERROR")
-        try:
+        read = getattr(io, f"read_raw_{kind}")
+        with read(os.fspath(named), preload=False, verbose="ERROR") as raw:
             yield raw
-        finally:
-            raw.close()
 
 
 def _check_named(path: Path) -> None:
@@ -109,19 +103,17 @@ def _check_named(path: Path) -> None:
             raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
 
 
-def _contents(path: Path, raw: Any) -> tuple[Content, ...]:
-    with library_errors(path):
-        counts = Counter(raw.get_channel_types())
+def _contents(raw: Any) -> tuple[Content, ...]:
+    counts = Counter(raw.get_channel_types())
     return tuple(
         Content(kind, f"{count} channels x {raw.n_times} samples", usable=kind in _SENSORS)
         for kind, count in counts.items()
     )
 
 
-def _blocks(path: Path, raw: Any, picked: list[int], n_frames: int) -> Iterator[Block]:
+def _blocks(raw: Any, picked: list[int], n_frames: int) -> Iterator[Block]:
     step = max(1, BLOCK_BYTES // (8 * len(picked)))
     for start in range(0, n_frames, step):
         stop = min(start + step, n_frames)
-        with library_errors(path):
-            readings = raw.get_data(picks=picked, start=start, stop=stop, verbose="ERROR").T
+        readings = raw.get_data(picks=picked, start=start, stop=stop, verbose="ERROR").T
         yield Block(to_float32_if_exact(np.ascontiguousarray(readings)), stop / n_frames)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from anisomap.errors import import_extra
 from anisomap.files import check_regular
 from anisomap.io.parsing.names import is_time, units_per_second
-from anisomap.io.parsing.source import library_errors
 from anisomap.io.recordings.events import SpikeTrains, find_spike_trains, stream_spikes
 from anisomap.io.stream import (
     BLOCK_BYTES,
@@ -109,18 +108,13 @@ def stream_of(
         choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
     near = [each for each in datasets if each.group == chosen.group and each is not chosen]
     n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
-    with library_errors(path):
-        times = _times(path, near, n_frames)
-        names = _names(path, near, n_sensors) or _grid_names(chosen.shape[1:])
-        positions = _positions(near, n_sensors)
-        rate_hz = _rate(near)
     return Stream(
         path,
         n_sensors,
-        _blocks(path, chosen, times),
-        names=names,
-        rate_hz=rate_hz,
-        positions=positions,
+        _blocks(chosen, _times(path, near, n_frames)),
+        names=_names(near, n_sensors) or _grid_names(chosen.shape[1:]),
+        rate_hz=_rate(near),
+        positions=_positions(near, n_sensors),
         source=f"{path.name}:{chosen.name}",
         metadata=metadata,
     )
@@ -132,12 +126,10 @@ def _stream_of_spikes(
     group = trains.times[0].group
     near = [each for each in datasets if each.group == group and each.name not in trains.members]
     micrometres = any(each.key == _MICROMETRES for each in near)
-    with library_errors(path):
-        names = _names(path, near, trains.n_units)
-        positions = _positions(near, trains.n_units)
-        stream = stream_spikes(
-            path, trains, options.bin_s, names=names, positions=positions, span=_span(near)
-        )
+    names, positions = _names(near, trains.n_units), _positions(near, trains.n_units)
+    stream = stream_spikes(
+        path, trains, options.bin_s, names=names, positions=positions, span=_span(near)
+    )
     return replace(stream, units="um" if micrometres and positions is not None else "")
 
 
@@ -156,14 +148,13 @@ def _is_time_vector(dataset: Dataset) -> bool:
     return len(dataset.shape) == 2 and 1 in dataset.shape and is_time(dataset.key)
 
 
-def _blocks(path: Path, dataset: Dataset, times: NDArray[np.float64] | None) -> Iterator[Block]:
+def _blocks(dataset: Dataset, times: NDArray[np.float64] | None) -> Iterator[Block]:
     n_frames, frame = dataset.shape[0], dataset.shape[1:]
     step = max(1, BLOCK_BYTES // (8 * math.prod(frame)))
     step = -(-step // dataset.frames_at_once) * dataset.frames_at_once
     for start in range(0, n_frames, step):
         stop = min(start + step, n_frames)
-        with library_errors(path):
-            rows = dataset.read(start, stop).reshape(stop - start, -1)
+        rows = dataset.read(start, stop).reshape(stop - start, -1)
         yield Block(rows, stop / n_frames, None if times is None else times[start:stop])
 
 
@@ -175,7 +166,7 @@ def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.flo
     )
 
 
-def _names(path: Path, near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
+def _names(near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
     for each in near:
         if each.key != "names" or math.prod(each.shape) != n_sensors:
             continue
@@ -229,7 +220,6 @@ def _rate(near: Sequence[Dataset]) -> float | None:
 EXTRA = "hdf5"
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_MAX_DATASETS = 1000
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -256,27 +246,17 @@ def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Itera
     """Open an HDF5 file and list its datasets, without following links to other files."""
     h5py = import_extra("h5py", "reading HDF5", extra)
     check_regular(path)
-    with library_errors(path):
-        file = h5py.File(path, "r")
-    try:
-        with library_errors(path):
-            found: list[Any] = []
-            file.visititems(lambda _, item: _collect(found, item, h5py.Dataset))
-            datasets = [_dataset(path, item, frames_last) for item in found]
-        yield datasets
-    finally:
-        file.close()
+    with h5py.File(path, "r") as file:
+        found = list[Any]()
+        file.visititems(lambda _, item: found.append(item))  # stops at anything but None
+        yield [
+            _dataset(each, frames_last)
+            for each in found
+            if isinstance(each, h5py.Dataset) and not each.name.startswith("/#")
+        ]
 
 
-def _collect(found: list[Any], item: Any, kind: type) -> bool | None:
-    """Append a dataset to `found`; return True to stop the traversal at `_MAX_DATASETS`."""
-    name = item.name.lstrip("/")
-    if isinstance(item, kind) and not name.startswith("#"):
-        found.append(item)
-    return True if len(found) > _MAX_DATASETS else None
-
-
-def _dataset(path: Path, item: Any, frames_last: bool) -> Dataset:
+def _dataset(item: Any, frames_last: bool) -> Dataset:
     name = item.name.lstrip("/")
     shape = tuple(item.shape or ())
     chunks = tuple(item.chunks or ())

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files import check_regular
-from anisomap.io.parsing.source import library_errors
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream
 
@@ -41,20 +40,15 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         files = _images(path)
         yield _stream(path, len(files), lambda i: _image(pillow, files[i]))
         return
-    with library_errors(path), pillow.open(path) as image:
+    with pillow.open(path) as image:
         count = int(getattr(image, "n_frames", 1))
-    if count < 2:
-        raise FileError(f"{path} holds a single image (one frame); give a folder of images")
-    with library_errors(path):
-        image = pillow.open(path)
-    with image:
+        if count < 2:
+            raise FileError(f"{path} holds a single image (one frame); give a folder of images")
         yield _stream(path, count, lambda i: _page(image, i))
 
 
 def _stream(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stream:
-    with library_errors(path):
-        first = read(0)
-    rows, columns = first.shape
+    rows, columns = read(0).shape
     return Stream(
         path,
         rows * columns,
@@ -74,9 +68,8 @@ def _blocks(
     pixels: list[NDArray[Any]] = []
     for i in range(count):
         try:
-            with library_errors(path):
-                pixels.append(read(i).ravel())
-        except FileError:
+            pixels.append(read(i).ravel())
+        except Exception:
             if pixels:
                 yield Block(np.array(pixels), i / count)
             raise
@@ -103,7 +96,7 @@ def _natural_key(name: str) -> list[tuple[int, str]]:
 
 def _image(pillow: Any, path: Path) -> NDArray[Any]:
     check_regular(path)
-    with library_errors(path), pillow.open(path) as image:
+    with pillow.open(path) as image:
         return _page(image, 0)
 
 

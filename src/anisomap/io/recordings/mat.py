@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.files import open_regular
-from anisomap.io.parsing.source import library_errors, quote
+from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.events import Events, name_sensors, stream_events
 from anisomap.io.recordings.hdf5 import Dataset, contents_of, open_datasets, stream_of
 from anisomap.io.stream import Content, ReadOptions, Stream, choose
@@ -101,8 +101,7 @@ def _open(path: Path) -> Iterator[tuple[list[_Lists], list[Dataset]]]:
         with open_datasets(path, EXTRA, frames_last=True) as datasets:
             yield [], datasets
         return
-    with library_errors(path):
-        listed = scipy.io.whosmat(path)
+    listed = scipy.io.whosmat(path)
     datasets = [_dataset(path, *each) for each in listed]
     cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
     yield _find_lists(_load(path, cells)) if cells else [], datasets
@@ -124,9 +123,8 @@ def _reader(path: Path, name: str) -> Callable[[int, int], NDArray[Any]]:
 
 
 def _load(path: Path, names: list[str]) -> dict[str, Any]:
-    with library_errors(path):
-        found = scipy.io.loadmat(path, variable_names=names)
-        return {name: found[name] for name in names}
+    found = scipy.io.loadmat(path, variable_names=names)
+    return {name: found[name] for name in names}
 
 
 def _find_lists(variables: dict[str, NDArray[Any]]) -> list[_Lists]:

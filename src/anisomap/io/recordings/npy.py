@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
@@ -13,9 +16,8 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError
+from anisomap.errors import DamagedError, FileError, InputError, error_reason
 from anisomap.files import open_regular
-from anisomap.io.parsing.source import DamagedError, library_errors
 from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, salvage
 
 MAGIC = b"\x93NUMPY"
@@ -38,9 +40,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     after it was cut.
     """
     with open_regular(path) as stream:
-        with library_errors(path):
-            header = read_header(stream)
-        shape, _, dtype = header
+        shape, _, dtype = header = read_header(stream, "the array")
         if dtype.kind not in _NUMBERS:
             raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
         if len(shape) != 2 or min(shape) < 1:
@@ -55,12 +55,19 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         yield Stream(path, shape[1], blocks, source=path.name)
 
 
-def read_header(stream: IO[bytes]) -> Header:
+def read_header(stream: IO[bytes], what: str) -> Header:
     """Read the header of an array, and leave the stream at its first value."""
-    read = np.lib.format.read_array_header_1_0
-    if np.lib.format.read_magic(stream) != (1, 0):
-        read = np.lib.format.read_array_header_2_0
-    shape, fortran_order, dtype = read(stream)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            read = np.lib.format.read_array_header_1_0
+            if np.lib.format.read_magic(stream) != (1, 0):
+                read = np.lib.format.read_array_header_2_0
+            shape, fortran_order, dtype = read(stream)
+    except (OSError, EOFError, zlib.error, zipfile.BadZipFile):  # of what holds the array
+        raise
+    except Exception as error:  # numpy evaluates a literal; any error may result
+        raise InputError(f"the header of {what} is damaged: {error_reason(error)}") from error
     # numpy accepts True for 1.
     return Header(tuple(int(length) for length in shape), fortran_order, dtype)
 

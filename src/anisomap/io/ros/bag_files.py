@@ -14,15 +14,13 @@ from __future__ import annotations
 import bz2
 import io
 import struct
-import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from anisomap.errors import AnisomapWarning, FileError, import_extra
+from anisomap.errors import FileError, import_extra
 from anisomap.files import check_regular, open_regular, read_small
-from anisomap.io.parsing.source import DamagedError, library_errors
 
 EXTRA = "ros"
 
@@ -34,38 +32,25 @@ MAGICS = {_ROS1: ".bag", _MCAP: ".mcap", b"SQLite format 3\0": ".db3"}
 METADATA = "metadata.yaml"
 """The file that makes a folder a bag of ROS 2."""
 
-_REPAIRABLE = (".bag", ".mcap")
 _MAX_DEFINITION = 1 << 17  # thousands of fields; rosbags reads 0.2 MB/s
 
 
-def rosbags_path(path: Path) -> Path:
-    """Return the path to open with rosbags."""
+def prepare(path: Path) -> tuple[Path, str]:
+    """Return the path to open with rosbags, and what is lost of a bag that was cut, if it was."""
     if path.is_dir():
         for each in path.iterdir():
             check_regular(each)
-        return path
-    suffix = _kind(path)
+        return path, ""
+    with open_regular(path) as file:
+        start = file.read(max(map(len, MAGICS)))
+        suffix = next((s for magic, s in MAGICS.items() if start.startswith(magic)), path.suffix)
+        find = {".mcap": _repair_mcap, ".bag": _repair_ros1}.get(suffix)
+        repair, size = find(file) if find else None, file.seek(0, io.SEEK_END)
     overrides: dict[str, Any] = {"suffix": suffix}
-    if suffix in _REPAIRABLE:
-        repair = _find_repair(path, suffix)
+    if find:
         overrides["open"] = lambda self, *_, **__: _BagFile(path, repair)
-    bag_path: Path = type("BagPath", (type(path),), overrides)(path)
-    return bag_path
-
-
-def warn_of_missing_end(path: Path) -> None:
-    """Warn if a bag was truncated or not closed, with the number of lost bytes."""
-    suffix = "" if path.is_dir() else _kind(path)
-    repair = _find_repair(path, suffix) if suffix in _REPAIRABLE else None
-    if repair is None:
-        return
-    size = path.stat().st_size
-    warnings.warn(
-        f"{path} was truncated or not closed: read all complete records, dropped the last "
-        f"{size - repair.end} of {size} bytes",
-        AnisomapWarning,
-        stacklevel=2,
-    )
+    lost = f"dropped the last {size - repair.end} of {size} bytes" if repair else ""
+    return type("BagPath", (type(path),), overrides)(path), lost
 
 
 def register_definitions(store: Any, files: Iterable[Path]) -> None:
@@ -88,12 +73,6 @@ def _type_name(file: Path) -> str:
     return f"{package}/msg/{name}"
 
 
-def _kind(path: Path) -> str:
-    with open_regular(path) as stream:
-        start = stream.read(max(map(len, MAGICS)))
-    return next((kind for magic, kind in MAGICS.items() if start.startswith(magic)), path.suffix)
-
-
 _MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
 _MCAP_HEAD = 9
 _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 4, 5, 6, 7
@@ -107,12 +86,6 @@ class _Repair:
     start: bytes
     end: int
     tail: bytes
-
-
-def _find_repair(path: Path, suffix: str) -> _Repair | None:
-    """Return the repair of a truncated bag, or None for a complete one."""
-    with open_regular(path) as file:
-        return _repair_mcap(file) if suffix == ".mcap" else _repair_ros1(path, file)
 
 
 class _BagFile(io.BufferedReader):
@@ -213,7 +186,7 @@ class _Chunk:
     times: list[int]
 
 
-def _repair_ros1(path: Path, file: BinaryIO) -> _Repair | None:
+def _repair_ros1(file: BinaryIO) -> _Repair | None:
     size = file.seek(0, io.SEEK_END)
     head = _record(file, len(_ROS1), size)
     if head is None or not head.fields.keys() >= {b"index_pos", b"conn_count", b"chunk_count"}:
@@ -222,7 +195,7 @@ def _repair_ros1(path: Path, file: BinaryIO) -> _Repair | None:
     index = head.number(b"index_pos")
     if index and sum(1 for _ in _records(file, index, size)) >= n_indexed:
         return None
-    chunks, connections, end = _scan(path, file, head.end, size)
+    chunks, connections, end = _scan(file, head.end, size)
     tail = b"".join(connections.values()) + b"".join(map(_chunk_info, chunks))
     file.seek(0)
     start = file.read(head.data)
@@ -236,9 +209,7 @@ def _repair_ros1(path: Path, file: BinaryIO) -> _Repair | None:
     return _Repair(start, end, tail)
 
 
-def _scan(
-    path: Path, file: BinaryIO, start: int, size: int
-) -> tuple[list[_Chunk], dict[int, bytes], int]:
+def _scan(file: BinaryIO, start: int, size: int) -> tuple[list[_Chunk], dict[int, bytes], int]:
     """Return the indexed chunks, the connections of their messages, and the offset of their end."""
     chunks: list[_Chunk] = []
     connections: dict[int, bytes] = {}
@@ -254,7 +225,7 @@ def _scan(
     whole = [chunk for chunk in chunks if chunk.counts]
     for chunk in whole:
         if not connections.keys() >= chunk.counts.keys():
-            connections |= _connections(path, file, chunk.record)
+            connections |= _connections(file, chunk.record)
     return whole, connections, end
 
 
@@ -268,14 +239,13 @@ def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
     chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
 
 
-def _connections(path: Path, file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
+def _connections(file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
     file.seek(chunk.data + 4)
     compressed = file.read(chunk.end - chunk.data - 4)
     compression = chunk.fields.get(b"compression", b"none").decode("latin-1")
     try:
-        with library_errors(path):
-            content = _decompress(compressed, compression)
-    except DamagedError:
+        content = _decompress(compressed, compression)
+    except (OSError, ValueError, EOFError, RuntimeError):  # of bz2 and lz4
         return {}
     inner = io.BytesIO(content)
     return {

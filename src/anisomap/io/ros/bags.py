@@ -19,15 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError, import_extra
-from anisomap.io.parsing.source import guarded_iter, library_errors
+from anisomap.errors import DamagedError, FileError, import_extra
+from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.ros.bag_files import (
     EXTRA,
     METADATA,
+    prepare,
     register_definitions,
-    rosbags_path,
-    warn_of_missing_end,
 )
 from anisomap.io.stream import (
     BLOCK_BYTES,
@@ -220,8 +219,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     definitions for a bag without them. Times start at 0; they are the stamps of the messages, or
     the times of receipt if the stamps do not increase.
     """
-    warn_of_missing_end(path)
     with _open(path, options) as bag:
+        if bag.lost:
+            warn(path, f"it was truncated or not closed: read all complete records, {bag.lost}")
         streams = {topic: bag.stream(topic, field) for topic, field in bag.select(options.select)}
         first = next(iter(streams.values()))
         stream = join_streams(streams) if len(streams) > 1 else first
@@ -232,19 +232,12 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def _open(path: Path, options: ReadOptions) -> Iterator[_Bag]:
     highlevel = import_extra("rosbags.highlevel", "reading bags", EXTRA)
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
-    bag_path = rosbags_path(path)
-    with library_errors(path):
-        store = typesys.get_typestore(typesys.Stores.LATEST)
-        register_definitions(store, options.definitions)
-        reader = highlevel.AnyReader([bag_path], default_typestore=store)
-        reader.open()
-    try:
-        with library_errors(path):
-            register_definitions(reader.typestore, options.definitions)
-        yield _Bag(path, reader)
-    finally:
-        with library_errors(path):
-            reader.close()
+    bag_path, lost = prepare(path)
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    register_definitions(store, options.definitions)
+    with highlevel.AnyReader([bag_path], default_typestore=store) as reader:
+        register_definitions(reader.typestore, options.definitions)
+        yield _Bag(path, reader, lost)
 
 
 @dataclass(frozen=True)
@@ -253,11 +246,11 @@ class _Bag:
 
     path: Path
     reader: Any
+    lost: str  # of a bag that was cut
 
     def contents(self) -> tuple[Content, ...]:
         """List the topics; if any is tactile, only tactile topics are usable."""
-        with library_errors(self.path):
-            topics = dict(self.reader.topics)
+        topics = dict(self.reader.topics)
         tactile = any(is_tactile(info.msgtype or "") for info in topics.values())
         return tuple(
             Content(
@@ -309,11 +302,10 @@ class _Bag:
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
         """Yield the messages of a topic with their time of receipt in nanoseconds."""
         connections = [each for each in self.reader.connections if each.topic == topic]
-        for connection, stamp, raw in guarded_iter(self.reader.messages(connections), self.path):
-            with library_errors(self.path):
-                message = self.reader.deserialize(raw, connection.msgtype)
-                received = int(stamp)  # of any type in a database
-            yield message, received
+        for connection, stamp, raw in self.reader.messages(connections):
+            if not isinstance(stamp, int):  # a database holds any type
+                raise DamagedError(f"{self.path}: the stamp of a message is no whole number")
+            yield self.reader.deserialize(raw, connection.msgtype), stamp
 
     def array_fields(self, message_type: str, depth: int = 0) -> list[str]:
         """List the paths of all arrays of numbers in a message type."""
@@ -364,9 +356,8 @@ class _Rows:
         self, first: Any
     ) -> tuple[NDArray[Any], tuple[str, ...], NDArray[np.float64] | None]:
         values = self._values(first)
-        with library_errors(self.bag.path):
-            names = self.kind.names(first, self.field)
-            positions = self.kind.positions(first) if self.kind.positions else None
+        names = self.kind.names(first, self.field)
+        positions = self.kind.positions(first) if self.kind.positions else None
         fits = positions is not None and len(positions) == values.size
         return values, names, positions if fits else None
 
@@ -403,8 +394,7 @@ class _Rows:
 
     def _blocks(self, frames: Iterator[tuple[NDArray[Any], int, int]]) -> Iterator[Block]:
         total = max(int(self.bag.reader.topics[self.topic].msgcount), 1)
-        with library_errors(self.bag.path):
-            start = int(self.bag.reader.start_time)
+        start = int(self.bag.reader.start_time)
         done = 0
         for batch in _batches(frames):
             done += len(batch)
@@ -434,7 +424,7 @@ class _CellRows(_Rows):
                 cell = cell_of(message)
                 sizes.setdefault(cell, self._values(message).size)
                 counts[cell] += 1
-        except FileError:
+        except Exception:
             if not sizes:
                 raise
         names = tuple(f"{cell}.{i}" for cell, size in sizes.items() for i in range(size))
@@ -489,7 +479,7 @@ def _batches(frames: Iterator[Any]) -> Iterator[Sequence[Any]]:
             if len(batch) == _BLOCK_MESSAGES or len(batch) * frame[0].nbytes > BLOCK_BYTES:
                 yield batch
                 batch = []
-    except FileError:
+    except Exception:
         # Messages before the damage are valid.
         if batch:
             yield batch
