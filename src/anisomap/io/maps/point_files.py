@@ -277,13 +277,17 @@ def read_icub(path: Path) -> SensorMap:
 def write_elc(sensor_map: SensorMap, path: Path) -> None:
     """Write electrodes for ASA: positions in millimetres, then labels, without fiducials."""
     electrodes = to_taxels(sensor_map, "an .elc file")
+    with np.errstate(over="ignore"):
+        millimetres = electrodes.positions * 1e3
+    if not np.isfinite(millimetres).all():
+        raise InputError("an .elc file cannot represent the positions, which are too large")
     lines = [
         "# ASA electrode file",
         "ReferenceLabel\tavg",
         "UnitPosition\tmm",
         f"NumberPositions=\t{len(electrodes.names)}",
         "Positions",
-        *_tabbed(electrodes.positions * 1e3),
+        *_tabbed(millimetres),
         "Labels",
         *_labels(electrodes, path),
     ]
