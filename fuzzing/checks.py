@@ -54,11 +54,14 @@ class Findings:
         Whether any reader accepted the file.
     problems : list of str
         Everything that must not happen.
+    memory : int
+        Bytes by which a call of a reader, or a command, enlarged this process at most.
     """
 
     folder: Path
     accepted: bool = False
     problems: list[str] = field(default_factory=list)
+    memory: int = 0
 
     def attempt(self, what: str, action: Callable[[], Any]) -> Any:
         """Call a function that may refuse with an AnisomapError; return None if it did."""
@@ -82,6 +85,7 @@ class Findings:
     def command(self, *arguments: str | Path) -> None:
         """Run a command, which may end with 0 or 2; after 2 there is no output."""
         before, name = _files(self.folder), str(arguments[0])
+        in_use = _reset_peak()
         try:
             code = run([str(argument) for argument in arguments])
         except MemoryError:
@@ -89,6 +93,8 @@ class Findings:
         except Exception as error:
             self.problems.append(f"command {name}: {_signature(error)}")
             return
+        finally:
+            self.memory = max(self.memory, _peak() - in_use)
         self.accepted |= code == 0
         if code not in _ALLOWED:
             self.problems.append(f"command {name}: exit code {code}")
@@ -211,6 +217,7 @@ def _within_memory(
     before = _reset_peak()
     result = found.attempt(what, action)
     used = _peak() - before
+    found.memory = max(found.memory, used)
     found.accepted |= result is not None
     allowed = MEMORY_FACTOR * _size(result) + base
     if used > allowed:

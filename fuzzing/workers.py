@@ -58,9 +58,22 @@ class Tally:
     n_cases: int = 0
     n_accepted: int = 0
     seconds: float = 0.0
+    slowest_s: float = 0.0
+    memory: int = 0
     damages: Counter[str] = field(default_factory=Counter)
     problems: Counter[str] = field(default_factory=Counter)
     n_failed: int = 0
+
+    def add(self, other: Tally) -> None:
+        """Add the cases of another run."""
+        self.n_cases += other.n_cases
+        self.n_accepted += other.n_accepted
+        self.n_failed += other.n_failed
+        self.seconds += other.seconds
+        self.slowest_s = max(self.slowest_s, other.slowest_s)
+        self.memory = max(self.memory, other.memory)
+        self.damages += other.damages
+        self.problems += other.problems
 
 
 def make_case(subject: Subject, seed: int, index: int) -> tuple[str, Tree, bool, Generator]:
@@ -189,6 +202,8 @@ def _count(tally: Tally, subject: Subject, seed: int, record: dict[str, Any], ke
     tally.n_cases += 1
     tally.n_accepted += bool(record["accepted"])
     tally.seconds += record["seconds"]
+    tally.slowest_s = max(tally.slowest_s, record["seconds"])
+    tally.memory = max(tally.memory, record["memory"])
     tally.damages[record["damage"]] += 1
     tally.n_failed += bool(record["problems"])
     for problem in record["problems"]:
@@ -242,7 +257,8 @@ def _in_process(
         hang = number in (signal.SIGPROF, signal.SIGALRM)
         name = signal.Signals(number).name if number else f"exit code {status >> 8}"
         problem = "hang" if hang else f"the process died: {name}"
-        yield {**begun, "accepted": False, "seconds": MAX_CPU_SECONDS, "problems": [problem]}
+        costs = {"seconds": MAX_CPU_SECONDS, "memory": 0}
+        yield {**begun, **costs, "accepted": False, "problems": [problem]}
     elif status:
         raise RuntimeError(f"a worker for {subject.name} ended with status {status}")
 
@@ -280,8 +296,9 @@ def _work(subject: Subject, seed: int, indices: Sequence[int], base: Path, pipe:
             found.problems.append(f"left {stray.name} in the working folder")
             stray.unlink()
         seconds = checks.processor_time() - started
-        result = {"accepted": found.accepted, "seconds": seconds, "problems": found.problems}
-        print(json.dumps({**begun, **result}), file=pipe, flush=True)
+        costs = {"seconds": seconds, "memory": found.memory}
+        result = {"accepted": found.accepted, "problems": found.problems}
+        print(json.dumps({**begun, **costs, **result}), file=pipe, flush=True)
 
 
 def _redirected(stream: int, path: Path) -> int:

@@ -17,7 +17,8 @@ from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, inside
 from fuzzing.odd import BOMBS, ODD
 from fuzzing.subjects import Subject, subjects
-from fuzzing.table import Results, write
+from fuzzing.table import Results
+from fuzzing.table import main as join_tables
 from fuzzing.workers import Tally, run_case, run_cases
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -147,13 +148,20 @@ class TestTheFuzzerFinds:
         assert len(findings.problems) == 2
 
 
-def test_the_table_counts_each_kind_of_problem(tmp_path):
-    tally = Tally(n_cases=9, n_accepted=3, n_failed=2)
-    tally.problems.update(["hang", "read: memory 900 of 200 MB"])
-    write({"a": tally, "b": Tally(1, 1)}, tmp_path / "table.md", seed=4)
-    rows = [line.split("|")[1:-1] for line in (tmp_path / "table.md").read_text().splitlines()]
-    assert [cell.strip() for cell in rows[2]] == ["a", "9", "4", "3", "0", "1", "1", "0"]
-    assert [cell.strip() for cell in rows[4]] == ["**all**", "10", "4", "4", "0", "1", "1", "0"]
+def test_the_table_joins_runs_and_counts_each_kind_of_problem(tmp_path):
+    for seed, tally in ((4, Tally(9, 3, slowest_s=2, n_failed=2)), (5, Tally(1, 1, memory=10**6))):
+        results = Results(tmp_path / f"{seed}.json", seed, first=0, resume=False)
+        results.tallies = {"a": tally, "b": Tally(1, 1)}
+        tally.problems.update(["hang", "read: memory 900 of 200 MB"] * (seed == 4))
+        results.save()
+    table = tmp_path / "table.md"
+    join_tables([str(tmp_path / "4.json"), str(tmp_path / "5.json"), "-o", str(table)])
+    rows = [line.split("|")[1:-1] for line in table.read_text().splitlines()]
+    cells = [[cell.strip() for cell in row] for row in rows]
+    assert cells[2] == ["a", "10", "4", "4", "0", "1", "1", "0", "2.0", "1"]
+    assert cells[4] == ["**all**", "12", "4", "6", "0", "1", "1", "0", "2.0", "1"]
+    assert "of seeds 4, 5. Problems:" in table.read_text()
+    assert "- a, once: hang" in table.read_text()
 
 
 def test_a_run_is_continued_with_its_results(tmp_path):
