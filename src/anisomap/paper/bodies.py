@@ -8,12 +8,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from anisomap.defaults import DEFAULT_BINS
-from anisomap.drawing.figures.maps import gallery_figure, map_panel, truth_panel
+from anisomap.drawing.figures.maps import gallery_figure
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
-from anisomap.drawing.view import Panel
-from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case, true_positions
+from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment, mean_by
-from anisomap.paper.map_scores import SCORE_COLUMNS, map_and_score
+from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, draw_run
 from anisomap.simulation import find_body, run_simulation
 
 if TYPE_CHECKING:
@@ -151,12 +150,13 @@ def _maps_of_bodies(
     title: str, bodies: tuple[str, ...], method: str, settings: Settings
 ) -> tuple[Figure, list[Row]]:
     """Draw the true positions of bombarded bodies, and below them their maps by one method."""
-    truths, maps, rows = [], [], []
+    pairs, rows = [], []
     for case in map(Case, bodies):
-        truth, found = _drawn_run(case, settings.picked_seed(case.name), (method,), settings)
-        truths.append(replace(truth, title=case.body))
-        maps.append(found[0][0])
-        rows.append(found[0][1])
+        seed = settings.picked_seed(case.name)
+        (truth, shown), (scored,) = draw_run(case.record(settings, seed), methods=[method])
+        pairs.append((replace(truth, title=case.body), shown))
+        rows.append(_row(case, seed, scored))
+    truths, maps = zip(*pairs, strict=True)
     return gallery_figure(title, [*truths, *maps], len(bodies), _NOTE), rows
 
 
@@ -165,25 +165,14 @@ def _maps_by_all_methods(
 ) -> tuple[Figure, list[Row], int]:
     """Draw the true positions and the maps of a randomly picked run, in a row; return its seed."""
     seed = settings.picked_seed(case.name)
-    truth, found = _drawn_run(case, seed, METHODS, settings)
-    panels = [truth, *(shown for shown, _ in found)]
-    title = f"{title}, {case.scenario}, seed {seed}"
-    return gallery_figure(title, panels, 5, _NOTE), [row for _, row in found], seed
+    panels, found = draw_run(case.record(settings, seed))
+    figure = gallery_figure(f"{title}, {case.scenario}, seed {seed}", panels, 5, _NOTE)
+    return figure, [_row(case, seed, scored) for scored in found], seed
 
 
-def _drawn_run(
-    case: Case, seed: int, methods: tuple[str, ...], settings: Settings
-) -> tuple[Panel, list[tuple[Panel, Row]]]:
-    """Map a run; return the panel of the truth, and a panel and a row of scores per method."""
-    recording = case.record(settings, seed)
-    truth = true_positions(recording)
-    found: list[tuple[Panel, Row]] = []
-    for method in methods:
-        scored = map_and_score(recording, method, 3)
-        shown = map_panel(scored.title, scored.sensor_map, scored.score, truth)
-        scores = (scored.score.mantel.r, scored.score.rms_in_spacings)
-        found.append((shown, (case.body, seed, method, *scores)))
-    return truth_panel("true positions", truth, units=recording.units), found
+def _row(case: Case, seed: int, scored: ScoredMap) -> Row:
+    score = scored.score
+    return (case.body, seed, scored.sensor_map.method, score.mantel.r, score.rms_in_spacings)
 
 
 def _scores(tables: Tables, case: Case) -> list[Mapping[str, Any]]:

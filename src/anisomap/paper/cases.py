@@ -96,7 +96,8 @@ def patch_run(
 
 
 def true_positions(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:
-    """Return the first coordinates of the true positions, shape (N, k) with k <= `dimensions`."""
+    """Return the true positions, shape (N, dimensions); coordinates that they lack are 0."""
     if recording.positions is None:
         raise ValueError(f"{recording.source} has no true positions")
-    return recording.positions[:, :dimensions]
+    lacking = max(0, dimensions - recording.positions.shape[1])
+    return np.pad(recording.positions, ((0, 0), (0, lacking)))[:, :dimensions]

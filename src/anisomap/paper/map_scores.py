@@ -16,6 +16,8 @@ from scipy.stats import spearmanr
 
 from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
+from anisomap.drawing.figures.maps import map_panel, truth_panel
+from anisomap.drawing.view import Panel
 from anisomap.evaluation import Mantel, Score, align, score
 from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
@@ -154,11 +156,6 @@ class ScoredMap(NamedTuple):
     sensor_map: SensorMap
     score: Score
 
-    @property
-    def title(self) -> str:
-        """Method and Mantel r, for figures."""
-        return f"{METHOD_LOOKS[self.sensor_map.method].label}, r = {self.score.mantel.r:.3f}"
-
 
 def map_and_score(
     recording: Recording,
@@ -181,6 +178,39 @@ def map_and_score(
         sensor_map,
         score(sensor_map, truth, exclude=exclude, units=units, permutations=permutations),
     )
+
+
+def draw_run(
+    recording: Recording,
+    dimensions: Iterable[int] = (3,),
+    methods: Iterable[str] = METHODS,
+    labels: Mapping[int, str] | None = None,
+) -> tuple[list[Panel], list[ScoredMap]]:
+    """Draw the true positions, and beside them the maps by all methods, in each dimension.
+
+    labels: Labels of sensors that are left out of the scores.
+    """
+    panels: list[Panel] = []
+    found: list[ScoredMap] = []
+    left_out = [recording.names[i] for i in labels or ()]
+    for k in dimensions:
+        truth = true_positions(recording, k)
+        panels.append(
+            truth_panel(
+                "true positions",
+                truth,
+                units=recording.units,
+                on_maps=recording.varying(),
+                excluded=np.isin(recording.names, left_out),
+                labels=labels,
+            )
+        )
+        for method in methods:
+            scored = map_and_score(recording, method, k, exclude=left_out)
+            title = f"{METHOD_LOOKS[method].label}, r = {scored.score.mantel.r:.3f}"
+            panels.append(map_panel(title, *scored, truth, labels=labels))
+            found.append(scored)
+    return panels, found
 
 
 SCORE_COLUMNS = {

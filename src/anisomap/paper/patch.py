@@ -12,7 +12,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.drawing.figures.charts import CurvePanel, curves_figure
-from anisomap.drawing.figures.maps import gallery_figure, map_panel, truth_panel
+from anisomap.drawing.figures.maps import gallery_figure, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.paper.cases import (
     FAILED_RUNS,
@@ -26,8 +26,14 @@ from anisomap.paper.cases import (
     true_positions,
 )
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, by, curve, experiment
-from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, isolation, map_and_score, score_rows
-from anisomap.recording import Recording
+from anisomap.paper.map_scores import (
+    SCORE_COLUMNS,
+    ScoredMap,
+    draw_run,
+    isolation,
+    map_and_score,
+    score_rows,
+)
 
 REAL_RECORDING = "icub_hexagon.npz"
 
@@ -41,6 +47,7 @@ _COLUMNS = {
     "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
     "the median of that distance over all other sensors; about 1 for a sensor among others",
 }
+_LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
 _NOTE = (
     "Six triangles of ten pads each, rubbed by a hand; one triangle (rings) is silent in all runs. "
     f"Sensor 30 ({FAILING}, square) saturates intermittently from run 4 on. It is included in the "
@@ -48,32 +55,24 @@ _NOTE = (
 )
 
 
-def map_patch(
-    recording: Recording, method: str, dimensions: int, failing: str = FAILING
-) -> tuple[ScoredMap, tuple[float, float]]:
-    """Map a run of the patch; return also Mantel r, and the isolation of the failing sensor."""
-    scored = map_and_score(recording, method, dimensions, exclude=[failing])
-    placed = np.flatnonzero(scored.sensor_map.placed)
-    row = int(np.searchsorted(placed, recording.names.index(failing)))
-    alone = isolation(scored.sensor_map.positions[placed], row)
-    return scored, (scored.score.mantel.r, alone)
+def _scores(scored: ScoredMap, failing: str = FAILING) -> tuple[float, float]:
+    """Return Mantel r, and the isolation of the failing sensor."""
+    made = scored.sensor_map
+    placed = np.flatnonzero(made.placed)
+    row = int(np.searchsorted(placed, made.names.index(failing)))
+    return scored.score.mantel.r, isolation(made.positions[placed], row)
 
 
-def _maps_of_run(
-    settings: Settings, number: int, kinds: Iterable[tuple[str, int]]
+def _draw_run(
+    settings: Settings, number: int, dimensions: Iterable[int], methods: Iterable[str] = METHODS
 ) -> tuple[list[Panel], list[Row]]:
-    """Draw a run by methods in dimensions; return also rows of `_COLUMNS`."""
+    """Draw a run of the patch; return also rows of `_COLUMNS`."""
     recording, seed = patch_run(settings, number), patch_seed(settings, number)
-    panels: list[Panel] = []
-    rows: list[Row] = []
-    for method, k in kinds:
-        scored, scores = map_patch(recording, method, k)
-        truth, labels = true_positions(recording, k), _label_30(recording)
-        panels.append(
-            map_panel(scored.title, scored.sensor_map, scored.score, truth, labels=labels)
-        )
-        rows.append((number, recording.n_frames, seed, method, k, *scores))
-    return panels, rows
+    panels, found = draw_run(recording, dimensions, methods, _LABELS)
+    run = (number, recording.n_frames, seed)
+    return panels, [
+        (*run, m.sensor_map.method, m.sensor_map.dimensions, *_scores(m)) for m in found
+    ]
 
 
 @experiment(
@@ -90,11 +89,12 @@ def _maps_of_run(
 )
 def figure_2(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the maps of all runs by r-ANISOMAP."""
-    panels = [_truth_panel(patch_run(settings, 1), 2, "actual configuration")]
+    panels: list[Panel] = []
     rows: list[Row] = []
     for number in PATCH_RUNS:
-        found, scores = _maps_of_run(settings, number, product(METHODS, (2, 3)))
-        panels.append(replace(found[0], title=f"run {number}, r = {scores[0][-2]:.3f}"))
+        (truth, shown), scores = _draw_run(settings, number, (2,), ("r-anisomap",))
+        panels = panels or [replace(truth, title="actual configuration")]
+        panels.append(replace(shown, title=f"run {number}, r = {scores[0][-2]:.3f}"))
         rows += scores
     figure = gallery_figure("Figure 2. Maps of the simulated patch by r-ANISOMAP", panels, 3, _NOTE)
     seeds = f"{patch_seed(settings, PATCH_RUNS[0])} to {patch_seed(settings, PATCH_RUNS[-1])}"
@@ -105,16 +105,10 @@ def figure_2(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
 
 def supplementary_figure(number: int, settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Draw the maps of one run by all methods, in 2D and 3D."""
-    recording, seed = patch_run(settings, number), patch_seed(settings, number)
-    panels: list[Panel] = []
-    rows: list[Row] = []
-    for k in (2, 3):
-        found, scores = _maps_of_run(settings, number, product(METHODS, (k,)))
-        panels += [_truth_panel(recording, k), *found]
-        rows += scores
+    panels, rows = _draw_run(settings, number, (2, 3))
     name = f"figure-s{4 + number}"
-    title = f"Figure S{4 + number}. Simulated patch, run {number}: {recording.n_frames} frames"
-    caption = f"All methods on run {number} (seed {seed}), in 2D and 3D."
+    title = f"Figure S{4 + number}. Simulated patch, run {number}: {rows[0][1]} frames"
+    caption = f"All methods on run {number} (seed {rows[0][2]}), in 2D and 3D."
     yield Picture(name, caption, gallery_figure(title, panels, 5, _NOTE))
     yield Table(name, caption, _COLUMNS, rows, shown=False)
 
@@ -185,15 +179,7 @@ def figure_s10(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
 def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Map a real patch of the same triangles by all methods, in 2D and 3D."""
     recording = io.read((settings.recordings or Path()) / REAL_RECORDING)
-    panels = []
-    for k in (2, 3):
-        truth = np.pad(true_positions(recording, 2), ((0, 0), (0, k - 2)))
-        panels.append(
-            truth_panel("true positions", truth, units=recording.units, on_maps=recording.varying())
-        )
-        for method in METHODS:
-            scored = map_and_score(recording, method, k)
-            panels.append(map_panel(scored.title, scored.sensor_map, scored.score, truth))
+    panels, _maps = draw_run(recording, (2, 3))
     figure = gallery_figure(
         f"Real skin: {recording.n_sensors} sensors of an iCub, {recording.n_frames} frames",
         panels,
@@ -204,21 +190,6 @@ def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     yield Picture("real-skin", caption, figure)
     rows = [*score_rows("real", recording, 0, (2, 3), settings)]
     yield Table("real-skin", "Scores of the maps of real skin.", SCORE_COLUMNS, rows)
-
-
-def _truth_panel(recording: Recording, dimensions: int, title: str = "true positions") -> Panel:
-    return truth_panel(
-        title,
-        true_positions(recording, dimensions),
-        units=recording.units,
-        on_maps=recording.varying(),
-        excluded=np.array([name == FAILING for name in recording.names]),
-        labels=_label_30(recording),
-    )
-
-
-def _label_30(recording: Recording) -> dict[int, str]:
-    return {recording.names.index(FAILING): "30"}
 
 
 _GAP = 100.0  # mean number of frames between failures
@@ -262,7 +233,7 @@ def isolation_by_saturation(settings: Settings, _: Tables) -> Iterator[Picture |
             failing = recording.readings[:, recording.names.index(FAILING)]
             shares.flat[i] = np.mean(failing == recording.readings.max())
             for method in METHODS:
-                scores = map_patch(recording, method, k)[1]
+                scores = _scores(map_and_score(recording, method, k, exclude=[FAILING]))
                 rows.append((number, float(shares.flat[i]), method, k, *scores))
                 found.append({"span": span, "method": method, "isolation": scores[1]})
         x = np.round(shares.mean(axis=1), 2)
@@ -298,6 +269,7 @@ def _failures(settings: Settings) -> Iterator[Row]:
         others = rng.permutation(names[names != FAILING])[: _N_FAILING - 1]
         for name in (FAILING, *others.tolist()):
             failed = patch_run(settings, number, failing=name, fails=True)
-            found = (map_patch(run, "r-anisomap", 2, name)[1] for run in (sound, failed))
+            maps = (map_and_score(run, "r-anisomap", 2, exclude=[name]) for run in (sound, failed))
+            found = (_scores(scored, name) for scored in maps)
             # Mantel r before and after, then the isolations.
             yield (number, name, *(value for pair in zip(*found, strict=True) for value in pair))
