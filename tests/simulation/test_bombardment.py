@@ -17,11 +17,11 @@ from anisomap.simulation.bodies import holed_plate, sphere
 from anisomap.simulation.bombardment import (
     BombardmentOptions,
     Flight,
-    add_fixed_solids,
     bombardment,
     simulate_flight,
 )
 from anisomap.simulation.options import options_for
+from anisomap.simulation.physics import add_geom, add_solid, new_model
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 
@@ -101,11 +101,12 @@ def test_contacts_with_solids_of_all_kinds_conserve_energy(assembly: Body) -> No
 
 def test_mujoco_finds_the_contacts_of_the_exact_distance(assembly: Body) -> None:
     """MuJoCo replaces a mesh geom by its convex hull, which would close the hole."""
-    spec, radius = mujoco.MjSpec(), 0.1
-    add_fixed_solids(mujoco, spec, assembly.solids, {"condim": 1}, 1e-6)
+    spec, radius = new_model(STEP, 0, "EULER"), 0.1
+    for solid in assembly.solids:
+        add_solid(spec, solid, condim=1)
     ball = spec.worldbody.add_body()
     ball.add_freejoint()
-    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
+    add_geom(ball, "sphere", (radius,))
     model = spec.compile()
     data = mujoco.MjData(model)
     hole = assembly.solids[1].centre

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from anisomap.simulation.locomotion import Terrain, bumpy_terrain
+from anisomap.simulation.physics import add_ground, new_model
 
 
 def height(terrain: Terrain, places: np.ndarray) -> np.ndarray:
@@ -28,16 +29,8 @@ def ground(seed: int = 0, roughness: float = 0.3) -> Terrain:
 def test_cells_have_the_diagonal_of_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     terrain = ground(2)
-    lowest, highest = terrain.heights.min(), terrain.heights.max()
-    spec = mujoco.MjSpec()
-    n, half = len(terrain.heights), terrain.half_width
-    data = ((terrain.heights - lowest) / (highest - lowest)).ravel()
-    spec.add_hfield(
-        name="ground", nrow=n, ncol=n, size=[half, half, highest - lowest, 1.0], userdata=data
-    )
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[0, 0, lowest]
-    )
+    spec = new_model(0.001, 0, "EULER")
+    add_ground(spec, terrain.heights, terrain.half_width)
     model = spec.compile()
     state = mujoco.MjData(model)
     mujoco.mj_forward(model, state)

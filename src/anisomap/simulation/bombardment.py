@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.scene import Prop
@@ -34,7 +31,7 @@ from anisomap.simulation.options import (
     report_frames,
     static_props,
 )
-from anisomap.simulation.solids import Solid, load_mujoco
+from anisomap.simulation.physics import add_geom, add_solid, load_mujoco, new_model
 
 ENERGY_TOLERANCE = 0.02
 """Relative change of energy above which a run is returned with a warning."""
@@ -47,7 +44,6 @@ _STEPS_PER_CONTACT = 16
 _MIN_STEPS_PER_CONTACT = 10  # energy varies by 0.2 % over 2,000 frames with 10, by 14 % with 7
 _MAX_SOFTNESS = 0.25  # x radius of the smallest ball
 _MAX_ATTEMPTS = 2000  # to place a ball
-_MESH_THICKNESS = 1e-6  # x reach
 
 
 @dataclass(frozen=True)
@@ -239,7 +235,7 @@ def simulate_flight(
     """Simulate the flight of the balls; see `bombardment`."""
     mujoco = load_mujoco()
     centres = _place_balls(body, options, rng)
-    model = _build_model(mujoco, body, options)
+    model = _build_model(body, options)
     data = mujoco.MjData(model)
     data.qpos[:] = centres.ravel()
     # The Maxwell distribution is the equilibrium of collisions.
@@ -292,57 +288,26 @@ def _place_balls(
     return placed
 
 
-def _build_model(mujoco: ModuleType, body: Body, options: BombardmentOptions) -> Any:
+def _build_model(body: Body, options: BombardmentOptions) -> Any:
     """Build a model of frictionless balls with sliding joints along x, y and z.
 
     Nothing rotates the balls, so three sliding joints suffice. Joint limits serve as walls, which
     needs no collision detection.
     """
-    spec = mujoco.MjSpec()
-    spec.option.gravity = [0, 0, 0]
-    spec.option.timestep = options.step
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # symplectic: energy does not drift
+    spec = new_model(options.step, 0, "EULER")  # symplectic: energy does not drift
     surface = options.contact
-    add_fixed_solids(mujoco, spec, body.solids, surface, _MESH_THICKNESS * body.reach)
+    for solid in body.solids:
+        add_solid(spec, solid, **surface)
     for radius, mass in zip(options.radii, options.masses, strict=True):
         ball = spec.worldbody.add_body()
-        ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=mass, **surface)
+        add_geom(ball, "sphere", (radius,), mass=mass, **surface)
         limit = options.box_half_width - radius
         for axis in np.eye(3):
             ball.add_joint(
-                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                type=load_mujoco().mjtJoint.mjJNT_SLIDE,
                 axis=axis,
-                limited=mujoco.mjtLimited.mjLIMITED_TRUE,
                 range=[-limit, limit],
                 solref_limit=surface["solref"],
                 solimp_limit=surface["solimp"],
             )
     return spec.compile()
-
-
-def add_fixed_solids(
-    mujoco: ModuleType,
-    spec: Any,
-    fixed: Sequence[Solid],
-    surface: Mapping[str, Any],
-    thickness: float,
-) -> None:
-    """Add solids that do not move to a model.
-
-    MuJoCo replaces a mesh geom by its convex hull. A flexible surface pinned to the world keeps
-    its triangles, whose contact forces add up.
-    """
-    for i, solid in enumerate(fixed):
-        if solid.kind == "mesh":
-            flex = spec.add_flex(
-                name=f"mesh{i}", dim=2, radius=thickness, vertbody=["world"], **surface
-            )
-            flex.vert = solid.outline.vertices.ravel()
-            flex.elem = solid.outline.faces.ravel()
-            continue
-        spec.worldbody.add_geom(
-            **solid.geom(mujoco),
-            pos=solid.centre,
-            quat=Rotation.from_matrix(solid.rotation).as_quat(scalar_first=True),
-            **surface,
-        )

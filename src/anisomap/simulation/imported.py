@@ -31,7 +31,8 @@ from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.solids import Solid, load_mujoco, spread
+from anisomap.simulation.physics import load_mujoco
+from anisomap.simulation.solids import Solid, spread
 
 MAX_ELEMENTS = 10_000
 """The time in which MuJoCo 3.9 compiles a model is quadratic: 9 s for so many geoms or bodies."""

@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from anisomap.simulation.options import (
     positive,
     report_frames,
 )
-from anisomap.simulation.solids import load_mujoco
+from anisomap.simulation.physics import add_geom, add_ground, load_mujoco, new_model
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
 _ARRIVAL_DISTANCE = 1.5  # reaches from a goal
@@ -182,17 +181,16 @@ class Driver:
 
     def __init__(
         self,
-        mujoco: ModuleType,
         body: Body,
         terrain: Terrain,
         options: LocomotionOptions,
         rng: np.random.Generator,
     ) -> None:
-        self._mujoco, self._options, self._rng = mujoco, options, rng
+        self._mujoco, self._options, self._rng = load_mujoco(), options, rng
         solid = body.solids[0]
         self._is_cylinder, self._radius = solid.kind == "cylinder", solid.size[0]
-        self._model = _build_model(mujoco, body, terrain, options)
-        self._data = mujoco.MjData(self._model)
+        self._model = _build_model(body, terrain, options)
+        self._data = self._mujoco.MjData(self._model)
         # On the highest ground below the body, in the middle.
         middle, cells = len(terrain.heights) // 2, math.ceil(body.reach / terrain.cell)
         below = slice(middle - cells, middle + cells + 1)
@@ -203,7 +201,7 @@ class Driver:
         # The torque reaches the set speed within a few frames.
         mass, inertia = float(self._model.body_mass[1]), float(self._model.body_inertia[1].max())
         self._gain = (inertia + mass * self._radius**2) / (2 * options.frame_interval)
-        mujoco.mj_forward(self._model, self._data)
+        self._mujoco.mj_forward(self._model, self._data)
         self._goal_limit = options.half_width - 2 * _ARRIVAL_DISTANCE
         self._set_goal(self._draw_goal())
 
@@ -279,32 +277,14 @@ class Driver:
         return np.asarray(self._sense * rate * axis + np.array([0, 0, turning]))
 
 
-def _build_model(
-    mujoco: ModuleType, body: Body, terrain: Terrain, options: LocomotionOptions
-) -> Any:
-    spec = mujoco.MjSpec()
-    spec.option.gravity = [0, 0, -options.gravity]
-    spec.option.timestep = options.step
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    lowest, highest = float(terrain.heights.min()), float(terrain.heights.max())
-    n = len(terrain.heights)
-    half = terrain.half_width
-    spec.add_hfield(
-        name="ground",
-        nrow=n,
-        ncol=n,
-        size=[half, half, highest - lowest, 1.0],
-        userdata=((terrain.heights - lowest) / (highest - lowest)).ravel(),
-    )
+def _build_model(body: Body, terrain: Terrain, options: LocomotionOptions) -> Any:
+    spec = new_model(options.step, options.gravity, "IMPLICITFAST")
     # Torsional and rolling friction are MuJoCo's defaults.
     surface = {"friction": [options.friction, 0.005, 0.0001], "condim": 3}
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="ground", pos=[0, 0, lowest], **surface
-    )
+    add_ground(spec, terrain.heights, terrain.half_width, **surface)
     rolling = spec.worldbody.add_body()
     rolling.add_freejoint()
-    rolling.add_geom(**body.solids[0].geom(mujoco), mass=1, **surface)
+    add_geom(rolling, body.solids[0].kind, body.solids[0].size, mass=1, **surface)
     return spec.compile()
 
 
@@ -399,11 +379,10 @@ def simulate_journey(
             f"half_width must be at least {_MIN_HALF_WIDTH:g} times the reach of the body, got "
             f"{options.half_width / body.reach:g} times"
         )
-    mujoco = load_mujoco()
     terrain = bumpy_terrain(
         options.half_width, options.cell, options.roughness, options.correlation, rng
     )
-    driver = Driver(mujoco, body, terrain, options, rng)
+    driver = Driver(body, terrain, options, rng)
     for _ in range(math.ceil(_SETTLING_TIME / options.step)):
         driver.step()
     states = []

@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.errors import AnisomapError
 from anisomap.scene import Mesh, Prop, Scene
-from anisomap.simulation.solids import coarse_ball, load_mujoco
+from anisomap.simulation.physics import load_mujoco
+from anisomap.simulation.solids import coarse_ball
 
 _COLOURS = {
     "ground": (0.72, 0.78, 0.66, 1.0),

@@ -37,7 +37,7 @@ from anisomap.simulation.kinematic import (
 )
 from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
-from anisomap.simulation.solids import load_mujoco
+from anisomap.simulation.physics import load_mujoco
 from anisomap.wording import join_items
 
 DEFAULT_FRAMES = 2000  # as in the paper

@@ -5,12 +5,10 @@ Solids are primitives in closed form and closed triangle meshes. Distances are n
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import ModuleType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +19,6 @@ from anisomap.scene import Mesh, frozen
 
 Points: TypeAlias = NDArray[np.float64]
 Density: TypeAlias = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
-
-_logger = logging.getLogger(__name__)
 
 MAX_LENGTH = 1e10
 """Maximum of coordinates and sizes: trimesh merges vertices on a grid of 1e-8, counted in int64."""
@@ -90,11 +86,6 @@ class Solid:
             return np.asarray(middle + size[0] * np.hypot(local[:, 0], local[:, 1]))
         return np.asarray(middle + size[0])
 
-    def geom(self, mujoco: ModuleType) -> dict[str, Any]:
-        """Return the type and size of MuJoCo's geom for a primitive solid."""
-        size = [*self.size, *[0.0] * (3 - len(self.size))]
-        return {"type": getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"), "size": size}
-
     def to_local(self, points: ArrayLike) -> Points:
         """Transform points (n, 3) to local coordinates."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) @ self.rotation)
@@ -154,18 +145,6 @@ class Solid:
         if self.shape is None:
             raise InputError(f"a solid of kind {self.kind!r} must have a shape")
         return TriangleSearch(self.shape)
-
-
-def load_mujoco() -> ModuleType:
-    """Import MuJoCo. All other functions of the package work without it.
-
-    Its warnings are logged; by default it prints them and appends them to ``MUJOCO_LOG.TXT`` in
-    the working folder. A handler that the caller has set is kept.
-    """
-    mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(lambda text: _logger.info("MuJoCo warns: %s", text))
-    return mujoco
 
 
 def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
