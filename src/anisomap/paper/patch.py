@@ -193,7 +193,7 @@ def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
 
 
 _GAP = 100.0  # mean number of frames between failures
-_SPANS = (5.0, 11.0, 25.0, 50.0, 100.0, 200.0)  # mean number of frames of a failure
+_SPANS = (5.0, 25.0, 50.0, 100.0, 200.0)  # mean number of frames of a failure
 _QUICK_SPANS = (20.0, 100.0)
 
 _ISOLATION_COLUMNS = {
