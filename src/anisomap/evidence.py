@@ -14,15 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
+from anisomap.numerics.columns import ranked
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance, thinning
 from anisomap.numerics.reliability.split_half import Blend, blend, blended_correlation
-from anisomap.numerics.similarity.correlation import co_activation, pearson, ranked, spearman
+from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.reference import without_common_signal
-from anisomap.numerics.similarity.rest import Rest, estimate_rest, rest_and_ranks
+from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
 from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
@@ -192,18 +193,16 @@ class PairStatistics:
     @cached_property
     def rest(self) -> Rest:
         """Rest of each sensor; requires readings."""
-        return self._rest_and_ranks[0]
-
-    @property
-    def ranks(self) -> Reals:
-        """Ranks of the depths of each sensor beyond rest, (T, n); requires readings."""
-        return self._rest_and_ranks[1]
+        return (
+            estimate_rest(np.asarray(self.readings)) if self.blended is None else self.blended.rest
+        )
 
     @cached_property
-    def _rest_and_ranks(self) -> tuple[Rest, Reals]:
+    def ranks(self) -> Reals:
+        """Ranks of the depths of each sensor beyond rest, (T, n); requires readings."""
         if self.blended is not None:
-            return self.blended.rest, self.blended.ranks
-        return rest_and_ranks(np.asarray(self.readings))
+            return self.blended.ranks
+        return ranks_of_depths(np.asarray(self.readings), self.rest)
 
     def of_frames(self, frames: NDArray[np.intp]) -> PairStatistics:
         """Compare the sensors in some frames, which increase; requires readings."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import rfft
 
-from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.columns import columns
 from anisomap.numerics.similarity.rest import MIN_REST_SHARE, Rest, rest_from_counts
 
 MAX_FRAMES = 4096
@@ -37,13 +37,13 @@ class Signals:
         """Rest; distinct readings, smallest steps, frames at the usual reading, at the extreme."""
         ends: list[tuple[Any, ...]] = []
 
-        def levels() -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+        def levels() -> Iterator[tuple[NDArray[Any], NDArray[np.int64]]]:
             for column in columns(self.readings):
-                values, counts = count_values(column)
+                values, counts = np.unique(column, return_counts=True)
                 step = np.diff(values).min(initial=np.inf)
                 end = values[0], counts[0], values[-1], counts[-1]
                 ends.append((values.size, step, counts.max(), *end))
-                yield values.astype(np.float64), counts
+                yield values, counts
 
         rest = rest_from_counts(levels())
         found = np.array(ends, dtype=np.float64).T

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults.found import Found
-from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.columns import ranked
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.signals import middle_frames, some_sensors, standardised
 from anisomap.recording import Recording
@@ -154,7 +154,7 @@ class _Fit:
     @classmethod
     def of(cls, values: NDArray[Any]) -> _Fit:
         """Fit lags to readings of shape (T, n)."""
-        ranks = rank_columns(columns(values), values.shape)
+        ranks = ranked(values)
         n_parts = int(np.clip(len(ranks) // (10 * _MAX_LAG), 2, 4))
         equal = ranks[: len(ranks) // n_parts * n_parts]
         parts = [standardised(part) for part in np.split(equal, n_parts)]
@@ -296,7 +296,7 @@ def _extended(
     lags: NDArray[np.intp],
 ) -> NDArray[np.intp]:
     """Give each other sensor the lag at which it resembles one of the chosen sensors most."""
-    ranks = standardised(rank_columns(columns(values), values.shape))
+    ranks = standardised(ranked(values))
     aligned = _aligned(ranks[:, chosen], lags[chosen])
     n_frames = len(aligned) - 2 * _MAX_LAG
     others = np.setdiff1d(varying, chosen)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults.found import Found
-from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.columns import columns
 from anisomap.recording import Recording
 
 _MIN_CLIPPED = 10  # frames at the limit
@@ -49,7 +49,7 @@ def _at_limit(column: NDArray[Any]) -> float:
     at_limit = np.count_nonzero(column == limit)
     if not _MIN_CLIPPED <= at_limit <= 0.5 * column.size:
         return 0.0
-    values, counts = count_values(column)
+    values, counts = np.unique(column, return_counts=True)
     # Of readings with few levels, those beside the limit are frequent as well.
     beside = counts[-1 - _LEVELS : -1].max(initial=0)
     near = counts[values >= limit - _TOP * (float(limit) - float(values[0]))].sum() - at_limit

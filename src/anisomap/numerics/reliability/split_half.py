@@ -13,7 +13,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import moments, scale_extremes
-from anisomap.numerics.similarity.rest import Rest, ranks_of_depths, rest_and_ranks
+from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
 
 _MAX_CORRELATION = 0.999  # a profile hardly repeats better; Fisher's z stays finite
 
@@ -203,7 +203,8 @@ def blend(readings: ArrayLike) -> Blend:
     ranks: the errors of r and rho are taken to be proportional, as they nearly are.
     """
     values = np.asarray(readings)
-    rest, ranks = rest_and_ranks(values, single=True)
+    rest = estimate_rest(values)
+    ranks = ranks_of_depths(values, rest, single=True)
     similarity, weight = _blended(*(correlation_and_reliability(one) for one in (values, ranks)))
     deviation = weight * np.sqrt(sampling_variance(values))
     deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))

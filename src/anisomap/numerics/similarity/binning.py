@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
-from anisomap.numerics.columns import columns, count_values
+from anisomap.numerics.columns import columns
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
 
@@ -166,7 +166,7 @@ def _codes_of(
     column: NDArray[Any], bins: int, costs: NDArray[np.int64] | None
 ) -> NDArray[np.uint16]:
     """Return the codes of one sensor, shape (T,)."""
-    distinct, counts = count_values(column)
+    distinct, counts = np.unique(column, return_counts=True)
     found = _divide(counts, bins, costs).astype(np.uint16)
     # Searching the few values at which the bin changes is faster than searching all values.
     changes = np.flatnonzero(np.diff(found)) + 1
@@ -205,7 +205,9 @@ class ValueCounts:
         """Count the values in an array. readings (T, N)."""
         array = np.asarray(readings)
         limit = max_values or max(_MIN_VALUES, MAX_VALUES // array.shape[1])
-        found = [_round_to(*count_values(column), 0, limit) for column in columns(array)]
+        found = [
+            _round_to(*np.unique(column, return_counts=True), 0, limit) for column in columns(array)
+        ]
         values, counts, n_rounded_bits = zip(*found, strict=True)
         return cls(len(array), values, counts, np.array(n_rounded_bits), limit)
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_array
 
-from anisomap.numerics.columns import columns, rank_columns
+from anisomap.numerics.columns import ranked
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.precision import MAX_SQUARED, Reals, float_type, mirror, row_blocks
 from anisomap.numerics.similarity.co_occurrence import (
@@ -327,12 +327,6 @@ def spearman(readings: ArrayLike) -> Reals:
     Ties are assigned their mean rank. Invariant under increasing transformations of a sensor.
     """
     return pearson(ranked(readings))
-
-
-def ranked(readings: ArrayLike) -> NDArray[np.float64]:
-    """Return the ranks of the readings of each sensor, shape (T, N); ties share their mean."""
-    values = np.asarray(readings)
-    return rank_columns(columns(values), values.shape)
 
 
 def co_activation(readings: ArrayLike) -> Reals:

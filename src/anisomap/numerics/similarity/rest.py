@@ -9,12 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import (
-    columns,
-    count_values,
-    find_levels,
-    ranks_from_counts,
-)
+from anisomap.numerics.columns import columns, mean_ranks
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
 
 MIN_REST_SHARE = 0.1
@@ -123,51 +118,36 @@ def _is_compiled(readings: NDArray[Any]) -> bool:
 
 
 def _rest_of_readings(readings: NDArray[Any]) -> Rest:
-    found = map(count_values, columns(readings))
-    return rest_from_counts((values.astype(np.float64), counts) for values, counts in found)
+    return rest_from_counts(np.unique(one, return_counts=True) for one in columns(readings))
 
 
-def ranks_of_depths(readings: ArrayLike, *, single: bool = False) -> NDArray[Any]:
-    """Rank the readings of each sensor by their depth beyond rest: see `rest_and_ranks`."""
-    return rest_and_ranks(readings, single=single)[1]
+def ranks_of_depths(
+    readings: ArrayLike, rest: Rest | None = None, *, single: bool = False
+) -> NDArray[Any]:
+    """Rank the readings of each sensor by their depth beyond rest; all at rest share a rank.
 
-
-def rest_and_ranks(readings: ArrayLike, *, single: bool = False) -> tuple[Rest, NDArray[Any]]:
-    """Estimate the rest of each sensor, and rank its readings by their depth beyond rest.
-
-    readings (T, N) -> rest, ranks (T, N).
+    readings (T, N) -> (T, N), of float32 if `single` and the frames are few enough.
     """
     values = np.asarray(readings)
+    rest = estimate_rest(values) if rest is None else rest
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
     ranks = np.empty(values.shape[::-1], dtype)
-    found = [_rank_depths(column, own) for own, column in zip(ranks, columns(values), strict=True)]
-    return _as_rest(found), ranks.T
-
-
-def _rank_depths(column: NDArray[Any], ranks: NDArray[Any]) -> tuple[float, float, float, bool]:
-    """Rank the readings of one sensor, shape (T,), by depth into `ranks`; return its rest."""
-    levels = find_levels(column)
-    values = levels.values.astype(np.float64)
-    rest = _rest_of(values, levels.counts)
-    value, side, threshold, _ = rest
-    depths = np.maximum(side * (values - value) - threshold, 0)[:: int(side)]
-    # Depths do not decrease in this order; several readings at rest have depth 0.
-    level = np.zeros(depths.size, dtype=np.intp)
-    np.cumsum(depths[1:] > depths[:-1], out=level[1:])
-    by_level = ranks_from_counts(np.bincount(level, weights=levels.counts[:: int(side)]))
-    levels.expand(by_level[level][:: int(side)], out=ranks)
-    return rest
+    own = zip(ranks, columns(values), rest.value, rest.side, rest.threshold, strict=True)
+    for row, column, value, side, threshold in own:
+        depth = side * (column.astype(np.float64) - value) - threshold
+        active = np.flatnonzero(depth > 0)
+        n_resting = len(depth) - len(active)
+        row.fill((n_resting + 1) / 2)
+        row[active] = n_resting + mean_ranks(depth[active])
+    return ranks.T
 
 
 def rest_from_counts(
-    values_and_counts: Iterable[tuple[NDArray[np.float64], NDArray[np.integer[Any]]]],
+    values_and_counts: Iterable[tuple[NDArray[Any], NDArray[np.integer[Any]]]],
 ) -> Rest:
     """Estimate the rest of each sensor from the counts of its values."""
-    return _as_rest([_rest_of(*pair) for pair in values_and_counts])
-
-
-def _as_rest(of_sensors: list[tuple[float, float, float, bool]]) -> Rest:
-    value, side, threshold, known = np.array(of_sensors).T
+    found = [_rest_of(values.astype(np.float64), counts) for values, counts in values_and_counts]
+    value, side, threshold, known = np.array(found).T
     return Rest(value=value, side=side, threshold=threshold, known=known > 0)
 
 
