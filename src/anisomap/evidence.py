@@ -54,17 +54,12 @@ class Similarity:
         if self.blend is not None:
             found = self.blend(readings)
             return found.similarity, found.variance
-        return self.compute(readings, bins), self.variance(readings)
+        scores = readings if self.scores is None else self.scores(readings)
+        return self.compute(readings, bins), sampling_variance(scores)
 
     def referred(self, readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
         """Return the readings that are compared, (T, n), and the share of what was subtracted."""
         return (readings, 0.0) if self.refer is None else self.refer(readings)
-
-    def variance(self, readings: NDArray[np.generic]) -> Reals:
-        """Compute the sampling variance of the similarity for unrelated sensors, (n, n)."""
-        if self.blend is not None:
-            return self.blend(readings).variance
-        return sampling_variance(readings if self.scores is None else self.scores(readings))
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
@@ -285,11 +280,10 @@ def _examined(readings: NDArray[Any], similarity: str, bins: int) -> PairStatist
     statistic = SIMILARITIES[similarity]
     readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
     blended = None if statistic.blend is None else statistic.blend(readings)
-    found, variance = (
-        statistic.with_variance(readings, bins)
-        if blended is None
-        else (blended.similarity, blended.variance)
-    )
+    if blended is None:
+        found, variance = statistic.with_variance(readings, bins)
+    else:
+        found, variance = blended.similarity, blended.variance
     pairs = PairStatistics.from_similarity(
         found, noise=variance, readings=readings, statistic=similarity
     )

@@ -1,4 +1,4 @@
-"""The readings of single sensors, and their ranks."""
+"""The readings of single sensors, centred or ranked."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _SENSORS_AT_ONCE = 64
+_CENTRED_AT_ONCE = 32  # sensors whose intermediate arrays stay in the cache
+_FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 
 
 def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterator[NDArray[Any]]:
@@ -35,3 +37,25 @@ def ranked(readings: ArrayLike) -> NDArray[np.float64]:
     for row, column in zip(ranks, columns(values), strict=True):
         row[:] = mean_ranks(column)
     return ranks.T
+
+
+def centred_rows(readings: NDArray[Any]) -> NDArray[np.float32]:
+    """Centre the readings of each sensor, and scale them to [-1, 1]; 0 if constant.
+
+    readings (T, N) -> (N, T).
+    """
+    rows = np.empty(readings.shape[::-1], np.float32)
+    for begin in range(0, len(rows), _CENTRED_AT_ONCE):
+        part = np.ascontiguousarray(readings[:, begin : begin + _CENTRED_AT_ONCE].T)
+        # A difference of numbers in float32 is rounded relative to itself.
+        if part.dtype != np.float32 or np.abs(part).max(initial=0) > _FLOAT32_RANGE:
+            part = part.astype(np.float64)
+            # Differences of the greatest numbers would overflow.
+            part /= np.maximum(np.abs(part).max(axis=1), np.finfo(np.float64).tiny)[:, None]
+        part = part - part[:, :1]  # exactly 0 for constant sensors
+        part -= part.mean(axis=1)[:, None]
+        # Squares of small readings, such as in a standard deviation, might underflow.
+        greatest = np.abs(part).max(axis=1)
+        part /= np.where(greatest > 0, greatest, 1)[:, None]
+        rows[begin : begin + _CENTRED_AT_ONCE] = part
+    return rows

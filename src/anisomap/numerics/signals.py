@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import rfft
 
-from anisomap.numerics.columns import columns
+from anisomap.numerics.columns import centred_rows, columns
 from anisomap.numerics.similarity.rest import MIN_REST_SHARE, Rest, rest_from_counts
 
 MAX_FRAMES = 4096
@@ -129,19 +129,11 @@ def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp
     return np.array(both, dtype=np.intp)
 
 
-def unit_row(column: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale the readings of one sensor, shape (T,), to mean 0 and norm 1; 0 if constant."""
-    # Differences of float32 numbers are rounded relative to themselves.
-    centred = column - column.mean(dtype=np.float64).astype(column.dtype)
-    centred /= max(centred.max(), -centred.min()) or 1
-    return np.asarray(centred / (np.sqrt(centred @ centred) or 1), dtype=np.float32)
-
-
 def unit_rows(readings: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Scale every sensor to mean 0 and norm 1. readings (T, N) -> (N, T)."""
-    rows = np.empty(readings.shape[::-1], dtype=np.float32)
-    for column, row in zip(columns(readings), rows, strict=True):
-        row[:] = unit_row(column)
+    """Scale every sensor to mean 0 and norm 1; 0 if constant. readings (T, N) -> (N, T)."""
+    rows = centred_rows(readings)
+    norms = np.sqrt(np.einsum("nt,nt->n", rows, rows))
+    rows /= np.where(norms > 0, norms, 1)[:, None]
     return rows
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
@@ -81,56 +82,33 @@ def at_frames(values: NDArray[Any], frames: NDArray[np.intp]) -> NDArray[Any]:
     return np.concatenate([values[first : last + 1] for first, last in runs])
 
 
-@dataclass(frozen=True, eq=False)
-class SplitCorrelation:
-    """Pearson's r of all pairs of sensors, and how well it repeats.
+def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
+    """Compute Pearson's r, and its correlation between the two halves, over pairs of sensors.
 
-    correlation (N, N): Of all frames: see `anisomap.numerics.similarity.correlation.pearson`.
-    reliability: Correlation between the halves of the frames, over pairs of sensors, in [-1, 1].
-    """
-
-    correlation: Reals
-    reliability: float
-
-
-def correlation_and_reliability(readings: ArrayLike) -> SplitCorrelation:
-    """Compute Pearson's r, and correlate it between the two halves, over pairs of sensors.
-
-    readings (T, N).
+    readings (T, N) -> (N, N), reliability in [-1, 1].
     """
     values = scale_extremes(readings)
     n_frames, n_sensors = values.shape
-    step = -(-n_sensors // _MAX_SENSORS)
     if n_frames < MIN_FRAMES:
-        return SplitCorrelation(moments(values).correlation(), 0.0)
+        return moments(values).correlation(), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
     first, second = (moments(at_frames(values, half)) for half in split_blocks(n_frames))
-    even, odd = (one.correlation()[::step, ::step] for one in (first, second))
-    reliability = _agreement(even, odd, len(even))
-    return SplitCorrelation(first.merged(second).correlation(), reliability)
+    step = -(-n_sensors // _MAX_SENSORS)
+    halves = (one.correlation()[::step, ::step] for one in (first, second))
+    return first.merged(second).correlation(), _agreement(*halves)
 
 
-def _agreement(first: Reals, second: Reals, n_compared: int) -> float:
-    """Correlate two matrices over the pairs of some sensors; 0 if either is constant.
-
-    Both matrices are symmetric, have a diagonal of 1, and are 0 in the rows of all other sensors,
-    so that sums over all elements replace the selection of pairs.
-    """
-    if n_compared < MIN_SENSORS:
+def _agreement(first: Reals, second: Reals) -> float:
+    """Correlate two symmetric matrices over the pairs of sensors; 0 if either is constant."""
+    if len(first) < MIN_SENSORS:
         return 0.0
-    a, b = (np.asarray(one, dtype=np.float64).ravel() for one in (first, second))
-    n_pairs = n_compared * (n_compared - 1)
-
-    def mean(total: float) -> float:
-        return (total - len(first)) / n_pairs
-
-    squares = mean(float(a @ a)), mean(float(b @ b))
-    means = mean(float(a.sum())), mean(float(b.sum()))
-    variances = [square - one**2 for square, one in zip(squares, means, strict=True)]
-    if any(v <= _ROUNDING * s for v, s in zip(variances, squares, strict=True)):
+    a, b = (squareform(one, checks=False).astype(np.float64) for one in (first, second))
+    squares = a @ a, b @ b
+    a -= a.mean()
+    b -= b.mean()
+    if any(one @ one <= _ROUNDING * size for one, size in zip((a, b), squares, strict=True)):
         return 0.0
-    covariance = mean(float(a @ b)) - means[0] * means[1]
-    return float(np.clip(covariance / math.sqrt(variances[0] * variances[1]), -1, 1))
+    return float(np.clip((a @ b) / math.sqrt((a @ a) * (b @ b)), -1, 1))
 
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
@@ -211,13 +189,13 @@ def blend(readings: ArrayLike) -> Blend:
     return Blend(similarity, np.square(deviation, out=deviation), weight, rest, ranks)
 
 
-def _blended(linear: SplitCorrelation, by_rank: SplitCorrelation) -> tuple[Reals, float]:
+def _blended(linear: tuple[Reals, float], by_rank: tuple[Reals, float]) -> tuple[Reals, float]:
     """Return the blended correlation, and the weight of Pearson's r; overwrite `linear`."""
-    p, q = max(linear.reliability, 0.0), max(by_rank.reliability, 0.0)
+    (blended, p), (rho, q) = linear, by_rank
+    p, q = max(p, 0.0), max(q, 0.0)
     ratio = 1.0 if q >= p else q / p
     weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
-    blended = linear.correlation
     blended *= weight
-    blended += (1 - weight) * by_rank.correlation
+    blended += (1 - weight) * rho
     np.fill_diagonal(blended, 1.0)
     return blended, weight

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_array
 
-from anisomap.numerics.columns import ranked
+from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.precision import MAX_SQUARED, Reals, float_type, mirror, row_blocks
 from anisomap.numerics.similarity.co_occurrence import (
@@ -371,7 +371,6 @@ def scale_extremes(readings: ArrayLike) -> NDArray[np.generic]:
     return np.asarray(np.ldexp(values.astype(np.float64), -np.frexp(magnitude)[1]))
 
 
-_SENSORS_AT_ONCE = 32  # sensors scaled at a time; chosen by hand
 _STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen by hand
 
 
@@ -382,7 +381,7 @@ def resampled_correlation(
 
     readings (T, N), weights (R, B) -> (R, N, N).
     """
-    scaled = _scaled(readings)
+    scaled = centred_rows(readings)
     n_sensors, n_blocks = len(scaled), len(edges) - 1
     share = weights / (weights @ np.diff(edges))[:, None]
     share = share.astype(np.float32)
@@ -408,21 +407,3 @@ def resampled_correlation(
         mirror(matrix, upper=True)
         np.fill_diagonal(matrix, 1.0)
     return np.asarray(np.clip(found, -1, 1, out=found))
-
-
-def _scaled(readings: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Centre the readings of each sensor and scale them to [-1, 1], shape (N, T)."""
-    scaled = np.empty(readings.shape[::-1], np.float32)
-    for begin in range(0, len(scaled), _SENSORS_AT_ONCE):
-        part = np.ascontiguousarray(readings[:, begin : begin + _SENSORS_AT_ONCE].T)
-        # A difference of numbers in float32 is rounded relative to itself.
-        single = part.dtype == np.float32 and np.abs(part).max(initial=0) < _FLOAT32_RANGE
-        if not single:
-            part = part.astype(np.float64)
-        part = part - part[:, :1]  # exactly 0 for constant sensors
-        part -= part.mean(axis=1)[:, None]
-        # Squares of readings, such as in a standard deviation, might underflow.
-        greatest = np.abs(part).max(axis=1)
-        part /= np.where(greatest > 0, greatest, 1)[:, None]
-        scaled[begin : begin + _SENSORS_AT_ONCE] = part
-    return scaled
