@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
@@ -54,7 +56,8 @@ def sampling_variance(readings: ArrayLike) -> Reals:
     if n_frames < 2:
         raise InputError(f"a sampling variance needs at least 2 frames, got {n_frames}")
     window = min(n_frames - 1, max(_MIN_WINDOW, _WINDOW_FACTOR * correlation_time(values)))
-    found = _autocorrelation(values, window, np.arange(n_sensors)).astype(float_type(n_sensors))
+    found: NDArray[Any] = _autocorrelation(values, window, np.arange(n_sensors))
+    found = found.astype(float_type(n_sensors))
     taper = 2 * (1 - np.arange(window + 1) / (window + 1))
     taper[0] = 1.0  # all other lags are doubled, for their negatives
     found *= np.sqrt(taper / n_frames)[:, None]
