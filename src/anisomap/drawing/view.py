@@ -162,8 +162,8 @@ def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[
 
 def drawn_dimensions(sensor_map: SensorMap, score: Score | None = None) -> int:
     """Return the number of coordinates, 2 or 3, in which a map is drawn."""
-    known = 0 if score is None else _true_dimensions(score)
-    return 3 if max(known, sensor_map.dimensions) > 2 else 2
+    known = 2 if score is None else span_dimensions(score.truth)
+    return max(known, min(max(sensor_map.dimensions, 2), 3))
 
 
 def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
@@ -235,10 +235,10 @@ def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]
             f"the map has {count} separate components that share no frame of reference: their "
             "positions relative to one another are unknown"
         )
-    if score is not None and _true_dimensions(score) > sensor_map.dimensions:
+    if score is not None and span_dimensions(score.truth) > sensor_map.dimensions:
         notes.append(
             f"the map has fewer dimensions than the truth ({sensor_map.dimensions} and "
-            f"{_true_dimensions(score)}): it lies in the plane or line that fits the true "
+            f"{span_dimensions(score.truth)}): it lies in the plane or line that fits the true "
             "positions best"
         )
     return notes
@@ -266,9 +266,9 @@ def _prepared(
         sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
         alignment = score.alignment
         points = alignment.apply(sensor_map.positions[sensors])
-        truth, units = _with_axes(score.truth, dimensions), score.units
+        truth, units = with_axes(score.truth, dimensions), score.units
         linear = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
-    points = _with_axes(points, dimensions)
+    points = with_axes(points, dimensions)
     known = points if score is None else truth
     view = VIEWS[0]
     if dimensions == 3:
@@ -356,14 +356,18 @@ def _turned(
     return np.asarray(padded[:, :dimensions, :dimensions])
 
 
-def _true_dimensions(score: Score) -> int:
-    """Count the coordinates of the truth, except a z coordinate that is constant."""
-    spans = np.ptp(score.truth, axis=0)
-    planar = len(spans) == 3 and spans[2] <= _PLANAR * spans.max()
-    return 2 if planar else len(spans)
+def span_dimensions(points: Points) -> int:
+    """Return the number of coordinates, 2 or 3, that show points; a constant z is not shown.
+
+    points (n, k): Unknown ones may be NaN.
+    """
+    if points.shape[1] < 3:
+        return 2
+    spans = np.nanmax(points, axis=0) - np.nanmin(points, axis=0)
+    return 2 if spans[2] <= _PLANAR * spans.max() else 3
 
 
-def _with_axes(points: Points, dimensions: int) -> Points:
+def with_axes(points: Points, dimensions: int) -> Points:
     """Append zeros or drop the last coordinates, to a given number of coordinates."""
     missing = max(0, dimensions - points.shape[1])
     return np.asarray(np.pad(points, ((0, 0), (0, missing)))[:, :dimensions])

@@ -15,7 +15,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.recording import Scalar
-from anisomap.sensor_map import MAX_COORDINATE, UNPLACED, SensorMap
+from anisomap.sensor_map import MAX_COORDINATE, UNPLACED, UNSCALED, SensorMap
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
 """Length of each supported unit in metres."""
@@ -131,6 +131,16 @@ def in_millimetres(sensor_map: SensorMap) -> SensorMap:
     if sensor_map.units not in METRES:
         return sensor_map
     return rescaled(sensor_map, METRES[sensor_map.units] / METRES["mm"], "mm")
+
+
+def length_shown(units: str, unscaled: str) -> tuple[str, float]:
+    """Return the unit in which lengths are shown, and the factor to it: mm where that is possible.
+
+    unscaled: What is shown in place of a unit that is arbitrary or unknown.
+    """
+    if units not in METRES:
+        return (unscaled if units in UNSCALED else units), 1.0
+    return "mm", METRES[units] / METRES["mm"]
 
 
 def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> SensorMap:

@@ -117,7 +117,7 @@ def _are_swapped(layout_file: Path, recording_file: Path, how: ReadOptions) -> b
 
 
 def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
-    from anisomap.sensor_map import UNSCALED
+    from anisomap.placement.frames import length_shown
 
     layout = found.layout
     accused = int(np.count_nonzero(found.accused))
@@ -136,11 +136,11 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
     )
     records = [_record(found, finding) for finding in found.findings]
     if records:
-        unit = "unit of the layout" if layout.units in UNSCALED else layout.units
+        unit, factor = length_shown(layout.units, "unit of the layout")
         columns: Columns = {
             "kind": ("kind", str),
             "sensors": ("sensors", lambda each: join_items([one["sensor"] for one in each], 3)),
-            f"off by ({unit})": ("displacement", lambda length: number(length, 3)),
+            f"off by ({unit})": ("displacement", lambda length: number(factor * length, 3)),
             "agreement": ("agreement_stated", lambda share: number(share, 2)),
             "corrected": ("agreement_proposed", lambda share: number(share, 2)),
             "chance gains": ("chance", lambda gain: number(gain, 2)),

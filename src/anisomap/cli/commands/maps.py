@@ -37,6 +37,7 @@ def convert(
     from anisomap import io
     from anisomap.cli.outputs import Outputs
     from anisomap.placement import METRES, median_spacing
+    from anisomap.placement.frames import length_shown
 
     outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)
     sensor_map = io.read_map(map_file)
@@ -49,7 +50,8 @@ def convert(
     written = outputs.write(placed)
     facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
     if spacing is not None:
-        facts["median spacing"] = f"{spacing:.4g} {placed.units}"
+        unit, factor = length_shown(placed.units, "")
+        facts["median spacing"] = f"{number(factor * spacing)} {unit}"
     printer.facts(f"Map of {map_file.name}", facts | {"pose": placed.pose})
     printer.files(written)
     printer.record(
@@ -101,9 +103,9 @@ def diff(
 
 
 def _print_difference(printer: Printer, found: Difference, title: str) -> None:
-    from anisomap.sensor_map import UNSCALED
+    from anisomap.placement.frames import length_shown
 
-    units = "units of the first map" if found.units in UNSCALED else found.units
+    units, factor = length_shown(found.units, "units of the first map")
     spacing = found.spacing  # 0 if most sensors have the place of another
     masks = {"moved": found.moved, "appeared": found.appeared, "lost": found.lost}
     names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in masks.items()}
@@ -113,7 +115,7 @@ def _print_difference(printer: Printer, found: Difference, title: str) -> None:
         {
             "sensors compared": str(n_compared),
             **{kind: str(len(listed)) for kind, listed in names.items()},
-            "chance": f"explains up to {number(found.chance)} {units}"
+            "chance": f"explains up to {number(factor * found.chance)} {units}"
             + (f", or {number(found.chance / spacing, 3)} spacings" if spacing else ""),
             "scale": f"{number(found.scale)} (second map to first)",
             "mirrored": "yes" if found.reflected else "no",
@@ -131,7 +133,7 @@ def _print_difference(printer: Printer, found: Difference, title: str) -> None:
         }
         for i in moved[np.argsort(-found.distance[moved], kind="stable")]
     ]
-    _print_moved(printer, records, units)
+    _print_moved(printer, records, units, factor)
     printer.names({kind: names[kind] for kind in ("appeared", "lost")})
     printer.notes(found.notes)
     printer.record(
@@ -147,12 +149,14 @@ def _print_difference(printer: Printer, found: Difference, title: str) -> None:
     )
 
 
-def _print_moved(printer: Printer, records: Sequence[Mapping[str, Any]], units: str) -> None:
+def _print_moved(
+    printer: Printer, records: Sequence[Mapping[str, Any]], units: str, factor: float
+) -> None:
     """Print a table of the sensors that moved, and what they moved like if that is known."""
     columns: Columns = {
         "sensor": ("sensor", str),
         "like": ("like", str),
-        f"distance ({units})": ("distance", number),
+        f"distance ({units})": ("distance", lambda distance: number(factor * distance)),
         "spacings": ("spacings", lambda spacings: number(spacings, 3)),
         "p": ("p_value", lambda p: number(p, 2)),
     }
@@ -238,11 +242,11 @@ def update(
 
 
 def _print_update(printer: Printer, found: Update, name: str) -> None:
-    from anisomap.sensor_map import UNSCALED
+    from anisomap.placement.frames import length_shown
 
     changes, total = found.difference, found.evidence
     known = changes.distance[changes.compared & ~changes.moved]
-    units = "units of the map" if changes.units in UNSCALED else changes.units
+    units, factor = length_shown(changes.units, "units of the map")
     facts = {
         "recordings": f"{len(total.recordings)}, {total.n_frames} frames",
         "sensors placed": f"{int(found.map.placed.sum())} of {found.map.n_sensors}",
@@ -253,8 +257,9 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
     }
     if known.size:
         facts["other shifts"] = (
-            f"{number(float(np.median(known)), 3)} {units} (median), "
-            f"{number(float(known.max()), 3)} at most; the spacing is {number(changes.spacing, 3)}"
+            f"{number(factor * float(np.median(known)), 3)} {units} (median), "
+            f"{number(factor * float(known.max()), 3)} at most; the spacing is "
+            f"{number(factor * changes.spacing, 3)}"
         )
     printer.facts(f"Update of {name}", facts)
     tested = found.moves
@@ -269,7 +274,7 @@ def _print_update(printer: Printer, found: Update, name: str) -> None:
         }
         for sensor, i in ((name, changes.names.index(name)) for name in found.moved)
     ]
-    _print_moved(printer, moved, units)
+    _print_moved(printer, moved, units, factor)
     printer.names(
         {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
     )

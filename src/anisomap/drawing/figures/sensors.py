@@ -24,11 +24,21 @@ from anisomap.drawing.figures.maps import (
     write_label,
     write_labels,
 )
-from anisomap.drawing.view import MAX_LABEL, Points, best_view, box_around, printable, segments
+from anisomap.drawing.view import (
+    MAX_LABEL,
+    Points,
+    best_view,
+    box_around,
+    printable,
+    segments,
+    span_dimensions,
+    with_axes,
+)
 from anisomap.evaluation import Score
 from anisomap.health import TouchCoverage
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
+from anisomap.placement.frames import METRES, in_millimetres, length_shown
 from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
@@ -75,7 +85,7 @@ _STATUSES = {
 """Statuses of `LayoutCheck` that are drawn alike."""
 
 
-@panel(lambda difference, *_: min(3, difference.before.shape[1]))
+@panel(lambda difference, *_: span_dimensions(np.vstack([difference.before, difference.after])))
 def plot_difference(
     difference: Difference, *, title: str = "Differences between two maps", ax: Axes = None
 ) -> Caption:
@@ -94,16 +104,17 @@ def plot_difference(
         "lost": lost,
         "appeared": appeared,
     }
+    units, factor = length_shown(difference.units, difference.units)
     before = np.where(np.isfinite(difference.before), difference.before, difference.after)
     worst = np.flatnonzero(moved)[np.argsort(-difference.distance[moved], kind="stable")]
     labels = {int(i): difference.names[i] for i in worst[:_MAX_LABELS]}
     arrows = np.where(moved[:, None], difference.after, np.nan)
-    _draw_displacements(ax, before, arrows, kinds, labels, units=difference.units)
+    _draw_displacements(ax, factor * before, factor * arrows, kinds, labels, units=units)
     note = "Arrows lead from the first map to the second, which is aligned with the first."
     return Caption(title, note, legend=4)
 
 
-@panel(lambda placement, *_: min(3, placement.map.dimensions))
+@panel(lambda placement, *_: span_dimensions(placement.map.positions))
 def plot_placement(
     placement: Placement,
     anchors: Anchors | None = None,
@@ -121,7 +132,7 @@ def plot_placement(
     mesh : Mesh, optional
         Drawn in 3D only.
     """
-    placed = placement.map
+    placed = in_millimetres(placement.map)
     names = set(() if anchors is None else anchors.names)
     known = np.array([name in names for name in placed.names], dtype=bool)
     kinds = {"placed": placed.placed & ~known, "anchors": placed.placed & known}
@@ -131,15 +142,15 @@ def plot_placement(
     _draw_displacements(ax, placed.positions, nowhere, kinds, labels, units=placed.units)
     if mesh is not None and ax.name == "3d":
         look = {"color": "#c9cdd2", "alpha": 0.25, "linewidth": 0, "zorder": 0}
-        ax.plot_trisurf(*mesh.vertices.T, triangles=mesh.faces, **look)
-    note = "Positions in metres."
+        ax.plot_trisurf(*mesh.vertices.T / METRES[placed.units], triangles=mesh.faces, **look)
+    note = ""
     if np.isfinite(placed.errors).any():
-        error = float(np.nanmedian(placed.errors))
-        note = f"{note} 90 % of the sensors are within their error, {error:.2g} m in the median."
+        error = f"{float(np.nanmedian(placed.errors)):.2g} {placed.units}"
+        note = f"90 % of the sensors are within their error, {error} in the median."
     return Caption(f"Placed in {placed.frame}: {placement.methods[0]}", note, legend=4)
 
 
-@panel(lambda check, *_: min(3, check.layout.dimensions))
+@panel(lambda check, *_: span_dimensions(check.layout.positions))
 def plot_layout(
     check: LayoutCheck, *, title: str = "Check of a layout", ax: Axes = None
 ) -> Caption:
@@ -151,12 +162,13 @@ def plot_layout(
         From `anisomap.check_layout`.
     title : str
     """
-    layout, status = check.layout, np.array(check.status)
+    layout, corrected = in_millimetres(check.layout), in_millimetres(check.corrected)
+    status = np.array(check.status)
     kinds = {kind: np.isin(status, every) & layout.placed for kind, every in _STATUSES.items()}
-    start, end = layout.positions, check.corrected.positions
+    start, end = layout.positions, corrected.positions
     changed = (start != end).any(axis=1) & layout.placed
-    first = [int(finding.sensors[0]) for finding in check.findings[:_MAX_LABELS]]
-    labels = {i: layout.names[i] for i in first}
+    ends = [i for finding in check.findings for i in finding.sensors[[0, -1]].tolist()]
+    labels = {i: layout.names[i] for i in ends[:_MAX_LABELS]}
     arrows = np.where(changed[:, None], end, np.nan)
     _draw_displacements(ax, start, arrows, kinds, labels, units=layout.units)
     note = "Arrows lead from the stated position of a sensor to the one that its readings indicate."
@@ -173,12 +185,13 @@ def _draw_displacements(
     units: str,
 ) -> None:
     """Draw sensors by kind, and arrows to other positions. start, end (N, k), kinds (N,)."""
-    start, end = start[:, :3], end[:, :3]
+    k = 3 if axes.name == "3d" else 2
+    start, end = with_axes(start, k), with_axes(end, k)
     drawn = np.any(list(kinds.values()), axis=0)
     shown = [points[np.isfinite(points).all(axis=1)] for points in (start[drawn], end[drawn])]
     shown = [points for points in shown if len(points)]
     limits = box_around(*shown)
-    set_up_axes(axes, limits, best_view(*shown) if start.shape[1] == 3 else (0.0, 0.0), units)
+    set_up_axes(axes, limits, best_view(*shown) if k == 3 else (0.0, 0.0), units)
     size = _DOT_AREA * float(np.clip(np.sqrt(60 / drawn.sum()), 0.1, 1))
     for kind, chosen in kinds.items():
         if not chosen.any():
