@@ -102,10 +102,10 @@ class Verdict:
         if not math.isnan(self.region_error):
             told.insert(
                 2,
-                f"expected error within regions of radius 5: {self.region_error:.2f} spacings "
-                f"({self.region_error_low:.2f} to {self.region_error_high:.2f}); right neighbours: "
-                f"{self.neighbours_kept:.0%} ({self.neighbours_kept_low:.0%} to "
-                f"{self.neighbours_kept_high:.0%})",
+                "within a radius of 5 spacings, the expected error is "
+                f"{self.region_error:.2f} spacings ({self.region_error_low:.2f} to "
+                f"{self.region_error_high:.2f}), and {self.neighbours_kept:.0%} of neighbours are "
+                f"right ({self.neighbours_kept_low:.0%} to {self.neighbours_kept_high:.0%})",
             )
         return tuple(f"{text[:1].upper()}{text[1:]}." for text in told)
 

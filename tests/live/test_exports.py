@@ -38,6 +38,36 @@ def test_foxglove_shows_the_strongest_reading_of_each_interval_in_metres(tmp_pat
     np.testing.assert_allclose(clouds[..., 3], pairs / pairs.max(axis=0), atol=1e-5)
 
 
+def described(schema):
+    """Return the properties of a schema, as Foxglove reads them."""
+    if schema["type"] == "object":
+        return {key: described(item) for key, item in schema["properties"].items()}
+    if schema["type"] == "array":
+        return [described(schema["items"])]
+    return schema.get("contentEncoding", schema["type"])
+
+
+def test_schemas_describe_all_that_foxglove_reads(tmp_path):
+    """The schema of point clouds is that of foxglove.dev, without descriptions and limits."""
+    reader = pytest.importorskip("mcap.reader", reason="needs the extra 'mcap'")
+    save_session(MAP, SKIN, tmp_path / "skin.mcap")
+    file = io.BytesIO((tmp_path / "skin.mcap").read_bytes())
+    schemas = reader.make_reader(file).get_summary().schemas.values()
+    found = {schema.name: described(json.loads(schema.data)) for schema in schemas}
+    vector = dict.fromkeys("xyz", "number")
+    assert found == {
+        "foxglove.PointCloud": {
+            "timestamp": {"sec": "integer", "nsec": "integer"},
+            "frame_id": "string",
+            "pose": {"position": vector, "orientation": vector | {"w": "number"}},
+            "point_stride": "integer",
+            "fields": [{"name": "string", "offset": "integer", "type": "integer"}],
+            "data": "base64",
+        },
+        "anisomap.Names": {"names": ["string"]},
+    }
+
+
 def test_rerun_reads_the_session(tmp_path):
     pytest.importorskip("rerun", reason="needs the extra 'rerun'")
     save_session(replace(MAP, units="arbitrary"), SKIN, tmp_path / "skin.rrd")

@@ -219,6 +219,12 @@ def box_around(*configurations: Points) -> Points:
     return np.column_stack([middle - half, middle + half])
 
 
+def panel_limits(shown: Panel) -> Points:
+    """Return limits, shape (k, 2), that contain points, true positions and ellipses."""
+    lines = outlines(shown)
+    return box_around(shown.points, shown.truth, lines[np.isfinite(lines).all(axis=1)])
+
+
 def axis_title(axis: str, units: str) -> str:
     """Name an axis with its unit: ``x (mm)``."""
     if not units:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,40 +84,70 @@ def _session(sensor_map: SensorMap, recording: Recording) -> _Session:
 def _write_mcap(session: _Session, path: Path) -> None:
     """Write messages foxglove.PointCloud, with a field for the readings, and the names once."""
     writing = import_extra("mcap.writer", "writing MCAP", "mcap")
+    fields = [
+        {"name": name, "offset": 4 * i, "type": _FLOAT32}
+        for i, name in enumerate(("x", "y", "z", "reading"))
+    ]
+
+    def cloud(moment: int, levels: NDArray[np.float32]) -> dict[str, Any]:
+        return {
+            "timestamp": dict(zip(("sec", "nsec"), divmod(moment, 10**9), strict=True)),
+            "frame_id": session.frame,
+            "pose": {
+                "position": dict.fromkeys("xyz", 0.0),
+                "orientation": dict.fromkeys("xyz", 0.0) | {"w": 1.0},
+            },
+            "point_stride": 16,
+            "fields": fields,
+            "data": np.column_stack([session.points, levels]).astype("<f4").tobytes(),
+        }
+
     with path.open("wb") as file:
         writer = writing.Writer(file)
         writer.start(profile="", library="anisomap")
-        clouds, names = (
+
+        def write(channel: int, moment: int, message: dict[str, Any]) -> None:
+            data = json.dumps(message, default=_base64).encode()
+            writer.add_message(channel, log_time=moment, publish_time=moment, data=data)
+
+        names = {"names": session.names}
+        clouds, once = (
             writer.register_channel(
                 topic=topic,
                 message_encoding="json",
-                schema_id=writer.register_schema(name, "jsonschema", b'{"type": "object"}'),
+                schema_id=writer.register_schema(
+                    name, "jsonschema", json.dumps(_schema_of(example)).encode()
+                ),
             )
-            for topic, name in (("/skin", "foxglove.PointCloud"), ("/names", "anisomap.Names"))
+            for topic, name, example in (
+                ("/skin", "foxglove.PointCloud", cloud(0, session.levels[0])),
+                ("/names", "anisomap.Names", names),
+            )
         )
-        text = json.dumps({"names": session.names}).encode()
-        writer.add_message(names, log_time=0, publish_time=0, data=text)
-        fields = [
-            {"name": name, "offset": 4 * i, "type": _FLOAT32}
-            for i, name in enumerate(("x", "y", "z", "reading"))
-        ]
+        write(once, 0, names)
         for time, levels in zip(session.times, session.levels, strict=True):
-            moment = int(time * 1e9)
-            points = np.column_stack([session.points, levels]).astype("<f4").tobytes()
-            cloud = {
-                "timestamp": dict(zip(("sec", "nsec"), divmod(moment, 10**9), strict=True)),
-                "frame_id": session.frame,
-                "pose": {
-                    "position": {"x": 0, "y": 0, "z": 0},
-                    "orientation": {"x": 0, "y": 0, "z": 0, "w": 1},
-                },
-                "point_stride": 16,
-                "fields": fields,
-                "data": base64.b64encode(points).decode(),
-            }
-            data = json.dumps(cloud).encode()
-            writer.add_message(clouds, log_time=moment, publish_time=moment, data=data)
+            write(clouds, moment := int(time * 1e9), cloud(moment, levels))
         writer.finish()
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
+
+
+def _schema_of(value: object) -> dict[str, Any]:
+    """Describe a message as JSON Schema: Foxglove reads no property that its schema does not name.
+
+    Bytes are text in base64, which Foxglove decodes if the schema says so.
+    """
+    match value:
+        case dict():
+            properties = {key: _schema_of(item) for key, item in value.items()}
+            return {"type": "object", "properties": properties}
+        case list() | tuple():
+            return {"type": "array", "items": _schema_of(value[0])}
+        case bytes():
+            return {"type": "string", "contentEncoding": "base64"}
+    return {"type": {str: "string", int: "integer", float: "number"}[type(value)]}
 
 
 def _write_rrd(session: _Session, path: Path) -> None:

@@ -293,7 +293,7 @@ def _finish(
     session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
 ) -> None:
     """Make the final map, write all files, and say what was written."""
-    from anisomap.live.saving import save_map, save_report
+    from anisomap.live.saving import SESSIONS, save_map, save_report
 
     with progress("making the final map"):
         final = session.finish()
@@ -307,7 +307,10 @@ def _finish(
                 preset=session.maps.options.preset,
                 spacing=spacing,
             )
-            written += [("map", save(path)) for path in maps]
+            written += [
+                ("session" if path.suffix.lower() in SESSIONS else "map", save(path))
+                for path in maps
+            ]
             if report:
                 written.append(("report", save_report(final, report)))
         printer.line(f"Final map of {final.n_frames} frames: {final.verdict}")

@@ -41,6 +41,7 @@ from anisomap.drawing.view import (
     layout_notes,
     neighbour_pairs,
     outlines,
+    panel_limits,
     place_colours,
     printable,
     segments,
@@ -242,7 +243,7 @@ def _draw_comparison(
     how = "rotated, scaled and reflected" if score.alignment.reflected else "rotated and scaled"
     error = f"{score.rms:.3g} {printable(score.units, 24)}".strip()
     spacings = f" = {score.rms_in_spacings:.2g} sensor spacings" if score.spacing > 0 else ""
-    limits = box_around(shown.truth, shown.points)
+    limits = panel_limits(shown)
     _draw(figure, cells[0], shown.true(), "True positions", limits)
     _draw(figure, cells[1], shown, f"Map, {how} to fit\nRMS error {error}{spacings}", limits)
     axes = figure.add_subplot(cells[-1])
@@ -325,7 +326,7 @@ def _add_legend(figure: Figure, drawn: Sequence[Panel]) -> None:
 def draw_configuration(axes: Axes, shown: Panel, limits: Points | None = None) -> None:
     """Draw a configuration with its neighbours joined, from back to front. limits (k, 2)."""
     points = shown.points
-    limits = box_around(points) if limits is None else limits
+    limits = panel_limits(shown) if limits is None else limits
     set_up_axes(axes, limits, shown.view, shown.units)
     nearness = np.ones(len(points))
     if shown.dimensions == 3:

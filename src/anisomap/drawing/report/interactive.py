@@ -15,8 +15,8 @@ from anisomap.drawing.view import (
     Panel,
     Points,
     axis_title,
-    box_around,
     outlines,
+    panel_limits,
     printable,
     segments,
     view_axes,
@@ -246,7 +246,7 @@ def _hover(
 
 
 def _layout(component: Panel) -> dict[str, Any]:
-    limits = box_around(component.points, component.truth)
+    limits = panel_limits(component)
     axes: dict[str, Any] = {
         f"{axis}axis": {
             "title": {"text": _without_markup(axis_title(axis, component.units))},
