@@ -29,7 +29,7 @@ class Outcome:
         return json.loads(self.out)
 
 
-def call(folder: Path, *arguments: object) -> Outcome:
+def call(folder: Path, *arguments: object, width: int = 200) -> Outcome:
     """Run a command in a folder; unexpected errors are raised instead of reported."""
     out, err = io.StringIO(), io.StringIO()
     with (
@@ -40,7 +40,7 @@ def call(folder: Path, *arguments: object) -> Outcome:
     ):
         patch.setenv("ANISOMAP_DEBUG", "1")
         for shown in (console.console, console.errors):
-            patch.setattr(shown, "width", 200)
+            patch.setattr(shown, "width", width)
         code = run([str(argument) for argument in arguments])
     return Outcome(code, out.getvalue(), err.getvalue())
 

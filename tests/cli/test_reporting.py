@@ -124,11 +124,16 @@ def test_errors_are_json_if_asked_for(folder, command):
     assert (found.err, plain.err) == ("", f"error: {found.values['error']}\n")
 
 
-def test_help_states_options_of_every_command_in_a_screen_or_two(folder):
+def test_help_fits_two_screens_and_describes_expert_options_on_request(folder):
     commands = call(folder, "--help").out
+    assert all(name in commands for name in app.COMMANDS)
     for name in app.COMMANDS:
-        assert name in commands
-        assert len(call(folder, name, "--help").out.splitlines()) <= 90
+        assert len(call(folder, name, "--help", width=80).out.splitlines()) <= 90
+    short, whole = (call(folder, "map", flag).out for flag in ("--help", "--help-all"))
+    for shown in (short, whole):
+        assert "--entropy-bins" in shown
+    assert "Bins per sensor" in whole
+    assert "Bins per sensor" not in short
 
 
 def test_the_map_is_written_if_the_reader_closes_the_pipe(folder, monkeypatch):

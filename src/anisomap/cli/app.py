@@ -26,6 +26,7 @@ from anisomap.cli.console import (
     print_error,
     print_warning,
 )
+from anisomap.cli.parameters import HELP_ALL
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 
 BAD_INPUT = 2
@@ -41,6 +42,7 @@ app = App(
     name="anisomap",
     help="Reconstruct the positions of the sensors of a robot skin from their readings.",
     version=__version__,
+    help_flags=["--help", "-h", HELP_ALL],
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="markdown",

@@ -12,9 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from cyclopts import Group, Parameter, Token
+from cyclopts.help import DefaultFormatter, HelpPanel
 from cyclopts.validators import Number
+from rich.console import Console, ConsoleOptions
+from rich.text import Text
 
 from anisomap.cli.console import Printer, print_warning
+from anisomap.cli.console import console as terminal
 from anisomap.errors import FileError, InputError
 from anisomap.usability import LEVELS
 from anisomap.wording import join_items, printable
@@ -28,11 +32,24 @@ _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
 
+HELP_ALL = "--help-all"
+"""Flag that describes the expert options, too."""
+
+
+def _describe_experts(console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
+    """Name the expert options, or describe them if that is asked for."""
+    if HELP_ALL in terminal.arguments:
+        DefaultFormatter()(console, options, panel)
+        return
+    names = (name for entry in panel.entries for name in entry.positive_names)
+    console.print(Text(f"{panel.title} ({HELP_ALL} describes them): {', '.join(names)}"))
+
+
 reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
 method_group = Group("Method", sort_key=2)
 score_group = Group("Score", sort_key=3)
-expert_group = Group("Expert options", sort_key=9)
+expert_group = Group("Expert options", sort_key=9, help_formatter=_describe_experts)
 expert = Parameter(group=expert_group)
 expert_flag = Parameter(group=expert_group, negative=())
 
