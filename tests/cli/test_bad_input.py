@@ -426,17 +426,8 @@ def test_what_is_probably_a_mistake_is_doubted(tmp_path, command, said):
     skin = flat_skin(n_frames=300)
     anisomap.write(skin, tmp_path / "skin.npz")
     np.savetxt(tmp_path / "turned.csv", skin.readings.T, delimiter=",")
-    words = (
-        *command.split(),
-        "-m",
-        "r-anisomap",
-        "--no-verdict",
-        "--permutations",
-        0,
-        "-o",
-        "m.csv",
-    )
-    done = call(tmp_path, *words)
+    quick = "-m r-anisomap --no-verdict --permutations 0 -o m.csv"
+    done = call(tmp_path, *command.split(), *quick.split())
     assert done.code == 0
     assert said in done.err
     assert ("unlikely" in done.err) == ("unlikely" in said)

@@ -124,6 +124,31 @@ def test_errors_are_json_if_asked_for(folder, command):
     assert (found.err, plain.err) == ("", f"error: {found.values['error']}\n")
 
 
+def test_all_commands_and_files_say_the_same(run, made):
+    """Of a sensor without contacts, and of a map."""
+    skin = anisomap.read(made / "skin.npz")
+    readings = np.array(skin.readings)
+    readings[:, 9] = 0
+    anisomap.write(anisomap.Recording(readings), "silent.npz")
+    said = [
+        run(*words, "--json").values["health"]
+        for words in (
+            ("info", "silent.npz"),
+            ("map", "silent.npz", "-m", "r-anisomap", "-d", 2, "--no-verdict", "-o", "m.csv"),
+            ("repair", "silent.npz", "-o", "r.npz"),
+        )
+    ]
+    assert said[0] == said[1] == said[2]
+    ((sensor, status),) = ((one["name"], one["status"]) for one in said[0])
+    stated = anisomap.read_map("m.csv")
+    assert stated.health[stated.names.index(sensor)] == status == "silent"
+
+    verdict = anisomap.read_map(made / "map.json").verdict
+    assert json.loads((made / "said.json").read_text())["verdict"]["level"] == verdict.level
+    page = (made / "map.html").read_text(encoding="utf-8")
+    assert all(sentence in page for sentence in verdict.sentences)
+
+
 def test_help_fits_two_screens_and_describes_expert_options_on_request(folder):
     commands = call(folder, "--help").out
     assert all(name in commands for name in app.COMMANDS)
