@@ -113,9 +113,8 @@ def reconstruct(
     the positions by S, which is not part of the paper.
 
     ``"auto"`` compares how much the third and the fourth dimension improve the fit of the metric of
-    the default method: see
-    `anisomap.dimensions.choose_dimensions`. Readings show distances
-    along the skin, so skins that are bent like a sheet of paper are mapped in 2D.
+    the default method: see `anisomap.dimensions.choose_dimensions`. Readings show distances along
+    the skin, so skins that are bent like a sheet of paper are mapped in 2D.
 
     Examples
     --------

@@ -86,9 +86,9 @@ class SensorMap(Immutable):
     errors : array_like of shape (N,), optional
         Distance within which a sensor is with a probability of 90 %, in `units`; NaN if unknown.
     covariances : array_like of shape (N, k, k), optional
-        Covariance of each position that chance makes, in squared `units`, up to a similarity
-        transform of its component; symmetric, NaN if unknown. None if all are unknown. `ellipses`
-        returns the ellipses of 95 %.
+        Covariance of each position, of chance and systematic errors, in squared `units`, up to a
+        similarity transform of its component; symmetric, NaN if unknown. None if all are unknown.
+        `ellipses` returns the ellipses of 95 %.
     normals : array_like of shape (N, 3), optional
         Outward unit normals, NaN if unknown; None if they are to be estimated from the positions.
     notes : sequence of str

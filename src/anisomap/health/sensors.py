@@ -158,7 +158,7 @@ def assess(
     Sensors that are constant at rest are ``"silent"``: readings cannot tell a sensor that is dead
     from one that was never touched. Sensors with fewer than 5 contacts have ``"few contacts"``:
     too little to tell. The other statuses are faults: a sensor has far more white noise than the
-    others, or resembles none as they do. Each test accuses 0.05 healthy sensors of a recording on
+    others, or resembles none of them. Each test accuses 0.05 healthy sensors of a recording on
     average, and at most one in 1,000: see `anisomap.numerics.reliability.significance`. The paper
     leaves out sensors that never vary, and keeps one that saturates intermittently (section
     "Prototyping Issues").
