@@ -1,12 +1,35 @@
-"""Formatting of names and lists in messages, and of tables in notebooks."""
+"""Formatting of numbers, names and lists in messages, and of tables in notebooks."""
 
 from __future__ import annotations
 
+import math
 import unicodedata
 from collections.abc import Mapping, Sequence
 from html import escape
 
 _CUT = " ... "
+
+
+UNKNOWN = "-"
+"""Stands for a number that is not known."""
+
+
+def number(value: float | None, digits: int = 4, unit: str = "") -> str:
+    """Format a number with some significant digits; `UNKNOWN` if it is not known or infinite."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    rounded = float(f"{value:.{digits}g}")
+    if 1000 <= abs(rounded) < 1e7:  # "g" would write an exponent
+        decimals = max(0, digits - len(str(int(abs(rounded)))))
+        text = f"{rounded:.{decimals}f}"
+    else:
+        text = f"{rounded:.{digits}g}"
+    return f"{text} {unit}".strip()
+
+
+def percent(share: float) -> str:
+    """Format a share as a percentage."""
+    return f"{share:.1%}"
 
 
 def join_items(items: Sequence[object], max_items: int = 8) -> str:

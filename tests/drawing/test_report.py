@@ -12,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.drawing.report import Touches, check_writable, render_report
-from anisomap.drawing.report.contents import MAX_ROWS, UNKNOWN, number
+from anisomap.drawing.report.contents import MAX_ROWS
 from anisomap.drawing.report.interactive import MAX_DOTS
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score
 from anisomap.health import STATUSES
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 from anisomap.usability import Verdict
+from anisomap.wording import UNKNOWN, number
 from reports import PNG, assessed, example, page_of, scene_of, summary
 
 
@@ -143,7 +144,7 @@ def test_the_verdict_comes_first_with_the_scores():
         f"min {quantiles[0.0]:.3f}, median {quantiles[0.5]:.3f}, max {quantiles[1.0]:.3f}",
         f"{quantiles[0.95]:.3f}",
         f"{number(scored.rms)} mm",
-        number(scored.rms_in_spacings, 2),
+        number(scored.rms_in_spacings, 3),
         "known up to rotation, translation, scale and reflection",
     ):
         assert part in good.text

@@ -316,15 +316,5 @@ class _Description(logging.Handler):
         self._describe(record.getMessage())
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """Format a number with some significant digits; a dash if it is unknown."""
-    return "-" if value is None or math.isnan(value) else f"{value:.{digits}g}"
-
-
-def percent(share: float) -> str:
-    """Format a share as a percentage."""
-    return f"{share:.1%}"
-
-
 def _is_number(text: str) -> bool:
     return text == "-" or text.removesuffix("%").lstrip("-").replace(".", "").isdigit()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.cli.console import Columns, Printer, number, percent, print_warning
+from anisomap.cli.console import Columns, Printer, print_warning
 from anisomap.description import steps_of
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
@@ -20,7 +20,7 @@ from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import join_items
+from anisomap.wording import join_items, number, percent
 
 _MAX_SHOWN = 12  # faulty sensors; anisomap info --all shows all
 
@@ -41,25 +41,11 @@ def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
 
 def print_recording(printer: Printer, recording: Recording, summary: RecordingSummary) -> None:
     """Print a summary of a recording."""
-    rate = "unknown" if summary.rate_hz is None else f"{number(summary.rate_hz)} Hz"
-    duration = "" if summary.duration is None else f", {number(summary.duration)} s"
-    constant = f"{summary.n_constant} constant" if summary.n_constant else "all active"
     bin_s = recording.metadata.get("bin_s")
     events = {} if bin_s is None else {"events": f"counted in bins of {bin_s:g} s"}
-    printer.facts(
-        "Recording",
-        {
-            "source": recording.source or "unknown",
-            "frames": f"{summary.n_frames}{duration}",
-            "rate": rate,
-            **events,
-            "sensors": f"{summary.n_sensors}, {constant}",
-            "readings": f"{number(summary.minimum)} to {number(summary.maximum)}, "
-            f"{percent(summary.share_of_zeros)} zeros, {summary.missing} missing",
-            "distinct values": f"{summary.distinct_values} per sensor (median)",
-            "true positions": "unknown" if recording.positions is None else "known",
-        },
-    )
+    known = {"true positions": "unknown" if recording.positions is None else "known"}
+    source = {"source": recording.source or "unknown"}
+    printer.facts("Recording", source | summary.facts | events | known)
     values = {name.removeprefix("n_"): value for name, value in asdict(summary).items()}
     if summary.n_frames < summary.n_sensors:
         print_warning(

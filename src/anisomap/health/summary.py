@@ -10,7 +10,7 @@ import numpy as np
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.recording import Recording
 from anisomap.sensor_map import FEW_CONTACTS, SILENT, is_faulty
-from anisomap.wording import join_items
+from anisomap.wording import join_items, number, percent
 
 MIN_FRAMES = 500
 """Frames below which a recording is short: about half of the paper's shortest run (1,054)."""
@@ -63,6 +63,20 @@ class RecordingSummary:
     missing: int
     n_constant: int
     warnings: tuple[str, ...]
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The summary in words, for commands and reports."""
+        duration = "" if self.duration is None else f", {number(self.duration)} s"
+        return {
+            "frames": f"{self.n_frames}{duration}",
+            "rate": "unknown" if self.rate_hz is None else number(self.rate_hz, unit="Hz"),
+            "sensors": f"{self.n_sensors}, "
+            + (f"{self.n_constant} constant" if self.n_constant else "all active"),
+            "readings": f"{number(self.minimum)} to {number(self.maximum)}, "
+            f"{percent(self.share_of_zeros)} zeros, {self.missing} missing",
+            "distinct values": f"{self.distinct_values} per sensor (median)",
+        }
 
 
 def summarise(

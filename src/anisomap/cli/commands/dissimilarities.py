@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.cli import printing
-from anisomap.cli.console import Printer, number, percent, progress
+from anisomap.cli.console import Printer, progress
 from anisomap.cli.outputs import Outputs, Truth
 from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.errors import InputError
@@ -23,6 +23,7 @@ from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.recording import sensor_mask
 from anisomap.route import split_names
 from anisomap.sensor_map import SensorMap
+from anisomap.wording import number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

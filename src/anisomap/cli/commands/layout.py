@@ -11,10 +11,10 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from anisomap.cli import parameters as options
-from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, percent, progress
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer, progress
 from anisomap.defaults import N_SHIFTS
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
-from anisomap.wording import join_items
+from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from anisomap.io import ReadOptions

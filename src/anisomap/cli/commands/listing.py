@@ -9,7 +9,8 @@ from dataclasses import fields
 from typing import Any
 
 from anisomap.cli import parameters as options
-from anisomap.cli.console import Printer, number
+from anisomap.cli.console import Printer
+from anisomap.wording import number
 
 
 def methods(*, printer: options.Printing = options.PRINTER) -> None:

@@ -12,10 +12,11 @@ import numpy as np
 from cyclopts import Parameter
 
 from anisomap.cli import parameters as options
-from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number, progress
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer, progress
 from anisomap.defaults import LEVEL
 from anisomap.errors import InputError
 from anisomap.files import together
+from anisomap.wording import number
 
 if TYPE_CHECKING:
     from anisomap.evaluation import Difference

@@ -13,9 +13,9 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 from anisomap.cli import parameters as options
-from anisomap.cli.console import MAX_SHOWN, Columns, Printer, number
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
-from anisomap.wording import join_items
+from anisomap.wording import join_items, number
 
 if TYPE_CHECKING:
     from anisomap.placement import Anchors, Modules, Placement, SelfTouch, TouchPlacement

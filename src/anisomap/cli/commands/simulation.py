@@ -11,11 +11,11 @@ from cyclopts import Group, Parameter
 from numpy.typing import NDArray
 
 from anisomap.cli import parameters as options
-from anisomap.cli.console import Columns, Printer, number, percent, print_warning, progress
+from anisomap.cli.console import Columns, Printer, print_warning, progress
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.files import atomic_write, check_target, together
-from anisomap.wording import join_items
+from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from anisomap.scene import Scene

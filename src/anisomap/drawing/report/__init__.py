@@ -18,7 +18,6 @@ from anisomap.drawing.report.contents import (
     headlines,
     method_sentences,
     provenance,
-    recording_facts,
     sensor_statuses,
     sensor_table,
 )
@@ -145,7 +144,7 @@ def render_report(
             alt=alternative_text(sensor_map, score),
             compared=score is not None,
             table=sensor_table(sensor_map, score, health),
-            recording=recording_facts(summary),
+            recording=summary.facts if summary else {},
             method=method_sentences(sensor_map),
             provenance=provenance(sensor_map, score, origin or {}),
             picture=_encoded(figure_png),

@@ -18,9 +18,7 @@ from anisomap.evidence import SIMILARITIES
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
 from anisomap.sensor_map import UNSCALED, SensorMap, is_faulty
-from anisomap.wording import join_items
-
-UNKNOWN = "\N{EN DASH}"
+from anisomap.wording import UNKNOWN, join_items, number, percent
 
 MAX_ROWS = 2000
 """Largest number of sensors in the table; browsers lay out longer tables slowly."""
@@ -60,19 +58,6 @@ class Cell:
     key: str | float | None = None
 
 
-def number(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """Format a number with some significant digits; a dash replaces an unknown number."""
-    if value is None or not math.isfinite(value):
-        return UNKNOWN
-    rounded = float(f"{value:.{digits}g}")
-    if 1000 <= abs(rounded) < 1e7:  # "g" would write an exponent
-        decimals = max(0, digits - len(str(int(abs(rounded)))))
-        text = f"{rounded:.{decimals}f}"
-    else:
-        text = f"{rounded:.{digits}g}"
-    return f"{text} {unit}".strip()
-
-
 def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     """Tell the verdict and what is known of the errors; the first sentence is the headline."""
     sentences = [printable(sentence) for sentence in sensor_map.verdict.sentences]
@@ -85,7 +70,7 @@ def headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
             )
         worst = score.worst(_N_WORST)
         farthest = [
-            f"{printable(sensor_map.names[i])} ({number(float(error), unit=score.units)})"
+            f"{printable(sensor_map.names[i])} ({number(float(error), 3, score.units)})"
             for i, error in zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
         ]
         sentences.append(f"Farthest from their true positions: {join_items(farthest)}.")
@@ -126,7 +111,7 @@ def facts(sensor_map: SensorMap, score: Score | None) -> list[Fact]:
             )
         meaning = "correlation of the distances on the map with the true distances; at most 1"
         in_spacings = (
-            f"or {number(score.rms_in_spacings, 2)} spacings of "
+            f"or {number(score.rms_in_spacings, 3)} spacings of "
             f"{number(score.spacing, unit=score.units)}"
         )
         kept = "share of the true nearest neighbours that are also nearest on the map"
@@ -239,28 +224,6 @@ def sensor_table(
     }
 
 
-def recording_facts(summary: RecordingSummary | None) -> list[Fact]:
-    """Summarise the recording; empty if no summary is given."""
-    if summary is None:
-        return []
-    rate = number(summary.rate_hz, 4, "Hz") if summary.rate_hz else "unknown"
-    duration = number(summary.duration, 4, "s") if summary.duration is not None else "unknown"
-    return [
-        Fact("Frames", str(summary.n_frames)),
-        Fact(
-            "Sensors",
-            str(summary.n_sensors),
-            f"{summary.n_constant} constant" if summary.n_constant else "all active",
-        ),
-        Fact("Rate", rate),
-        Fact("Duration", duration),
-        Fact("Readings", f"{number(summary.minimum, 4)} to {number(summary.maximum, 4)}"),
-        Fact("Zeros", f"{summary.share_of_zeros:.1%}", "share of all readings"),
-        Fact("Distinct values", str(summary.distinct_values), "median over sensors"),
-        Fact("Missing", str(summary.missing), "readings that are NaN or infinite"),
-    ]
-
-
 def provenance(sensor_map: SensorMap, score: Score | None, origin: Mapping[str, str]) -> list[Fact]:
     """List the information needed to reproduce the map."""
     found = [
@@ -288,7 +251,7 @@ def _count(value: int) -> Cell:
 
 
 def _share(value: float) -> Cell:
-    return Cell(f"{value:.1%}" if math.isfinite(value) else UNKNOWN, value)
+    return Cell(percent(value) if math.isfinite(value) else UNKNOWN, value)
 
 
 def _numeric(value: float | None, digits: int = 3) -> Cell:
