@@ -11,8 +11,13 @@ from scipy.stats import special_ortho_group
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
 from anisomap.covariance_ellipses import ellipses, radius
+from anisomap.diagnosis.chance import (
+    aligned_to_mean,
+    covariances,
+    deviations_from_mean,
+    error_in_spacings,
+)
 from anisomap.diagnosis.diagnostics import estimate_uncertainty
-from anisomap.diagnosis.resampling import aligned_to_mean, covariances, error_in_spacings
 from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align
@@ -26,6 +31,10 @@ def inside(errors, found, level=0.95):
     """Share of errors within their ellipses."""
     distances = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(found), errors)
     return np.mean(distances < radius(errors.shape[1], level) ** 2)
+
+
+def covariances_of(maps, positions):
+    return covariances(deviations_from_mean(maps, positions), positions)
 
 
 def moved(points, seed):
@@ -45,7 +54,7 @@ def test_ellipses_hold_the_truth_of_gaussian_errors(dimensions):
     for _ in range(12):
         made = truth + spread * rng.normal(size=truth.shape)
         maps = [moved(made + spread * rng.normal(size=truth.shape), i) for i in range(8)]
-        found = covariances(np.array(maps), made)
+        found = covariances_of(np.array(maps), made)
         shares.append(inside(align(truth, made).aligned - made, found))
     assert 0.9 < np.mean(shares) < 0.99
 
@@ -58,7 +67,7 @@ def test_covariances_do_not_depend_on_the_frames_of_the_maps(seed):
     # The unit of the differences is that of the first map.
     elsewhere = np.array([maps[0], *(moved(one, seed + i) for i, one in enumerate(maps[1:]))])
     np.testing.assert_allclose(
-        covariances(maps, truth), covariances(elsewhere, truth), rtol=0.1, atol=1e-4
+        covariances_of(maps, truth), covariances_of(elsewhere, truth), rtol=0.1, atol=1e-4
     )
 
 
@@ -74,7 +83,7 @@ def test_one_lost_sensor_does_not_turn_the_others():
 
 def test_equal_maps_have_no_error():
     truth = lattice(4, 4).astype(float)
-    found = covariances(np.array([truth] * 3), truth)
+    found = covariances_of(np.array([truth] * 3), truth)
     np.testing.assert_allclose(found, 0, atol=1e-20)
     assert error_in_spacings(found, truth) == pytest.approx(0, abs=1e-9)
     assert error_in_spacings(found, np.zeros((16, 2))) == np.inf

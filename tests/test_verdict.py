@@ -15,7 +15,7 @@ import anisomap
 from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.diagnosis import LEVELS, UNKNOWN, Evidence, Verdict, judge
 from anisomap.diagnosis.accuracy import expected_error, neighbours_kept, region_error
-from anisomap.diagnosis.parts import repeatability_of_halves
+from anisomap.diagnosis.chance import covariances, deviations_of_halves, error_in_spacings
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding
 from anisomap.large import reconstruct_chunks
@@ -101,7 +101,12 @@ def test_levels_of_former_versions_are_read():
     assert Verdict("unknown").level == UNKNOWN
 
 
-def test_repeatability_is_the_error_of_a_mean_of_frames():
+def repeatability(n_frames, positions, place):
+    deviations = deviations_of_halves(n_frames, positions, place)
+    return error_in_spacings(covariances(deviations, positions), positions)
+
+
+def test_repeatability_of_halves_is_the_error_of_a_mean_of_frames():
     """The map is the mean of frames, so the error of the map is known."""
     rng = np.random.default_rng(0)
     truth = lattice(8, 8).astype(float)
@@ -110,7 +115,7 @@ def test_repeatability_is_the_error_of_a_mean_of_frames():
         frames = truth.ravel() + rng.normal(size=(400, truth.size))
         made = frames.mean(axis=0).reshape(truth.shape)
         found.append(
-            repeatability_of_halves(
+            repeatability(
                 len(frames), made, lambda i, x=frames: x[i].mean(axis=0).reshape(truth.shape)
             )
         )
@@ -125,22 +130,19 @@ def test_halves_are_disjoint_and_cover_the_recording():
         seen.append(set(half.tolist()))
         return lattice()[:6] + 0.01 * half.mean()
 
-    assert repeatability_of_halves(400, lattice()[:6], place) == pytest.approx(0, abs=1e-6)
+    assert repeatability(400, lattice()[:6].astype(float), place) == pytest.approx(0, abs=1e-6)
     one, other = seen
     assert not one & other
     assert one | other == set(range(400))
 
 
 def test_halves_without_a_map_leave_no_evidence():
-    def fails(half):
-        raise InputError("no")
-
     places = lattice()[:8].astype(float)
-    assert repeatability_of_halves(100, places, fails) == math.inf
     blind = np.where(np.arange(8)[:, None] < 3, np.nan, places)
-    assert repeatability_of_halves(100, places, lambda _: blind) == pytest.approx(0, abs=1e-6)
-    same = np.ones((8, 2))
-    assert repeatability_of_halves(100, same, lambda _: places) == math.inf
+    assert repeatability(100, places, lambda _: blind) == pytest.approx(0, abs=1e-6)
+    nearly = np.where(np.arange(8)[:, None] < 6, np.nan, places)
+    with pytest.raises(InputError, match="too few sensors"):
+        repeatability(100, places, lambda _: nearly)
     assert judge(evidence(math.inf, math.inf)).level == "not usable"
 
 

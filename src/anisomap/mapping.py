@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.dimensions import (
@@ -21,7 +22,7 @@ from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.scaling import Configuration, configure
+from anisomap.scaling import Configuration, configure, of_positions, refine_components
 
 _MOSTLY = 0.5  # least share of a common signal that hides how many dimensions a skin has
 
@@ -57,11 +58,22 @@ def compute_stages(
 
 
 def configure_pairs(
-    pairs: PairStatistics, recipe: Method, dimensions: int, options: MethodOptions
+    pairs: PairStatistics,
+    recipe: Method,
+    dimensions: int,
+    options: MethodOptions,
+    *,
+    start: NDArray[np.float64] | None = None,
 ) -> Configuration:
-    """Compute the configuration of sensors of which all pairs were compared."""
+    """Compute the configuration of sensors of which all pairs were compared.
+
+    start (n, k): Positions near the result, which replace the scaling.
+    """
     with limited_blas(len(pairs.similarity)):
         metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
+        if start is not None:
+            given = of_positions(start, metric)
+            return refine_components(recipe.refinements, pairs, metric, given, options)
         plan = plan_dimensions(dimensions, None)
         return configure(
             plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights

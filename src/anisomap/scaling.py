@@ -100,6 +100,16 @@ def scale(
     )
 
 
+def of_positions(positions: NDArray[np.float64], metric: Reals) -> Configuration:
+    """Take given positions, shape (n, k), for the scaling of a metric, in its unit."""
+    labels = components(metric)
+    scaled = positions.copy()
+    for label in range(labels.max() + 1):
+        inside = labels == label
+        scaled[inside] *= _best_scale(positions[inside], _among(metric, inside))[0] or 1.0
+    return Configuration(scaled, labels, stress=np.nan, converged=True, n_iterations=0)
+
+
 def refine_components(
     steps: Mapping[str, Step],
     pairs: PairStatistics,

@@ -13,7 +13,6 @@ from scipy.spatial.distance import cdist, pdist
 from anisomap.errors import InputError
 from anisomap.numerics.covariogram import objective
 from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram, overlapping_blocks
-from anisomap.numerics.covariogram.minimisation import SharedCurvature
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
@@ -127,37 +126,6 @@ def test_the_objective_never_increases():
     ]
     assert all(later <= earlier + 1e-9 for earlier, later in itertools.pairwise(ends))
     assert ends[-1] < ends[0]
-
-
-def test_fits_that_share_a_curvature_have_the_same_minimum():
-    _, similarity = skin(40)
-    first, second = drawn(similarity, 2000, 0), drawn(similarity, 2000, 1)
-    metric, start = set_out(first, 2, 0.0005)
-    shared = SharedCurvature()
-    fit_covariogram(first, start, metric, noise=0.0005, shared=shared)
-    alone, after = (
-        fit_covariogram(second, start, metric, noise=0.0005, shared=one) for one in (None, shared)
-    )
-    assert not np.array_equal(after.positions, alone.positions)
-    assert after.objective == pytest.approx(alone.objective, rel=1e-4)
-    assert mantel_r(after.positions, alone.positions) > 1 - 1e-4
-
-
-@pytest.mark.parametrize("n_sensors", [40, 41])
-def test_a_shared_curvature_serves_starts_that_are_turned_or_of_other_sensors(n_sensors):
-    _, similarity = skin(n_sensors, 2, 5)
-    noisy = drawn(similarity, 400, 5)
-    metric, start = set_out(noisy, 2, 1 / 400)
-    alone = fit_covariogram(noisy, start, metric, noise=1 / 400)
-    _, other = skin(40, 2, 5)
-    first = drawn(other, 400, 6)
-    curvature = SharedCurvature()
-    lengths, points = set_out(first, 2, 1 / 400)
-    fit_covariogram(first, points, lengths, noise=1 / 400, shared=curvature)
-    turned = start @ np.array([[0.6, 0.8], [0.8, -0.6]])  # turned and reflected
-    found = fit_covariogram(noisy, turned, metric, noise=1 / 400, shared=curvature)
-    assert found.objective == pytest.approx(alone.objective, rel=1e-3, abs=1e-5)
-    assert mantel_r(found.positions, alone.positions) > 1 - 1e-4
 
 
 def test_a_common_signal_does_not_change_the_map():

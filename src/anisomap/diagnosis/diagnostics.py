@@ -21,14 +21,15 @@ from anisomap.diagnosis.accuracy import (
     rms_in_spacings,
     with_systematic_errors,
 )
-from anisomap.diagnosis.parts import MIN_FRAMES, MIN_SENSORS, MapPart, MapParts
-from anisomap.diagnosis.resampling import (
+from anisomap.diagnosis.chance import (
     MAX_SENSORS,
-    STEP,
+    MIN_FRAMES,
+    MIN_SENSORS,
     covariances,
-    departure_in_spacings,
+    deviations_by_chance,
     error_in_spacings,
-    resampled_maps,
+    made_again,
+    part_of,
 )
 from anisomap.diagnosis.verdict import Evidence, judge
 from anisomap.errors import AnisomapWarning, InputError
@@ -42,11 +43,6 @@ from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
 logger = logging.getLogger(__name__)
-
-_SAME_MAP = 0.5
-"""Largest departure of a map from that of the covariogram fit, in spacings, for which resamples of
-the latter show its errors. At most .2 where the fit was the last step or was averaged with paths,
-at least 1 where lengths were taken from heights (12 simulated skins, seeds 201 to 212)."""
 
 FATAL = ("one-period",)
 """Faults after which similar readings do not mean that sensors are near."""
@@ -175,11 +171,12 @@ def estimate_uncertainty(
 
     Notes
     -----
-    Blocks of frames are resampled (`anisomap.numerics.reliability.sampling_noise`), and each
-    resample is mapped by a few iterations of the covariogram fit, starting from the map. If the
-    map departs from that fit, because lengths were taken from the heights of contacts, halves of
-    the recording are mapped from the beginning instead. Systematic errors are estimated from the
-    differences from a map of evenly spaced sensors: see `anisomap.diagnosis.accuracy`.
+    Blocks of frames are resampled (`anisomap.numerics.reliability.sampling_noise`), and the method
+    maps each resample from the covariogram fit of the map, in a few iterations and without the fit
+    of contacts. If the map does not follow from that fit, because lengths were taken from the
+    heights of contacts, halves of the recording are mapped from the beginning instead. Systematic
+    errors are estimated from the differences from a map of evenly spaced sensors: see
+    `anisomap.diagnosis.accuracy`.
     """
     evidence, found = examine(
         sensor_map, as_runs(recording), options=options, rng=rng, progress=progress
@@ -208,7 +205,8 @@ def examine(
     )
     if unknown := _unknown(sensor_map, runs):
         return replace(evidence, unknown=unknown), None
-    parts = MapParts(sensor_map, runs[0].complete(), options or MethodOptions(), stages)
+    run, options = runs[0].complete(), options or MethodOptions()
+    stages = made_again(sensor_map, run, options) if stages is None else stages
     report = progress or (lambda _share: None)
     generator = np.random.default_rng(0 if rng is None else rng)
     found = np.full((*sensor_map.positions.shape, sensor_map.dimensions), np.nan)
@@ -217,50 +215,27 @@ def examine(
         if size < MIN_SENSORS:
             continue
         done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
+        told = _part_of(report, done, share)
+        if label == 0:
+            evidence = replace(evidence, repeatability=math.inf, difference=math.inf)
         try:
-            part = parts[label]
-            chance, repeatability = _chance(part, parts, generator, _part_of(report, done, share))
+            part = part_of(sensor_map, label, run, options, stages)
+            deviations = deviations_by_chance(part, sensor_map.method, options, generator, told)
         except InputError:  # no relation between sensors is left
-            chance, repeatability = None, math.inf
-        if label == 0:
-            evidence = replace(evidence, repeatability=repeatability, difference=math.inf)
-        if chance is None:
             continue
+        positions = part.positions
+        chance = covariances(deviations, positions)
+        repeatability = error_in_spacings(chance, positions)
         with limited_blas(size):
-            differences = differences_from_steps(part.pairs, part.positions)
-        difference = rms_in_spacings(differences, part.positions)
+            differences = differences_from_steps(part.pairs, positions)
+        difference = rms_in_spacings(differences, positions)
         if label == 0:
-            evidence = replace(evidence, difference=difference)
+            evidence = replace(evidence, repeatability=repeatability, difference=difference)
         error = expected_error(repeatability, difference).value
         if math.isfinite(error):
             members = sensor_map.component == label
-            found[members] = with_systematic_errors(chance, differences, part.positions, error)
+            found[members] = with_systematic_errors(chance, differences, positions, error)
     return evidence, found
-
-
-def _chance(
-    part: MapPart,
-    parts: MapParts,
-    rng: np.random.Generator,
-    progress: Callable[[float], None],
-) -> tuple[NDArray[np.float64], float]:
-    """Estimate the covariances that chance makes, (n, k, k), and the RMS error in spacings."""
-    positions = part.positions
-    reference, maps = resampled_maps(
-        part.pairs,
-        positions,
-        parts.method,
-        part.refined,
-        options=parts.options,
-        rng=rng,
-        progress=progress,
-    )
-    found = covariances(maps, positions, STEP)
-    error = error_in_spacings(found, positions)
-    # Where chance alone moves positions further, the departure does not tell another map.
-    if departure_in_spacings(reference, positions) > max(_SAME_MAP, error):
-        error = parts.error_of_halves(part)
-    return found, error
 
 
 def _sentences(faults: Iterable[Finding]) -> tuple[str, ...]:

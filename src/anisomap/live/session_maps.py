@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from anisomap.diagnosis.parts import MIN_FRAMES
+from anisomap.diagnosis.chance import MIN_FRAMES
 from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.health import SensorHealth
 from anisomap.live.examination import Examination, ExaminationOptions

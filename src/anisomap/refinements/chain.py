@@ -42,7 +42,6 @@ class Proposal:
     facts: What the step found, for the provenance of the map.
     distorted: Whether the map is distorted in a way that maps of halves of the recording share.
     elongated: Whether contacts appear long in one direction.
-    fit: The fit from which maps of resampled recordings start.
     """
 
     positions: Reals
@@ -51,7 +50,6 @@ class Proposal:
     facts: Mapping[str, Scalar] = field(default_factory=dict)
     distorted: bool = False
     elongated: bool = False
-    fit: object = None
 
 
 Step: TypeAlias = Callable[[PairStatistics, Reals, Reals, MethodOptions], Proposal | None]
@@ -65,14 +63,12 @@ class RefinedMap:
     precision: Sum of the precisions of all proposals.
     proposals: That of each step that made one, in order.
     weights: Weight of each of them in the map that it was combined to, in [0, 1].
-    given: The positions that each step started from, (n, k) each.
     """
 
     positions: Reals
     precision: float = 0.0
     proposals: Mapping[str, Proposal] = field(default_factory=dict)
     weights: Mapping[str, float] = field(default_factory=dict)
-    given: Mapping[str, Reals] = field(default_factory=dict)
 
     def combined(self, name: str, proposal: Proposal) -> RefinedMap:
         """Average with a proposal, weighted by precision."""
@@ -85,7 +81,6 @@ class RefinedMap:
             self.precision + proposal.precision,
             {**self.proposals, name: proposal},
             {**self.weights, name: weight},
-            {**self.given, name: self.positions},
         )
 
     @property

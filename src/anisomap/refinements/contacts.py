@@ -65,7 +65,6 @@ def _proposed(fit: ContactFit, precision: float) -> Proposal:
         fit.positions,
         precision,
         facts={"n_contacts": fit.n_contacts, "explained": round(fit.explained, 3)},
-        fit=fit,
     )
 
 

@@ -35,4 +35,4 @@ def by_covariogram(
         fit.offset,
         fit.iterations,
     )
-    return Proposal(fit.positions, precision=1.0, fit=fit)
+    return Proposal(fit.positions, precision=1.0)

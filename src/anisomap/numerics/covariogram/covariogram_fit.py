@@ -28,7 +28,7 @@ from anisomap.numerics.compiled.parallel import (
     is_parallel,
     parallel_map,
 )
-from anisomap.numerics.covariogram.minimisation import SharedCurvature, minimise
+from anisomap.numerics.covariogram.minimisation import minimise
 from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,
@@ -122,9 +122,7 @@ def fit_covariogram(
     *,
     noise: float,
     known: ArrayLike | None = None,
-    exponent: float = 1.0,
     options: CovariogramOptions | None = None,
-    shared: SharedCurvature | None = None,
 ) -> Covariogram:
     """Fit positions such that one decreasing function of distance explains all correlations.
 
@@ -142,11 +140,7 @@ def fit_covariogram(
         `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
     known : array_like of bool, shape (N, N), optional
         Mask of the known correlations; all by default.
-    exponent : float
-        Initial exponent of the covariogram.
     options : CovariogramOptions, optional
-    shared : SharedCurvature, optional
-        Shared by fits of similar correlations from the same start, which saves time.
 
     Returns
     -------
@@ -198,11 +192,9 @@ def fit_covariogram(
             blocks,
             positions,
             chosen,
-            log_exponent=float(np.log(exponent)),
             tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
             displacement=_DISPLACEMENT if one_block else _BLOCK_DISPLACEMENT,
             map_blocks=map_blocks,
-            shared=shared,
         )
     terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
     products = np.sum([term.products for term in terms], axis=0)

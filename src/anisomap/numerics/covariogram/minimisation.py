@@ -11,7 +11,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import orthogonal_procrustes
 from scipy.linalg.blas import dsyrk, dtrsv, ssyrk, strsv
 from scipy.linalg.lapack import dpotrf, spotrf
 from scipy.optimize import Bounds, minimize
@@ -103,36 +102,12 @@ _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
 # Iterations with one curvature. With 30 or 40, a retina and Nao's torso took two thirds of the
 # time that they took with 20, and flat skins as long.
 _ROUND = 40
-# With a shared curvature and several blocks, whose curvature takes as long as 20 iterations: with
-# 40, differences of halves of two large skins and a retina changed by up to 1 %.
-_LONG_ROUND = 60
 _DAMPING = 1e-2  # of the diagonal, for directions without curvature; .001 to .03 took equal time
 _LEAST_DAMPING = 1e-6  # of the mean of the diagonal
 _SINGLE = 1000  # parameters from which the curvature is factorised in float32, for speed
 _MEMORY = 40  # pairs of differences of L-BFGS: those of all iterations with one curvature
 _LINE_SEARCH = 6  # evaluations; more are needed only where float32 hides the decrease
 _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
-
-
-@dataclass(eq=False)
-class SharedCurvature:
-    """Curvature at the start of several searches that differ little; the first one computes it.
-
-    The objective does not change if positions are turned or reflected, but the curvature does:
-    other searches start from positions turned to those of the first.
-
-    factor: Triangular factor of the damped Gauss-Newton matrix.
-    positions (N, k): Where it was computed, in units of the covariogram's range.
-    """
-
-    factor: Matrix | None = None
-    positions: Matrix | None = None
-
-    def turned(self, start: Matrix) -> Matrix | None:
-        """Turn a start to `positions`; None if the curvature is not known for its shape."""
-        if self.positions is None or self.positions.shape != start.shape:
-            return None
-        return np.asarray(start @ orthogonal_procrustes(start, self.positions)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +129,9 @@ def minimise(
     start: Matrix,
     options: CovariogramOptions,
     *,
-    log_exponent: float = 0.0,
     tolerance: float,
     displacement: float,
     map_blocks: MapFunction = serial_map,
-    shared: SharedCurvature | None = None,
 ) -> Minimum:
     """Minimise the objective over positions and exponent.
 
@@ -180,28 +153,19 @@ def minimise(
         return value, np.append(by_axes.ravel(), slope[-1]).astype(np.float64)
 
     if start.size + 1 > MAX_CURVATURE:
-        parameters = np.append(start.T.ravel(), log_exponent).astype(np.float64)
+        parameters = np.append(start.T.ravel(), 0.0).astype(np.float64)
         found = _unconditioned(value_and_gradient, parameters, options, tolerance)
         return Minimum(
             positions(found.x), float(found.x[-1]), float(found.fun), int(found.nit), found.success
         )
-    factor, most = None, _ROUND
-    if shared is not None and len(blocks) > 1:
-        most = _LONG_ROUND
-    if shared is not None and (turned := shared.turned(start)) is not None:
-        start, factor = turned, shared.factor
-    parameters = np.append(start.T.ravel(), log_exponent).astype(np.float64)
+    parameters = np.append(start.T.ravel(), 0.0).astype(np.float64)
     dtype = np.float32 if parameters.size > _SINGLE else np.float64
     value, taken, converged = np.inf, 0, False
     while not converged and taken < options.max_iterations:
-        if factor is None:
-            points, exponent = positions(parameters), float(parameters[-1])
-            factor = _factor(gauss_newton_matrix(blocks, points, exponent, dtype))
-            if shared is not None and shared.factor is None:
-                shared.factor, shared.positions = factor, points
+        points, exponent = positions(parameters), float(parameters[-1])
+        factor = _factor(gauss_newton_matrix(blocks, points, exponent, dtype))
         search = _Search(value_and_gradient, parameters, factor, (tolerance, displacement))
-        factor = None
-        steps = min(most, options.max_iterations - taken)
+        steps = min(_ROUND, options.max_iterations - taken)
         ended = search.run(steps)
         parameters, value = search.at(ended.x), float(ended.fun)
         taken += int(ended.nit)
