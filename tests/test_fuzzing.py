@@ -65,7 +65,8 @@ def problems(subject, tree, folder, capfd):
 
 @pytest.mark.parametrize("case", sorted(path.name for path in CORPUS.iterdir()))
 def test_what_once_failed(formats, in_empty_folder, capfd, case):
-    subject = formats[case.rpartition("-")[0].replace("-", " ")]
+    named = {name.replace(" ", "-"): subject for name, subject in formats.items()}
+    subject = named[case.rpartition("-")[0]]
     folder = CORPUS / case
     tree = {
         str(path.relative_to(folder)): path.read_bytes()

@@ -32,6 +32,7 @@ from anisomap.sensor_map import SensorMap
 _AXES = ("x", "y", "z")
 _PLY_COLUMNS = (*_AXES, "nx", "ny", "nz")
 _PCD_COLUMNS = (*_AXES, "normal_x", "normal_y", "normal_z")
+_MOST = 2**31  # numbers of sensors and components: no file has more
 _MAX_DIGITS = 9  # of a number of points: more are in no file, and Python converts few thousand
 
 
@@ -198,8 +199,8 @@ def _read_points(
 
 
 def _integers(path: Path, values: NDArray[np.float64]) -> NDArray[np.intp]:
-    if not all(math.isfinite(value) and value == int(value) for value in values.tolist()):
-        raise FileError(f"{path}: sensor and component must be integers")
+    if not ((np.abs(values) < _MOST) & (values == np.floor(values))).all():
+        raise FileError(f"{path}: sensor and component must be integers below {_MOST}")
     return values.astype(np.intp)
 
 
