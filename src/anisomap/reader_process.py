@@ -41,12 +41,12 @@ from anisomap.errors import (
     FileError,
     error_reason,
 )
-from anisomap.memory import Budget
+from anisomap.memory import Budget, physical_memory
 
 if sys.platform != "win32":
     import resource
 
-_COPIES = 2  # of what a file may unpack to
+_COPIES, _ANY = 2, 1 << 62  # of what a file may unpack to; any number of bytes
 _SECONDS, _BYTES_PER_SECOND = 10, 50_000  # processor time on a slow machine
 _PATIENCE = 10  # time by the clock on a busy machine, per processor time
 _WATCH_S = 0.05
@@ -84,7 +84,7 @@ def opened(function: Callable[..., Any], path: Path, *arguments: Any) -> Iterato
         "path": os.fspath(path),
         "arguments": arguments,
         "folder": _working_folder(),
-        "memory": _COPIES * budget.limit,
+        "memory": min(_COPIES * budget.limit, (physical_memory() or _ANY) // 2),
         "seconds": _SECONDS + budget.size // _BYTES_PER_SECOND,
     }
     try:
@@ -339,7 +339,7 @@ def _limit(memory: int, seconds: int) -> None:
             resource.setrlimit(which, (value if most < 0 else min(value, most), most))
 
 
-_allowed = [1 << 62]
+_allowed = [_ANY]
 """Bytes of memory that this process may use."""
 
 

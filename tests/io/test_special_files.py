@@ -100,3 +100,12 @@ def test_a_file_that_is_cut_while_it_is_read(tmp_path: Path, name: str) -> None:
         with pytest.warns(AnisomapWarning, match="cut"):
             rest = sum(len(block.readings) for block in stream.blocks)
     assert 0 < rest < 59_000
+
+
+def test_pipes_beside_a_header_of_brainvision(tmp_path: Path) -> None:
+    pytest.importorskip("mne")
+    os.mkfifo(tmp_path / "run.eeg")
+    header = "Brain Vision Data Exchange Header File Version 1.0\n[Common Infos]\nDataFile=$b.eeg\n"
+    (tmp_path / "run.vhdr").write_text(header)
+    with pytest.raises(FileError, match=r"run\.eeg is not a regular file"):
+        io.read(tmp_path / "run.vhdr")

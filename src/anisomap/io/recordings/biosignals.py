@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import read_small
+from anisomap.files import check_regular, read_small
 from anisomap.io.parsing.source import is_gzipped, quote, read_head
 from anisomap.io.stream import (
     BLOCK_BYTES,
@@ -101,6 +101,9 @@ def _check_named(path: Path) -> None:
     for name in _NAMED.findall(text):
         if name != "$b" and Path(name.replace("\\", "/")).name != name:
             raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
+        file = path.parent / name.replace("$b", path.stem)
+        if name and file.exists():
+            check_regular(file)
 
 
 def _contents(raw: Any) -> tuple[Content, ...]:
