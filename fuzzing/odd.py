@@ -289,11 +289,13 @@ def bomb_table(rng: Generator) -> bytes:
 
 
 def bomb_image(rng: Generator) -> bytes:
-    """Compress a large, black image."""
+    """Compress two large, black images."""
     pillow = import_module("PIL.Image")
     stream = BytesIO()
-    side = int(rng.choice([4000, 12000]))
-    pillow.new("L", (side, side)).save(stream, "TIFF", compression="tiff_deflate")
+    side = int(rng.choice([8000, 12000]))
+    page = pillow.new("L", (side, side))
+    pages = {"save_all": True, "append_images": [page]}
+    page.save(stream, "TIFF", compression="tiff_adobe_deflate", **pages)
     return stream.getvalue()
 
 
