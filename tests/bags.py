@@ -21,6 +21,8 @@ DEFINITIONS = {
     "tum_ics_skin_msgs/msg/SkinCellData": "int32 cellId\nfloat32[] prox\nfloat32[] force",
     "m3skin_ros/msg/TaxelArray": "std_msgs/Header header\n"
     + "\n".join(f"float64[] {part}_{axis}" for part in ("centers", "values") for axis in "xyz"),
+    "lab_msgs/msg/TaxelArray": "float64[] values_x\nfloat64[] values_y\nfloat64[] values_z",
+    "lab_msgs/msg/SkinCellData": "float32[] force",
     "lab_msgs/msg/Mixed": "float32[] skin\nfloat32[] joints\nfloat32 temperature",
 }
 START = 1_700_000_000 * 10**9

@@ -176,6 +176,17 @@ def test_ranges_of_several_topics_are_joined(bag: Bag, tmp_path: Path) -> None:
     np.testing.assert_array_equal(some.readings, READINGS[:, [4, 1]])
 
 
+def test_types_of_known_names_and_other_fields(bag: Bag, tmp_path: Path) -> None:
+    values = {f"values_{axis}": np.ones(3) for axis in "xyz"}
+    for i in range(3):
+        bag.add("/skin", bag.make("lab_msgs/TaxelArray", **values), i)
+        bag.add("/cells", bag.make("lab_msgs/SkinCellData", force=np.ones(2, "f4")), i)
+    path = bag.write(tmp_path / f"run.{bag.kind}")
+    with pytest.raises(FileError, match=r"/skin lacks a field of its type .*centers_x"):
+        io.read(path, options=select("/skin"))
+    assert io.read(path, options=select("/cells")).n_sensors == 2
+
+
 def _fields(bag: Bag, name: str) -> set[str]:
     return {field for field, _ in bag.store.fielddefs[f"sensor_msgs/msg/{name}"][1]}
 

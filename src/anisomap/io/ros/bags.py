@@ -93,7 +93,8 @@ def unwrap_counters(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.flo
 
 def cell_of(message: Any) -> str:
     """Return the skin cell of a message."""
-    return next(str(getattr(message, name)) for name in _LABELS[2:] if hasattr(message, name))
+    found = (str(getattr(message, name)) for name in _LABELS[2:] if hasattr(message, name))
+    return next(found, "")
 
 
 def kind_of(message_type: str, fields: list[str]) -> Kind | None:
@@ -356,8 +357,12 @@ class _Rows:
         self, first: Any
     ) -> tuple[NDArray[Any], tuple[str, ...], NDArray[np.float64] | None]:
         values = self._values(first)
-        names = self.kind.names(first, self.field)
-        positions = self.kind.positions(first) if self.kind.positions else None
+        try:
+            names = self.kind.names(first, self.field)
+            positions = self.kind.positions(first) if self.kind.positions else None
+        except (AttributeError, TypeError) as error:
+            what = f"{self.topic} lacks a field of its type"
+            raise FileError(f"{self.bag.path}: {what} ({error})") from error
         fits = positions is not None and len(positions) == values.size
         return values, names, positions if fits else None
 
@@ -370,7 +375,7 @@ class _Rows:
                 f"{self.bag.path}: {self.topic} has no field {self.field!r}; "
                 f"fields with arrays of numbers: {join_items(fields)}"
             ) from error
-        except ValueError as error:
+        except (ValueError, TypeError) as error:
             raise FileError(f"{self.bag.path}: {self.topic}: {error}") from error
         if values.dtype.kind not in "biuf":
             raise FileError(
