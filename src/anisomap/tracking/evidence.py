@@ -314,8 +314,9 @@ def find_moves(
 
 
 def spacing_of(sensor_map: SensorMap) -> float:
-    """Return the median distance between neighbours on the largest component."""
-    return median_spacing(sensor_map.positions[sensor_map.component == 0])
+    """Return the median distance between neighbours on the largest component, 0 of one sensor."""
+    places = sensor_map.positions[sensor_map.component == 0]
+    return median_spacing(places) if len(places) > 1 else 0.0
 
 
 def common_similarity(first: Evidence, second: Evidence) -> str:

@@ -296,7 +296,7 @@ def update_map(
         raise InputError(f"the level must be between 0 and 1, got {level:g}")
     sensor_map.check_coordinates("on the map")
     if not spacing_of(sensor_map) > 0:
-        raise InputError("sensors of the map coincide; give a map with distinct positions")
+        raise InputError("the map must have two sensors at distinct positions at least")
     evidence = replace(evidence, dimensions=sensor_map.dimensions)
     runs = as_runs(recording)
     joined = join_runs(runs)
