@@ -27,3 +27,8 @@ def contents(path, options):
     while True:
         del path, options
         path = options = ()
+
+
+def missing_key(path):
+    """Fail as a library does that does not expect what it reads."""
+    yield {}["b"]

@@ -15,9 +15,10 @@ import scipy
 
 import crashing
 from anisomap import io, reader_process
-from anisomap.errors import AnisomapWarning, FileError, MissingExtraError
+from anisomap.errors import AnisomapWarning, DamagedError, FileError, MissingExtraError
 from anisomap.io import isolated
 from anisomap.io.stream import assemble
+from anisomap.wording import join_items
 
 READINGS = np.random.default_rng(3).random((50, 4)).round(3)
 WORKS = "sys.modules['anisomap.reader_process']._idle[os.getpid()][0]._process.pid"
@@ -46,6 +47,20 @@ def test_a_library_that_computes_without_end_is_stopped(path: Path, monkeypatch)
     monkeypatch.setattr(reader_process, "_SECONDS", 1)
     with pytest.raises(FileError, match=r"skin.mat: reading takes more than 1 s; it is damaged"):
         isolated.contents(crashing.contents, path, io.ReadOptions())
+
+
+def test_exceptions_of_libraries_are_damage_and_others_are_defects(path: Path) -> None:
+    with (
+        reader_process.opened(crashing.missing_key, path) as parts,
+        pytest.raises(DamagedError, match=r"skin\.mat is damaged or cut short: 'b'"),
+    ):
+        next(parts)
+    with (
+        reader_process.opened(join_items, path) as parts,
+        pytest.raises(RuntimeError, match="TypeError"),
+    ):
+        next(parts)
+    np.testing.assert_array_equal(io.read(path).readings, READINGS)
 
 
 def test_streams_that_are_open_at_the_same_time(path: Path) -> None:
