@@ -25,11 +25,10 @@ from anisomap.comparison import spanned_dimensions, touched
 from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.evaluation import mantel
 from anisomap.evidence import compare
-from anisomap.mapping import dissimilarities
+from anisomap.mapping import Configuration, dissimilarities, refine_components
 from anisomap.methods import METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.scaling import Configuration, refine_components
 from benchmarks.harness import files_in, markdown_table, options, quietly, write_rows
 
 FRAMES_FOR_HALVES = 1000

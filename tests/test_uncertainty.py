@@ -10,7 +10,6 @@ from scipy.stats import special_ortho_group
 
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
-from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.diagnosis.chance import (
     aligned_to_mean,
     covariances,
@@ -22,6 +21,7 @@ from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.placement import mirrored, scaled_to_spacing
+from anisomap.sensor_map import ellipses, radius
 from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

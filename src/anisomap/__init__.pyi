@@ -5,7 +5,6 @@ from . import io as io
 from . import placement as placement
 from . import simulation as simulation
 from ._version import __version__ as __version__
-from .covariance_ellipses import ellipses as ellipses
 from .diagnosis.diagnostics import diagnose as diagnose
 from .drawing.figures import plot as plot
 from .errors import AnisomapError as AnisomapError
@@ -36,6 +35,7 @@ from .reconstruction import reconstruct_from as reconstruct_from
 from .recording import Recording as Recording
 from .recording import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
+from .sensor_map import ellipses as ellipses
 from .simulation import simulate as simulate
 from .tracking import gather_evidence as gather_evidence
 from .tracking import update_map as update_map

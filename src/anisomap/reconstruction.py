@@ -3,30 +3,27 @@
 `reconstruct` computes a map from readings, stage by stage; `reconstruct_from` starts from a
 precomputed stage. Every stage can be called separately:
 
-=============  ==================================  =====================================
-S              `anisomap.evidence.compare`     similarity of all pairs of sensors
-M              `anisomap.mapping.dissimilarities`  dissimilarity of all pairs of sensors
-D              `anisomap.methods.Method.metric`    metric: shortest path lengths
-dimensions     `anisomap.dimensions`         their number, if it is not given
-positions      `anisomap.scaling.scale`     scaling by SMACOF
-refinement     `anisomap.scaling.refine`    positions refined by S
-=============  ==================================  =====================================
+=============  ====================================  =====================================
+S              `anisomap.evidence.compare`           similarity of all pairs of sensors
+M              `anisomap.mapping.dissimilarities`    dissimilarity of all pairs of sensors
+D              `anisomap.methods.Method.metric`      metric: shortest path lengths
+dimensions     `anisomap.dimensions`                 their number, if it is not given
+positions      `anisomap.mapping.scale`              scaling by SMACOF
+refinement     `anisomap.mapping.refine_components`  positions refined by S
+=============  ====================================  =====================================
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap._version import __version__
 from anisomap.defaults import DEFAULT_METHOD
-from anisomap.description import (
-    caveats,
-    options_provenance,
-    unknown_pairs,
-)
 from anisomap.dimensions import (
     AUTO,
     SPATIAL,
@@ -37,13 +34,14 @@ from anisomap.dimensions import (
 )
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evidence import PairStatistics
-from anisomap.mapping import Stages, compute_stages, dissimilarities
+from anisomap.mapping import Configuration, Stages, compute_stages, configure, dissimilarities
 from anisomap.memory import check_pair_memory
 from anisomap.methods import Method, check_even_spacing, examined_metric, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
+from anisomap.numerics.precision import Reals, float_type
 from anisomap.options import MethodOptions
-from anisomap.precomputed import checked_noise, checked_start, checked_weights, only_stage
 from anisomap.recording import (
     Recording,
     Scalar,
@@ -55,8 +53,8 @@ from anisomap.recording import (
     select_sensors,
     sensor_mask,
 )
-from anisomap.scaling import Configuration, configure
 from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.wording import join_items, noun_and_items
 
 
 def reconstruct(
@@ -156,7 +154,7 @@ def reconstruct_with_stages(
     stages = compute_stages(complete, recipe, dimensions, options)
     pairs, configuration, plan = stages.pairs, stages.configuration, stages.plan
     _check_related(configuration, options)
-    provenance = options_provenance(method, options) | plan.provenance
+    provenance = _options_provenance(method, options) | plan.provenance
     provenance |= {
         "source": joined.source,
         "frames": joined.n_frames,
@@ -170,7 +168,7 @@ def reconstruct_with_stages(
         mapped,
         method=method,
         similarity=pairs.statistic,
-        notes=(*plan.note, *unknown_pairs(pairs.known, names)),
+        notes=(*plan.note, *_unknown_pairs(pairs.known, names)),
         provenance=provenance,
         stack_level=stack_level + 1,
     )
@@ -234,7 +232,7 @@ def reconstruct_from(
     """
     recipe, options = find_method(method), options or MethodOptions()
     check_even_spacing(method, options, readings=False)
-    stage, matrix = only_stage(
+    stage, matrix = _only_stage(
         {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
     )
     n_sensors = len(matrix)
@@ -245,17 +243,17 @@ def reconstruct_from(
     _check_size(mapped, dimensions, recipe, options)
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
-    pair_weights = None if weights is None else checked_weights(weights, n_sensors)[inside]
+    pair_weights = None if weights is None else _checked_weights(weights, n_sensors)[inside]
     if start is not None and dimensions == AUTO:
         dimensions = int(np.shape(start)[-1]) if np.ndim(start) == 2 else SPATIAL
     k = given_dimensions(dimensions)
-    initial = None if start is None else checked_start(start, n_sensors, k)[mapped]
+    initial = None if start is None else _checked_start(start, n_sensors, k)[mapped]
     pairs = None
     if stage == "similarity":
         variance = 1 / options.independent_frames
         pairs = PairStatistics.from_similarity(
             matrix,
-            noise=variance if noise is None else checked_noise(noise, n_sensors)[inside],
+            noise=variance if noise is None else _checked_noise(noise, n_sensors)[inside],
             known=None if pair_weights is None else pair_weights > 0,
             statistic=statistic,
         )
@@ -284,7 +282,7 @@ def reconstruct_from(
             f"the positions are not refined: for this, {method} needs the similarity",
         )
     _check_related(configuration, options)
-    provenance = options_provenance(method, options) | plan.provenance
+    provenance = _options_provenance(method, options) | plan.provenance
     provenance |= {"similarity": statistic} if statistic else {"precomputed": stage}
     return _as_map(
         configuration,
@@ -376,3 +374,123 @@ def _as_map(
         | {"iterations": configuration.n_iterations}
         | ({} if refined is None else refined.facts),
     )
+
+
+def caveats(component: NDArray[np.intp], names: Sequence[str], *, converged: bool) -> Iterator[str]:
+    """Yield a note if the map has several components, and if scaling did not converge."""
+    sizes = np.bincount(component[component != UNPLACED])
+    if sizes.size > 1:
+        outside = [names[i] for i in np.flatnonzero(component > 0).tolist()]
+        fragmented = 2 * sizes[0] < sizes.sum()
+        yield (
+            ("most of the skin is not mapped: " if fragmented else "")
+            + f"the sensors form {sizes.size} separate components with unknown positions relative "
+            f"to one another; sizes: {join_items(sizes.tolist())}; outside the largest: "
+            f"{join_items(outside)}"
+        )
+    if not converged:
+        yield "scaling stopped before it converged: allow more iterations"
+
+
+def _unknown_pairs(known: NDArray[np.bool_], names: Sequence[str]) -> Iterator[str]:
+    """Yield a note if some pairs of sensors were never recorded together."""
+    if not known.all():
+        affected = [names[i] for i in np.flatnonzero(~known.all(axis=1)).tolist()]
+        yield (
+            f"{np.count_nonzero(np.triu(~known))} pairs of sensors were never recorded together; "
+            f"their distances follow from other pairs only: {noun_and_items('sensor', affected)}"
+        )
+
+
+def _options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]:
+    """Return the version and the parameters with which a map can be reproduced."""
+    recipe, defaults = find_method(method), MethodOptions()
+    facts: dict[str, Scalar] = {
+        "anisomap": __version__,
+        "mu": options.mu,
+        "bins": options.bins,
+    }
+    if options.n_neighbours is not None:
+        facts["n_neighbours"] = options.n_neighbours
+    if recipe.refinements:
+        for kind in ("covariogram", "contacts"):
+            usual = asdict(getattr(defaults, kind))
+            changed = {k: v for k, v in asdict(getattr(options, kind)).items() if v != usual[k]}
+            facts |= {f"{kind}_{name}": value for name, value in changed.items()}
+    for name in ("split_unrelated", "independent_frames", "even_spacing", "min_sensors"):
+        if getattr(options, name) != getattr(defaults, name):
+            facts[name] = getattr(options, name)
+    return facts | asdict(options.smacof)
+
+
+_MAX_SINGLE = 1e15  # squares of numbers up to this, and down to its inverse, fit into float32
+
+
+def _only_stage(given: Mapping[str, ArrayLike | None]) -> tuple[str, Reals]:
+    """Return the name and the matrix, shape (N, N), of the only stage that is given."""
+    stages = [name for name, matrix in given.items() if matrix is not None]
+    if len(stages) != 1:
+        raise InputError(
+            f"give exactly one of {', '.join(given)}; got {', '.join(stages) or 'none'}"
+        )
+    matrix = _as_matrix(given[stages[0]], stages[0])
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise InputError(f"the {stages[0]} must be of shape (N, N), got {matrix.shape}")
+    return stages[0], matrix
+
+
+def _as_matrix(matrix: ArrayLike | None, name: str) -> Reals:
+    """Convert a matrix to the precision that is used for its size."""
+    try:
+        values = np.asarray(matrix)
+    except ValueError:
+        values = np.asarray(None)
+    if values.dtype.kind not in "biuf":
+        raise InputError(
+            f"the {name} must be a matrix of real numbers, shape (N, N), got {values.dtype}"
+        )
+    dtype = float_type(len(values)) if values.ndim else np.float64
+    if dtype == np.float32 and values.dtype == np.float64:
+        largest = float(values.max(where=np.isfinite(values), initial=0))
+        if largest and not 1 / _MAX_SINGLE < largest < _MAX_SINGLE:
+            raise InputError(
+                f"the largest {name} is {largest:g}, outside the range of single precision, which "
+                f"is used for {len(values)} sensors; divide the matrix by its maximum"
+            )
+    return np.asarray(values, dtype)
+
+
+def _square(matrix: ArrayLike, name: str, n_sensors: int) -> Reals:
+    values = _as_matrix(matrix, name)
+    if values.shape != (n_sensors, n_sensors):
+        raise InputError(
+            f"the {name} must be of shape ({n_sensors}, {n_sensors}), got {values.shape}"
+        )
+    return values
+
+
+def _checked_start(start: ArrayLike, n_sensors: int, dimensions: int) -> NDArray[np.float64]:
+    """Return initial positions as float64; raise `InputError` unless of shape (N, k)."""
+    positions = np.asarray(start, dtype=np.float64)
+    if positions.shape != (n_sensors, dimensions):
+        raise InputError(
+            f"the start must be of shape ({n_sensors}, {dimensions}), got {positions.shape}"
+        )
+    return positions
+
+
+def _checked_weights(weights: ArrayLike, n_sensors: int) -> Reals:
+    """Return weights, shape (N, N); raise `InputError` unless finite, >= 0 and symmetric."""
+    values = _square(weights, "weights", n_sensors)
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise InputError("weights must be finite and at least 0")
+    return as_symmetric(values, "weight")
+
+
+def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
+    """Return a sampling variance, shape (N, N)."""
+    values = _square(noise, "noise", n_sensors)
+    n_positive = np.count_nonzero(values > 0) - np.count_nonzero(np.diag(values) > 0)
+    if not np.isfinite(values).all() or n_positive < n_sensors * (n_sensors - 1):
+        raise InputError("the noise must be finite and above 0, since it is a variance")
+    return as_symmetric(values, "noise")

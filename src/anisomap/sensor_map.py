@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+from scipy.special import gammaincinv
 
 from anisomap.errors import InputError, import_extra
 from anisomap.immutable import Immutable
@@ -382,3 +383,53 @@ def check_coordinates(points: NDArray[np.float64], names: Sequence[str], what: s
 def is_faulty(status: str) -> bool:
     """Return whether a status in `SensorMap.health` is that of a faulty sensor."""
     return status not in ("ok", UNASSESSED, SILENT, FEW_CONTACTS)
+
+
+_WEIGHT = "weight_of_"  # of a step, in the provenance of a map
+
+
+def steps_of(sensor_map: SensorMap) -> list[str]:
+    """Name the steps that refined a map, each with its share of the map that it gave."""
+    weights = {
+        name.removeprefix(_WEIGHT): float(weight)
+        for name, weight in sensor_map.provenance.items()
+        if name.startswith(_WEIGHT)
+    }
+    return [
+        name if weight == 1 else f"{name} ({weight:.2f})".replace("(0.", "(.")
+        for name, weight in weights.items()
+    ]
+
+
+def ellipses(
+    covariances: ArrayLike, level: float = 0.95
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the half axes of the ellipses, or ellipsoids, of covariances.
+
+    Parameters
+    ----------
+    covariances : array_like of shape (n, k, k)
+        Symmetric; NaN for unknown ones.
+    level : float
+        Probability that each contains, for a normal distribution.
+
+    Returns
+    -------
+    lengths : ndarray of shape (n, k)
+        Lengths of the half axes, the longest first; NaN if unknown.
+    directions : ndarray of shape (n, k, k)
+        Unit vectors along them, in rows.
+    """
+    values = np.asarray(covariances, dtype=np.float64)
+    known = np.isfinite(values).all(axis=(1, 2))
+    lengths = np.full(values.shape[:2], np.nan)
+    directions = np.full(values.shape, np.nan)
+    found, vectors = np.linalg.eigh(values[known])
+    lengths[known] = radius(values.shape[1], level) * np.sqrt(np.maximum(found[:, ::-1], 0))
+    directions[known] = vectors[:, :, ::-1].transpose(0, 2, 1)
+    return lengths, directions
+
+
+def radius(dimensions: int, level: float = 0.95) -> float:
+    """Return the radius of the ball that holds a share of a standard normal distribution."""
+    return float(np.sqrt(2 * gammaincinv(dimensions / 2, level)))  # chi distribution

@@ -12,14 +12,13 @@ import numpy as np
 
 from anisomap import io
 from anisomap.cli.console import Columns, Printer, print_warning
-from anisomap.description import steps_of
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, steps_of
 from anisomap.wording import join_items, number, percent
 
 _MAX_SHOWN = 12  # faulty sensors; anisomap info --all shows all

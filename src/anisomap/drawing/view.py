@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.covariance_ellipses import ellipses, radius
 from anisomap.evaluation import Score
-from anisomap.sensor_map import SensorMap, is_faulty
+from anisomap.sensor_map import SensorMap, ellipses, is_faulty, radius
 
 Points: TypeAlias = NDArray[np.float64]
 View: TypeAlias = tuple[float, float]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap._version import __version__
-from anisomap.description import caveats
 from anisomap.dimensions import AUTO, Dimensions, check_dimensions, given_dimensions
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, assess
@@ -39,6 +38,7 @@ from anisomap.large.sensor_graph import (
 )
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.options import MethodOptions
+from anisomap.reconstruction import caveats
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
 

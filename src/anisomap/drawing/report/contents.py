@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from anisomap.covariance_ellipses import ellipses
-from anisomap.description import steps_of
 from anisomap.drawing.view import MAX_JOINED, layout_notes, printable
 from anisomap.evaluation import Score
 from anisomap.evidence import SIMILARITIES
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
-from anisomap.sensor_map import UNSCALED, SensorMap, is_faulty
+from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
 from anisomap.wording import UNKNOWN, join_items, number, percent
 
 MAX_ROWS = 2000

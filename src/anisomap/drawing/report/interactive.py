@@ -10,7 +10,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.covariance_ellipses import ellipses
 from anisomap.drawing.view import (
     Panel,
     Points,
@@ -28,6 +27,7 @@ from anisomap.sensor_map import (
     UNASSESSED,
     UNSCALED,
     SensorMap,
+    ellipses,
     is_faulty,
 )
 
