@@ -97,7 +97,7 @@ class Verdict:
     @property
     def sentences(self) -> tuple[str, ...]:
         """How far the map can be used, what that means, its accuracy, and the reasons."""
-        meaning = LEVELS.get(self.level, "no level of accuracy is established")
+        meaning = LEVELS.get(self.level, "the accuracy of the map is unknown")
         told = [f"verdict: {self.summary}", meaning, *self.reasons]
         if not math.isnan(self.region_error):
             told.insert(

@@ -96,7 +96,7 @@ def print_warning(message: str) -> None:
 
 def _complain(text: Text) -> None:
     with suppress(FileError):  # a full disk, about which nothing can be said either
-        errors.print(text)
+        errors.print(text, soft_wrap=not errors.is_terminal)
 
 
 def prepare_streams() -> None:
@@ -215,7 +215,7 @@ class Printer:
     def notes(self, notes: Iterable[str]) -> None:
         """Print the notes on a result, one per line."""
         for note in notes:
-            self.line(f"  note: {note}")
+            self.say(f"  note: {note}")
 
     def names(self, lists: Mapping[str, Sequence[str]]) -> None:
         """Print lists of names that are not empty, one per line."""
@@ -227,6 +227,11 @@ class Printer:
         """Print a line of plain text."""
         if self._prints_text:
             self._emit(console.print, Text(_lines(text)), soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        """Print a sentence; a terminal breaks its lines between words."""
+        if self._prints_text:
+            self._emit(console.print, Text(_lines(text)), soft_wrap=not console.is_terminal)
 
     def event(self, values: Mapping[str, object]) -> None:
         """Print values at once as a JSON object on a line of its own, if `as_json`."""

@@ -85,7 +85,7 @@ def print_health(
     for sensor in shown:
         alike[sensor.reason].append(sensor.name)
     for reason, names in alike.items():
-        printer.line(f"  {join_items(names)}: {reason}")
+        printer.say(f"  {join_items(names)}: {reason}")
     if len(faulty) > len(shown):
         printer.line(
             f"  ... and {len(faulty) - len(shown)} more sensors: anisomap info --all lists them"
@@ -101,9 +101,9 @@ def print_findings(
         return
     printer.line("Faults of the recording" + (", mended where possible" if repaired else ""))
     for finding in findings:
-        printer.line(f"  {finding.kind}: {finding}")
+        printer.say(f"  {finding.kind}: {finding}")
         if repaired and finding.mended:
-            printer.line(f"    mended: {finding.mended}")
+            printer.say(f"    mended: {finding.mended}")
     mendable = sum(finding.mendable for finding in findings)
     if mendable and not repaired:
         printer.line(f"  {mendable} of {len(findings)} can be mended: anisomap map --repair")
@@ -147,7 +147,7 @@ def print_verdict(printer: Printer, sensor_map: SensorMap) -> None:
     headline, *others = sensor_map.verdict.sentences
     printer.facts(headline, {})
     for sentence in others:
-        printer.line(f"  {sentence}")
+        printer.say(f"  {sentence}")
 
 
 def record_map(printer: Printer, sensor_map: SensorMap) -> None:

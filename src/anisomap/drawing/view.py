@@ -219,8 +219,8 @@ def box_around(*configurations: Points) -> Points:
 
 
 def panel_limits(shown: Panel) -> Points:
-    """Return limits, shape (k, 2), that contain points, true positions and ellipses."""
-    lines = outlines(shown)
+    """Return limits, shape (k, 2), that contain points, true positions, and in 2D the ellipses."""
+    lines = outlines(shown) if shown.dimensions == 2 else shown.points[:0]
     return box_around(shown.points, shown.truth, lines[np.isfinite(lines).all(axis=1)])
 
 

@@ -222,7 +222,7 @@ def compare(
     ]
     printer.table("Scores", titles, rows)
     for sentence in sentences(comparisons):
-        printer.line(sentence)
+        printer.say(sentence)
     printer.record(scores=[_values(comparison) for comparison in comparisons])
 
 

@@ -147,7 +147,7 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
         }
         printer.rows("Findings", columns, records[:MAX_SHOWN])
         for one in records[:MAX_SHOWN]:
-            printer.line(f"  {one['kind']}: {one['explanation']}")
+            printer.say(f"  {one['kind']}: {one['explanation']}")
         if len(records) > MAX_SHOWN:
             printer.line(f"  ... and {len(records) - MAX_SHOWN} more findings")
     printer.notes(found.notes)

@@ -250,11 +250,11 @@ def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool
     while not session.ended.wait(_LINE_S) and not over():
         for note in list(session.notices):
             if note.seconds > told:
-                printer.line(f"  {number(note.seconds, 3)} s: {note.text}")
+                printer.say(f"  {number(note.seconds, 3)} s: {note.text}")
                 told = note.seconds
         facts = _facts(session)
         printer.event(facts)
-        printer.line(_in_words(facts))
+        printer.say(_in_words(facts))
 
 
 def _facts(session: LiveSession) -> dict[str, Any]:
@@ -314,7 +314,7 @@ def _finish(
             ]
             if report:
                 written.append(("report", save_report(final, report)))
-        printer.line(f"Final map of {final.n_frames} frames: {final.verdict}")
+        printer.say(f"Final map of {final.n_frames} frames: {final.verdict}")
     elif final is not None:
         print_warning(f"there is no map: {final.reason}")
     elif written:
