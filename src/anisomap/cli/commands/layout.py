@@ -126,8 +126,8 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
         {
             "sensors tested": f"{found.n_tested} of {layout.n_sensors}",
             "modules": _modules(found),
-            "as a whole": f"{percent(max(0.0, found.explained))} of the possible agreement; "
-            f"shuffled layouts reach it with p = {found.p:.2g}",
+            "as a whole": f"{percent(max(0.0, found.explained))} of the possible agreement "
+            f"(p = {found.p:.2g} against shuffled layouts)",
             "verdict": found.verdict
             if not found.findings
             else f"{found.verdict}: the readings of {accused} sensors "
