@@ -19,6 +19,8 @@ N_SHIFTS = 99
 
 Matrix = NDArray[np.float64]
 
+_ROUNDING = 1e-12  # of the largest distance; smaller residuals are rounding errors
+
 
 @dataclass(frozen=True, eq=False)
 class Shepard(Immutable):
@@ -112,7 +114,9 @@ def stress_per_point(
     """
     wanted, actual = _compared(dissimilarities, positions)
     known = np.isfinite(wanted)
-    squares = np.where(known, actual - np.where(known, wanted, 0), 0) ** 2
+    missed = np.where(known, actual - np.where(known, wanted, 0), 0)
+    missed[abs(missed) <= _ROUNDING * actual.max(initial=0)] = 0
+    squares = missed**2
     if weights is not None:
         squares = squares * _matrix(weights, "weights", len(wanted))
     np.fill_diagonal(squares, 0)
