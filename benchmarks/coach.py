@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from anisomap import read as read_recording
 from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.live.quick_map import QuickMapper, TouchStatistics
+from anisomap.live.quick_map import QuickMapper
 from anisomap.live.sources.replay import BOUT_FRAMES
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
@@ -69,25 +69,24 @@ class Row:
 def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) -> list[Row]:
     """Rub a body in one way, and map it at several numbers of frames."""
     hand = hand_on(body, stimulus, seed)
-    statistics = TouchStatistics(body.n_sensors)
     mapper = QuickMapper(body.names, dimensions)
     found: list[Row] = []
     path = uncoached(hand, max(LENGTHS)) if way == "uncoached" else np.empty((0, 0), np.float32)
     where: tuple[int, ...] = ()
     touched = np.zeros(body.n_sensors, dtype=bool)
-    while (n_frames := statistics.n_frames) < max(LENGTHS):
+    while (n_frames := mapper.n_frames) < max(LENGTHS):
         if way == "uncoached":
             part = path[n_frames : n_frames + BOUT_FRAMES]
         else:
             part = hand.rub(BOUT_FRAMES, where, touched.astype(np.intp))
-        statistics.add(part.astype(np.float64))
-        if way == "uncoached" and statistics.n_frames not in LENGTHS:
+        mapper.add(part.astype(np.float64))
+        if way == "uncoached" and mapper.n_frames not in LENGTHS:
             continue
-        made = mapper.make(statistics)
-        where, touched = made.advice.next_sensors, statistics.contacts > 0
-        if statistics.n_frames in LENGTHS:
+        made = mapper.make()
+        where, touched = made.advice.next_sensors, made.contacts > 0
+        if made.n_frames in LENGTHS:
             error, share = error_of(made.positions, body), float(touched.mean())
-            found.append(Row(body.name, stimulus, way, seed, statistics.n_frames, error, share))
+            found.append(Row(body.name, stimulus, way, seed, made.n_frames, error, share))
     return found
 
 

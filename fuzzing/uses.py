@@ -14,11 +14,12 @@ from anisomap import io
 from anisomap.evaluation import align, compare_maps
 from anisomap.layout import check_layout
 from anisomap.live.batches import Batch, Names, Notice
-from anisomap.live.quick_map import TouchStatistics
+from anisomap.live.quick_map import QuickMapper
 from anisomap.live.session import read_levels
 from anisomap.live.sources.lines import LineParser
 from anisomap.live.sources.middleware import _yarp_translation
 from anisomap.placement import Anchors, place
+from anisomap.recording import default_names
 from anisomap.tracking import update_map
 from fuzzing.checks import Findings
 
@@ -82,15 +83,17 @@ def check_source(path: Path, found: Findings, rng: Generator) -> None:
             for start, end in pairwise(ends)
             for item in parser.feed(content[start:end], complete=end == len(content))
         ]
-        statistics: dict[int, TouchStatistics] = {}
+        mappers: dict[int, QuickMapper] = {}
         for item in items:
             if not isinstance(item, Batch | Names | Notice):
                 raise TypeError(f"an item is of type {type(item).__name__}")
             if isinstance(item, Batch) and item.readings.shape[1] <= 2 * _MAX_SENSORS:
                 width = item.readings.shape[1]
-                statistics.setdefault(width, TouchStatistics(width)).add(item.readings)
+                mappers.setdefault(width, QuickMapper(default_names(width), 2)).add(item.readings)
                 if not np.isfinite(read_levels(item.readings, item.readings[0], None)).all():
                     raise ValueError("a level is not finite")
+        for mapper in mappers.values():
+            mapper.make()
         return items
 
     found.accepted |= any(isinstance(i, Batch) for i in found.attempt("feed", received) or ())

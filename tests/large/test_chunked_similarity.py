@@ -1,4 +1,4 @@
-"""Similarities computed in chunks equal those of the whole recording, in one pass or two."""
+"""Similarities computed in chunks equal those of the whole recording."""
 
 import functools
 
@@ -11,10 +11,8 @@ from anisomap.evidence import SIMILARITIES
 from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
 from anisomap.numerics.similarity import binning as value_counts
 from anisomap.numerics.similarity import co_occurrence
-from anisomap.numerics.similarity import information as joint_values
 from anisomap.numerics.similarity.binning import ValueCounts
 from anisomap.numerics.similarity.correlation import StoredCodes
-from anisomap.numerics.similarity.information import JointValues
 
 BINS = 4
 rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)
@@ -39,10 +37,6 @@ def in_chunks(name, parts):
     return recipe.finish(merged(recipe.prepare(known, BINS), parts))
 
 
-def in_one_pass(name, parts):
-    return CHUNKED[name].of_values(merged(JointValues.of, parts), BINS)
-
-
 def test_every_similarity_can_be_computed_in_chunks():
     # Distinct contacts are those of the whole recording.
     assert set(CHUNKED) == set(SIMILARITIES) - {"contact-agreement"}
@@ -58,13 +52,11 @@ def test_chunks_give_the_similarity_of_the_whole(name, many, seed, cuts, data):
     parts = data.draw(st.permutations(np.split(readings, cuts)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(co_occurrence, "MIN_COMPILED_SENSORS", many)
-        for found in [in_chunks(name, parts)] + [
-            in_one_pass(name, parts) for _ in range(CHUNKED[name].needs_values)
-        ]:
-            np.testing.assert_allclose(found, expected, atol=1e-12)
-            np.testing.assert_array_equal(found, found.T)
-            if name in ("co-activation", "mutual-information"):
-                np.testing.assert_array_equal(found, in_chunks(name, [readings]))
+        found = in_chunks(name, parts)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_array_equal(found, found.T)
+        if name in ("co-activation", "mutual-information"):
+            np.testing.assert_array_equal(found, in_chunks(name, [readings]))
 
 
 def test_codes_of_few_frames_of_many_sensors_are_stored_instead_of_counts():
@@ -84,10 +76,6 @@ def test_rounding_of_continuous_readings_changes_little(name, monkeypatch):
     common = rng.normal(size=(4000, 1))
     readings = common + rng.normal(0, 0.7, size=(4000, 6))
     monkeypatch.setattr(value_counts, "MAX_VALUES", 6 * 500)
-    monkeypatch.setattr(joint_values, "MAX_SERIES", 6 * 60)
     expected = SIMILARITIES[name].compute(readings, BINS)
     parts = np.array_split(readings, 7)
     np.testing.assert_allclose(in_chunks(name, parts), expected, atol=0.01)
-    np.testing.assert_allclose(in_one_pass(name, parts), expected, atol=0.1)
-    once = in_one_pass(name, parts[::-1])
-    np.testing.assert_allclose(once, in_one_pass(name, parts), atol=1e-12)

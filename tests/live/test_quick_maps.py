@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 from anisomap import Recording, reconstruct
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
+from anisomap.large.chunks import SAMPLE_FRAMES
 from anisomap.live.batches import Batch
 from anisomap.live.quick_map import (
-    SAMPLE_FRAMES,
     QuickMapper,
-    TouchStatistics,
     confirmed_faults,
     turned_onto,
 )
@@ -25,35 +24,33 @@ SKIN = flat_skin(n_frames=1500)
 READINGS = SKIN.readings.astype(float)
 
 
-def accumulated(readings, *sizes):
-    statistics = TouchStatistics(readings.shape[1])
-    at = 0
-    for size in sizes or (17,) * len(readings):
-        statistics.add(readings[at : at + size])
-        at += size
-        if at >= len(readings):
-            break
-    return statistics
+def mapper_of(readings, *sizes, names=(), dimensions=2):
+    """Return a mapper that was given frames in parts."""
+    names = names or [f"s{i}" for i in range(readings.shape[1])]
+    mapper = QuickMapper(names, dimensions)
+    for part in np.split(readings, np.cumsum(sizes or [17] * (len(readings) // 17))):
+        mapper.add(part)
+    return mapper
 
 
-@given(sizes=st.lists(st.integers(1, 300), min_size=1, max_size=4), offset=st.floats(-1e3, 1e3))
+@given(sizes=st.lists(st.integers(1, 60), max_size=4), offset=st.floats(-1e3, 1e3))
 @settings(max_examples=30)
-def test_statistics_do_not_depend_on_the_batches(sizes, offset):
+def test_maps_do_not_depend_on_the_batches(sizes, offset):
     readings = (rubbed(lattice(4, 4), 300, seed=3) + offset).astype(np.float32)
-    found = accumulated(readings, *sizes, 300, 300)
-    np.testing.assert_array_equal(found.recording().readings, readings)
+    found = mapper_of(readings, *sizes)
+    np.testing.assert_array_equal(found.sample.readings, readings)
     active = estimate_rest(readings).active(readings)
-    np.testing.assert_array_equal(found.contacts, count_contacts(active))
+    np.testing.assert_array_equal(found.make().contacts, count_contacts(active))
 
 
-def test_counts_go_on_beyond_the_sample():
-    readings = rubbed(lattice(3, 3), 2 * SAMPLE_FRAMES + 100, seed=1)
-    found = accumulated(readings, *(100,) * 400)
-    contacts = count_contacts(estimate_rest(readings).active(readings))
-    made = QuickMapper([f"s{i}" for i in range(9)], 2).make(found)
+def test_contacts_are_counted_beyond_the_sample():
+    """None is lost that is longer than the distance of the frames that are kept."""
+    slow = np.repeat(rubbed(lattice(3, 3), SAMPLE_FRAMES // 4 + 100, seed=1), 8, axis=0)
+    found = mapper_of(slow)
+    made = found.make()
+    assert made.n_frames == len(slow) > 2 * len(found.sample.readings)
+    contacts = count_contacts(estimate_rest(slow).active(slow))
     np.testing.assert_array_equal(made.contacts, contacts)
-    assert made.n_frames == len(readings) > found.recording().n_frames
-    assert not made.advice.places  # joint contacts are counted in the sample alone
 
 
 def test_missing_readings_are_interpolated():
@@ -61,22 +58,23 @@ def test_missing_readings_are_interpolated():
     readings[50:60, 2], readings[0, 4], readings[20, 3] = np.nan, np.nan, np.nan
     expected = Recording(readings).complete("interpolate").readings
     for sizes in ((200,), (55, 145), (1, 20, 179)):
-        found = accumulated(readings, *sizes).recording().readings
-        np.testing.assert_array_equal(found, expected)
+        found = mapper_of(readings, *sizes).make()
+        active = estimate_rest(expected).active(expected)
+        np.testing.assert_array_equal(found.contacts, count_contacts(active))
 
 
 def test_a_sensor_that_never_sends_a_number_has_no_place():
     readings = rubbed(lattice(4, 4), 400, seed=2)
     readings[:, 7] = np.nan
-    made = QuickMapper([f"s{i}" for i in range(16)], 2).make(accumulated(readings, 100, 300))
+    made = mapper_of(readings, 100).make()
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(made.positions).any(axis=1)), 7)
 
 
 def test_maps_grow_without_turning_over():
-    statistics, mapper, before = TouchStatistics(42), QuickMapper(SKIN.names, 2), None
+    mapper, before = QuickMapper(SKIN.names, 2), None
     for at in range(0, 1500, 100):
-        statistics.add(READINGS[at : at + 100])
-        made = mapper.make(statistics)
+        mapper.add(READINGS[at : at + 100])
+        made = mapper.make()
         assert made.n_frames == at + 100
         if made.reason:
             assert not np.isfinite(made.positions).any()
@@ -88,7 +86,7 @@ def test_maps_grow_without_turning_over():
                 np.testing.assert_allclose(fit.rotation, np.eye(2), atol=1e-6)
         before = made.positions
     # A warm map is the cold one, which is that of the published method.
-    cold = QuickMapper(SKIN.names, 2).make(statistics).positions
+    cold = mapper_of(READINGS).make().positions
     published = reconstruct(SKIN, "r-anisomap", 2).positions
     for found in (before, published):
         assert align(found, cold).rms < 1e-3  # of an RMS radius of 1
@@ -108,11 +106,11 @@ def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
     half = np.flatnonzero(SKIN.positions[:, 0] > 3)
     readings = READINGS[READINGS[:, half].max(axis=1) == 0]
     untouched = np.flatnonzero(readings.max(axis=0) == 0)
-    made = QuickMapper(SKIN.names, 2).make(accumulated(readings, len(readings)))
+    made = mapper_of(readings, names=SKIN.names).make()
     assert set(made.advice.untouched) == set(untouched) >= set(half)
     assert SKIN.names[untouched[0]] in made.advice.text
     assert not made.advice.enough
-    enough = QuickMapper(SKIN.names, 2).make(accumulated(READINGS, len(READINGS))).advice
+    enough = mapper_of(READINGS).make().advice
     assert enough.enough
     assert enough.text.startswith("enough")
 
@@ -120,15 +118,15 @@ def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
 def test_dropped_sensors_are_no_advice():
     readings = READINGS.copy()
     readings[:, [3, 4]] = 0
-    mapper, found = QuickMapper(SKIN.names, 2), accumulated(readings, len(readings))
-    assert mapper.make(found).advice.untouched == (3, 4)
+    mapper = mapper_of(readings)
+    assert mapper.make().advice.untouched == (3, 4)
     mapper.drop = {3, 4}
-    assert mapper.make(found).advice.enough
+    assert mapper.make().advice.enough
 
 
 @pytest.mark.parametrize("n_frames", [1, 2, 3])
 def test_first_frames_give_a_reason_instead_of_a_map(n_frames):
-    made = QuickMapper(SKIN.names, 2).make(accumulated(READINGS[[0] * n_frames], 3))
+    made = mapper_of(READINGS[[0] * n_frames], 3).make()
     assert made.reason
     assert not np.isfinite(made.positions).any()
 
@@ -155,6 +153,4 @@ def test_readings_out_of_range_are_missing(value):
     readings[7, 2] = value
     batch = Batch(readings)
     assert np.argwhere(np.isnan(batch.readings)).tolist() == [[7, 2]]
-    statistics = TouchStatistics(4)
-    statistics.add(batch.readings)
-    assert np.isfinite(statistics.recording().readings).all()
+    assert np.isfinite(mapper_of(batch.readings).make().highest_depth).all()

@@ -1,5 +1,4 @@
 """Estimators with scikit-learn's interface."""
 
 from anisomap.estimators.embedding import Anisomap as Anisomap
-from anisomap.estimators.mapper import SAMPLE_FRAMES as SAMPLE_FRAMES
 from anisomap.estimators.mapper import SensorMapper as SensorMapper

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -16,27 +14,13 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
-from anisomap.large.chunks import Excerpt
-from anisomap.methods import find_method
-from anisomap.numerics.precision import Reals
+from anisomap.errors import InputError
+from anisomap.large.chunks import sample_of
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.correlation import Moments
-from anisomap.numerics.similarity.information import JointValues
-from anisomap.numerics.similarity.rest import Rest, estimate_rest
 from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct, reconstruct_from
+from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
-from anisomap.sensor_map import SensorMap
-
-SAMPLE_FRAMES = 4096
-"""Maximum number of frames that `SensorMapper` keeps to estimate the rest of each sensor."""
-
-PARTIAL_NOTE = (
-    "partial_fit computes the similarity by Pearson's r alone, without rank correlation, and does "
-    "not examine contacts; fit on all frames does both"
-)
 
 
 class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
@@ -123,12 +107,9 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             See `anisomap.reconstruct`.
         """
         recording = self._validated(X, reset=True)
-        self._reset()
-        self._add_frames(recording)
-        options = self._options()
-        made = reconstruct(recording, self.method, self.n_components, options=options)
-        self._set_map(diagnose(made, recording, with_verdict=False))
-        return self
+        self._forget()
+        self._remember(recording)
+        return self._map(recording)
 
     def partial_fit(self, X: ArrayLike, y: object = None) -> Self:
         """Add frames of the same sensors, and map the sensors from all frames so far.
@@ -150,38 +131,19 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         InputError
             See `anisomap.reconstruct`.
 
-        Warns
-        -----
-        AnisomapWarning
-            If the map differs from that of `fit`, and once for each note of the map.
-
         Notes
         -----
-        Frames are not stored, so memory does not grow with their number. The map equals that of
-        `fit` on all frames up to rounding, with these exceptions. ``"covariogram"`` and
-        ``"contact-fit"`` use Pearson's r alone, with a note on the map. Sensor health is not
-        assessed. Missing readings are handled within each part. Methods based on other
-        similarities than Pearson's r store joint counts of values; if sensors have too many
-        distinct values, these are rounded, with a warning.
-        `anisomap.large.reconstruct_chunks`, which reads the frames twice, rounds later.
+        Memory does not grow with the number of frames: of more than 16,384, or fewer of more than
+        512 sensors, those are mapped that are evenly spread over all; until then the map is that of
+        `fit`. Missing readings are handled within each part. `anisomap.large.reconstruct_chunks`
+        maps all frames.
         """
         first = not hasattr(self, "n_samples_seen_")
         recording = self._validated(X, reset=first)
         if first:
-            self._reset()
-        self._add_frames(recording)
-        pairs = self._add_pairs(recording)
-        made = reconstruct_from(
-            similarity=self._similarity(pairs),
-            method=self.method,
-            dimensions=self.n_components,
-            options=self._options(),
-            names=getattr(self, "feature_names_in_", ()),
-            drop=np.flatnonzero(~pairs.varying()).tolist(),
-            statistic=computed_similarity(find_method(self.method).similarity),
-        )
-        self._set_map(self._with_limitations(made))
-        return self
+            self._forget()
+        self._remember(recording)
+        return self._map(Recording(self._sample.readings, names=recording.names))
 
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """Compute the centre of contact of every frame.
@@ -267,46 +229,22 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             )
         return np.asarray(readings)
 
-    def _reset(self) -> None:
+    def _forget(self) -> None:
         self.n_samples_seen_ = 0
-        self._pairs: Moments | JointValues | None = None
-        self._sample: Excerpt | None = None
+        self._sample = sample_of(self.n_features_in_)
 
-    def _add_frames(self, recording: Recording) -> None:
-        """Update the sample of frames and the rest of each sensor."""
-        if self._sample is None:
-            self._sample = Excerpt(SAMPLE_FRAMES * recording.n_sensors, segment=1)
+    def _remember(self, recording: Recording) -> None:
         self._sample.add(recording.readings)
         self.n_samples_seen_ += recording.n_frames
-        self._rest: Rest = estimate_rest(self._sample.readings)
 
-    def _add_pairs(self, recording: Recording) -> Moments | JointValues:
-        """Add the pair statistics of a part of the frames; return those of all parts."""
-        needs_values = CHUNKED[find_method(self.method).similarity].needs_values
-        part: Any = (JointValues if needs_values else Moments).of(recording.readings)
-        self._pairs = part if self._pairs is None else self._pairs.merged(part)
-        return self._pairs
-
-    def _similarity(self, pairs: Moments | JointValues) -> Reals:
-        """Compute the similarity from the pair statistics of all parts."""
-        if isinstance(pairs, Moments):
-            return pairs.correlation()
-        if not pairs.single.exact:
-            warnings.warn(
-                f"some sensors have more than {pairs.single.max_values} distinct values, which are "
-                "rounded by partial_fit; call fit on all frames to keep them",
-                AnisomapWarning,
-                stacklevel=3,
-            )
-        return CHUNKED[find_method(self.method).similarity].of_values(pairs, self.bins)
-
-    def _with_limitations(self, made: SensorMap) -> SensorMap:
-        """Add a note if the map differs from that of `fit`."""
-        similarity = find_method(self.method).similarity
-        if computed_similarity(similarity) == similarity:
-            return made
-        warnings.warn(PARTIAL_NOTE, AnisomapWarning, stacklevel=3)
-        return replace(made, notes=(*made.notes, PARTIAL_NOTE))
+    def _map(self, recording: Recording) -> Self:
+        options = self._options()
+        made = reconstruct(recording, self.method, self.n_components, options=options)
+        self.map_ = diagnose(made, recording, with_verdict=False)
+        self.positions_ = self.embedding_ = made.positions
+        self.n_iter_ = max(1, made.n_iterations)  # 0 if the initial positions fit exactly
+        self._rest = recording.signals.rest
+        return self
 
     def _options(self) -> MethodOptions:
         return MethodOptions(
@@ -315,8 +253,3 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             smacof=SmacofOptions(self.tol, self.max_iter),
             min_sensors=1,
         )
-
-    def _set_map(self, sensor_map: SensorMap) -> None:
-        self.map_ = sensor_map
-        self.positions_ = self.embedding_ = sensor_map.positions
-        self.n_iter_ = max(1, sensor_map.n_iterations)  # 0 if the initial positions fit exactly

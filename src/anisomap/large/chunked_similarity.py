@@ -1,8 +1,7 @@
 """Similarities computed chunk by chunk, for recordings larger than memory.
 
 Statistics that depend on the distribution of all readings take two passes over the frames: one to
-count distinct values, one to compute the statistic. Streams, which permit one pass, use joint
-counts of values instead (`anisomap.numerics.similarity.information`).
+count distinct values, one to compute the statistic.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from anisomap.numerics.similarity.correlation import (
     phi_from_counts,
 )
 from anisomap.numerics.similarity.information import (
-    JointValues,
     information_from_codes,
     information_from_logarithms,
 )
@@ -82,16 +80,6 @@ class Chunked:
             if stored <= counted and counted > _MAX_COUNT_BYTES:
                 return _Recoded(recoding, StoredCodes.of)
         return _Recoded(recoding, partial(CoOccurrences.of, layout=layout))
-
-    def of_values(self, found: JointValues, bins: int) -> Reals:
-        """Compute the similarity from joint counts of values, if it needs values."""
-        if self.recode is None:
-            raise TypeError("this similarity does not depend on counts of values")
-        outcomes, layout = self.recode(found.single, bins)
-        if layout is not None:
-            return self.finish(found.of_series([one.astype(np.intp) for one in outcomes], layout))
-        means = np.zeros(found.single.n_sensors)
-        return self.finish(Moments(found.single.n_frames, means, found.comoments(outcomes)))
 
 
 @dataclass(frozen=True)

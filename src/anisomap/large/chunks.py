@@ -84,6 +84,7 @@ def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> Complet
 class Excerpt:
     """Equally spaced segments of consecutive frames, in bounded memory.
 
+    n_frames: Number of frames that were added.
     n_readings: Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
     segment: Number of frames in each segment; 0 for `SEGMENT_FRAMES`.
     """
@@ -96,12 +97,12 @@ class Excerpt:
     def reset(self) -> None:
         """Discard all frames."""
         self._parts: list[tuple[NDArray[np.intp], NDArray[Any]]] = []
-        self._stride, self._seen = 1, 0
+        self._stride, self.n_frames = 1, 0
 
     def add(self, chunk: NDArray[Any]) -> None:
         """Add the next frames, shape (t, N); only some segments are stored."""
-        numbers = np.arange(self._seen, self._seen + len(chunk)) // self._segment
-        self._seen += len(chunk)
+        numbers = np.arange(self.n_frames, self.n_frames + len(chunk)) // self._segment
+        self.n_frames += len(chunk)
         self._parts += self._kept([(numbers, chunk)])
         # With very many sensors, a chunk is shorter than a segment.
         max_frames = max(2 * self._segment, self._n_readings // chunk.shape[1])
@@ -116,11 +117,6 @@ class Excerpt:
         return [(held[kept], frames[kept]) for kept, held, frames in chosen if kept.any()]
 
     @property
-    def whole(self) -> bool:
-        """Whether all frames are in the excerpt."""
-        return self._stride == 1
-
-    @property
     def readings(self) -> NDArray[Any]:
         """Readings of the excerpt, at least one frame."""
         return np.concatenate([frames for _, frames in self._parts])
@@ -130,6 +126,18 @@ class Excerpt:
         if isinstance(like, Recording):
             return replace(like, readings=self.readings, times=None)
         return Recording(self.readings, names=tuple(like))
+
+
+SAMPLE_FRAMES = 16384
+"""Number of frames in a sample that follows a recording while it grows."""
+
+_SAMPLE_READINGS, _MIN_SAMPLE = 1 << 23, 256  # of many sensors, fewer frames: 32 MiB
+
+
+def sample_of(n_sensors: int) -> Excerpt:
+    """Return an empty sample of frames that are evenly spread over a recording."""
+    n_frames = max(_MIN_SAMPLE, min(SAMPLE_FRAMES, _SAMPLE_READINGS // n_sensors))
+    return Excerpt(n_frames * n_sensors, segment=1)
 
 
 @dataclass(frozen=True, eq=False)

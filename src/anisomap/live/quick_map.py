@@ -24,7 +24,7 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
-from anisomap.large.chunks import Excerpt
+from anisomap.large.chunks import sample_of
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.correlation import pearson
@@ -75,26 +75,20 @@ def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]
 
 def advise(
     positions: NDArray[np.float64],
-    contacts: NDArray[np.intp],
-    recording: Recording,
+    active: NDArray[np.bool_],
     names: Sequence[str],
     drop: Collection[int] = (),
 ) -> Advice:
-    """Advise where to touch next. positions (N, k), contacts (N,) in all frames.
-
-    recording: A sample of the frames. Joint contacts are counted in it, and grow as its contacts
-        fall short of those in all frames.
-    """
+    """Advise where to touch next. positions (N, k); active (T, N): which sensors are touched."""
+    contacts = count_contacts(active)
     wanted = np.ones(len(names), dtype=bool)
     wanted[list(drop)] = False
     placed = np.isfinite(positions).all(axis=1)
     untouched = tuple(np.flatnonzero(wanted & (contacts == 0)).tolist())
     if not placed.any():
         return Advice(untouched=untouched)
-    pairs, active = neighbouring_sensors(positions), recording.signals.active
-    share = count_contacts(active).sum() / max(contacts.sum(), 1)
-    together = count_joint_contacts(active, pairs) / min(max(share, 1e-9), 1)
-    need = needed_evidence(contacts, pairs, together)
+    pairs = neighbouring_sensors(positions)
+    need = needed_evidence(contacts, pairs, count_joint_contacts(active, pairs))
     places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
     done = 1 - float(need[wanted].mean()) if wanted.any() else 0.0
     return Advice(places, untouched, done, _in_words(places, untouched, names))
@@ -121,57 +115,6 @@ MAX_SENSORS = 4000
 """Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
 more than ten seconds."""
 
-SAMPLE_FRAMES = 16384
-"""Number of frames from which quick maps are made, spread over the session."""
-
-_SAMPLE_READINGS = 1 << 23  # of many sensors, fewer frames: 32 MiB
-_MIN_SAMPLE = 256
-_PART_FRAMES = 128  # added at once, so that no frame leaves the sample before it is counted
-_REESTIMATED = 1.5  # growth of the number of frames after which the rest is estimated again
-
-
-class TouchStatistics:
-    """A sample of the frames of a session, and the contacts in all of them.
-
-    sample: Of frames that are evenly spread over the session.
-    n_frames: Number of frames so far.
-    contacts (N,): Number of separate contacts of each sensor.
-    """
-
-    def __init__(self, n_sensors: int) -> None:
-        self.n_frames = 0
-        self.contacts = np.zeros(n_sensors, dtype=np.intp)
-        n_sampled = max(_MIN_SAMPLE, min(SAMPLE_FRAMES, _SAMPLE_READINGS // n_sensors))
-        self.sample = Excerpt(n_sampled * n_sensors, segment=1)
-        self._rest: Rest | None = None
-        self._rest_frames = 0
-        self._was_active = np.zeros(n_sensors, dtype=bool)
-
-    def add(self, readings: NDArray[np.float64]) -> None:
-        """Add frames. readings (t, N)."""
-        for at in range(0, len(readings), _PART_FRAMES):
-            part = readings[at : at + _PART_FRAMES].astype(np.float32)
-            self.sample.add(part)
-            self.n_frames += len(part)
-            if self._rest is not None:
-                active = self._rest.active(part)
-                self.contacts += count_contacts(np.vstack([self._was_active, active]))
-                self.contacts -= self._was_active
-                self._was_active = active[-1]
-            if self.n_frames >= _REESTIMATED * self._rest_frames:
-                self.recording()
-
-    def recording(self) -> Recording:
-        """Return the sample, without gaps; contacts are counted again if it holds all frames."""
-        readings = self.sample.readings
-        readings[:, ~np.isfinite(readings).any(axis=0)] = 0  # of sensors that sent no number
-        found = Recording(readings).complete("interpolate")
-        self._rest, self._rest_frames = found.signals.rest, self.n_frames
-        if self.sample.whole:
-            self.contacts = count_contacts(found.signals.active)
-            self._was_active = found.signals.active[-1]
-        return found
-
 
 @dataclass(frozen=True, eq=False)
 class QuickMap:
@@ -180,7 +123,8 @@ class QuickMap:
     positions (N, k): Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors
         without one.
     seconds: Time that the map took to compute.
-    contacts, highest_depth (N,): Separate contacts, and largest excess over rest.
+    contacts, highest_depth (N,): Separate contacts, and largest excess over rest. Like the map,
+        they are those of a sample of frames that are evenly spread over the session.
     pairs: Neighbours, which the page joins by lines.
     left_out: Sensors that were dropped, and channels that are no sensors.
     reason: Why there is no map; empty if there is one.
@@ -205,6 +149,7 @@ class QuickMapper:
 
     dimensions: Number of coordinates; may change between maps.
     drop: Sensors to leave out.
+    sample: Of the frames so far.
     """
 
     names: Sequence[str]
@@ -212,10 +157,25 @@ class QuickMapper:
     drop: set[int] = field(default_factory=set)
     _before: NDArray[np.float64] | None = None
 
-    def make(self, statistics: TouchStatistics) -> QuickMap:
+    def __post_init__(self) -> None:
+        self.sample = sample_of(len(self.names))
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames so far."""
+        return self.sample.n_frames
+
+    def add(self, readings: NDArray[np.float64]) -> None:
+        """Add frames. readings (t, N)."""
+        if len(readings):
+            self.sample.add(readings.astype(np.float32))
+
+    def make(self) -> QuickMap:
         """Make a map of all frames so far, of which there must be at least one."""
-        begun = time.monotonic()
-        recording, reason = statistics.recording(), ""
+        begun, reason = time.monotonic(), ""
+        readings = self.sample.readings
+        readings[:, ~np.isfinite(readings).any(axis=0)] = 0  # of sensors that sent no number
+        recording = Recording(readings).complete("interpolate")
         positions = np.full((recording.n_sensors, self.dimensions), np.nan)
         if recording.n_sensors > MAX_SENSORS:
             reason = f"a map of more than {MAX_SENSORS} sensors is made at the end of the session"
@@ -224,15 +184,15 @@ class QuickMapper:
                 positions = self._positions(recording)
             except InputError as error:
                 reason = str(error)
-        rest, contacts = recording.signals.rest, statistics.contacts.copy()
+        rest, active = recording.signals.rest, recording.signals.active
         side_of_contact = np.where(rest.side > 0, *recording.extremes[::-1])
         return QuickMap(
             positions=positions,
-            n_frames=statistics.n_frames,
+            n_frames=self.n_frames,
             seconds=time.monotonic() - begun,
-            contacts=contacts,
+            contacts=count_contacts(active),
             pairs=neighbour_lines(positions),
-            advice=advise(positions, contacts, recording, self.names, self.drop),
+            advice=advise(positions, active, self.names, self.drop),
             rest=rest,
             highest_depth=rest.depth(side_of_contact[None])[0],
             names=tuple(self.names),

@@ -22,7 +22,7 @@ from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.errors import InputError
 from anisomap.io import numbering
 from anisomap.live.examination import Examination, ExaminationOptions, examine
-from anisomap.live.quick_map import QuickMap, QuickMapper, TouchStatistics
+from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
 from anisomap.memory import check_pair_memory
 from anisomap.recording import Recording
@@ -176,7 +176,6 @@ class _QuickMaps:
             self._problem = str(error)
             return
         self._tail = JournalTail(segment.path, n_sensors, segment.header_bytes)
-        self._statistics = TouchStatistics(n_sensors)
         self._mapper = QuickMapper(segment.names, task.dimensions)
 
     def step(self) -> Answer | None:
@@ -191,14 +190,14 @@ class _QuickMaps:
         begun, more = time.monotonic(), True
         while more and time.monotonic() - begun < _MAX_BEHIND_S:
             readings, more = tail.read(_READ_BYTES)
-            self._statistics.add(readings)
+            self._mapper.add(readings)
         self.wait_s = 0.0 if more else _POLL_S
-        if self._statistics.n_frames <= self._mapped_frames or time.monotonic() < self._next_map:
+        if self._mapper.n_frames <= self._mapped_frames or time.monotonic() < self._next_map:
             return None
         given = task.options.dimensions
         self._mapper.dimensions = task.dimensions if given == AUTO else int(given)
         self._mapper.names, self._mapper.drop = self._sensors(task)
-        found = self._mapper.make(self._statistics)
+        found = self._mapper.make()
         self._mapped_frames = found.n_frames
         self._next_map = time.monotonic() + _IDLE_SHARE * found.seconds
         return found
@@ -209,7 +208,7 @@ class _QuickMaps:
         kept = dict(enumerate(given))
         if options.preset:
             # Presets depend on which values vary, and on the port that the values come from.
-            readings = np.nan_to_num(self._statistics.sample.readings)
+            readings = np.nan_to_num(self._mapper.sample.readings)
             probe = Recording(readings, names=given, source=task.segment.source)
             self._problem = ""
             try:
