@@ -201,10 +201,10 @@ class ValueCounts:
     max_values: int
 
     @classmethod
-    def of(cls, readings: ArrayLike) -> ValueCounts:
+    def of(cls, readings: ArrayLike, max_values: int | None = None) -> ValueCounts:
         """Count the values in an array. readings (T, N)."""
         array = np.asarray(readings)
-        limit = max(_MIN_VALUES, MAX_VALUES // array.shape[1])
+        limit = max_values or max(_MIN_VALUES, MAX_VALUES // array.shape[1])
         found = [
             _round_to(*np.unique(column, return_counts=True), 0, limit) for column in columns(array)
         ]
