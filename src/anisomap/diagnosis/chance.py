@@ -68,11 +68,13 @@ class MapPart:
 
     positions (n, k)
     start (n, k): Positions of the covariogram fit; None if the map does not follow from them.
+    share: Variance of the positions by chance, relative to that before contacts refined them.
     """
 
     positions: NDArray[np.float64]
     pairs: PairStatistics
     start: NDArray[np.float64] | None = None
+    share: float = 1.0
 
 
 def part_of(
@@ -95,7 +97,10 @@ def part_of(
     if refined is None or not follows or _departure(made.positions[inside], positions) > _SAME:
         return MapPart(positions, pairs)
     fitted = refined.proposals["covariogram"].positions
-    return MapPart(positions, pairs, np.asarray(fitted, dtype=np.float64))
+    # A mean weighted by precision leaves this share; a map that is replaced has no such weight.
+    weight = refined.weights.get("contacts", 0.0)
+    share = 1 - weight if weight < 1 else 1.0
+    return MapPart(positions, pairs, np.asarray(fitted, dtype=np.float64), share)
 
 
 def made_again(sensor_map: SensorMap, run: Recording, options: MethodOptions) -> Stages | None:
@@ -134,7 +139,7 @@ def deviations_by_chance(
         found = configure_pairs(resample, recipe, part.start.shape[1], few, start=part.start)
         made.append(found.positions)
         progress(len(made) / count)
-    return deviations_from_mean(np.array(made), part.positions) / STEP
+    return math.sqrt(part.share) / STEP * deviations_from_mean(np.array(made), part.positions)
 
 
 def _with_iterations(options: MethodOptions, most: int) -> MethodOptions:
