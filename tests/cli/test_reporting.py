@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli import app, console
+from anisomap.cli import app, console, printing
 from command_line import call
 from skins import flat_skin
 
@@ -147,6 +147,21 @@ def test_all_commands_and_files_say_the_same(run, made):
     assert json.loads((made / "said.json").read_text())["verdict"]["level"] == verdict.level
     page = (made / "map.html").read_text(encoding="utf-8")
     assert all(sentence in page for sentence in verdict.sentences)
+
+
+def test_no_advice_says_that_touches_suffice_where_the_verdict_asks_for_more():
+    golden = Path(__file__).parents[1] / "golden"
+    record = json.loads((golden / "record.json").read_text())
+    asked = [name for name, row in record.items() if "touch all of" in str(row.get("reasons"))]
+    found = 0
+    for path in (golden / "readings" / f"{name}.npz" for name in asked):
+        if path.exists():
+            recording = anisomap.read(path)
+            coverage = printing.coverage_without_map(recording)
+            told = printing.touch_facts(coverage, recording.names)["touch next"]
+            assert not any(word in told for word in ("nowhere", "enough"))
+            found += 1
+    assert found > 2
 
 
 def test_help_fits_two_screens_and_describes_expert_options_on_request(folder):
