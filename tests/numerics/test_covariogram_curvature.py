@@ -5,12 +5,12 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist, pdist
 
-from anisomap.numerics.covariogram.covariogram_fit import overlapping_blocks
-from anisomap.numerics.covariogram.minimisation import gauss_newton_matrix, minimise
+from anisomap.numerics.covariogram.covariogram_fit import minimise, overlapping_blocks
 from anisomap.numerics.covariogram.objective import (
     Block,
     CovariogramOptions,
     Problem,
+    gauss_newton_matrix,
     objective,
 )
 

@@ -1,26 +1,29 @@
-"""Functions of the distances of all pairs of some sensors, in numpy or compiled.
+"""Objective of the covariogram fit: whitened residuals of correlations, summed over blocks.
 
-Pairs i < j are in the order of `scipy.spatial.distance.pdist`: symmetric matrices take half the
-arithmetic so.
-
-Objective of the covariogram fit: whitened residuals of correlations, summed over blocks.
+Symmetric matrices are given by their pairs i < j, in the order of `scipy.spatial.distance.pdist`,
+which takes half the arithmetic.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.blas import dsyrk, ssyrk
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import MapFunction, load_loops, serial_map
+from anisomap.numerics.compiled.parallel import (
+    MIN_COMPILED_ROWS,
+    MapFunction,
+    load_loops,
+    serial_map,
+)
+from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
 
 Vector: TypeAlias = Reals
@@ -146,30 +149,23 @@ class Pairs:
 
     def unpack(self, values: Vector) -> Reals:
         """Return the symmetric matrix, shape (n, n), of values of pairs; its diagonal is 0."""
-        matrix = values.take(self._places)
-        np.fill_diagonal(matrix, 0.0)
-        return matrix
-
-    @cached_property
-    def _places(self) -> NDArray[np.intp]:
-        """Place of each pair in the order of pairs, shape (n, n); 0 on the diagonal."""
-        return np.asarray(squareform(np.arange(len(self.known))), dtype=np.intp)
+        return np.asarray(squareform(values, checks=False))
 
 
 class CompiledPairs(Pairs):
-    """Pairs in float32, whose functions are compiled."""
+    """Pairs in float32, whose functions are compiled: faster by half for 1,000 sensors."""
 
     def decay(self, points: Reals, log_exponent: float) -> Decay:
-        """Do as `Pairs.decay` does."""
+        """See `Pairs.decay`."""
         found = Decay(*(np.empty_like(self.known) for _ in Decay._fields))
         bounds = (*_SQUARE_BOUNDS, _MAX_LOG_POWER)
         axes = np.ascontiguousarray(points.T)
         exponent = float(np.exp(log_exponent))
-        self._loops.decay(axes, self.known, exponent, bounds, tuple(found))
+        load_loops("covariogram").decay(axes, self.known, exponent, bounds, tuple(found))
         return found
 
     def slope(self, decayed: Decay, whitened_shape: Vector, weights: Weights) -> Slope:
-        """Do as `Pairs.slope` does."""
+        """See `Pairs.slope`."""
         force = np.empty_like(self.known)
         data = (
             self.known,
@@ -178,30 +174,26 @@ class CompiledPairs(Pairs):
             self.whitened_similarity,
             self.inverse_metric,
         )
-        value, by_exponent = self._loops.slope(
+        value, by_exponent = load_loops("covariogram").slope(
             tuple(decayed), whitened_shape, data, tuple(weights), force
         )
         return Slope(value, by_exponent, force)
 
     def gradient(self, force: Vector, points: Reals) -> Reals:
-        """Do as `Pairs.gradient` does."""
+        """See `Pairs.gradient`."""
         gradient = np.zeros(points.shape[::-1])
-        self._loops.pull(force, np.ascontiguousarray(points.T), gradient)
+        load_loops("covariogram").pull(force, np.ascontiguousarray(points.T), gradient)
         return gradient.T
 
     def product(self, first: Vector, second: Vector) -> float:
-        """Do as `Pairs.product` does."""
-        return float(self._loops.product_of(first, second))
+        """See `Pairs.product`."""
+        return float(load_loops("covariogram").product_of(first, second))
 
     def unpack(self, values: Vector) -> Reals:
-        """Do as `Pairs.unpack` does."""
+        """See `Pairs.unpack`."""
         matrix = np.empty((self.n_sensors, self.n_sensors), values.dtype)
-        self._loops.unpack(values, matrix)
+        load_loops("covariogram").unpack(values, matrix)
         return matrix
-
-    @cached_property
-    def _loops(self) -> Any:
-        return load_loops("covariogram")
 
 
 def pack(matrix: Reals) -> Vector:
@@ -222,6 +214,7 @@ _AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pair
 
 _ROWS = 50  # of a product at a time; with 40 to 80, products of 250 rows took equal time
 _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
+_ROUNDING = 1e-15  # relative, of an eigenvalue that is 0, as in numpy.linalg.pinv
 
 
 @dataclass(frozen=True)
@@ -306,7 +299,7 @@ class BlockTerms:
 
 @dataclass(frozen=True, eq=False)
 class BlockCurvature:
-    """Contribution of one block of n sensors to `curvature.gauss_newton_matrix`.
+    """Contribution of one block of n sensors to `gauss_newton_matrix`.
 
     coordinates (n, n): Products of the derivatives by coordinate p of one sensor and q >= p of
         another.
@@ -336,7 +329,7 @@ class Block:
         self._pairs = pairs = kind(
             known=pack(offset),
             similarity=pack(similarity),
-            whitened_known=self._whitened_offset(offset),
+            whitened_known=self._whitened(offset),
             whitened_similarity=self._whitened(similarity),
             inverse_metric=inverse_metric.astype(problem.precision),
             n_sensors=len(sensors),
@@ -357,17 +350,14 @@ class Block:
             before, exponent, terms = self._latest
             if exponent == log_exponent and np.array_equal(before, points):
                 return terms
-        terms = self._evaluate(points, log_exponent)
-        self._latest = points, log_exponent, terms
-        return terms
-
-    def _evaluate(self, points: Matrix, log_exponent: float) -> BlockTerms:
         pairs = self._pairs
         decayed = pairs.decay(points, log_exponent)
         whitened = self._whitened(pairs.unpack(decayed.shape))
         others = (whitened, pairs.whitened_known, pairs.whitened_similarity)
         products = [pairs.product(decayed.shape, other) for other in others]
-        return BlockTerms(np.array([*products, *self._fixed_products]), decayed, whitened)
+        terms = BlockTerms(np.array([*products, *self._fixed_products]), decayed, whitened)
+        self._latest = points, log_exponent, terms
+        return terms
 
     def gradient(
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float, offset: float
@@ -415,19 +405,10 @@ class Block:
         linear = [[self._pairs.product(a, b) for b in whitened] for a in linear_terms]
         return BlockCurvature(coordinates, np.array(cross), np.array(linear))
 
-    def _whitened_offset(self, offset: Matrix) -> Vector:
-        if np.count_nonzero(offset) < offset.size - len(offset):
-            return self._whitened(offset)
-        return self._times_weights(self._whitening.sum(axis=1)[:, None] - self._whitening)
-
     def _whitened(self, matrix: Matrix) -> Vector:
-        """Return the pairs of W A W for a symmetric matrix A."""
-        return self._times_weights(self._whitening @ matrix)
-
-    def _times_weights(self, product: Matrix) -> Vector:
-        """Return the pairs of P W, which is symmetric."""
-        weights, n_sensors = self._whitening, len(product)
-        whitened = np.empty_like(weights)
+        """Return the pairs of W A W, which is symmetric as A is."""
+        weights, n_sensors = self._whitening, len(matrix)
+        product, whitened = weights @ matrix, np.empty_like(weights)
         # Only blocks that reach above the diagonal are computed.
         for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
             np.matmul(product[first:last], weights[:, first:], out=whitened[first:last, first:])
@@ -458,6 +439,61 @@ def objective(
     return value, np.append(by_positions.ravel(), by_exponent)
 
 
+def gauss_newton_matrix(
+    blocks: Sequence[Block],
+    positions: Matrix,
+    log_exponent: float,
+    dtype: type[np.floating] = np.float64,
+) -> Matrix:
+    """Return the Gauss-Newton matrix of the objective by the positions and the log exponent.
+
+    positions (N, k) -> (N k + 1, N k + 1).
+
+    With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
+    ``<J_p, J_q>``. The derivative by a coordinate of sensor i is not 0 only in row and column i,
+    so that all elements take k (k + 3) / 2 products of (n, n) matrices. Amplitude and offset are
+    linear; eliminating them is the Schur complement (Golub & Pereyra 1973, SIAM Journal on
+    Numerical Analysis 10: 413-432; the approximation of Kaufman 1975, BIT 15: 49-57).
+    """
+    n_sensors, n_axes = positions.shape
+    terms = [block.terms(positions, log_exponent) for block in blocks]
+    amplitude, _ = solve_amplitude_and_offset(np.sum([term.products for term in terms], axis=0))
+    matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
+    cross, linear = np.zeros((3, n_axes, n_sensors)), np.zeros((3, 3))
+    starts = np.arange(n_axes) * n_sensors
+    compiled = n_sensors >= MIN_COMPILED_ROWS
+    add_block = load_loops("covariogram").add_block if compiled else _add_block
+    for block, term in zip(blocks, terms, strict=True):
+        part = block.curvature(term, positions, float(np.exp(log_exponent)), amplitude)
+        for (p, q), found in part.coordinates.items():
+            add_block(matrix, found, starts[p] + block.sensors, starts[q] + block.sensors)
+        cross[:, :, block.sensors] += part.cross
+        linear += part.linear
+    flat = cross.reshape(3, positions.size)
+    matrix[:-1, -1] = flat[2]
+    matrix[-1, -1] = linear[2, 2]
+    # Rows whose outer products are those of the inverse: eigenvectors over roots of eigenvalues.
+    values, vectors = np.linalg.eigh(linear[:2, :2])
+    kept = values > _ROUNDING * values[-1]
+    roots = vectors[:, kept].T / np.sqrt(values[kept])[:, None]
+    eliminated = roots @ np.hstack([flat[:2], linear[:2, 2:]])
+    # The upper triangle of a C-contiguous matrix is the lower one of its transpose for BLAS.
+    rank_update = ssyrk if matrix.dtype == np.float32 else dsyrk
+    rank_update(-1.0, eliminated.T, beta=1.0, c=matrix.T, lower=True, overwrite_c=True)
+    return matrix
+
+
+def _add_block(
+    matrix: Matrix, block: Matrix, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> None:
+    """Add a block as `anisomap.numerics.compiled.covariogram.add_block`, at sorted indices."""
+    if rows[-1] - rows[0] < len(rows) and columns[-1] - columns[0] < len(columns):
+        # All sensors are in one block: slices take a tenth of the time of indices.
+        matrix[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += block
+    else:
+        matrix[np.ix_(rows, columns)] += block
+
+
 def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
     """Return the amplitude and offset that minimise the whitened residual."""
     ee, eo, es, oo, os, _ = products
@@ -472,26 +508,16 @@ def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
 
 def _whitening(similarity: Matrix, ridge: float) -> Matrix:
     """Return W of `fit_covariogram`, shape (n, n): the regularised inverse without the mean."""
-    covariance = _with_ridge(similarity, ridge)
-    factor, failed = dpotrf(covariance, overwrite_a=True)
-    if failed:
+    covariance = similarity.copy()
+    np.fill_diagonal(covariance, 1 + ridge)
+    inverse = invert_definite(covariance.copy())
+    if inverse is None:
         # Not positive definite: pairs are unknown, or the similarity is not a correlation.
-        values, vectors = np.linalg.eigh(_with_ridge(similarity, ridge))
+        values, vectors = np.linalg.eigh(covariance)
         inverse = (vectors / np.maximum(values, _MIN_EIGENVALUE * ridge)) @ vectors.T
         inverse = (inverse + inverse.T) / 2
-    else:
-        upper = np.triu(dpotri(factor, overwrite_c=True)[0])  # below it, LAPACK leaves the factor
-        inverse = upper + upper.T
-        inverse[np.diag_indices_from(inverse)] /= 2
     shared = inverse.sum(axis=1)
     total = shared.sum()
     if total > 0:
         inverse -= np.outer(shared, shared) / total
     return np.asarray(inverse)
-
-
-def _with_ridge(similarity: Matrix, ridge: float) -> Matrix:
-    """Return the covariance in the order of Fortran, in which LAPACK overwrites it."""
-    covariance = np.array(similarity, order="F")
-    np.fill_diagonal(covariance, 1 + ridge)
-    return covariance

@@ -169,22 +169,27 @@ def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
 
 
 def _inverse(covariance: Reals) -> Reals:
-    """Invert a symmetric matrix in place, by its Cholesky factors if it is positive definite."""
-    diagonal = np.diag(covariance).copy()
-    double = covariance.dtype == np.float64
+    """Invert a symmetric matrix, by its Cholesky factors if it is positive definite."""
+    inverse = invert_definite(covariance.copy())
+    if inverse is None:
+        try:
+            inverse = np.linalg.inv(covariance)
+        except np.linalg.LinAlgError:  # singular: not a matrix of correlations
+            inverse = np.linalg.pinv(covariance, hermitian=True)
+        inverse = (inverse + inverse.T) / 2
+    return np.asarray(inverse)
+
+
+def invert_definite(matrix: Reals) -> Reals | None:
+    """Invert a symmetric matrix (n, n) in its place; None if it is not positive definite."""
+    double = matrix.dtype == np.float64
     factorise, invert = (dpotrf, dpotri) if double else (spotrf, spotri)
-    _, failed = factorise(covariance.T, lower=True, overwrite_a=True, clean=False)
-    if not failed:
-        invert(covariance.T, lower=True, overwrite_c=True)
-        mirror(covariance, upper=True)
-        return covariance
-    mirror(covariance, upper=False)  # the factorisation overwrote the other triangle
-    np.fill_diagonal(covariance, diagonal)
-    try:
-        inverse = np.linalg.inv(covariance)
-    except np.linalg.LinAlgError:  # singular: not a matrix of correlations
-        inverse = np.linalg.pinv(covariance, hermitian=True)
-    return np.asarray((inverse + inverse.T) / 2)
+    # LAPACK takes the upper triangle of a C-contiguous matrix for the lower one of its transpose.
+    if factorise(matrix.T, lower=True, overwrite_a=True, clean=False)[1]:
+        return None
+    invert(matrix.T, lower=True, overwrite_c=True)
+    mirror(matrix, upper=True)
+    return matrix
 
 
 def information_distance(information: ArrayLike) -> Reals:
