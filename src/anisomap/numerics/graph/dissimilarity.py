@@ -160,24 +160,18 @@ def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
     """
     covariance = as_symmetric(correlation, "correlation")
     np.fill_diagonal(covariance, 1 + ridge)
-    precision = _inverse(covariance)
+    precision = invert_definite(covariance.copy())
+    if precision is None:
+        try:
+            precision = np.linalg.inv(covariance)
+        except np.linalg.LinAlgError:  # singular: not a matrix of correlations
+            precision = np.linalg.pinv(covariance, hermitian=True)
+        precision = (precision + precision.T) / 2
     scale = np.sqrt(np.abs(np.diag(precision)))
     scale[scale == 0] = 1.0
     for rows in row_blocks(len(precision)):
         precision[rows] /= np.outer(-scale[rows], scale)
     return precision
-
-
-def _inverse(covariance: Reals) -> Reals:
-    """Invert a symmetric matrix, by its Cholesky factors if it is positive definite."""
-    inverse = invert_definite(covariance.copy())
-    if inverse is None:
-        try:
-            inverse = np.linalg.inv(covariance)
-        except np.linalg.LinAlgError:  # singular: not a matrix of correlations
-            inverse = np.linalg.pinv(covariance, hermitian=True)
-        inverse = (inverse + inverse.T) / 2
-    return np.asarray(inverse)
 
 
 def invert_definite(matrix: Reals) -> Reals | None:

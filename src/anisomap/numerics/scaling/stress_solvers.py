@@ -309,33 +309,25 @@ def lbfgs(
 def majorise(
     problem: Problem, start: Floats, tolerance: float, max_iterations: int
 ) -> SolverResult:
-    """Minimise by Guttman transforms, ``X <- V^+ B(X) X`` (Borg & Groenen 2005, eq. 8.28)."""
-    targets, weights = problem.targets, problem.weights
-    weighted_targets = weights * targets
+    """Minimise by Guttman transforms, ``X <- V^+ B(X) X`` (Borg & Groenen 2005, eq. 8.28).
+
+    Half the gradient is ``V X - B(X) X``, so that a transform subtracts ``V^+`` times it.
+    """
     solve = _laplacian_solver(problem)
     negligible = NEGLIGIBLE * problem.weighted_squares()
-    positions, distances = start, cdist(start, start)
-    trace = [_raw_stress(problem, distances)]
-    converged = trace[0] == 0
-    while not converged and len(trace) <= max_iterations:
-        ratios = np.divide(
-            weighted_targets, distances, out=np.zeros_like(targets), where=distances > COINCIDENT
-        )
-        # B(X) X with b_ij = -w_ij D_ij / d_ij, and 0 where points coincide (eq. 8.25).
-        moved = solve(ratios.sum(axis=1)[:, None] * positions - ratios @ positions)
-        moved_distances = cdist(moved, moved)
-        raw = _raw_stress(problem, moved_distances)
-        if raw > trace[-1]:  # rounding at the minimum: keep the better configuration
-            converged = True
-            break
-        converged = trace[-1] - raw <= tolerance * trace[-1] or raw <= negligible
-        positions, distances = moved, moved_distances
-        trace.append(raw)
+    with objective(problem) as stress:
+        positions = start
+        raw, gradient = stress(start)
+        trace, converged = [raw], raw == 0
+        while not converged and len(trace) <= max_iterations:
+            moved = positions - solve(gradient / 2)
+            raw, gradient = stress(moved)
+            if raw > trace[-1]:  # rounding at the minimum: keep the better configuration
+                return SolverResult(positions, trace, converged=True)
+            converged = trace[-1] - raw <= tolerance * trace[-1] or raw <= negligible
+            positions = moved
+            trace.append(raw)
     return SolverResult(positions, trace, converged)
-
-
-def _raw_stress(problem: Problem, distances: Floats) -> float:
-    return float((problem.weights * (distances - problem.targets) ** 2).sum()) / 2
 
 
 def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:

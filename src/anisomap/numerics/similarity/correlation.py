@@ -13,7 +13,7 @@ Correlations of resampled blocks of frames, from moments that all resamples shar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -139,10 +139,10 @@ class Moments:
             Multiply in float32, which is twice as fast. Means, deviations and sums over chunks
             stay float64, so that correlations are accurate to 6e-5, usually 1e-5.
         """
-        chunks = _chunks(np.asarray(readings))
-        total = cls._of_chunk(next(chunks), single)
-        for chunk in chunks:
-            total = total.merged(cls._of_chunk(chunk, single))
+        values = np.asarray(readings)
+        total = cls._of_chunk(values[:CHUNK_FRAMES], single)
+        for begin in range(CHUNK_FRAMES, len(values), CHUNK_FRAMES):
+            total = total.merged(cls._of_chunk(values[begin : begin + CHUNK_FRAMES], single))
         return total
 
     @classmethod
@@ -196,7 +196,7 @@ class Moments:
             In [-1, 1], exactly symmetric, ones on the diagonal; 0 between a constant sensor and
             any other.
         """
-        return correlation_of_comoments(self.comoment)
+        return correlation_of_blocks(np.diag(self.comoment), lambda rows: self.comoment[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,11 +249,6 @@ class StoredCodes:
         return np.concatenate(self.parts)
 
 
-def correlation_of_comoments(comoment: NDArray[np.float64]) -> Reals:
-    """Normalise co-moments to correlations; see `Moments.correlation`."""
-    return correlation_of_blocks(np.diag(comoment), lambda rows: comoment[rows])
-
-
 def correlation_of_blocks(
     squares: NDArray[Any], comoments: Callable[[slice], NDArray[np.float64]]
 ) -> Reals:
@@ -292,11 +287,6 @@ def _float32_deviations(
     # The subtraction is in float64: float32 would lose small deviations from a large mean.
     np.subtract(chunk, mean, out=deviations, dtype=np.float64, casting="same_kind")
     return mean, deviations
-
-
-def _chunks(readings: NDArray[np.generic]) -> Iterator[NDArray[np.generic]]:
-    for start in range(0, len(readings), CHUNK_FRAMES):
-        yield readings[start : start + CHUNK_FRAMES]
 
 
 def pearson(readings: ArrayLike) -> Reals:
