@@ -105,7 +105,7 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
     large contacts, or some hundred frames, it was up to 2.9 times as strong: such skins may be
     merged.
     """
-    links = _standardised(_fisher_z(similarity), variance)
+    links = standardised_correlation(similarity, variance, by_z=True)
     n_sensors = len(links)
     if n_sensors < 2:
         return np.zeros(n_sensors, dtype=np.intp)
@@ -170,30 +170,22 @@ def links_with_shared_neighbours(
     return kept
 
 
-def standardised_correlation(similarity: ArrayLike, variance: ArrayLike) -> Reals:
-    """Divide correlations by their standard deviations, shape (N, N).
+def standardised_correlation(
+    similarity: ArrayLike, variance: ArrayLike, *, by_z: bool = False
+) -> Reals:
+    """Divide correlations, or their Fisher's z, by their standard deviations, shape (N, N).
 
-    Each variance is at least the median variance, since that of sensors with few contacts is
+    The variance of ``z = artanh r``, of all r, is that of r between unrelated sensors. Each
+    variance is at least the median variance, since that of sensors with few contacts is
     underestimated.
     """
-    return _standardised(as_reals(similarity), variance)
-
-
-def _standardised(links: Reals, variance: ArrayLike) -> Reals:
-    """Divide links by their standard deviations, in place."""
-    noise = np.asarray(variance)
+    links, noise = as_reals(similarity), np.asarray(variance)
     least = typical_variance(noise)
     for rows in row_blocks(len(links)):
-        links[rows] /= np.sqrt(np.maximum(noise[rows], least))
-    return links
-
-
-def _fisher_z(similarity: ArrayLike) -> Reals:
-    """Return artanh r, whose variance is that of r between unrelated sensors, for all r."""
-    links = as_reals(similarity)
-    for rows in row_blocks(len(links)):
-        np.clip(links[rows], -_GREATEST_R, _GREATEST_R, out=links[rows])
-        np.arctanh(links[rows], out=links[rows])
+        part = links[rows]
+        if by_z:
+            np.arctanh(np.clip(part, -_GREATEST_R, _GREATEST_R, out=part), out=part)
+        part /= np.sqrt(np.maximum(noise[rows], least))
     return links
 
 
