@@ -41,7 +41,6 @@ MEAN_CONTACTS = (1, 2, 4, 8)  # at which the evenness is compared
 TICKS = (80, 160, 320, 640)  # of the figure
 STIMULI = ("palm", "fingertip")
 WAYS = ("coached", "uncoached")
-SUMMARY_COLUMNS = ("body", "stimulus", "goal", "spacings", *WAYS, "ratio")
 EVENNESS_COLUMNS = (
     "skin",
     *(f"{what}_{mean}" for mean in MEAN_CONTACTS for what in ("touched", "variation")),
@@ -163,37 +162,39 @@ def frames_to_all(rows: Sequence[Row]) -> float:
     return next((n for n, share in zip(lengths, medians, strict=True) if share == 1), float("nan"))
 
 
-def summary(rows: Sequence[Row]) -> list[dict[str, object]]:
+@dataclass(frozen=True)
+class Goal:
+    """Frames that both ways take to a goal, which is an error in spacings or none."""
+
+    body: str
+    stimulus: str
+    goal: str
+    spacings: float | str
+    coached: float
+    uncoached: float
+    ratio: float
+
+
+def summary(rows: Sequence[Row]) -> list[Goal]:
     """Compare the frames that both ways take to touch every sensor, and to errors.
 
     The goals are an error of 1 spacing, and the error that the uncoached hand ends with.
     """
-    found: list[dict[str, object]] = []
+    found: list[Goal] = []
     longest = max(row.n_frames for row in rows)
     for body, stimulus in dict.fromkeys((row.body, row.stimulus) for row in rows):
         chosen = [row for row in rows if (row.body, row.stimulus) == (body, stimulus)]
-        ways = {way: [row for row in chosen if row.way == way] for way in WAYS}
-        last = [row.error for row in ways["uncoached"] if row.n_frames == longest]
-        goals: dict[str, Callable[[Sequence[Row]], float]] = {
-            "every sensor touched": frames_to_all,
-            "error of 1 spacing": partial(frames_to, goal=1.0),
-            "last error": partial(frames_to, goal=float(np.median(last))),
+        ways = [[row for row in chosen if row.way == way] for way in WAYS]
+        last = float(np.median([row.error for row in ways[1] if row.n_frames == longest]))
+        goals: dict[str, tuple[float | str, Callable[[Sequence[Row]], float]]] = {
+            "every sensor touched": ("", frames_to_all),
+            "error of 1 spacing": (1.0, partial(frames_to, goal=1.0)),
+            "last error": (round(last, 3), partial(frames_to, goal=last)),
         }
-        for goal, frames_of in goals.items():
-            frames = {way: frames_of(ways[way]) for way in WAYS}
-            found.append(
-                {
-                    "body": body,
-                    "stimulus": stimulus,
-                    "goal": goal,
-                    "spacings": {
-                        "error of 1 spacing": 1.0,
-                        "last error": round(float(np.median(last)), 3),
-                    }.get(goal, ""),
-                    **frames,
-                    "ratio": round(frames["coached"] / frames["uncoached"], 2),
-                }
-            )
+        for goal, (spacings, frames_of) in goals.items():
+            coached, uncoached = map(frames_of, ways)
+            ratio = round(coached / uncoached, 2)
+            found.append(Goal(body, stimulus, goal, spacings, coached, uncoached, ratio))
     return found
 
 
@@ -209,7 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows = [row for path in given.read or () for row in read_rows(path, Row)]
     if given.evenness is not None:
         evenly = evenness_table(given.evenness, given.seeds[:3])
-        write(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, evenly)
+        cells = ([row[name] for name in EVENNESS_COLUMNS] for row in evenly)
+        write_csv(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, cells)
         return
     for name in () if rows else given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
@@ -218,15 +220,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             write_rows(given.output / "coach.csv", rows)
     write_rows(given.output / "coach.csv", rows)
     results = summary(rows)
-    write(given.output / "coach-summary.csv", SUMMARY_COLUMNS, results)
-    for result in results:
-        print(result)
+    write_rows(given.output / "coach-summary.csv", results)
+    print(*results, sep="\n")
     draw(rows, given.output / "coach.png")
-
-
-def write(path: Path, names: Sequence[str], rows: Sequence[dict[str, object]]) -> None:
-    """Write rows as CSV."""
-    write_csv(path, names, ([row[name] for name in names] for row in rows))
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:

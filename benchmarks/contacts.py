@@ -19,7 +19,7 @@ from anisomap.comparison import COMPARED, compare_methods, spanned_dimensions
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
-from benchmarks.harness import in_parallel, markdown_table, options, write_rows
+from benchmarks.harness import in_parallel, markdown_table, options, publish
 
 SKINS = (
     ("sphere", "bombardment"),
@@ -57,9 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     skins = [(*skin, seed, tuple(chosen.contacts)) for seed in seeds for skin in SKINS]
     rows = [row for found in in_parallel(rows_of, skins, chosen.workers) for row in found]
-    write_rows(chosen.output / "contacts.csv", rows, digits=4)
-    (chosen.output / "contacts-table.md").write_text(text := tables(rows), encoding="utf-8")
-    print(text)
+    publish(chosen.output, "contacts", rows, tables(rows))
 
 
 def contacts_by_frame(readings: NDArray[np.floating]) -> NDArray[np.intp]:

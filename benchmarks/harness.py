@@ -131,6 +131,13 @@ def write_rows(path: Path, rows: Sequence[Any], digits: int | None = None) -> No
         write_csv(path, columns(rows[0]), map(astuple, rows), digits)
 
 
+def publish(folder: Path, name: str, rows: Sequence[Any], text: str) -> None:
+    """Write rows as CSV and their table as Markdown, and print the table."""
+    write_rows(folder / f"{name}.csv", rows, digits=4)
+    (folder / f"{name}-table.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
 def read_rows(path: Path, kind: Callable[..., Row]) -> list[Row]:
     """Read rows that `write_rows` wrote; none if there is no file."""
     if not path.exists():

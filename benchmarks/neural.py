@@ -18,7 +18,7 @@ import anisomap
 from anisomap.comparison import RIVALS, compare_methods
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.sensor_map import SensorMap
-from benchmarks.harness import files_in, in_parallel, markdown_table, options, write_rows
+from benchmarks.harness import files_in, in_parallel, markdown_table, options, publish
 
 NAMES = ("eeg", "retina")
 SHARES = tuple(Fraction(1, part) for part in (8, 4, 2, 1))
@@ -51,9 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = options(__doc__, "quality", workers=True).parse_args(arguments)
     files = [path for path in files_in(chosen.recordings) if path.stem.startswith(NAMES)]
     rows = [row for found in in_parallel(rows_of, files, chosen.workers) for row in found]
-    write_rows(chosen.output / "neural.csv", rows, digits=4)
-    (chosen.output / "neural-table.md").write_text(text := table(rows), encoding="utf-8")
-    print(text)
+    publish(chosen.output, "neural", rows, table(rows))
 
 
 def rows_of(path: Path) -> list[Row]:

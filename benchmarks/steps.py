@@ -25,7 +25,7 @@ from anisomap.methods import METHODS, Method
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from benchmarks.harness import files_in, in_parallel, markdown_table, options, write_rows
+from benchmarks.harness import files_in, in_parallel, markdown_table, options, publish
 
 FIRST_SEED = 831
 N_FRAMES = 2000
@@ -94,9 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     sources += [partial(rows_of_file, path) for path in files_in(chosen.recordings)]
     rows = [row for found in in_parallel(_called, sources, chosen.workers) for row in found]
-    write_rows(chosen.output / "steps.csv", rows, digits=4)
-    (chosen.output / "steps-table.md").write_text(text := tables(rows), encoding="utf-8")
-    print(text)
+    publish(chosen.output, "steps", rows, tables(rows))
 
 
 def _called(source: Callable[[], list[Row]]) -> list[Row]:

@@ -29,8 +29,8 @@ def test_the_summary_compares_the_frames_to_each_goal():
         (one, (200, 400, 0.5)),
         (last, (400, 400, 1)),
     ):
-        assert tuple(row[key] for key in ("coached", "uncoached", "ratio")) == expected
-    assert last["spacings"] == 0.8
+        assert (row.coached, row.uncoached, row.ratio) == expected
+    assert last.spacings == 0.8
 
 
 def test_a_sensor_without_a_place_counts_as_in_the_middle():

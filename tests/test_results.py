@@ -32,7 +32,7 @@ HEADERS = {
     "claims": claims.COLUMNS,
     "coach": columns(coach.Row),
     "coach-evenness": coach.EVENNESS_COLUMNS,
-    "coach-summary": coach.SUMMARY_COLUMNS,
+    "coach-summary": columns(coach.Goal),
     "dimension": columns(dimension.Row),
     "dimensions": accuracy.DIMENSIONS_COLUMNS,
     "faults": columns(faults.Result),
