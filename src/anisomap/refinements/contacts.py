@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-import logging
-
-import numpy as np
-
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.contacts import ContactFit, fit_contacts
+from anisomap.numerics.contacts.contact_agreement import is_on_off
 from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions
 from anisomap.refinements.chain import EXACT, MIN_SENSORS, Proposal
-
-logger = logging.getLogger(__name__)
-
-# Greatest precision for readings that are on or off, of which the covariogram, too, compares
-# contacts: see `anisomap.numerics.contacts.contact_agreement`.
-_ON_OFF = 1.0
 
 _LEAST_UNEXPLAINED = 0.01  # share; keeps the odds finite for readings without noise
 
@@ -29,17 +20,18 @@ def by_contacts(
     The covariogram assumes that correlation falls with distance in the same way everywhere, which
     curvature and edges of the skin violate; the fit assumes that contacts are round. Both have
     systematic errors, which differ. The precision is the odds of the share of the entropy of the
-    readings that distances from contacts explain.
+    readings that distances from contacts explain. The outline of a contact alone, of readings that
+    are on or off, tells nothing that the covariogram of such readings does not.
     """
-    if pairs.readings is None or len(positions) < MIN_SENSORS:
+    if pairs.readings is None or len(positions) < MIN_SENSORS or is_on_off(pairs.readings):
         return None
-    fit = _fitted(pairs, positions, options)
+    fit = fit_contacts(pairs.readings, positions, options.contacts, rest=pairs.rest)
     if not fit.used:
         return None
     # Readings from which a common signal was subtracted are not depths of contacts.
     explained = fit.explained * (1 - pairs.common_share)
     odds = explained / max(1 - explained, _LEAST_UNEXPLAINED)
-    return _proposed(fit, min(odds, _ON_OFF) if fit.n_levels == 1 else odds)
+    return _proposed(fit, odds)
 
 
 def only_contacts(
@@ -50,14 +42,8 @@ def only_contacts(
         return _rejected(positions, "readings of all sensors in the same frames were not given")
     if len(positions) < MIN_SENSORS:
         return _rejected(positions, f"{len(positions)} sensors are too few")
-    fit = _fitted(pairs, positions, options)
+    fit = fit_contacts(pairs.readings, positions, options.contacts, rest=pairs.rest)
     return _proposed(fit, EXACT) if fit.used else _rejected(positions, fit.reason)
-
-
-def _fitted(pairs: PairStatistics, positions: Reals, options: MethodOptions) -> ContactFit:
-    fit = fit_contacts(np.asarray(pairs.readings), positions, options.contacts, rest=pairs.rest)
-    logger.debug("%d contacts explain %.2f of their readings", fit.n_contacts, fit.explained)
-    return fit
 
 
 def _proposed(fit: ContactFit, precision: float) -> Proposal:

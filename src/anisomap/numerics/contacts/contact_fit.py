@@ -1,4 +1,4 @@
-"""Rounds of a fit of contacts: locate contacts, fit their profile, move sensors.
+"""Fit of contacts: the readings of a contact depend on the distance of sensors from its centre.
 
 Joint refinement of sensor positions, contact locations and the profile that relates them.
 """
@@ -6,183 +6,299 @@ Joint refinement of sensor positions, contact locations and the profile that rel
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from scipy.sparse import bsr_array
+from scipy.sparse.linalg import aslinearoperator, cg
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.detection import Contacts, Levels, assign_levels, find_contacts
-from anisomap.numerics.contacts.likelihood import (
-    Profile,
-    ReducedSystem,
-    evaluate,
-    fit_profile,
-    leave_one_out,
-    level_log_likelihood,
-    locate,
-)
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.similarity.rest import Rest
 
 Matrix = NDArray[np.float64]
 
-# Chosen by hand on simulated skins, seeds 101 to 105; lengths in sensor spacings.
-_WARM_UP_ROUNDS = 4  # of contacts and profile before sensors move
-_INITIAL_LOCATION_STEPS, _LOCATION_STEPS = 12, 2
+OUTLIER_SHARE = 0.02
+"""Share of readings that are independent of distance, uniform over levels; chosen by hand."""
+
+# Chosen by hand on simulated skins; lengths in sensor spacings.
+_FAR = 1e6  # effectively infinite, but 0 times it is 0
+_LOG_LENGTHS = (-20.0, 10.0)  # bounds of fitted lengths: far below and above any skin, and finite
+_BINS = 200  # of distances up to two radii, narrower than the least softness
+_PROFILE_ITERATIONS = 60  # of L-BFGS, for about ten parameters
+_PROFILE_TOLERANCE = 1e-6  # relative, of the log-likelihood; each fit starts from the last one
+_INITIAL_DAMPING, _DAMPINGS = 1e-2, (1e-6, 1e6)  # of Levenberg-Marquardt steps
+_PRIOR_PRECISION = 1e-3  # of 1 / softness^2; keeps undetermined centres in place
+_MAX_LEVERAGE = 0.8  # of a reading on its contact; bounds leave-one-out steps
+_MAX_SHIFT = 1.5  # of a leave-one-out prediction
+_MIN_DISTANCE = 1e-6  # keeps directions finite
+_DAMPING = 0.01  # of the curvature's diagonal, for steps of sensors
+_STEP_TOLERANCE = 0.02  # relative, of conjugate gradients: a step is corrected by the next one
+
+_WARM_UP_ROUNDS = 2  # of contacts and profile before sensors move; with 1, planes in 3D diverge
+_INITIAL_STEPS, _WARM_UP_STEPS = 6, 3  # of contacts, which follow the sensors later
 _SURFACE_OFFSET = 0.7  # of a contact's extent; initial distance of its centre from the skin
 _OUTLIER_FACTOR = 4.0  # times the upper quartile range; contacts that score lower are dropped
 _MAX_DROPPED = 0.4  # of all contacts
 _MIN_SOFTNESS = 0.05  # of the profile
 _MIN_RADIUS_SD = 0.02  # of the mean radius
 _MAX_STEP = 0.45  # keeps neighbours from changing places in one step
-_TOLERANCE = 0.02  # largest displacement of a sensor at convergence
-
-
-@dataclass(frozen=True, eq=False)
-class ContactState:
-    """Estimates during a fit of contacts, in sensor spacings.
-
-    positions (N, k)
-    contacts (E, k + 1): Centre and radius of each contact.
-    kept: Contacts that are included.
-    """
-
-    positions: Matrix
-    contacts: Matrix
-    profile: Profile
-    kept: NDArray[np.bool_]
-
-
-def alternate(
-    contacts: Contacts,
-    state: ContactState,
-    start: Matrix,
-    *,
-    contact_weight: float,
-    prior_sd: float,
-    n_steps: int,
-) -> ContactState:
-    """Alternate between sensors, contacts and profile until the sensors converge. start (N, k)."""
-    for _ in range(n_steps):
-        located = evaluate(contacts, state.positions, state.contacts, state.profile)
-        reduced = ReducedSystem(contacts, located, state.kept, len(start))
-        steps = reduced.step(
-            state.positions - start, contact_weight=contact_weight, prior_sd=prior_sd
-        )
-        largest = float(np.linalg.norm(steps, axis=1).max())
-        positions = state.positions + steps * min(1.0, _MAX_STEP / max(largest, _TOLERANCE))
-        state = relocated(contacts, _rescaled(positions, start, state))
-        if largest < _TOLERANCE:
-            break
-    return state
-
-
-def initial_state(contacts: Contacts, positions: Matrix) -> ContactState:
-    """Start from the centre of the touched sensors, in 3D on the more likely side of the skin.
-
-    positions (N, k).
-    """
-    k = positions.shape[1]
-    points, pressed = positions[contacts.sensors], contacts.levels > 0
-    mass = contacts.total(contacts.levels.astype(np.float64))
-    centres = contacts.total(contacts.levels[:, None] * points) / mass[:, None]
-    offsets = np.linalg.norm(points - centres[contacts.contact_index], axis=1) * pressed
-    extents = np.maximum.reduceat(offsets, contacts.starts)
-    # 1.22 is the length of (1, 0.7): centres are offset from the skin by 0.7 of the extent.
-    radius = 1.05 * float(np.median(extents)) * (1.22 if k > 2 else 1.0)
-    thresholds = np.linspace(0, 0.7 * radius, contacts.max_level)
-    profile = Profile(thresholds, 0.1 * radius, radius, 0.2 * radius)
-    starts = [centres]
-    if k > 2:
-        offset = _SURFACE_OFFSET * extents[:, None] * _normals(contacts, points)
-        starts = [centres + offset, centres - offset]
-    sides = [
-        locate(
-            contacts,
-            positions,
-            np.column_stack([start, np.full(len(extents), radius)]),
-            profile,
-            steps=_INITIAL_LOCATION_STEPS,
-        )
-        for start in starts
-    ]
-    likelier = np.argmax([side.scores for side in sides], axis=0)
-    states = np.array([side.states for side in sides])[likelier, np.arange(len(extents))]
-    state = ContactState(positions, states, profile, np.ones(len(extents), dtype=bool))
-    for _ in range(_WARM_UP_ROUNDS):
-        state = relocated(contacts, state)
-    return state
-
-
-def _normals(contacts: Contacts, points: Matrix) -> Matrix:
-    """Return the direction of least variance of the sensors around each contact, shape (E, k)."""
-    centres = contacts.total(points) / contacts.sizes[:, None]
-    offsets = points - centres[contacts.contact_index]
-    _, vectors = np.linalg.eigh(contacts.total(offsets[:, :, None] * offsets[:, None, :]))
-    return np.asarray(vectors[:, :, 0])
-
-
-def relocated(contacts: Contacts, state: ContactState) -> ContactState:
-    """Locate all contacts, drop the least likely, and fit the profile to the rest."""
-    located = locate(
-        contacts, state.positions, state.contacts, state.profile, steps=_LOCATION_STEPS
-    )
-    scores = located.scores / contacts.sizes
-    lowest, middle, upper = np.quantile(scores, [_MAX_DROPPED, 0.5, 0.75])
-    kept = scores >= min(middle - _OUTLIER_FACTOR * (upper - middle), lowest)
-    profile_fit = fit_profile(
-        contacts.levels,
-        leave_one_out(contacts, located),
-        kept[contacts.contact_index],
-        state.profile,
-    )
-    shift = profile_fit.thresholds[0]
-    states = located.states.copy()
-    states[:, -1] -= shift
-    radii = states[kept, -1]
-    radius = float(radii.mean())
-    # Posterior over prior variance: the share of each radius that the readings do not determine.
-    undetermined = np.linalg.inv(located.precisions[kept])[:, -1, -1] / state.profile.radius_sd**2
-    n_determined = max(float((1 - np.minimum(undetermined, 1)).sum()), 1e-3 * len(radii))
-    radius_sd = float(np.sqrt(((radii - radius) ** 2).sum() / n_determined))
-    profile = Profile(
-        profile_fit.thresholds - shift,
-        max(profile_fit.softness, _MIN_SOFTNESS),
-        radius,
-        max(radius_sd, _MIN_RADIUS_SD * abs(radius)),
-    )
-    return ContactState(state.positions, states, profile, kept)
-
-
-def _rescaled(positions: Matrix, start: Matrix, state: ContactState) -> ContactState:
-    """Centre a map and restore its initial size, which contacts do not determine."""
-    centre = positions.mean(axis=0)
-    factor = float(np.sqrt((start**2).sum() / ((positions - centre) ** 2).sum()))
-    contacts = (state.contacts - np.append(centre, 0.0)) * factor
-    return ContactState(
-        (positions - centre) * factor, contacts, state.profile.scaled(factor), state.kept
-    )
-
-
-def explained_share(contacts: Contacts, state: ContactState) -> float:
-    """Return the share of the entropy of the levels that distances explain."""
-    located = evaluate(contacts, state.positions, state.contacts, state.profile)
-    scores, _, _ = level_log_likelihood(
-        contacts.levels, leave_one_out(contacts, located), state.profile
-    )
-    included = state.kept[contacts.contact_index]
-    shares = np.bincount(contacts.levels[included]) / included.sum()
-    entropy = -float((shares[shares > 0] * np.log(shares[shares > 0])).sum())
-    return 1 + float(scores[included].mean()) / entropy
-
-
-# Chosen by hand on simulated skins, seeds 101 to 105; lengths in sensor spacings.
 _MIN_CONTACTS = 0.5  # per sensor
+
+
+class Profile(NamedTuple):
+    """Distribution of levels given the distance from a contact, in sensor spacings.
+
+    The level of a sensor at p depends on its distance inside the radius R of a contact at y,
+    ``u = R - |p - y|``: ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``.
+
+    thresholds (L,): Increasing; the first is 0.
+    softness: Width of the transition between levels, above 0.
+    radius, radius_sd: Mean and standard deviation of R over contacts.
+    """
+
+    thresholds: Matrix
+    softness: float
+    radius: float
+    radius_sd: float
+
+
+class LocatedContacts(NamedTuple):
+    """Contacts at given states, with the derivatives of their log-likelihoods.
+
+    states (E, k + 1): Centre y and radius R of each contact.
+    scores (E,): Log-likelihood of each contact's readings and radius.
+    gradients (E, k + 1): Gradient of the scores by the states, nearly 0 after `locate`.
+    precisions (E, k + 1, k + 1): Negative Hessian of the scores (Gauss-Newton), positive definite.
+    inside (M,): Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
+    directions (M, k + 1): Gradient of u by the state, ``((p - y) / |p - y|, 1)``. The negative of
+        its first k components is the gradient by p.
+    slopes, curvatures (M,): Derivatives of the readings' log-likelihoods by u; see
+        `level_log_likelihood`.
+    """
+
+    states: Matrix
+    scores: Matrix
+    gradients: Matrix
+    precisions: Matrix
+    inside: Matrix
+    directions: Matrix
+    slopes: Matrix
+    curvatures: Matrix
+
+
+def level_log_likelihood(
+    levels: ArrayLike, inside: ArrayLike, profile: Profile
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Return the log-likelihood of levels, and its derivatives by the distance.
+
+    inside (M,) -> (M,).
+
+    With ``a = P(level >= l)``, ``b = P(level >= l + 1)`` and the outlier share e, the score is
+    ``log((1 - e)(a - b) + e / (L + 1))``. With the probability w that a reading is no outlier,
+    its slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``; the
+    derivative of w is omitted, so that the curvature is never negative.
+    """
+    where, per_width = np.asarray(levels), 0.5 / profile.softness
+    edges = np.concatenate([[-_FAR], profile.thresholds, [_FAR]]) * per_width
+    scaled = np.asarray(inside, dtype=np.float64) * per_width
+    # With A = 2 a - 1 = tanh(logit / 2), which takes a fifth of the time of a logistic function.
+    at_least = np.tanh(scaled - edges[:-1][where])
+    above = np.tanh(scaled - edges[1:][where])
+    regular = (at_least - above) * ((1 - OUTLIER_SHARE) / 2)
+    total = regular + OUTLIER_SHARE / (len(profile.thresholds) + 1)
+    share = regular / total
+    slope = -per_width * share * (at_least + above)
+    curvature = per_width**2 * share * (2 - at_least**2 - above**2)
+    return np.log(total), slope, curvature
+
+
+def evaluate(
+    contacts: Contacts, positions: Matrix, states: Matrix, profile: Profile
+) -> LocatedContacts:
+    """Evaluate the log-likelihoods of contacts at given states, and their derivatives."""
+    k = positions.shape[1]
+    # Rows of contiguous numbers, one for each coordinate: sums over them take a third of the time.
+    rows = np.ones((k + 1, len(contacts.sensors)))
+    for row, given, centres in zip(rows, positions.T, states.T[:k], strict=False):
+        np.subtract(given[contacts.sensors], centres[contacts.owners], out=row)
+    distances = np.sqrt(np.einsum("km,km->m", rows[:k], rows[:k]) + _MIN_DISTANCE**2)
+    rows[:k] /= distances
+    inside = states[contacts.owners, k] - distances
+    score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
+    deviations = (states[:, k] - profile.radius) / profile.radius_sd
+    gradients = np.empty(states.shape)
+    precisions = np.empty((len(states), k + 1, k + 1))
+    for i, row in enumerate(rows):
+        gradients[:, i] = np.add.reduceat(slopes * row, contacts.starts)
+        weighted = curvatures * row
+        for j, other in enumerate(rows[: i + 1]):
+            precisions[:, i, j] = np.add.reduceat(weighted * other, contacts.starts)
+            precisions[:, j, i] = precisions[:, i, j]
+    gradients[:, k] -= deviations / profile.radius_sd
+    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.radius_sd**-2)
+    precisions += np.diag(prior)
+    scores = np.add.reduceat(score, contacts.starts) - deviations**2 / 2
+    return LocatedContacts(
+        states, scores, gradients, precisions, inside, rows.T, slopes, curvatures
+    )
+
+
+def locate(
+    contacts: Contacts, positions: Matrix, states: Matrix, profile: Profile, *, steps: int
+) -> LocatedContacts:
+    """Maximise the likelihood of each contact separately (Levenberg-Marquardt).
+
+    positions (N, k), states (E, k + 1).
+    """
+    located = evaluate(contacts, positions, states, profile)
+    damping = np.full(len(states), _INITIAL_DAMPING)
+    diagonal = np.arange(states.shape[1])
+    for _ in range(steps):
+        damped = located.precisions.copy()
+        damped[:, diagonal, diagonal] *= 1 + damping[:, None]
+        moves = np.linalg.solve(damped, located.gradients[:, :, None])[:, :, 0]
+        trial = evaluate(contacts, positions, located.states + moves, profile)
+        worse = trial.scores <= located.scores
+        readings = worse[contacts.owners]
+        for new, old in zip(trial, located, strict=True):
+            kept = worse if len(new) == len(worse) else readings
+            new[kept] = old[kept]
+        located = trial
+        damping = np.clip(np.where(worse, damping * 6, damping / 5), *_DAMPINGS)
+    return located
+
+
+def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
+    """Predict the distance inside of each sensor without its reading in the contact's fit.
+
+    Returns (M,).
+
+    One Newton step from the fit to all readings: with the direction n, the contact's precision C
+    and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
+    """
+    inverse = np.linalg.inv(fitted.precisions)[contacts.owners]
+    n = fitted.directions
+    leverage = np.einsum("mi,mij,mj->m", n, inverse, n)
+    shift = leverage * fitted.slopes / (1 - np.minimum(leverage * fitted.curvatures, _MAX_LEVERAGE))
+    return np.asarray(fitted.inside - np.clip(shift, -_MAX_SHIFT, _MAX_SHIFT))
+
+
+def fit_profile(
+    levels: NDArray[np.intp], inside: Matrix, weights: ArrayLike, profile: Profile
+) -> Profile:
+    """Fit thresholds and softness to readings at known distances (maximum likelihood).
+
+    levels, inside, weights (M,). Distances are counted in bins narrower than any softness to be
+    expected; the parameters are the first threshold and the logarithms of the further steps and of
+    the softness.
+    """
+    n_levels = len(profile.thresholds)
+    # Far from all thresholds, levels are certain and distances do not matter.
+    far = 2 * profile.radius
+    width = 2 * far / _BINS
+    bins = np.clip((inside + far) / width, 0, _BINS - 1).astype(np.intp)
+    counts = np.bincount(levels * _BINS + bins, weights, (n_levels + 1) * _BINS)
+    shares = (counts / counts.sum()).reshape(n_levels + 1, _BINS)
+    centres = (np.arange(_BINS) + 0.5) * width - far
+
+    def value_and_gradient(parameters: Matrix) -> tuple[float, Matrix]:
+        steps, softness = np.exp(parameters[1:-1]), np.exp(parameters[-1])
+        thresholds = np.cumsum(np.append(parameters[0], steps))
+        scaled = (centres - thresholds[:, None]) / softness
+        at_least = (1 + np.tanh(scaled / 2)) / 2
+        bounds = np.vstack([np.ones(_BINS), at_least, np.zeros(_BINS)])
+        total = OUTLIER_SHARE / (n_levels + 1) - (1 - OUTLIER_SHARE) * np.diff(bounds, axis=0)
+        ratios = np.diff(shares / total, axis=0) * (1 - OUTLIER_SHARE)
+        by_scaled = ratios * at_least * (1 - at_least)
+        by_threshold = -by_scaled.sum(axis=1) / softness
+        by_step = np.cumsum(by_threshold[::-1])[::-1]
+        by_step[1:] *= steps
+        by_softness = -(by_scaled * scaled).sum()
+        return -float((shares * np.log(total)).sum()), -np.append(by_step, by_softness)
+
+    steps = np.maximum(np.diff(profile.thresholds), 1e-3 * profile.softness)
+    start = np.concatenate([profile.thresholds[:1], np.log(steps), [np.log(profile.softness)]])
+    found = minimize(
+        value_and_gradient,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-np.inf, np.inf), *[_LOG_LENGTHS] * n_levels],
+        options={"maxiter": _PROFILE_ITERATIONS, "ftol": _PROFILE_TOLERANCE},
+    ).x
+    thresholds = np.cumsum(np.append(found[0], np.exp(found[1:-1])))
+    return profile._replace(thresholds=thresholds, softness=float(np.exp(found[-1])))
+
+
+def sensor_steps(
+    contacts: Contacts,
+    located: LocatedContacts,
+    weights: ArrayLike,
+    deviations: Matrix,
+    *,
+    prior_sd: float,
+) -> Matrix:
+    """Make a damped Gauss-Newton step of the sensors, with the contacts re-optimised.
+
+    weights (E,): Of the contacts; deviations (N, k): Positions less those of the prior.
+
+    Row m of P is the gradient of u_m by all positions, and row m of Q that by all contacts; h are
+    the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
+    derivatives of u are neglected. Eliminating the contacts, with the weight w of the contact of
+    each reading, leaves the Schur complement (Triggs et al. 2000, Bundle Adjustment - A Modern
+    Synthesis, section 6.1) ::
+
+        gradient   P' w (g - h Q C^-1 c)
+        curvature  P' w (h - h Q C^-1 Q' h) P
+    """
+    n_sensors, k = deviations.shape
+    size = n_sensors * k
+    roots = np.sqrt(np.asarray(weights, dtype=np.float64))
+    root = roots[contacts.owners]
+    towards = -located.directions[:, :k]  # rows of P
+    # B = w^(1/2) P' h Q L with L L' = C^-1, whose product with its transpose is the second term.
+    factors = np.linalg.cholesky(np.linalg.inv(located.precisions))
+    own = np.einsum("mi,mij->mj", located.directions, factors[contacts.owners])
+    own *= (root * located.curvatures)[:, None]
+    by_contact = bsr_array(
+        (own[:, :, None] * towards[:, None], contacts.sensors,
+         np.append(contacts.starts, len(root))),
+        shape=(factors.shape[0] * (k + 1), size),
+    )  # fmt: skip
+    blocks = np.empty((n_sensors, k, k))
+    gradient = np.empty((n_sensors, k))
+    weighted = root**2 * located.curvatures
+    for i in range(k):
+        gradient[:, i] = np.bincount(
+            contacts.sensors, root**2 * located.slopes * towards[:, i], n_sensors
+        )
+        for j in range(k):
+            blocks[:, i, j] = np.bincount(
+                contacts.sensors, weighted * towards[:, i] * towards[:, j], n_sensors
+            )
+    response = np.einsum("eij,ei->ej", factors, located.gradients) * roots[:, None]
+    prior = prior_sd**-2
+    back = by_contact.T
+    target = gradient.ravel() - back @ response.ravel() - prior * deviations.ravel()
+    fixed = blocks + prior * np.eye(k)
+    damped = fixed + _DAMPING * fixed * np.eye(k)
+    rows = np.arange(n_sensors + 1)
+    direct, inverse = (
+        bsr_array((one, rows[:-1], rows), shape=(size, size))
+        for one in (damped, np.linalg.inv(fixed))
+    )
+    curvature = aslinearoperator(direct) - aslinearoperator(back) @ aslinearoperator(by_contact)
+    found, _ = cg(curvature, target, rtol=_STEP_TOLERANCE, M=inverse)
+    return np.asarray(found.reshape(n_sensors, k))
 
 
 @dataclass(frozen=True)
 class ContactOptions:
-    """Parameters of the contact fit, tuned on simulated skins, seeds 101 to 105.
+    """Parameters of the contact fit, tuned on simulated skins.
 
     Parameters
     ----------
@@ -191,8 +307,8 @@ class ContactOptions:
     max_gain_spread : float
         Standard deviation of the log gains of sensors up to which readings are not normalised.
     max_readings, readings_per_sensor : int
-        Approximate number of readings to fit, at least 1: in total or per sensor, whichever gives
-        more.
+        Approximate number of readings above rest to fit, at least 1: in total or per sensor,
+        whichever gives more.
     min_sensors : int
         Fewest touched sensors of a contact, at least 2.
     contact_weight : float
@@ -215,13 +331,13 @@ class ContactOptions:
 
     n_levels: int = 6
     max_gain_spread: float = 0.3
-    max_readings: int = 30_000
-    readings_per_sensor: int = 150
+    max_readings: int = 10_000
+    readings_per_sensor: int = 30
     min_sensors: int = 3
-    contact_weight: float = 0.2
+    contact_weight: float = 0.5
     prior_sd: float = 0.5
     n_steps: int = 4
-    min_explained: float = 0.45
+    min_explained: float = 0.4
     min_at_rest: float = 0.2
 
     def __post_init__(self) -> None:
@@ -267,8 +383,6 @@ class ContactFit:
         Whether the fit passed the checks of `ContactOptions`.
     reason : str
         Reason for not using the fit; empty if it was used.
-    solution : Solution, optional
-        What `resample_contacts` requires; None if the fit was not used.
     """
 
     positions: Matrix
@@ -279,23 +393,6 @@ class ContactFit:
     gains: Matrix
     used: bool
     reason: str = ""
-    solution: Solution | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """The contacts of a fit and their states.
-
-    state: In spacings, around the centre of the map that the fit started from.
-    centre (k,): That centre.
-    unit: Median distance from a sensor to its nearest neighbour on that map.
-    """
-
-    contacts: Contacts
-    state: ContactState
-    centre: Matrix
-    unit: float
-    options: ContactOptions
 
 
 def fit_contacts(
@@ -340,13 +437,19 @@ def fit_contacts(
        for which each reading is left out of the fit of its own contact (`fit_profile`);
     3. R0 and tau are set to the moments of the radii, tau^2 divided by the number of radii that
        the readings determine (MacKay 1992, Neural Computation 4: 415-447);
-    4. all sensors make one Gauss-Newton step with the contacts eliminated (`ReducedSystem`) and the
+    4. all sensors make one Gauss-Newton step with the contacts eliminated (`sensor_steps`) and the
        prior ``p_i ~ N(given, prior_sd^2)``.
     """
     chosen = options or ContactOptions()
     values, given = np.asarray(readings), np.asarray(positions, dtype=np.float64)
     _check(values, given)
-    levels = assign_levels(values, chosen.n_levels, chosen.max_gain_spread, rest)
+    levels = assign_levels(
+        values,
+        chosen.n_levels,
+        max_gain_spread=chosen.max_gain_spread,
+        max_touches=max(chosen.max_readings, chosen.readings_per_sensor * len(given)),
+        rest=rest,
+    )
     if levels.at_rest < chosen.min_at_rest:
         reason = (
             f"only {levels.at_rest:.0%} of the readings are at rest; detecting contacts needs "
@@ -357,20 +460,19 @@ def fit_contacts(
     if not unit > 0:
         return _unused(given, levels, "most sensors coincide with another on the map")
     start = (given - centre) / unit
-    contacts = _detect(levels, start, chosen)
+    contacts = find_contacts(levels, start, min_sensors=chosen.min_sensors)
     n_contacts = 0 if contacts is None else len(contacts.starts)
     if contacts is None or n_contacts < _MIN_CONTACTS * len(start):
         reason = f"{n_contacts} contacts were found, too few for {len(start)} sensors"
         return _unused(given, levels, reason, n_contacts)
-    state = _alternated(contacts, initial_state(contacts, start), start, chosen)
-    explained = explained_share(contacts, state)
+    moved, explained = _alternate(contacts, start, chosen)
     if not explained >= chosen.min_explained:
         reason = (
             f"the distance from contacts explains {max(explained, 0.0):.0%} of the entropy of the "
             f"readings around them; {chosen.min_explained:.0%} are required"
         )
         return _unused(given, levels, reason, n_contacts, explained)
-    refined = state.positions * unit + centre
+    refined = moved * unit + centre
     refined.setflags(write=False)
     return ContactFit(
         positions=refined,
@@ -380,52 +482,116 @@ def fit_contacts(
         n_levels=levels.max_level,
         gains=levels.gains,
         used=True,
-        solution=Solution(contacts, state, centre, unit, chosen),
     )
 
 
-def resample_contacts(
-    fit: ContactFit, starts: NDArray[np.floating], weights: NDArray[np.floating]
-) -> Matrix:
-    """Compute the maps that a fit would give of frames with other weights, to first order.
+def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tuple[Matrix, float]:
+    """Alternate between contacts, profile and sensors, and return the positions.
 
-    starts (R, N, k), weights (R, T) -> (R, N, k).
-
-    One Gauss-Newton step of the sensors from the fit, with the profile kept.
+    Also the share of the entropy of the levels that distances explain. start (N, k), in spacings
+    around the centre.
     """
-    solved = _solution(fit)
-    state = solved.state
-    located = evaluate(solved.contacts, state.positions, state.contacts, state.profile)
-    maps = []
-    for start, of_frames in zip(starts, weights, strict=True):
-        of_contacts = state.kept * of_frames[solved.contacts.frames]
-        reduced = ReducedSystem(solved.contacts, located, of_contacts, len(start))
-        steps = reduced.step(
-            state.positions - (start - solved.centre) / solved.unit,
-            contact_weight=solved.options.contact_weight,
-            prior_sd=solved.options.prior_sd,
-        )
-        maps.append((state.positions + steps) * solved.unit + solved.centre)
-    return np.array(maps)
+    positions = start
+    states, profile = _initial_contacts(contacts, start)
+    last = _WARM_UP_ROUNDS + options.n_steps
+    for step in range(last + 1):
+        steps = _WARM_UP_STEPS if step <= _WARM_UP_ROUNDS else 1
+        located = locate(contacts, positions, states, profile, steps=steps)
+        scores = located.scores / np.bincount(contacts.owners)
+        lowest, median, upper = np.quantile(scores, [_MAX_DROPPED, 0.5, 0.75])
+        kept = scores >= min(median - _OUTLIER_FACTOR * (upper - median), lowest)
+        included = kept[contacts.owners]
+        inside = leave_one_out(contacts, located)
+        fitted = fit_profile(contacts.levels, inside, included, profile)
+        if step == last:
+            break
+        states = located.states
+        if step >= _WARM_UP_ROUNDS:
+            weights, moved = options.contact_weight * kept, positions - start
+            moves = sensor_steps(contacts, located, weights, moved, prior_sd=options.prior_sd)
+            moves *= min(1.0, _MAX_STEP / max(np.linalg.norm(moves, axis=1).max(), _MAX_STEP))
+            positions = positions + moves
+            states = _follow(contacts, located, moves)
+        states, profile = _centre_radii(states, fitted, profile.radius_sd, located.precisions, kept)
+    score, _, _ = level_log_likelihood(contacts.levels, inside, fitted)
+    shares = np.bincount(contacts.levels[included]) / included.sum()
+    entropy = -float((shares[shares > 0] * np.log(shares[shares > 0])).sum())
+    # Contacts determine neither the place nor the size of a map.
+    positions = positions - positions.mean(axis=0)
+    positions *= np.linalg.norm(start) / np.linalg.norm(positions)
+    return positions, 1 + float(score[included].mean()) / entropy
 
 
-def _solution(fit: ContactFit) -> Solution:
-    if fit.solution is None:
-        raise InputError("only a fit of contacts that was used can be resampled")
-    return fit.solution
+def _follow(contacts: Contacts, located: LocatedContacts, moves: Matrix) -> Matrix:
+    """Return the likeliest states of contacts after sensors moved, to first order, (E, k + 1)."""
+    directions = located.directions.T
+    changes = np.einsum("km,km->m", directions[:-1], moves[contacts.sensors].T)
+    changes *= located.curvatures
+    sums = [np.add.reduceat(changes * row, contacts.starts) for row in directions]
+    gradients = located.gradients + np.stack(sums, axis=1)
+    return located.states + np.linalg.solve(located.precisions, gradients[:, :, None])[:, :, 0]
 
 
-def _alternated(
-    contacts: Contacts, state: ContactState, start: Matrix, options: ContactOptions
-) -> ContactState:
-    return alternate(
-        contacts,
-        state,
-        start,
-        contact_weight=options.contact_weight,
-        prior_sd=options.prior_sd,
-        n_steps=options.n_steps,
+def _centre_radii(
+    states: Matrix, fitted: Profile, radius_sd: float, precisions: Matrix, kept: NDArray[np.bool_]
+) -> tuple[Matrix, Profile]:
+    """Set the first threshold to 0, and the distribution of radii to their moments.
+
+    radius_sd: With which the contacts were located.
+    """
+    shift = fitted.thresholds[0]
+    states = states.copy()
+    states[:, -1] -= shift
+    radii = states[kept, -1]
+    radius = float(radii.mean())
+    # Posterior over prior variance: the share of each radius that the readings do not determine.
+    undetermined = np.linalg.inv(precisions[kept])[:, -1, -1] / radius_sd**2
+    n_determined = max(float((1 - np.minimum(undetermined, 1)).sum()), 1e-3 * len(radii))
+    spread = float(np.sqrt(((radii - radius) ** 2).sum() / n_determined))
+    return states, Profile(
+        fitted.thresholds - shift,
+        max(fitted.softness, _MIN_SOFTNESS),
+        radius,
+        max(spread, _MIN_RADIUS_SD * abs(radius)),
     )
+
+
+def _initial_contacts(contacts: Contacts, positions: Matrix) -> tuple[Matrix, Profile]:
+    """Start from the centre of the touched sensors, in 3D on the more likely side of the skin."""
+    k = positions.shape[1]
+    points, pressed = positions[contacts.sensors], contacts.levels > 0
+    sums = np.add.reduceat(
+        np.column_stack([contacts.levels[:, None] * points, contacts.levels, points]),
+        contacts.starts,
+    )
+    centres = sums[:, :k] / sums[:, k : k + 1]
+    offsets = np.linalg.norm(points - centres[contacts.owners], axis=1) * pressed
+    extents = np.maximum.reduceat(offsets, contacts.starts)
+    # 1.22 is the length of (1, 0.7): centres are offset from the skin by 0.7 of the extent.
+    radius = 1.05 * float(np.median(extents)) * (1.22 if k > 2 else 1.0)
+    thresholds = np.linspace(0, 0.7 * radius, contacts.max_level)
+    profile = Profile(thresholds, 0.1 * radius, radius, 0.2 * radius)
+    starts = [centres]
+    if k > 2:
+        # The normal is the direction of least variance of the sensors around a contact.
+        around = (
+            points - (sums[:, k + 1 :] / np.bincount(contacts.owners)[:, None])[contacts.owners]
+        )
+        squares = np.add.reduceat(around[:, :, None] * around[:, None], contacts.starts)
+        offset = _SURFACE_OFFSET * extents[:, None] * np.linalg.eigh(squares)[1][:, :, 0]
+        starts = [centres + offset, centres - offset]
+    sides = [
+        locate(
+            contacts,
+            positions,
+            np.column_stack([one, np.full(len(extents), radius)]),
+            profile,
+            steps=_INITIAL_STEPS,
+        )
+        for one in starts
+    ]
+    likelier = np.argmax([side.scores for side in sides], axis=0)
+    return np.array([side.states for side in sides])[likelier, np.arange(len(extents))], profile
 
 
 def _unused(
@@ -442,15 +608,6 @@ def _unused(
         gains=levels.gains,
         used=False,
         reason=reason,
-    )
-
-
-def _detect(levels: Levels, positions: Matrix, options: ContactOptions) -> Contacts | None:
-    return find_contacts(
-        levels,
-        positions,
-        min_sensors=options.min_sensors,
-        max_readings=max(options.max_readings, options.readings_per_sensor * len(positions)),
     )
 
 
