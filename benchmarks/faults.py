@@ -81,8 +81,8 @@ DAMAGES: Mapping[str, Damage] = MappingProxyType(
         ),
         "30 % of the sensors clipped at 0.3": Damage("saturation", "clipped:30%,level=0.3"),
         "readings of 10 % at 1,000 times the range": Damage("glitches", "glitching:10%,level=1000"),
-        "wires of 5 % exchanged half-way": Damage("rewired", "rewired:5%"),
-        "wires of 20 % exchanged after a third": Damage("rewired", "rewired:20%,share=0.33"),
+        "wires of 5 % exchanged half-way": Damage("changed", "rewired:5%"),
+        "wires of 20 % exchanged after a third": Damage("changed", "rewired:20%,share=0.33"),
         "two regions touched one after the other": Damage("separate-regions", "separate-regions"),
         "sines of one period": Damage("one-period", "cycling:*"),
     }

@@ -201,7 +201,7 @@ FOUND = {
     "spikes": ["spiking:*,board=12"],
     "gaps": ["bridged-gaps:20%"],
     "saturation": ["clipped:30%"],
-    "rewired": ["rewired:10%"],
+    "changed": ["rewired:10%"],
     "glitches": ["glitching:10%,level=1000"],
     "one-period": ["cycling:*"],
     "separate-regions": ["separate-regions"],
@@ -253,6 +253,26 @@ def test_slow_changes_are_drift_alone(slope):
     ramps = slope * np.outer(np.linspace(0, 1, skin.n_frames), rng.uniform(0.1, 1, 72))
     noise = 0.01 * rng.normal(size=ramps.shape)
     assert kinds(find_faults(skin.readings + ramps + noise)) == {"drift"}
+
+
+def folded(positions):
+    """Fold a flat skin along its middle: both halves lie 1 apart."""
+    x, middle = positions[:, 0], positions[:, 0].max() / 2
+    height = np.where(x > middle, 1.0, 0.0)
+    return np.column_stack([np.minimum(x, 2 * middle - x), positions[:, 1], height])
+
+
+@pytest.mark.parametrize("seed", [301, 302])
+def test_another_posture_is_found_with_its_frame_and_larger_contacts_are_not(seed):
+    positions = np.random.default_rng(seed).permutation(lattice(9, 10))
+    flat = rubbed(positions, 1500, seed=seed)
+    bent = rubbed(folded(positions), 1500, seed=seed + 1)
+    (finding,) = find_faults(np.vstack([flat, bent]))
+    assert finding.kind == "changed"
+    assert "from about frame 1500 of 3000 on" in finding.what
+    for reach in (2.0, 4.0):
+        other = rubbed(positions, 1500, seed=seed + 2, reach=reach)
+        assert find_faults(np.vstack([flat, other])) == ()
 
 
 def test_noise_has_no_faults():

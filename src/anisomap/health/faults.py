@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from anisomap.health.recording_faults.changes import find_change
 from anisomap.health.recording_faults.common_signals import (
     find_common_noise,
     find_hum,
@@ -25,7 +26,6 @@ from anisomap.health.recording_faults.glitches import find_glitches
 from anisomap.health.recording_faults.inversion import find_inverted
 from anisomap.health.recording_faults.lags import find_lags
 from anisomap.health.recording_faults.leaks import find_leak
-from anisomap.health.recording_faults.rewiring import find_rewired
 from anisomap.health.recording_faults.spikes import find_spikes
 from anisomap.health.recording_faults.stimulation import find_clipped, find_regions
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -158,10 +158,11 @@ CHECKS: Mapping[str, Check] = MappingProxyType(
             "sensors",
             "sensors at one place distort the map around them; at most one of them is right",
         ),
-        "rewired": Check(
-            find_rewired,
+        "changed": Check(
+            find_change,
             "share",
-            "wires were exchanged; map the frames before and after by themselves",
+            "wires were exchanged, or the body took another posture; map the frames before and "
+            "after by themselves",
         ),
         "separate-regions": Check(
             find_regions,
