@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair, summarise
 from anisomap.health import CHECKS, STATUSES, spoiling, weaknesses
-from anisomap.health.recording_faults.gaps import find_bridged
+from anisomap.health.recording_faults.transmission import find_bridged
 from anisomap.live.quick_map import confirmed_faults
 from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.rest import estimate_rest

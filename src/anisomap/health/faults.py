@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anisomap.health.recording_faults.changes import find_change
+from anisomap.health.recording_faults import Found
 from anisomap.health.recording_faults.common_signals import (
     find_common_noise,
     find_hum,
@@ -20,14 +20,11 @@ from anisomap.health.recording_faults.common_signals import (
 )
 from anisomap.health.recording_faults.copies import find_copied
 from anisomap.health.recording_faults.drift import find_drift
-from anisomap.health.recording_faults.found import Found
-from anisomap.health.recording_faults.gaps import find_gaps
-from anisomap.health.recording_faults.glitches import find_glitches
-from anisomap.health.recording_faults.inversion import find_inverted
 from anisomap.health.recording_faults.lags import find_lags
 from anisomap.health.recording_faults.leaks import find_leak
-from anisomap.health.recording_faults.spikes import find_spikes
 from anisomap.health.recording_faults.stimulation import find_clipped, find_regions
+from anisomap.health.recording_faults.transmission import find_gaps, find_glitches, find_spikes
+from anisomap.health.recording_faults.wiring import find_change, find_inverted
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.wording import noun_and_items

@@ -4,3 +4,42 @@ Each module finds one fault in a complete recording, or a few alike, says what w
 it where possible. Faults are searched in an excerpt of some thousand frames and some hundred
 sensors; see `anisomap.numerics.signals`.
 """
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One fault of a recording.
+
+    sensors: Their indices.
+    size, what: See `anisomap.health.Finding`.
+    mend: Mends the fault in the recording; None if it cannot be mended.
+    height: With which `what` ends, in units of the readings; none by default.
+    mended: What `mend` does, if it differs from what the check says.
+    kind: If it differs from the key of the check.
+    """
+
+    sensors: NDArray[np.intp] | Sequence[int]
+    size: float
+    what: str
+    mend: Callable[[Recording], Recording] | None = None
+    height: float | None = None
+    mended: str = ""
+    kind: str = ""
+
+
+def in_readings(
+    change: Callable[[NDArray[Any]], NDArray[Any]],
+) -> Callable[[Recording], Recording]:
+    """Return a repair that changes the readings alone, shape (T, N)."""
+    return lambda recording: replace(recording, readings=change(recording.readings))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.health.recording_faults.found import Found, in_readings
+from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.signals import (
     deviation_from_median,
     medians,

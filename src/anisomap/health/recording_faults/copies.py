@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.health.recording_faults.found import Found
+from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.signals import MAX_FRAMES, middle_frames, some_sensors, standardised

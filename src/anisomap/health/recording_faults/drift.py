@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from anisomap.health.recording_faults.found import Found, in_readings
+from anisomap.health.recording_faults import Found, in_readings
 from anisomap.recording import Recording
 
 _N_BLOCKS = 20  # of frames, whose levels at rest are compared; chosen by hand

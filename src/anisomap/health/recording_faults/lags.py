@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.recording_faults.found import Found
+from anisomap.health.recording_faults import Found
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.signals import middle_frames, some_sensors, standardised

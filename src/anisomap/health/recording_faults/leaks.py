@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc
 
-from anisomap.health.recording_faults.found import Found, in_readings
+from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.columns import columns
 from anisomap.numerics.signals import middle_frames, some_sensors
 from anisomap.numerics.similarity.rest import Rest

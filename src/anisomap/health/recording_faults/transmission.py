@@ -1,0 +1,298 @@
+"""Errors of transmission: readings that are lost, far off, or that jump for one frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
+
+from anisomap.health.recording_faults import Found, in_readings
+from anisomap.numerics.columns import columns
+from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.signals import medians, middle_frames, some_sensors, standardised, unit_rows
+from anisomap.numerics.similarity.rest import estimate_rest
+from anisomap.recording import Recording
+
+_MIN_MISSING = 0.02  # share of a sensor's readings; fewer change no correlation; chosen by hand
+_FALSE_ALARMS = 0.01  # expected number of straight lines that are found by chance
+_ROUNDING = 1e-6  # share of the largest reading: some steps of float32
+_MIN_LINE = 8  # frames; two contacts of a frame each make shorter lines; chosen by hand
+_MIN_RISE = 0.03  # of the range: a slow drift rises less between two contacts; chosen by hand
+_MIN_MIXED = 0.15  # share of the lines against the direction of the other lines of their sensor
+_N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
+_MAX_FITTED = 20_000  # of a fit
+
+
+def find_gaps(recording: Recording) -> Iterator[Found]:
+    """Find readings that are missing, or on straight lines; the recording may be incomplete."""
+    readings = recording.readings
+    missing = ~np.isfinite(readings)
+    for i, bridged in find_bridged(readings).items():
+        missing[bridged, i] = True
+    share = missing.mean(axis=0)
+    missing &= (share >= _MIN_MISSING) & (share < 1)
+    affected = np.flatnonzero(missing.any(axis=0))
+    if affected.size:
+        typical = float(np.median(share[affected]))
+        on_lines = np.isfinite(readings[missing]).any()
+        yield Found(
+            affected,
+            typical,
+            f"{typical:.0%} of the readings of {affected.size} of {recording.n_sensors} sensors "
+            f"are {'on straight lines, as if interpolated' if on_lines else 'missing'}",
+            in_readings(lambda readings: _filled(readings, missing)),
+        )
+
+
+def find_bridged(readings: NDArray[Any]) -> dict[int, NDArray[np.intp]]:
+    """Find readings on straight lines that are too long to occur by chance, of each sensor.
+
+    If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of
+    N sensors with probability N T p^n at most. Lines of a sensor that rise little are parts of a
+    slow drift.
+    """
+    n_frames, n_sensors = readings.shape
+    if n_frames < 2 * _MIN_LINE:
+        return {}
+    lines = {
+        i: found
+        for i, column in enumerate(columns(readings))
+        if _may_have_lines(column) and (found := _lines(column.astype(np.float64), n_sensors))
+    }
+    rising = [[rises for _, _, rises in found] for found in lines.values()]
+    fewer = sum(min(sum(up), len(up) - sum(up)) for up in rising)
+    if fewer < _MIN_MIXED * sum(map(len, rising)):
+        return {}
+    return {
+        i: np.concatenate([np.arange(start, stop) + 1 for start, stop, _ in found])
+        for i, found in lines.items()
+    }
+
+
+def _may_have_lines(column: NDArray[Any]) -> bool:
+    """Return whether a sensor has `_MIN_LINE` readings on a line, with twice the slack of `_lines`.
+
+    Differences of float32 readings are rounded by less than the slack.
+    """
+    slack = 2 * _ROUNDING * max(column.max(), -column.min())
+    if not np.isfinite(slack):
+        return True
+    slope = column[1:] - column[:-1]
+    on_line = np.abs(slope[1:] - slope[:-1]) <= 2 * slack
+    on_line &= np.abs(slope[1:]) > slack
+    length = 1
+    while length < _MIN_LINE:
+        step = min(length, _MIN_LINE - length)
+        on_line = on_line[:-step] & on_line[step:]
+        length += step
+    return bool(on_line.any())
+
+
+def _lines(column: NDArray[np.float64], n_sensors: int) -> list[tuple[int, int, bool]]:
+    """Return the first and last reading of each long line of a sensor, and whether it rises."""
+    slope = np.diff(column)
+    slack = _ROUNDING * np.nanmax(np.abs(column), initial=0)
+    with np.errstate(invalid="ignore"):
+        on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
+    share = float(np.mean(on_line))
+    if not 0 < share < 1:
+        return []
+    enough = math.log(column.size * n_sensors / _FALSE_ALARMS) / -math.log(share)
+    found = [run for run in _runs(on_line) if run[1] - run[0] >= max(_MIN_LINE, enough)]
+    rises = np.array([column[stop] - column[start] for start, stop in found])
+    if not found or np.median(np.abs(rises)) < _MIN_RISE * (np.nanmax(column) - np.nanmin(column)):
+        return []
+    return [(start, stop, rise > 0) for (start, stop), rise in zip(found, rises, strict=True)]
+
+
+def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
+    """Estimate missing readings of sensors from similar ones; where there are none, by lines."""
+    completed = fill_gaps(np.where(missing, np.nan, readings))
+    rest = estimate_rest(completed)
+    depth, standard = rest.depth(completed), standardised(completed)
+    for i in np.flatnonzero(missing.any(axis=0)).tolist():
+        known = np.flatnonzero(~missing[:, i])
+        known = known[:: max(1, known.size // _MAX_FITTED)]
+        similarity = standard[known].T @ standard[known, i]
+        similarity[i] = -np.inf
+        partners = np.argsort(-similarity, kind="stable")[:_N_PARTNERS]
+        partners = partners[similarity[partners] > 0]
+        if known.size < 2 * _N_PARTNERS or not partners.size or not depth[known, i].any():
+            continue
+        weights, _ = nnls(depth[np.ix_(known, partners)], depth[known, i])
+        gap = np.flatnonzero(missing[:, i])
+        estimate = np.minimum(depth[np.ix_(gap, partners)] @ weights, depth[known, i].max())
+        noise = rest.threshold[i] * (estimate > 0)
+        completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
+    return np.asarray(completed)
+
+
+def _runs(marks: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Yield the first and one past the last index of each run of True."""
+    edges = np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8))
+    yield from zip(
+        np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True
+    )
+
+
+# Times the reach of the typical sensor, and of the other readings of its sensor; chosen by hand.
+_FAR = 10.0
+_SAMPLE = 1024  # frames of which the median is taken
+_MAX_GLITCHES = 0.01  # of the readings of a sensor: more are saturation, or contact
+
+
+def find_glitches(recording: Recording) -> Iterator[Found]:
+    """Find readings far beyond all others."""
+    readings, n_frames = recording.readings, recording.n_frames
+    count = max(1, int(_MAX_GLITCHES * n_frames))
+    if n_frames <= 4 * count:
+        return
+    middle = medians(readings[:: -(-n_frames // _SAMPLE)]).astype(np.float64)
+    lowest, highest = recording.extremes
+    reach = np.maximum(highest - middle, middle - lowest)
+    typical = float(np.median(reach[reach > 0])) if (reach > 0).any() else np.inf
+    far = np.flatnonzero(reach > _FAR * typical)
+    deviation = np.abs(readings[:, far] - middle[far])
+    own = np.partition(deviation, n_frames - 1 - count, axis=0)[n_frames - 1 - count]
+    wrong = deviation > _FAR * np.maximum(own, typical)
+    affected, number = far[wrong.any(axis=0)], np.count_nonzero(wrong)
+    if number:
+        yield Found(
+            affected,
+            float(number),
+            f"{number} readings of {affected.size} sensors are far beyond all others",
+            in_readings(lambda readings: _interpolated(readings, far, wrong)),
+        )
+
+
+def _interpolated(
+    readings: NDArray[Any], sensors: NDArray[np.intp], wrong: NDArray[np.bool_]
+) -> NDArray[Any]:
+    """Replace readings of some sensors, (T, n), by a line between the readings beside them."""
+    mended, frames = np.array(readings), np.arange(len(readings))
+    for i, bad in zip(sensors.tolist(), wrong.T, strict=True):
+        mended[bad, i] = np.interp(frames[bad], frames[~bad], readings[~bad, i])
+    return mended
+
+
+_MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
+_MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jump by the same
+_MIN_SPIKES = 5  # in a recording
+_MAX_SPIKES = 0.15  # of the frames; white noise jumps up in a third of them
+_MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
+_MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
+_MIN_EQUAL = 0.5  # share of the common jumps that are spikes; chosen by hand
+_MIN_JUDGED = 20  # common jumps from which half that share tells contacts; chosen by hand
+_MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
+_FRAMES_AT_ONCE, _SENSORS_AT_ONCE = 4096, 64  # of which jumps are computed; they fit in the cache
+_MAX_SENSORS = 1024  # in which spikes are searched
+_STEEP = 2.0  # height of a spike over the changes beside it; tops of contacts have less; by hand
+_MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
+
+
+def find_spikes(recording: Recording) -> Iterator[Found]:
+    """Find spikes that groups of sensors share.
+
+    A contact rises and falls over several frames or is highest in the middle; a spike of a board
+    lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
+    correlation of their jumps, the excess of a reading over both readings beside it.
+    """
+    n_frames, n_sensors = recording.readings.shape
+    if n_frames < 100 or n_sensors < _MIN_GROUP:
+        return
+    chosen = some_sensors(n_sensors, _MAX_SENSORS)
+    jumps = _jumps(recording.readings, chosen, middle_frames(n_frames))
+    jumping = np.count_nonzero(jumps, axis=1) >= _MIN_SPIKES
+    if np.count_nonzero(jumping) < _MIN_GROUP:
+        return
+    chosen, jumps = chosen[jumping], jumps[jumping]
+    rows = unit_rows(jumps.T)
+    _, group = connected_components(rows @ rows.T > _MIN_LINK, directed=False)
+    for number in np.flatnonzero(np.bincount(group) >= _MIN_GROUP).tolist():
+        members = chosen[group == number]
+        if _may_be_equal(jumps[group == number]):
+            yield from _shared(recording, members)
+
+
+def _jumps(readings: NDArray[Any], sensors: NDArray[np.intp], frames: slice) -> NDArray[np.float32]:
+    """Return the excess of readings over both readings beside them, shape (n, t); at least 0.
+
+    It is 0 in the first and the last frame.
+    """
+    jumps = np.zeros((sensors.size, len(range(len(readings))[frames])), dtype=np.float32)
+    for begin in range(0, sensors.size, _SENSORS_AT_ONCE):
+        part = slice(begin, begin + _SENSORS_AT_ONCE)
+        values = readings.T[sensors[part], frames].astype(np.float32)
+        beside = np.maximum(values[:, :-2], values[:, 2:])
+        np.subtract(values[:, 1:-1], beside, out=beside)
+        np.maximum(beside, 0, out=jumps[part, 1:-1])
+    return jumps
+
+
+def _may_be_equal(jumps: NDArray[np.float32]) -> bool:
+    """Return whether jumps of a group, shape (n, t), can be spikes, or are too few to tell."""
+    frames = _jumping_together(jumps)
+    if frames.size < _MIN_JUDGED:
+        return frames.size > 0
+    return bool(np.mean(_equal(jumps[:, frames])[1]) >= _MIN_EQUAL / 2)
+
+
+def _jumping_together(jumps: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Return the frames in which most sensors jump."""
+    return np.flatnonzero(np.count_nonzero(jumps, axis=0) >= _MIN_AT_ONCE * len(jumps))
+
+
+def _equal(heights: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the median height of jumps, shape (n, t), and where all are about equally high."""
+    height = np.median(heights, axis=0)
+    spread = np.median(np.abs(heights - height), axis=0) / np.maximum(height, 1e-30)
+    return height, spread <= _MAX_SPREAD
+
+
+def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
+    """Find the spikes of a group; there are none if its jumps differ, as those of contacts do."""
+    readings, n_frames = recording.readings, recording.n_frames
+    often, tall = [], []
+    for begin in range(1, n_frames - 1, _FRAMES_AT_ONCE):
+        stop = min(begin + _FRAMES_AT_ONCE, n_frames - 1)
+        jumps = _jumps(readings, members, slice(begin - 1, stop + 1))[:, 1:-1]
+        found = _jumping_together(jumps)
+        often.append(begin + found)
+        tall.append(jumps[:, found])
+    frames, heights = np.concatenate(often), np.concatenate(tall, axis=1)
+    around = np.clip(frames + np.array([[-2], [-1], [1], [2]]), 0, n_frames - 1)
+    beside = readings[around[..., None], members].astype(np.float32)
+    changes = np.maximum(np.abs(beside[1] - beside[0]), np.abs(beside[2] - beside[3]))
+    steep = np.median(heights, axis=0) > _STEEP * np.median(changes, axis=1)
+    frames, (height, equal) = frames[steep], _equal(heights[:, steep])
+    if not _MIN_SPIKES <= frames.size <= _MAX_SPIKES * n_frames:
+        return
+    frames, height = frames[equal], height[equal]
+    if (
+        frames.size < max(_MIN_SPIKES, _MIN_EQUAL * equal.size)
+        or np.unique(height.round(6)).size < min(_MIN_LEVELS, frames.size / 2)
+        or np.median(height) < _MIN_HEIGHT * np.median(readings[:, members].std(axis=0))
+    ):
+        return
+    yield Found(
+        members,
+        frames.size / n_frames,
+        f"a group of {members.size} sensors jumps for single frames, {frames.size} times by ",
+        in_readings(lambda readings: _smoothed(readings, frames, members)),
+        height=float(np.median(height)),
+    )
+
+
+def _smoothed(
+    readings: NDArray[Any], frames: NDArray[np.intp], sensors: NDArray[np.intp]
+) -> NDArray[Any]:
+    """Replace readings of some sensors in some frames by the mean of the frames beside them."""
+    mended = np.array(readings)
+    beside = (readings[frames - 1] + readings[frames + 1]) / 2
+    mended[np.ix_(frames, sensors)] = beside[:, sensors]
+    return mended

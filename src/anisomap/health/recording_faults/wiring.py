@@ -1,0 +1,204 @@
+"""Wires of opposite polarity, and wires that are exchanged while recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.health.recording_faults import Found
+from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
+from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.signals import MAX_FRAMES, count_contacts, some_sensors, standardised
+from anisomap.numerics.similarity.rest import ranks_of_depths
+from anisomap.recording import Recording
+
+_MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
+_MIN_SKEWED = 0.8  # of the sensors that must be skewed so; chosen by hand
+_MIN_AGREEMENT = 0.7  # share of the strongest correlations whose sign must be explained; by hand
+_MAX_UNSKEWED = 0.4  # share of the smaller part of sensors that are not skewed; chosen by hand
+_MIN_CROSSING = 0.5  # of the strongest correlations that would join both parts at random; by hand
+_N_COUNTED = 4
+_MIN_COUNTED = 0.2  # magnitude of correlations whose sign counts; chosen by hand
+
+
+def find_inverted(recording: Recording) -> Iterator[Found]:
+    """Find sensors on which contact has the opposite sign.
+
+    Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of both
+    signs are a finding only if correlations agree: the signs of the strongest correlations must be
+    negative between the two parts, and positive within them. If most readings are not skewed or do
+    not rest, such as those of sensors that are often in contact, the parts are those that the signs
+    of the strongest correlations give, along a maximum spanning tree; they must be mixed.
+    """
+    step = -(-recording.n_frames // MAX_FRAMES)
+    values = standardised(recording.readings[::step])
+    varying = values.any(axis=0)
+    if np.count_nonzero(varying) < 3:
+        return
+    skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
+    skewed = np.abs(skewness) >= _MIN_SKEWNESS
+    skewed_apart = np.mean(skewed[varying]) >= _MIN_SKEWED
+    if skewed_apart and np.ptp(np.sign(skewness[skewed])) == 0:
+        return
+    known = recording.signals.rest.known
+    skewed_apart &= np.mean(known[varying]) >= _MIN_SKEWED
+    judged = np.flatnonzero(skewed if skewed_apart else varying)
+    correlation = values[:, judged].T @ values[:, judged] / np.float32(len(values))
+    np.fill_diagonal(correlation, 0)
+    skewness = skewness[judged]
+    signs = np.sign(skewness) if skewed_apart else _signs_along_tree(correlation)
+    lowered = signs * np.sign(signs @ skewness or 1) < 0
+    if not skewed_apart and not _mixed(correlation, lowered):
+        return
+    fewer = lowered if 2 * np.count_nonzero(lowered) <= judged.size else ~lowered
+    found = judged[_confirmed(correlation, fewer)]
+    if found.size:
+        yield Found(
+            found,
+            found.size / recording.n_sensors,
+            f"contact has the opposite sign in {found.size} of {recording.n_sensors} sensors",
+            lambda recording: _mirrored(recording, found),
+        )
+
+
+def _mirrored(recording: Recording, sensors: NDArray[np.intp]) -> Recording:
+    """Mirror sensors at rest."""
+    readings = np.array(recording.readings)
+    rest = recording.signals.rest.value[sensors].astype(readings.dtype)
+    readings[:, sensors] = 2 * rest - readings[:, sensors]
+    return replace(recording, readings=readings)
+
+
+def _signs_along_tree(correlation: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Multiply the signs of correlations along a maximum spanning tree of their magnitudes."""
+    signs = np.ones(len(correlation))
+    for new, joined in tree_edges(np.abs(correlation)):
+        signs[new] = signs[joined] if correlation[joined, new] >= 0 else -signs[joined]
+    return signs
+
+
+def _mixed(correlation: NDArray[np.float32], lowered: NDArray[np.bool_]) -> bool:
+    """Return whether the strongest correlations join both parts, as if drawn at random.
+
+    Where a signal changes its sign across the skin, such as bending, or the field of a source, the
+    strongest correlations of a sensor are with its neighbours, of its own part, and the parts are
+    halves: these cannot be told from inverted ones.
+    """
+    sizes = np.count_nonzero(lowered), np.count_nonzero(~lowered)
+    if min(sizes) > _MAX_UNSKEWED * lowered.size:
+        return False
+    crossing = np.count_nonzero(lowered[np.abs(correlation).argmax(axis=1)] != lowered)
+    expected = 2 * sizes[0] * sizes[1] / max(1, lowered.size - 1)
+    return bool(crossing > 0 and crossing >= _MIN_CROSSING * expected)
+
+
+def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark suspects whose strongest correlations have the signs that an inversion gives."""
+    if not suspects.any() or suspects.size < 3:
+        return np.zeros_like(suspects)
+    strength = np.abs(correlation)
+    counted = greatest_of_rows(strength, min(_N_COUNTED, suspects.size - 1))
+    counted &= strength >= _MIN_COUNTED
+    same = suspects[:, None] == suspects
+    explained = (counted & ((correlation > 0) == same)).sum(axis=1)
+    confirmed = suspects & (explained > 0)
+    confirmed &= explained >= _MIN_AGREEMENT * counted.sum(axis=1)
+    return np.asarray(confirmed & (counted & ~same)[suspects].any())
+
+
+_N_BLOCKS = 16  # of a recording, an even number; it may change after every second one
+_MAX_COMPARED = 16_384  # of which ranks are correlated
+_MIN_CONTACTS = 3  # of a sensor in each quarter that is compared, for a correlation
+_MIN_SENSORS = 8  # that have these contacts
+_N_PARTNERS = 4  # most similar sensors: the neighbours on a square lattice
+_MIN_KEPT = 2 / 3  # of their similarity: two of four neighbours are left if edges are joined
+_MAX_REACH = 2.0  # ratio of the numbers of similar sensors: folding a skin doubles it at most
+_N_PERMUTATIONS = 99  # that a change exceeds: 1 % of recordings without one are accused
+
+
+def find_change(recording: Recording) -> Iterator[Found]:
+    """Find sensors that resemble other sensors from some frame on.
+
+    Wires were exchanged, or the body took another posture. A recording is divided in two parts, and
+    each part in two quarters of every second block. A sensor changed if the sensors that it
+    resembles most in one part keep less of their similarity in the other part than in the other
+    quarter of the same part: that tells noise from a change. What they lose, summed over sensors at
+    the division where it is most, must exceed that of 99 random orders of the blocks. Recordings
+    are not judged if sensors resemble many more others in one part: contacts were larger.
+    """
+    n_frames = recording.n_frames
+    if n_frames < 50 * _N_BLOCKS:
+        return
+    chosen = some_sensors(recording.n_sensors)
+    step = -(-n_frames // _MAX_COMPARED)
+    ranks = ranks_of_depths(recording.readings[::step][:, chosen], single=True)
+    # A column of ones turns products into sums and counts as well.
+    values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])
+    moments = np.array([block.T @ block for block in np.array_split(values, _N_BLOCKS)])
+    parts = np.array_split(recording.signals.touched, _N_BLOCKS)
+    contacts = np.array([count_contacts(part[:, chosen]) for part in parts])
+    lost, reach = zip(*_divisions(moments, contacts), strict=True)
+    division = int(np.argmax([one.sum() for one in lost]))
+    changed, size = np.flatnonzero(lost[division]), lost[division].sum()
+    if changed.size < 2 or reach[division] > _MAX_REACH:
+        return
+    rng = np.random.default_rng(0)
+    for _ in range(_N_PERMUTATIONS):
+        order = rng.permutation(_N_BLOCKS)
+        if max(one.sum() for one, _ in _divisions(moments[order], contacts[order])) >= size:
+            return
+    frame = 2 * (division + 1) * n_frames // _N_BLOCKS
+    yield Found(
+        chosen[changed],
+        changed.size / chosen.size,
+        f"{changed.size} sensors resemble other sensors from about frame {frame} of {n_frames} on",
+    )
+
+
+def _divisions(
+    moments: NDArray[np.floating], contacts: NDArray[np.intp]
+) -> Iterator[tuple[NDArray[np.float64], float]]:
+    """Yield what each sensor loses at each division, and the ratio of similar sensors."""
+    products, counts = (
+        np.cumsum([one[::2], one[1::2]], axis=1, dtype=np.float64) for one in (moments, contacts)
+    )
+    for k in range(_N_BLOCKS // 2 - 1):
+        quarters = np.concatenate([products[:, k], products[:, -1] - products[:, k]])
+        least = np.concatenate([counts[:, k], counts[:, -1] - counts[:, k]]).min(axis=0)
+        judged = np.flatnonzero(least >= _MIN_CONTACTS)
+        lost = np.zeros(least.size)
+        if judged.size < _MIN_SENSORS:
+            yield lost, 1.0
+            continue
+        r = [_correlation(one, judged) for one in quarters]
+        within = np.minimum(_kept(r[0], r[1]), _kept(r[2], r[3]))
+        across = np.mean([_kept(r[a], r[b]) for a in (0, 1) for b in (2, 3)], axis=0)
+        lost[judged] = np.maximum(_MIN_KEPT * within - across, 0)
+        similar = [np.median((np.maximum(r[i] + r[i + 1], 0) ** 2).sum(axis=1)) for i in (0, 2)]
+        yield lost, float(max(similar) / max(min(similar), 1e-12))
+
+
+def _correlation(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Correlate sensors with others, given sums of products; -1 with themselves."""
+    sums, count = moments[-1, judged], moments[-1, -1]
+    covariance = moments[np.ix_(judged, judged)] - np.outer(sums, sums) / count
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-9 * count))
+    correlation = np.clip(covariance / np.outer(deviation, deviation), -1, 1)
+    np.fill_diagonal(correlation, -1)
+    return np.asarray(correlation)
+
+
+def _kept(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share of their similarity that the most similar sensors of each keep, at least.
+
+    first, second (n, n) -> (n,).
+    """
+    kept = []
+    for one, other in ((first, second), (second, first)):
+        partners = np.argpartition(-one, _N_PARTNERS, axis=1)[:, :_N_PARTNERS]
+        most, left = (np.take_along_axis(r, partners, axis=1).sum(axis=1) for r in (one, other))
+        kept.append(np.where(most > 0, left / np.maximum(most, 1e-12), 0))
+    return np.asarray(np.clip(np.min(kept, axis=0), 0, 1))
