@@ -20,7 +20,7 @@ from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.sensor_map import is_faulty
 from anisomap.simulation import FAULTS as FAULTS_OF_SIMULATION
 from anisomap.simulation import inject, injected_faults, parse_fault
-from skins import bombarded_skin, flat_skin, lattice, mantel_r, rubbed, seeing_patch
+from skins import bombarded_skin, flat_skin, lattice, mantel_r, rubbed, seeing_patch, stored
 
 SENSOR = 16
 
@@ -328,6 +328,15 @@ def test_boards_are_aligned(frames, board):
     aligned = found.recording.readings
     assert len(aligned) == n_frames - delays.max()
     np.testing.assert_array_equal(aligned, clean.readings[: len(aligned)])
+
+
+@pytest.mark.parametrize("fault", ["lagging:20%,frames=5", "lagging:50%,frames=10"])
+def test_lags_are_named_but_not_mended_where_a_rolling_body_lags_as_well(fault):
+    """Columns of a cylinder are touched one after the other, always by as many frames."""
+    bad = spoilt(stored("rolling-columns-1"), fault)
+    found = repair(bad)
+    assert found.recording is bad
+    assert [(one.kind, one.mendable) for one in found.findings] == [("lags", False)]
 
 
 @pytest.mark.parametrize(

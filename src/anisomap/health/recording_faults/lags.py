@@ -57,14 +57,25 @@ def find_lags(recording: Recording) -> Iterator[Found]:
         lags -= _most_frequent(lags)
     if lags.any():
         listed = join_items([f"{lag:+d}" for lag in np.unique(lags[lags != 0]).tolist()])
+        certain = _is_of_boards(lags[varying])
         yield Found(
             np.flatnonzero(lags),
             float(np.abs(lags).max()),
-            f"groups of sensors lag the largest group by {listed} frames",
-            lambda recording: _shifted(recording, lags),
+            f"groups of sensors lag the largest group by {listed} frames"
+            + ("" if certain else ", in part perhaps since what touches them moves"),
+            (lambda recording: _shifted(recording, lags)) if certain else None,
             mended="each group was shifted by its lag; "
             f"{int(np.ptp(lags))} frames at the ends were left out",
         )
+
+
+def _is_of_boards(lags: NDArray[np.intp]) -> bool:
+    """Return whether lags are of one group of sensors, or of runs of channels.
+
+    A body that rolls at an even pace delays sensors wherever they are in the order of the channels.
+    """
+    n_runs = 1 + np.count_nonzero(np.diff(lags))
+    return np.unique(lags).size <= 2 or n_runs * _MIN_GROUP <= lags.size
 
 
 def _shifted(recording: Recording, lags: NDArray[np.intp]) -> Recording:
