@@ -14,7 +14,7 @@ from anisomap.layout.explanation import turn_in_words
 from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import symmetries
 from anisomap.placement import modules_by_name, modules_by_size
-from skins import rubbed, triangles
+from skins import lattice, rubbed, triangles
 
 TRUTH = triangles(columns=3)
 NAMES = tuple(f"taxel{i}" for i in range(len(TRUTH)))
@@ -168,6 +168,19 @@ def test_no_sensor_of_a_shuffled_layout_is_accused(share, check):
     assert found.findings == ()
     assert not found.accused.any()
     assert found.explained < 0.25
+
+
+@pytest.mark.parametrize("seed", [7, 8])
+def test_right_sensors_among_shuffled_ones_are_not_accused(seed):
+    """Wide contacts: a run of right channels with a few wrong ones agrees better one place on."""
+    places = lattice(11, 13)
+    chosen = np.random.default_rng(seed).permutation(len(places))[: len(places) // 10]
+    stated = places.copy()
+    stated[chosen] = places[np.roll(chosen, 1)]
+    found = check_layout(stated, Recording(rubbed(places, 1500, seed=400, reach=6.0)))
+    assert not found.consistent
+    assert found.accused.any()
+    assert set(np.flatnonzero(found.accused)) <= set(chosen)
 
 
 @given(turns=st.integers(1, 5), seed=st.integers(0, 99))

@@ -202,6 +202,19 @@ def agreement_gain(evidence: Evidence, move: Move) -> float:
     return float(after[0].sum() / after[1].sum() - stated)
 
 
+def median_gain(evidence: Evidence, move: Move) -> float:
+    """Return the increase of the `agreement` of the median sensor that a move displaces.
+
+    Without neighbours, agreement is 0; sensors without any before and after do not count. Of two
+    sensors in the middle, it is the one that gains less.
+    """
+    here = evidence.positions[move.sensors]
+    before, after = (agreement(evidence, move.sensors, places) for places in (here, move.places))
+    counted = (move.places != here).any(axis=1) & (np.isfinite(before) | np.isfinite(after))
+    gains = np.sort((np.nan_to_num(after) - np.nan_to_num(before))[counted])
+    return float(gains[(gains.size - 1) // 2]) if gains.size else 0.0
+
+
 def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
     """Return the `agreement` of each sensor alone at its position, shape (n,)."""
     weights: Any = _neighbour_weights(evidence)

@@ -12,6 +12,7 @@ from anisomap.numerics.layout.chance import (
     Chance,
     ReadingStatistics,
     agreement_gain,
+    median_gain,
     own_agreement,
 )
 from anisomap.numerics.layout.evidence import (
@@ -56,20 +57,27 @@ class Verdict:
     half_gains: The same in two halves of the frames.
     agreement_gain: Increase of the mean similarity to the sensors around.
     chance: Largest such increase of shifted readings.
+    median_gain: Such increase of the median sensor; 0 if less than half of all stay in place.
     """
 
     gain: float
     half_gains: tuple[float, ...]
     agreement_gain: float
     chance: float
+    median_gain: float
 
     @property
     def holds(self) -> bool:
-        """Whether the move explains the readings, in both halves, better than chance does."""
+        """Whether the move explains the readings, in both halves, better than chance does.
+
+        Most of its sensors must gain: a few wrong ones among right ones would agree better wherever
+        all of them were moved.
+        """
         return (
             self.gain >= MIN_GAIN
             and min(self.half_gains) > 0
             and self.agreement_gain > max(self.chance, 0.0)
+            and self.median_gain > 0
         )
 
 
@@ -160,4 +168,10 @@ class Search:
         )
         if rigid:
             chance = max(chance, _MIN_RIGID * self._typical)
-        return Verdict(evidence.gain(move), halves, agreement_gain(evidence, move), chance)
+        # If most sensors are moved, too few are left to compare them with.
+        most = 2 * len(move.sensors) > np.count_nonzero(evidence.usable)
+        of_median = 0.0 if most else median_gain(evidence, move)
+        of_all = agreement_gain(evidence, move)
+        # Few sensors should not outweigh the others of a group that is moved as a whole.
+        of_all = min(of_all, of_median) if alternatives or rigid else of_all
+        return Verdict(evidence.gain(move), halves, of_all, chance, of_median)
