@@ -75,7 +75,7 @@ def _is_of_boards(lags: NDArray[np.intp]) -> bool:
     A body that rolls at an even pace delays sensors wherever they are in the order of the channels.
     """
     n_runs = 1 + np.count_nonzero(np.diff(lags))
-    return np.unique(lags).size <= 2 or n_runs * _MIN_GROUP <= lags.size
+    return np.unique(lags).size <= 2 or bool(n_runs * _MIN_GROUP <= lags.size)
 
 
 def _shifted(recording: Recording, lags: NDArray[np.intp]) -> Recording:
