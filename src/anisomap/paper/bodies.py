@@ -228,8 +228,8 @@ def figure_5(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     "figure-6",
     "Figure 6: simulated scenarios",
     "Bombardment: the body is fixed in a box of elastic balls without gravity. Locomotion: a "
-    "sphere or a cylinder rolls over uneven ground. Objects in contact with the body are "
-    "orange; sensors range from violet (no contact) to yellow (largest reading).",
+    "sphere or a cylinder rolls over uneven ground. Balls are orange; sensors range from violet "
+    "(no contact) to yellow (largest reading).",
     cost=25,
 )
 def figure_6(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
