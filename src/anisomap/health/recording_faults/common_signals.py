@@ -40,7 +40,9 @@ _SCREENED = 1024, 32  # frames and sensors in which the noise of a group is fitt
 _SAME_GAIN = 1e-4  # relative change at which they have converged
 _MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
 _MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
-_MIN_SHARE = 0.1  # share of the fast noise of the median sensor that is common; chosen by hand
+# Share of the fast noise of the median sensor that is common, and of its deviation that hums: less
+# changes r by 1 % at most.
+_MIN_SHARE = 0.1
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
 _MAX_AUTOCORRELATION = 0.1  # of white noise: 4 standard errors in 1,600 frames
 _MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
@@ -85,6 +87,8 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     course = np.cos(2 * np.pi * frequency * times + phase)
     gains = _sine_gains(readings[:, free], course)
     share = _median_share(gains / np.sqrt(2), readings[:, free])
+    if share < _MIN_SHARE:
+        return
     rate = recording.rate_hz
     yield Found(
         free,
