@@ -42,44 +42,46 @@ def element(name):
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_a_session_in_the_browser(tmp_path, dimensions):
     options = ExaminationOptions(method="r-anisomap", dimensions=dimensions)
-    with (
-        LiveSession(Rubbed(), tmp_path / "r.csv", options) as session,
-        Server(session, port=0) as server,
-        browser(CHROMIUM) as page,
-    ):
-        page.open(server.url)
-        page.wait_for(f"{element('which')}.textContent.startsWith('quick map')")
-        for width, height in SIZES:
-            page.resize(width, height)
-            page.wait_for(f"window.innerWidth === {width}")
-            page.wait_for("document.documentElement.scrollWidth <= window.innerWidth")
-            assert page.screenshot(tmp_path / f"{width}.png").startswith(b"\x89PNG")
-        page.press("ArrowRight")
-        page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
-        assert not page.evaluate(f"{element('trace')}.hidden")
-        page.press("n")
-        page.wait_for(f"{element('names')}.ariaPressed === 'true'")
-        page.open(server.url)
-        page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
-        page.wait_for(f"{element('names')}.ariaPressed === 'true'")
-        page.press("d")
-        page.wait_for(f"{element('dropped')}.textContent.includes('<img')")
-        assert session.maps.options.drop == (EVIL,)
-        page.press("p")
-        page.wait_for(f"{element('state')}.textContent === 'paused'")
-        before = session.recorder.n_frames
-        page.press("p")
-        page.wait_for(f"{element('state')}.textContent === 'running'")
-        page.wait_for(f"+{element('frames')}.textContent > {before}")
-        page.wait_for(f"!{element('show')}.disabled")
-        page.press("m")
-        page.wait_for(f"{element('which')}.textContent.startsWith('checked map')")
-        page.press("s")
-        page.wait_for(f"{element('files')}.children.length === 2")
-        page.press("e")
-        assert page.evaluate(f"{element('export-dialog')}.open")
-        assert page.errors == []
-        assert page.evaluate("document.title") == "anisomap live"
+    with browser(CHROMIUM) as page:
+        with (
+            LiveSession(Rubbed(), tmp_path / "r.csv", options) as session,
+            Server(session, port=0) as server,
+        ):
+            page.open(server.url)
+            page.wait_for(f"{element('which')}.textContent.startsWith('quick map')")
+            for width, height in SIZES:
+                page.resize(width, height)
+                page.wait_for(f"window.innerWidth === {width}")
+                page.wait_for("document.documentElement.scrollWidth <= window.innerWidth")
+                assert page.screenshot(tmp_path / f"{width}.png").startswith(b"\x89PNG")
+            page.press("ArrowRight")
+            page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
+            assert not page.evaluate(f"{element('trace')}.hidden")
+            page.press("n")
+            page.wait_for(f"{element('names')}.ariaPressed === 'true'")
+            page.open(server.url)
+            page.wait_for(f"{element('selected')}.textContent.startsWith('selected: <img')")
+            page.wait_for(f"{element('names')}.ariaPressed === 'true'")
+            page.press("d")
+            page.wait_for(f"{element('dropped')}.textContent.includes('<img')")
+            assert session.maps.options.drop == (EVIL,)
+            page.press("p")
+            page.wait_for(f"{element('state')}.textContent === 'paused'")
+            before = session.recorder.n_frames
+            page.press("p")
+            page.wait_for(f"{element('state')}.textContent === 'running'")
+            page.wait_for(f"+{element('frames')}.textContent > {before}")
+            page.wait_for(f"!{element('show')}.disabled")
+            page.press("m")
+            page.wait_for(f"{element('which')}.textContent.startsWith('checked map')")
+            page.press("s")
+            page.wait_for(f"{element('files')}.children.length === 2")
+            page.press("e")
+            assert page.evaluate(f"{element('export-dialog')}.open")
+            assert page.errors == []
+            assert page.evaluate("document.title") == "anisomap live"
+        page.wait_for(f"!{element('disconnected')}.hidden")
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     assert (tmp_path / "r.report.html").exists()
     lines = (tmp_path / "r.csv").read_bytes().count(b"\n")
     assert lines > session.recorder.n_frames

@@ -31,9 +31,11 @@ function showMap() {
   const checked = map.checked && (showsChecked || map.final);
   view.update(checked
     ? { ...map, positions: map.checked, halo: map.checked_halo, dimensions: map.checked_dimensions } : map);
-  $("which").textContent = map.reason || (checked
+  const kind = map.reason || (checked
     ? `${map.final ? "final" : "checked"} map, by the full method`
     : `quick map of ${map.frames} frames`);
+  const waiting = view.countUnplaced();
+  $("which").textContent = kind + (waiting ? `; ${waiting} sensor${waiting > 1 ? "s" : ""} without a place` : "");
   $("show").lastChild.textContent = showsChecked ? " show quick map" : " show checked map";
   $("show").disabled = !map.checked || map.final;
   $("layout").disabled = !view.stated;
@@ -118,7 +120,11 @@ function connect() {
     status = JSON.parse(event.data);
     showStatus();
   });
-  events.addEventListener("error", () => { $("state").textContent = "no connection: the session is over"; });
+  events.addEventListener("open", () => { $("disconnected").hidden = true; });
+  events.addEventListener("error", () => {
+    $("state").textContent = "closed";
+    $("disconnected").hidden = false;
+  });
 }
 
 async function act(request) {

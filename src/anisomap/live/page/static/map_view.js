@@ -40,6 +40,11 @@ export class MapView {
     if (!this.shown || this.shown.length !== this.target.length) this.shown = this.target.slice();
   }
 
+  // Return the number of sensors without a place on the map that is shown.
+  countUnplaced() {
+    return this.names.filter((_, i) => !this.leftOut.has(i) && !Number.isFinite(this.target[i * this.dimensions])).length;
+  }
+
   move(elapsed) {
     if (!this.target) return;
     const share = calm.matches ? 1 : 1 - Math.exp(-elapsed / EASE_MS);
@@ -130,12 +135,6 @@ export class MapView {
     this._layout(context, radius);
     this._marks(context, points, radius);
     this._names(context, points, order, radius);
-    if (this.waiting.size) {
-      context.font = "13px system-ui, 'DejaVu Sans', sans-serif";
-      context.textAlign = "left";
-      context.fillStyle = OUTLINE;
-      context.fillText(`${this.waiting.size} without a place`, 16, this.canvas.clientHeight - SHELF + 44);
-    }
   }
 
   _sensor(context, i, [x, y, depth], radius, hollow) {
