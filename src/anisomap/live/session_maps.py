@@ -124,7 +124,8 @@ class SessionMaps:
         level = checked.verdict.level
         if level == UNKNOWN:
             return f"enough touches: {UNKNOWN} yet how far the map can be used", False
-        return f"enough touches: the map is {level}", level == list(LEVELS)[-1]
+        words = f"enough touches: the map of {checked.n_frames} frames is {level}"
+        return words, level == list(LEVELS)[-1]
 
     def reached(self, level: str) -> bool:
         """Return whether the last two checked maps have a level, or a better one.

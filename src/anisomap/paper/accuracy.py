@@ -71,7 +71,7 @@ SUMMARY_COLUMNS = {
         for suffix, statistic in (("", "mean"), (" min", "minimum"), (" max", "maximum"))
     },
     "null max": "maximum of the null distributions of all maps",
-    "stopped": "number of maps, by method, whose scaling stopped before it converged",
+    "stopped": "number of maps whose scaling stopped before it converged, by method",
 }
 BINS_COLUMNS = {
     "run": _RUN,
@@ -122,11 +122,10 @@ def all_scores(tables: Tables) -> list[Mapping[str, Any]]:
 @experiment(
     "figure-3",
     "Figure 3: accuracy of four methods",
-    "The paper compares the methods by the correlation of distances on the map with true "
-    "distances (Mantel r), on one run of each scenario and on the five hardware runs, beside "
-    "box plots of 10,000 random relabellings. Here each scenario is run with several seeds, to "
-    "show the variation between runs. The hardware runs are simulated; real skin has a section "
-    "of its own.",
+    "The paper compares the methods by Mantel r, the correlation of distances on the map with true "
+    "distances. It shows one run of each scenario and the five hardware runs, beside box plots of "
+    "10,000 random relabellings. Here each scenario is run with several seeds, to show the "
+    "variation between runs. The hardware runs are simulated; real skin has its own section.",
     needs=SCORES,
 )
 def figure_3(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
@@ -279,15 +278,15 @@ _RIVAL_SCORES = (
 @experiment(
     "rivals",
     "Prior work and ablations",
-    "Methods of the prior work that the paper discusses, and r-ANISOMAP without its parts, on the "
-    "same runs.\n\nAblations: r-ANISOMAP with the edges of the smallest connected neighbour graph "
-    "only, as in ISOMAP, and without shortest paths. A self-organising map places sensors instead "
-    "of frames: its inputs are the standardised readings of each sensor, and a sensor lies at the "
-    "node that is most like it. Isomap on correlations is scikit-learn's.\n\nThe bodies in the "
-    "last rows are stimulated by point sources, to which all sensors respond by distance, as in "
-    "the earlier simulation that the paper cites (Modayil). In the manner of that work, the method "
-    "of Gaussian neighbours takes distances from a Gaussian covariance, and only those of "
-    "neighbours.",
+    "Methods of prior work that the paper discusses, and r-ANISOMAP with one step changed, on the "
+    "same runs.\n\nThe ablations are r-ANISOMAP with only the edges of the smallest connected "
+    "neighbour graph, as in ISOMAP, and r-ANISOMAP without shortest paths. The self-organising map "
+    "places sensors instead of frames: its inputs are the standardised readings of each sensor, "
+    "and each sensor lies at the node that is most similar to it. Isomap on correlations uses "
+    "scikit-learn.\n\nThe bodies in the last rows are stimulated by point sources. All sensors "
+    "respond to each source, by their distance to it, as in the earlier simulation that the paper "
+    "cites (Modayil). The method with Gaussian neighbours follows this work: it computes the "
+    "distances of neighbours from a Gaussian covariance.",
     needs=_RIVAL_SCORES,
 )
 def rivals_table(_: Settings, tables: Tables) -> Iterator[Table]:
@@ -322,8 +321,8 @@ _MAX_DIMENSIONS = 8  # shown in the figure
     "Number of dimensions",
     "The paper assumes three dimensions and mentions that the approach of Pierce & Kuipers (1997) "
     "could choose their number: apply classical scaling, and keep the dimensions before the "
-    "largest drop in variance. It errs on thin bodies and long contacts; the column auto gives the "
-    "choice of anisomap.",
+    "largest drop in variance. This rule errs on thin bodies and with long contacts. The column "
+    "auto gives the choice of anisomap.",
     cost=20,
 )
 def dimensions(settings: Settings, _: Tables) -> Iterator[Picture | Table]:

@@ -90,13 +90,13 @@ for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), (
     "figure-4",
     "Figure 4: the rolling cylinder",
     "A cylinder touches the ground along a line parallel to its axis, so that the sensors on "
-    "this line have similar readings. In the paper, the maps of the rolling cylinder were "
-    "relatively poor by all methods, and compressed along the axis, with reasonable "
-    "topology.\n\nHere the compression is measured globally (axial scale of the map relative to "
-    "its radial scale) and locally (distance of axial neighbours relative to circumferential "
-    "ones); below 1 is compressed. The topology is measured by the order of the lines around the "
-    "axis, and of the sensors along each line, which do not depend on the compression. The "
-    "bombarded cylinder is the control.",
+    "this line have similar readings. In the paper, all methods mapped the rolling cylinder "
+    "relatively poorly: the maps were compressed along the axis, and their topology was "
+    "reasonable.\n\nTwo scales measure the compression here: the axial scale of the map relative "
+    "to its radial scale, and the local one, the distance of axial neighbours relative to "
+    "circumferential neighbours. Maps with a scale below 1 are compressed. Two orders measure the "
+    "topology, independently of the compression: the order of the lines around the axis, and the "
+    "order of the sensors along each line. The bombarded cylinder is the control.",
     needs=("scores-cylinder-locomotion", "scores-cylinder-bombardment"),
     cost=5,
 )
@@ -120,9 +120,10 @@ def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     "Figure 7: spherisation by information distance",
     "Unrelated sensors all have about the same information distance, which cannot be "
     "represented in few dimensions. According to the paper, the maps therefore tend towards a "
-    "sphere, on which straight lines of sensors become arcs. Their straightness (distance of the "
-    "ends divided by that through the middle) measures this effect. Unlike the spread of the "
-    "distances from the centroid, it does not change if a map is compressed along an axis.",
+    "sphere, on which straight lines of sensors become arcs. The straightness of a line measures "
+    "this effect: it is the distance between the ends of the line, divided by the length of the "
+    "path through its middle. Unlike the spread of the distances from the centroid, it does not "
+    "change if a map is compressed along an axis.",
     needs=tuple(f"scores-{case.name}" for case in BOMBARDED),
     cost=8,
 )

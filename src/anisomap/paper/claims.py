@@ -223,8 +223,7 @@ CLAIMS = (
     Claim(
         "The best 3D reconstruction was invariably one of the ANISOMAP variants",
         "Discussion",
-        "3D: Mantel r of the better ANISOMAP minus that of the better other method, in the same "
-        "run",
+        "Mantel r in 3D: better ANISOMAP minus better other method, in the same run",
         lambda e: {
             group: _lead(found, METHODS[:2])
             for group, found in e.scores().items()
@@ -234,21 +233,21 @@ CLAIMS = (
     Claim(
         "r-ANISOMAP was consistently among the best performing",
         "Results",
-        "Mantel r of r-ANISOMAP minus that of the best other method, in the same run",
+        "Mantel r: r-ANISOMAP minus best other method, in the same run",
         lambda e: {group: _lead(found, METHODS[:1]) for group, found in e.scores().items()},
         above=-AMONG_BEST,
     ),
     Claim(
         "Cylinder, locomotion: correlations relatively poor for all reconstruction methods",
         "Discussion",
-        "Mantel r of the same cylinder when bombarded minus that when rolling",
+        "Mantel r of the same cylinder: bombarded minus rolling",
         lambda e: {m: control - r for m, r, control in e.rolling()},
         above=SIMILAR,
     ),
     Claim(
         "Reconstructions of the rolling cylinder were compressed in the axial direction",
         "Discussion, Fig. 4",
-        "local axial scale of the rolling cylinder divided by that of the bombarded one",
+        "local axial scale: rolling cylinder divided by bombarded cylinder",
         lambda e: {m: scale / control for m, scale, control in e.rolling("local_axial_scale")},
         below=1 - SIMILAR,
     ),
@@ -277,14 +276,14 @@ CLAIMS = (
     Claim(
         "3D reconstructions by information distance are notably worse than 2D ones",
         "Methods, Fig. 3",
-        "flat skins: Mantel r in 2D minus that in 3D, in the same run",
+        "Mantel r of flat skins: 2D minus 3D, in the same run",
         lambda e: e.drops(["information-distance"]),
         above=AMONG_BEST,
     ),
     Claim(
         "For the other methods, 3D reconstructions are not notably worse than 2D ones",
         "Methods, Fig. 3",
-        "flat skins: Mantel r in 2D minus that in 3D, in the same run",
+        "Mantel r of flat skins: 2D minus 3D, in the same run",
         lambda e: e.drops([m for m in METHODS if m != "information-distance"]),
         below=AMONG_BEST,
     ),
@@ -302,24 +301,24 @@ CLAIMS = (
     Claim(
         "The faulty sensor 30 is isolated from the others by r-ANISOMAP",
         "Results, Fig. 2",
-        "2D, ten sensors in turn: distance of the failing sensor to the nearest one, divided by "
-        "that in the same run without the failure",
+        "2D, ten sensors in turn: distance of the failing sensor to the nearest one, relative to "
+        "the same run without the failure",
         lambda e: e.failures(lambda row: row["isolation"] / row["isolation_before"]),
         above=ISOLATED,
     ),
     Claim(
         "The reconstruction is robust to unanticipated hardware failure",
         "Abstract",
-        "r-ANISOMAP in 2D, ten sensors in turn: Mantel r of the other sensors in the same run "
-        "without the failure minus that with it",
+        "r-ANISOMAP in 2D, ten sensors in turn: Mantel r of the other sensors without the failure "
+        "minus with the failure, in the same run",
         lambda e: e.failures(lambda row: row["mantel_r_before"] - row["mantel_r"]),
         below=SIMILAR,
     ),
     Claim(
         "Information distance has a tendency to spherise reconstructions",
         "Methods, Fig. 7",
-        "3D: straightness of straight lines of sensors (Figure 7), by r-ANISOMAP minus by "
-        "information distance, in the same run",
+        "straightness of straight lines of sensors in 3D (Figure 7): r-ANISOMAP minus information "
+        "distance, in the same run",
         lambda e: {
             body: run["r-anisomap"] - run["information-distance"]
             for body in ("cylinder", "y-shape", "plane")
@@ -337,22 +336,22 @@ CLAIMS = (
     Claim(
         "All pairs of points, instead of neighbours only, give an increase in accuracy",
         "Methods",
-        "Mantel r of r-ANISOMAP minus that with the edges of a neighbour graph only, in the same "
+        "Mantel r of r-ANISOMAP: all pairs minus the edges of a neighbour graph only, in the same "
         "run",
         lambda e: e.gains(ABLATIONS[0]),
     ),
     Claim(
         "Shorter chains of distances refine over-estimated long distances",
         "Discussion",
-        "Mantel r of r-ANISOMAP minus that without shortest paths, in the same run",
+        "Mantel r of r-ANISOMAP: with minus without shortest paths, in the same run",
         lambda e: e.gains(ABLATIONS[1]),
     ),
     Claim(
         "If one sensor is linear and another a radial basis function around an optimal response, "
         "mutual information is more likely than r to identify their relation",
         "Discussion",
-        "share of radial-basis sensors (optimum: median contact) whose most similar linear sensor "
-        f"measures the same quantity, noise of {CLAIMED_NOISE:.0%}: by mutual information minus "
+        f"share of radial-basis sensors (optimum: median contact, noise: {CLAIMED_NOISE:.0%}) "
+        "whose most similar linear sensor measures the same quantity: by mutual information minus "
         "by r",
         Evidence.identified,
         above=SIMILAR,
@@ -396,7 +395,7 @@ COLUMNS = {
     "holds if the 95 % bootstrap interval of the mean over runs (seeds; sensors that fail) lies on "
     "the claimed side of the bound, is refuted if it lies on the other side, and is not clear "
     "otherwise. Comparisons are within runs of the same seed.\n\nThe paper's supplement with the "
-    "parameters of its simulation could not be had. A claim that is not reproduced may therefore "
+    "parameters of its simulation is not available. A claim that is not reproduced may therefore "
     "depend on these parameters; the sensitivity analyses below show their effects.",
     needs=(*SCORES, "failing-sensor", "rivals", "unlike-responses"),
 )

@@ -232,8 +232,8 @@ SCORE_COLUMNS = {
     "permutations": "random relabellings; without any, the null distribution is nan",
     "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
     "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
-    "straightness": "straight lines of sensors: mean distance of their ends on the map divided by "
-    "that through the middle; 1 is straight",
+    "straightness": "straight lines of sensors on the map: distance between the ends divided by "
+    "the length of the path through the middle, mean over the lines; 1 is straight",
     "axial_scale": "cylinder in 3D: axial scale divided by radial scale of the map aligned with "
     "the true positions; below 1: compressed along the axis",
     "local_axial_scale": "cylinder in 3D: distance of axial neighbours divided by distance of "
@@ -243,8 +243,8 @@ SCORE_COLUMNS = {
     "order_along": "cylinder in 3D: rank correlation of distances on the map with true distances "
     "within these lines; chance gives 0",
     "stress": "Stress-1 of the scaling",
-    "iterations": "iterations of the scaling; it stopped before it converged at "
-    f"{SMACOF.max_iterations:,}",
+    "iterations": f"iterations of the scaling; {SMACOF.max_iterations:,} if it stopped before it "
+    "converged",
 }
 
 

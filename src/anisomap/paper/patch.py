@@ -45,7 +45,7 @@ _COLUMNS = {
     "dimensions": "dimensions of the map",
     "mantel_r": "Mantel r without the failing sensor",
     "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
-    "the median of that distance over all other sensors; about 1 for a sensor among others",
+    "the median of this distance over all other sensors; about 1 if it lies among the others",
 }
 _LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
 _NOTE = (
@@ -82,9 +82,9 @@ def _draw_run(
     f"{', '.join(map(str, PATCH_FRAMES[:-1]))} and {PATCH_FRAMES[-1]} frames. One of its six "
     "triangles did not respond. Sensor 30 failed between runs 3 and 4: it saturated "
     "intermittently, whether touched or not. According to the paper, r-ANISOMAP isolates it.\n\n"
-    "Here the patch is simulated with the same numbers of triangles, frames and failures. (The "
-    "paper counts 12 sensors per triangle; two of the 12 pads of a triangle measure temperature, "
-    "so that 10 are simulated, and 50 of 60 respond.)",
+    "Here the patch is simulated with the same numbers of triangles, frames and failures. The "
+    "paper counts 12 sensors per triangle. Two of these 12 pads measure temperature, so 10 are "
+    "simulated, and 50 of 60 respond.",
     cost=12,
 )
 def figure_2(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
@@ -207,9 +207,9 @@ _FAILURE_COLUMNS = {
     "run": "number of the run",
     "sensor": "sensor that fails",
     "mantel_r_before": "Mantel r of the other sensors without the failure",
-    "mantel_r": "the same with the failure",
+    "mantel_r": "Mantel r of the other sensors with the failure",
     "isolation_before": "isolation of the sensor without the failure",
-    "isolation": "the same with the failure",
+    "isolation": "isolation of the sensor with the failure",
 }
 
 
@@ -217,7 +217,7 @@ _FAILURE_COLUMNS = {
     "failing-sensor",
     "Isolation of the failing sensor",
     "In the paper's Figure 2, sensor 30 lies apart from all others. The paper does not state how "
-    "often it was saturated; the isolation depends on it.",
+    "often the sensor was saturated, and the isolation depends on this share.",
     cost=10,
 )
 def isolation_by_saturation(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
@@ -249,9 +249,9 @@ def isolation_by_saturation(settings: Settings, _: Tables) -> Iterator[Picture |
         columns=2,
     )
     caption = (
-        "Distance of sensor 30 to its nearest neighbour on the map, divided by the median of that "
-        "distance over all other sensors, in runs 4 and 5 (dots: runs, lines: means). At about 1 "
-        "it lies among the others. In Figure 2 it is saturated in a sixth of the frames."
+        "Distance of sensor 30 to its nearest neighbour on the map, divided by the median of this "
+        "distance over all other sensors, in runs 4 and 5 (dots: runs, lines: means). At about 1, "
+        "it lies among the others. In Figure 2, it is saturated in a sixth of the frames."
     )
     yield Picture("failing-sensor", caption, figure)
     caption = "Isolation of sensor 30."

@@ -115,13 +115,13 @@ def _text_s1(cases: Iterable[Case]) -> str:
     parts = [
         "Text S1. Summary of the simulation",
         f"Simulated with the default parameters of anisomap {__version__}; the paper's parameters "
-        "could not be had. Lengths are in metres. Each data file repeats the parameters of "
+        "are not available. Lengths are in metres. Each data file repeats the parameters of "
         "its run.",
         _FORMAT.strip(),
         "A sensor is a point on the surface of a rigid body, surrounded by a detection sphere. Its "
         "reading is the depth in metres to which the nearest detectable object enters this sphere, "
-        "and 0 without one. For balls it is max(0, detection_radius + ball_radius - distance to "
-        "the centre of the ball), the maximum over all balls. Sensors have no mass and do not "
+        "and 0 if there is none. For balls it is max(0, detection_radius + ball_radius - distance "
+        "to the centre of the ball), the maximum over all balls. Sensors have no mass and do not "
         "collide.",
     ]
     parts += [_describe(case) for case in cases]

@@ -176,7 +176,7 @@ PARAMETERS = (
         "radius",
         "the detection radius",
         "detection radius, relative to the default",
-        "The detection radius of the sensors is in the paper's Text S1, which could not be had. "
+        "The detection radius of the sensors is in the paper's Text S1, which is not available. "
         "The default here is 0.44 m for bombarded bodies that extend 1 m from their centre. No "
         "other parameter has a larger effect.",
         (0.4, 0.55, 0.7, 0.85, 1, 1.2, 1.5, 2),
@@ -245,8 +245,8 @@ _LABEL = "optimum: quantile of contact readings"
 _RESPONSE_COLUMNS = {
     "run": "body and scenario",
     "seed": "seed of the run",
-    "optimum": "reading of greatest response of the radial-basis sensors: quantile of the readings "
-    "of the sensor in contact",
+    "optimum": "optimum of the radial-basis sensors, as a quantile of the readings of the sensor "
+    "in contact",
     "noise": "standard deviation of the noise of each sensor, relative to its response to a median "
     "contact",
     "method": "method; r-ANISOMAP uses linear correlation, I-ANISOMAP mutual information",
@@ -302,8 +302,8 @@ _UNLIKE = tuple(
     "The sensors of the paper are identical, which favours linear correlation. According to "
     "the paper, if one sensor is linear and another is a radial basis function around an "
     "optimal response point, mutual information is more likely to identify the relation "
-    "between them. It has no experiment on this; here both kinds of sensors are simulated, without "
-    "noise and, at the median, with noise in every reading.",
+    "between them. The paper has no experiment on this. Here both kinds of sensors are simulated "
+    "without noise and, for an optimum at the median, with noise in every reading.",
     needs=_UNLIKE,
 )
 def unlike_responses(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
@@ -312,9 +312,10 @@ def unlike_responses(settings: Settings, tables: Tables) -> Iterator[Picture | T
     panels = _panels((row for row in scores if not row["noise"]), "optimum")
     figure = curves_figure("Maps of skins with sensors of unlike response", panels, x_label=_LABEL)
     caption = (
-        "Mantel r of 3D maps of skins on which half of the sensors, at random, respond linearly, "
-        "and half by a radial basis function with its optimum at a quantile of the readings in "
-        f"contact; {_runs_drawn(settings.seeds)}. At a quantile of 1 the response is increasing."
+        "Mantel r of 3D maps. On each skin, half of the sensors, chosen at random, respond "
+        "linearly, and the others by a radial basis function whose optimum is at a quantile of the "
+        f"readings in contact; {_runs_drawn(settings.seeds)}. At a quantile of 1, the response "
+        "increases everywhere."
     )
     yield Picture("unlike-responses", caption, figure)
     rows = [tuple(row.values()) for row in scores]
@@ -329,7 +330,7 @@ _CYLINDER_PARAMETERS: Mapping[str, tuple[str, tuple[float, ...]]] = MappingProxy
     {
         "correlation": ("correlation length of the ground", (0.45, 0.55, 0.75, 1, 2, 4)),
         "roughness": ("height of the ground", (0.2, 0.5, 1, 1.5)),
-        "friction": ("friction; less slips", (0.1, 0.3, 1)),
+        "friction": ("friction; with less, it slips", (0.1, 0.3, 1)),
         "frame_interval": ("time between frames", (0.5, 1, 2)),
         _LENGTH: ("length of the cylinder over its radius", (0.5, 0.75, 1, 1.5)),
         "detection_radius": ("detection radius", (0.5, 0.7, 1, 1.4)),
@@ -397,9 +398,10 @@ _CYLINDER_SCORES = {
     "According to the paper, the map of the rolling cylinder is compressed along the axis, and has "
     "the topology of the sensors reasonably well. The paper does not give the ground, the slip, "
     "the interval between frames, the length of the cylinder over its radius, or the detection "
-    "radius. With the defaults here, the order around the axis is correct, but that along it is "
-    "lost: the bumps of the ground are longer than the distance between sensors, so that a whole "
-    "line of sensors is pressed alike. It is kept on ground with bumps as short as this distance.",
+    "radius. With the defaults here, the order around the axis is correct, but the order along the "
+    "axis is lost: the bumps of the ground are longer than the distance between sensors, so a "
+    "whole line of sensors is pressed alike. On ground with bumps as short as this distance, the "
+    "order along the axis is kept.",
     needs=tuple(_CYLINDER_SCORES.values()),
 )
 def rolling_cylinder(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:

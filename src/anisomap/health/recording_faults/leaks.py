@@ -70,8 +70,8 @@ def find_leak(recording: Recording) -> Iterator[Found]:
         yield Found(
             range(1, recording.n_sensors),
             best[0],
-            f"{best[0]:.1%} of each channel leak into the next "
-            f"(seen in {n_forward} of {n_pairs} pairs, and not backwards)",
+            f"{best[0]:.1%} of each channel leaks into the next, in {n_forward} of {n_pairs} pairs "
+            "and not backwards",
             in_readings(partial(remove_leak, rest, *best)),
         )
         return
