@@ -43,8 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder, browser(path) as page:
         command = [sys.executable, "-m", "anisomap", "live", *given.session]
         command += ["--port", "0", "--no-browser", "--json"]
-        command += ["--recording", str(Path(folder) / "skin.csv")]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)  # noqa: S603
+        command += ["--recording", "skin.csv"]
+        process = subprocess.Popen(  # noqa: S603
+            command, cwd=folder, stdout=subprocess.PIPE, text=True
+        )
         if process.stdout is None:
             raise RuntimeError("the session has no output")
         try:
