@@ -435,7 +435,7 @@ def test_what_spoils_a_map_is_among_its_notes():
         made = anisomap.diagnose(made, bad, with_verdict=False)
     (note,) = spoiling(find_faults(bad))
     assert note in made.notes
-    assert "leak into the next" in note
+    assert "leaks into the next" in note
 
 
 @pytest.mark.parametrize("fault", ["", "lagging:*,board=16", "lagging:50%,frames=5"])

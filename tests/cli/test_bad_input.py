@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import anisomap
+from anisomap import reader_process
 from anisomap.cli import app
 from command_line import call, contents, write_layout
 from skins import flat_skin, lattice
@@ -338,10 +339,15 @@ def test_too_many_sensors_are_refused_before_they_are_compared(tmp_path, monkeyp
 
 def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, monkeypatch):
     (tmp_path / "part.stl").write_bytes(b"solid part")
-    monkeypatch.setitem(sys.modules, "trimesh", None)
+    (tmp_path / "trimesh.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(tmp_path)  # also of the process for readers
     monkeypatch.setitem(sys.modules, "umap", None)
     mesh = ("--anchors", folder / "anchors.csv", "--mesh", "part.stl")
-    told = refused(tmp_path, "place", folder / "map.csv", *mesh)
+    reader_process.stop_all()
+    try:
+        told = refused(tmp_path, "place", folder / "map.csv", *mesh)
+    finally:
+        reader_process.stop_all()
     assert "reading a mesh needs an extra: pip install 'anisomap[simulation]'" in told
     told = refused(tmp_path, "compare", folder / "skin.npz", "-m", "umap-on-r")
     assert "pip install 'anisomap[umap]'" in told

@@ -147,7 +147,7 @@ def _may_be_square(file: Path) -> bool:
     """Return whether a file has about as many rows as columns, without reading all of it."""
     if file.is_dir():
         return False
-    with file_errors(file), suppress(FileError):
+    with suppress(FileError), file_errors(file):
         head = read_head(file)
         if head.startswith(npy.MAGIC):
             with open_regular(file) as stream:
