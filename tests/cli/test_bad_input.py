@@ -337,10 +337,11 @@ def test_too_many_sensors_are_refused_before_they_are_compared(tmp_path, monkeyp
         assert "100000 sensors needs about 298.0 GiB of memory" in told
 
 
-def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, monkeypatch):
+def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, tmp_path_factory, monkeypatch):
     (tmp_path / "part.stl").write_bytes(b"solid part")
-    (tmp_path / "trimesh.py").write_text("raise ImportError")
-    monkeypatch.syspath_prepend(tmp_path)  # also of the process for readers
+    libraries = tmp_path_factory.mktemp("libraries")
+    (libraries / "trimesh.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(libraries)  # also of the process for readers
     monkeypatch.setitem(sys.modules, "umap", None)
     mesh = ("--anchors", folder / "anchors.csv", "--mesh", "part.stl")
     reader_process.stop_all()
