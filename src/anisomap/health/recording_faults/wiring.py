@@ -151,7 +151,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
     rng, exceeded = np.random.default_rng(0), 0
     for _ in range(_N_PERMUTATIONS):
         order = rng.permutation(_N_BLOCKS)
-        exceeded += max(one.sum() for one, _ in _divisions(moments[order], contacts[order])) >= size
+        exceeded += any(one.sum() >= size for one, _ in _divisions(moments[order], contacts[order]))
         if exceeded > _MAX_EXCEEDED:
             return
     frame = 2 * (division + 1) * n_frames // _N_BLOCKS
@@ -178,8 +178,9 @@ def _divisions(
             yield lost, 1.0
             continue
         r = [_correlation(one, judged) for one in quarters]
-        within = np.minimum(_kept(r[0], r[1]), _kept(r[2], r[3]))
-        across = np.mean([_kept(r[a], r[b]) for a in (0, 1) for b in (2, 3)], axis=0)
+        kept = _kept(r)
+        within = np.minimum(kept[0, 1], kept[2, 3])
+        across = np.mean([kept[a, b] for a in (0, 1) for b in (2, 3)], axis=0)
         lost[judged] = np.maximum(_MIN_KEPT * within - across, 0)
         similar = [np.median((np.maximum(r[i] + r[i + 1], 0) ** 2).sum(axis=1)) for i in (0, 2)]
         yield lost, float(max(similar) / max(min(similar), 1e-12))
@@ -195,14 +196,15 @@ def _correlation(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDAr
     return np.asarray(correlation)
 
 
-def _kept(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _kept(correlations: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return the share of their similarity that the most similar sensors of each keep, at least.
 
-    first, second (n, n) -> (n,).
+    Of each pair of the Q correlations, (n, n) each -> (Q, Q, n).
     """
     kept = []
-    for one, other in ((first, second), (second, first)):
+    for one in correlations:
         partners = np.argpartition(-one, _N_PARTNERS, axis=1)[:, :_N_PARTNERS]
-        most, left = (np.take_along_axis(r, partners, axis=1).sum(axis=1) for r in (one, other))
+        most = np.take_along_axis(one, partners, axis=1).sum(axis=1)
+        left = [np.take_along_axis(r, partners, axis=1).sum(axis=1) for r in correlations]
         kept.append(np.where(most > 0, left / np.maximum(most, 1e-12), 0))
-    return np.asarray(np.clip(np.min(kept, axis=0), 0, 1))
+    return np.asarray(np.clip(np.minimum(kept, np.swapaxes(kept, 0, 1)), 0, 1))
