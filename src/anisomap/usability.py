@@ -82,7 +82,7 @@ class Verdict:
 
     def __str__(self) -> str:
         """Return the level, the expected error and the worst reason, in one line."""
-        return f"{self.summary}: {self.reasons[0]}" if self.reasons else self.summary
+        return "; ".join([self.summary, *self.reasons[:1]])
 
     @property
     def summary(self) -> str:

@@ -220,7 +220,7 @@ def test_comments_state_method_verdict_and_notes(suffix: str, tmp_path: Path) ->
     assert "60 sensors in metres, right-handed" in comments[0]
     assert f"known up to {skin.known_up_to}" in comments
     assert "method: r-anisomap" in comments
-    assert "verdict: usable, expected error 0.25 spacings: the halves agree" in comments
+    assert "verdict: usable, expected error 0.25 spacings; the halves agree" in comments
     assert "note: sensors 3- -5 & <7> were rarely touched-" in comments
     assert "note: a?b c" in comments
     assert len(comments) == 7

@@ -102,9 +102,12 @@ def test_events_hold_the_map_the_readings_and_the_status(page):
 
 def test_buttons(page):
     server, session = page.server, page.session
+    session.recorder.arrived_at -= 5
     for on, state in ((True, "paused"), (False, "running")):
         assert act(server, "pause", on=on)["ok"]
         assert session.state == state
+    session.recorder.put(Batch(np.ones((1, 3))))
+    assert not any("no frame for" in note.text for note in session.notices)
     assert act(server, "drop", sensors=["s3"])["text"] == "left out: s3"
     assert session.maps.options.drop == ("s3",)
     assert not act(server, "drop", sensors=["nobody"])["ok"]

@@ -205,6 +205,7 @@ class LiveSession:
 
     def pause(self, paused: bool) -> None:
         """Record nothing for a while, or go on."""
+        self.recorder.arrived_at = None  # a pause is no silence of the source
         self.paused = paused
         self.notify("paused: nothing is recorded" if paused else "recording again")
 
