@@ -1,0 +1,467 @@
+"""Estimators with scikit-learn's interface: of sensors, which are columns, and of objects, rows."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
+from scipy.stats import spearmanr
+from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, TransformerMixin
+from sklearn.metrics import pairwise_distances
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
+
+from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD
+from anisomap.diagnosis.diagnostics import diagnose
+from anisomap.dimensions import AUTO, Dimensions
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.large.chunks import sample_of
+from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
+from anisomap.numerics.similarity.correlation import Moments
+from anisomap.options import MethodOptions
+from anisomap.reconstruction import reconstruct
+from anisomap.recording import MissingPolicy, Recording
+
+
+class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
+    """Map the sensors (columns) of a recording; transform frames to centres of contact.
+
+    Parameters
+    ----------
+    n_components : int or "auto", default="auto"
+        Number of dimensions of the map: see `anisomap.reconstruct`.
+    method : str, default="covariogram"
+        A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
+    mu, bins : float, int
+        See `anisomap.methods.MethodOptions`.
+    tol, max_iter : float, int
+        Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
+    missing : {"error", "drop-frames", "interpolate"}, default="error"
+        How to handle NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
+        ``"drop-frames"``, `transform` ignores missing readings of a frame.
+
+    Attributes
+    ----------
+    positions_, embedding_ : ndarray of shape (n_sensors, k)
+        Positions of the sensors; NaN for constant sensors.
+    map_ : SensorMap
+        The map, with sensor health (after `fit`), stress and notes.
+    n_features_in_ : int
+        Number of sensors.
+    n_iter_ : int
+        Iterations of SMACOF.
+    n_samples_seen_ : int
+        Number of frames.
+
+    See Also
+    --------
+    Anisomap : Embedding of rows, given as points or as a dissimilarity matrix.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> place, touch = np.linspace(0, 1, 12), np.random.default_rng(0).uniform(size=(2000, 1))
+    >>> readings = np.maximum(0, 0.2 - abs(touch - place))
+    >>> mapper = SensorMapper(n_components=1).fit(readings)
+    >>> bool(abs(np.corrcoef(mapper.positions_[:, 0], place)[0, 1]) > 0.99)
+    True
+    """
+
+    def __init__(
+        self,
+        n_components: Dimensions = AUTO,
+        *,
+        method: str = DEFAULT_METHOD,
+        mu: float = 1.0,
+        bins: int = DEFAULT_BINS,
+        tol: float = SmacofOptions.tolerance,
+        max_iter: int = SmacofOptions.max_iterations,
+        missing: MissingPolicy = "error",
+    ) -> None:
+        self.n_components = n_components
+        self.method = method
+        self.mu = mu
+        self.bins = bins
+        self.tol = tol
+        self.max_iter = max_iter
+        self.missing = missing
+
+    def fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Map the sensors from all frames at once.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings.
+        y : object
+            Ignored.
+
+        Returns
+        -------
+        SensorMapper
+            The fitted estimator.
+
+        Raises
+        ------
+        InputError
+            See `anisomap.reconstruct`.
+        """
+        return self._map(self._added(X, first=True))
+
+    def partial_fit(self, X: ArrayLike, y: object = None) -> Self:
+        """Add frames of the same sensors, and map the sensors from all frames so far.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings that follow those seen before.
+        y : object
+            Ignored.
+
+        Returns
+        -------
+        SensorMapper
+            The fitted estimator.
+
+        Raises
+        ------
+        InputError
+            See `anisomap.reconstruct`.
+
+        Notes
+        -----
+        Memory does not grow with the number of frames: of more than 16,384, or fewer of more than
+        512 sensors, those are mapped that are evenly spread over all; until then the map is that of
+        `fit`. Missing readings are handled within each part. `anisomap.large.reconstruct_chunks`
+        maps all frames.
+        """
+        recording = self._added(X, first=not hasattr(self, "n_samples_seen_"))
+        return self._map(Recording(self._sample.readings, names=recording.names))
+
+    def transform(self, X: ArrayLike) -> NDArray[np.float64]:
+        """Compute the centre of contact of every frame.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings.
+
+        Returns
+        -------
+        ndarray of shape (n_frames, k)
+            Mean position of the sensors of the largest component, weighted by their readings
+            beyond rest; NaN for frames without contact.
+        """
+        check_is_fitted(self)
+        readings = self._checked(X, reset=False)
+        largest = self.map_.component == 0
+        depth = np.nan_to_num(self._rest.depth(readings)[:, largest])
+        total = depth.sum(axis=1, keepdims=True)
+        centre = depth @ self.positions_[largest]
+        nowhere = np.full_like(centre, np.nan)
+        return np.asarray(np.divide(centre, total, out=nowhere, where=total > 0))
+
+    def score(self, X: ArrayLike, y: object = None) -> float:
+        """Score the map on other frames: sensors that agree in them should be close together.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_frames, n_sensors)
+            Readings, such as those that a cross-validation left out.
+        y : object
+            Ignored.
+
+        Returns
+        -------
+        float
+            Rank correlation of Pearson's r in these frames with the nearness of sensors on the
+            map, at most 1; pairs of the largest component whose sensors vary in them. NaN if all r
+            or all distances are equal.
+        """
+        check_is_fitted(self)
+        moments = Moments.of(self._validated(X, reset=False).readings)
+        kept = np.flatnonzero((self.map_.component == 0) & moments.varying())
+        pairs = np.triu_indices(len(kept), k=1)
+        agreement = moments.correlation()[np.ix_(kept, kept)][pairs]
+        if not pairs[0].size:
+            return float("nan")
+        nearness = -pdist(self.positions_[kept])
+        if np.ptp(agreement) == 0 or np.ptp(nearness) == 0:
+            return float("nan")
+        return float(spearmanr(agreement, nearness).statistic)
+
+    @property
+    def _n_features_out(self) -> int:
+        return self.map_.dimensions
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.allow_nan = self.missing != "error"
+        return tags
+
+    def _validated(self, X: ArrayLike, *, reset: bool) -> Recording:
+        readings = self._checked(X, reset=reset)
+        names = getattr(self, "feature_names_in_", ())
+        return Recording(readings, names=tuple(names)).complete(self.missing)
+
+    def _checked(self, X: ArrayLike, *, reset: bool) -> NDArray[np.floating]:
+        """Check readings as scikit-learn does; the error on missing ones names our option."""
+        readings = validate_data(
+            self,
+            X,
+            reset=reset,
+            dtype=(np.float64, np.float32),
+            ensure_all_finite="allow-nan",
+            ensure_min_samples=2 if reset else 1,
+            ensure_min_features=2 if reset else 0,
+        )
+        if self.missing == "error" and np.isnan(readings).any():
+            raise InputError(
+                "Input X contains NaN, missing readings; SensorMapper(missing='interpolate') fills "
+                "them in, and missing='drop-frames' leaves their frames out"
+            )
+        return np.asarray(readings)
+
+    def _added(self, X: ArrayLike, *, first: bool) -> Recording:
+        """Add frames to the sample, or begin a new one with them."""
+        recording = self._validated(X, reset=first)
+        if first:
+            self.n_samples_seen_ = 0
+            self._sample = sample_of(self.n_features_in_)
+        self._sample.add(recording.readings)
+        self.n_samples_seen_ += recording.n_frames
+        return recording
+
+    def _map(self, recording: Recording) -> Self:
+        options = MethodOptions(
+            mu=self.mu,
+            bins=self.bins,
+            smacof=SmacofOptions(self.tol, self.max_iter),
+            min_sensors=1,
+        )
+        made = reconstruct(recording, self.method, self.n_components, options=options)
+        self.map_ = diagnose(made, recording, with_verdict=False)
+        self.positions_ = self.embedding_ = made.positions
+        self.n_iter_ = max(1, made.n_iterations)  # 0 if the initial positions fit exactly
+        self._rest = recording.signals.rest
+        return self
+
+
+class Anisomap(BaseEstimator):
+    """ANISOMAP embedding of objects (rows): scaling of their metricised dissimilarities.
+
+    An alternative to scikit-learn's ``MDS`` and ``Isomap`` that supports any semi-metric, weights
+    and missing pairs. Like ``MDS``, it has no `transform` for new objects. Of the parameters of
+    ``MDS``, `eps` is `tol` here, ``metric_mds=False`` (once ``metric=False``) is
+    ``method="ordinal"``, ``dissimilarity="precomputed"`` is ``metric="precomputed"``, and `init` is
+    an argument of `fit`; `n_jobs` and `verbose` have no counterpart, and `normalized_stress` none
+    either, since `stress_` is always normalised.
+
+    Parameters
+    ----------
+    n_components : int, default=2
+        Number of dimensions of the embedding.
+    metric : str or callable, default="euclidean"
+        Dissimilarity of rows, as in `sklearn.metrics.pairwise_distances`; ``"precomputed"`` if X is
+        a matrix of dissimilarities. Any semi-metric is allowed, such as correlation, cosine or
+        squared distance.
+    metric_params : dict, optional
+        Additional arguments of `metric`.
+    method : {"anisomap", "mds", "ordinal"}, default="anisomap"
+        What distances approximate: the lengths of shortest paths, the dissimilarities themselves,
+        or their order (non-metric scaling).
+    n_init : int, default=1
+        Number of initial configurations, of which the one with the least stress is kept. The first
+        is Torgerson's classical scaling or `init`; further ones are random.
+    random_state : int, RandomState or None, default=None
+        Random numbers of the further initial configurations.
+    tol, max_iter : float, int
+        Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
+    dissimilarity : None
+        Refused, with an error that names `metric`.
+
+    Attributes
+    ----------
+    embedding_ : ndarray of shape (n_samples, n_components)
+        Positions of the objects.
+    metric_matrix_ : ndarray of shape (n_samples, n_samples)
+        The distances that were approximated: metricised dissimilarities, the dissimilarities, or
+        with ``method="ordinal"`` the monotone function of them that fits best.
+    stress_ : float
+        Stress-1 of `metric_matrix_`; 0 is a perfect fit.
+    n_iter_ : int
+        Iterations of SMACOF.
+    n_features_in_ : int
+        Number of columns of X.
+
+    See Also
+    --------
+    SensorMapper : Map of sensors, which are columns.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> embedding = Anisomap().fit_transform(square)
+    >>> np.allclose(np.linalg.norm(embedding, axis=1), 0.5**0.5, atol=1e-4)
+    True
+    """
+
+    def __init__(
+        self,
+        n_components: int = 2,
+        *,
+        metric: str | Any = "euclidean",
+        metric_params: dict[str, Any] | None = None,
+        method: str = "anisomap",
+        n_init: int = 1,
+        random_state: Any = None,
+        tol: float = SmacofOptions.tolerance,
+        max_iter: int = SmacofOptions.max_iterations,
+        dissimilarity: str | None = None,
+    ) -> None:
+        self.n_components = n_components
+        self.metric = metric
+        self.metric_params = metric_params
+        self.tol = tol
+        self.max_iter = max_iter
+        self.method = method
+        self.n_init = n_init
+        self.random_state = random_state
+        self.dissimilarity = dissimilarity
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: object = None,
+        *,
+        weights: ArrayLike | None = None,
+        init: ArrayLike | None = None,
+    ) -> Self:
+        """Embed the rows of X.
+
+        Parameters
+        ----------
+        X : array_like of shape (n_samples, n_features) or (n_samples, n_samples)
+            Objects, or with ``metric="precomputed"`` their dissimilarities. NaN or infinity on
+            either side of the diagonal marks an unknown pair.
+        y : object
+            Ignored.
+        weights : array_like of shape (n_samples, n_samples), optional
+            Weights of the distances; 0 marks an unknown distance.
+        init : array_like of shape (n_samples, n_components), optional
+            Initial positions; Torgerson's classical scaling by default.
+
+        Returns
+        -------
+        Anisomap
+            The fitted estimator.
+
+        Raises
+        ------
+        InputError
+            If a dissimilarity is negative or not symmetric, or the known pairs do not connect all
+            objects.
+
+        Warns
+        -----
+        AnisomapWarning
+            If X is a matrix of dissimilarities, but `metric` is not ``"precomputed"``.
+        """
+        self._check_parameters()
+        precomputed = self.metric == "precomputed"
+        values = validate_data(
+            self,
+            X,
+            dtype=np.float64,
+            ensure_all_finite=not precomputed,
+            ensure_min_samples=2,
+        )
+        if precomputed:
+            check_non_negative(values, "Anisomap")
+            unknown = np.isnan(values) | np.isnan(values.T)
+            dissimilarity = np.where(unknown, np.inf, values)
+        else:
+            if _are_dissimilarities(values):
+                warnings.warn(
+                    "X is square and symmetric with a zero diagonal, like a matrix of "
+                    "dissimilarities, but its rows are taken as points; set metric='precomputed' "
+                    "if it holds dissimilarities",
+                    AnisomapWarning,
+                    stacklevel=2,
+                )
+            dissimilarity = pairwise_distances(
+                values, metric=self.metric, **(self.metric_params or {})
+            )
+            # Rounding errors of some metrics are negative, or not 0 on the diagonal.
+            dissimilarity = np.maximum(dissimilarity, 0)
+            np.fill_diagonal(dissimilarity, 0)
+        scale = find_scaling(self.method)
+        options = SmacofOptions(self.tol, self.max_iter)
+        random = check_random_state(self.random_state)
+        starts = [init] + [
+            random.standard_normal((len(dissimilarity), self.n_components))
+            for _ in range(self.n_init - 1)
+        ]
+        scaling, self.metric_matrix_ = min(
+            (
+                scale(
+                    dissimilarity,
+                    dimensions=self.n_components,
+                    start=start,
+                    weights=weights,
+                    options=options,
+                )
+                for start in starts
+            ),
+            key=lambda found: found[0].stress,
+        )
+        self.embedding_ = scaling.positions
+        self.stress_ = scaling.stress
+        self.n_iter_ = len(scaling.trace) - 1
+        return self
+
+    def fit_transform(
+        self,
+        X: ArrayLike,
+        y: object = None,
+        *,
+        weights: ArrayLike | None = None,
+        init: ArrayLike | None = None,
+    ) -> NDArray[np.float64]:
+        """Embed the rows of X and return their positions; see `fit`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, n_components)
+        """
+        return self.fit(X, y, weights=weights, init=init).embedding_
+
+    def _check_parameters(self) -> None:
+        if isinstance(self.metric, bool) or self.dissimilarity is not None:
+            raise InputError(
+                "of scikit-learn's MDS, dissimilarity='precomputed' is metric='precomputed' here, "
+                "and metric=False is method='ordinal'"
+            )
+        if self.n_init < 1:
+            raise InputError(f"n_init must be at least 1, got {self.n_init}")
+
+    def __sklearn_tags__(self) -> Any:
+        tags = super().__sklearn_tags__()
+        tags.input_tags.pairwise = self.metric == "precomputed"
+        tags.input_tags.allow_nan = tags.input_tags.pairwise
+        tags.input_tags.positive_only = tags.input_tags.pairwise
+        return tags
+
+
+def _are_dissimilarities(values: NDArray[np.float64]) -> bool:
+    return (
+        values.shape[0] == values.shape[1]
+        and not np.diag(values).any()
+        and np.array_equal(values, values.T)
+        and bool((values >= 0).all() and values.any())
+    )
