@@ -7,9 +7,8 @@ import pytest
 
 from anisomap import reconstruct_from
 from anisomap.errors import InputError
-from anisomap.large.chunked_similarity import CHUNKED
 from anisomap.large.map_reduce import WorkerPool
-from anisomap.large.streaming import reconstruct_chunks
+from anisomap.large.streaming import CHUNKED, reconstruct_chunks
 from anisomap.memory import check_pair_memory, physical_memory
 from anisomap.numerics.similarity.binning import ValueCounts
 

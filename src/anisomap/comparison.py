@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,54 +88,47 @@ def correlation_distances(r: Array) -> Array:
     return distances
 
 
+def _fitted(module: str, kind: str, values: Array, dimensions: int, **settings: Any) -> Array:
+    method = getattr(import_module(module), kind)(n_components=dimensions, **settings)
+    return np.asarray(method.fit_transform(values), dtype=np.float64)
+
+
+def _on_distances(module: str, kind: str, r: Array, dimensions: int, **settings: Any) -> Array:
+    distances = correlation_distances(r)
+    return _fitted(module, kind, distances, dimensions, metric="precomputed", **settings)
+
+
 def _isomap(r: Array, dimensions: int, _: int) -> Array:
     # The dense solver is deterministic; ARPACK would start at a random vector.
-    method = import_module("sklearn.manifold").Isomap(
-        n_neighbors=min(ISOMAP_NEIGHBOURS, len(r) - 1),
-        n_components=dimensions,
-        metric="precomputed",
-        eigen_solver="dense",
-    )
-    return np.asarray(method.fit_transform(correlation_distances(r)))
+    settings = {"n_neighbors": min(ISOMAP_NEIGHBOURS, len(r) - 1), "eigen_solver": "dense"}
+    return _on_distances("sklearn.manifold", "Isomap", r, dimensions, **settings)
 
 
 def _umap(r: Array, dimensions: int, seed: int) -> Array:
-    method = import_module("umap").UMAP(
-        n_neighbors=min(_UMAP_NEIGHBOURS, len(r) - 1),
-        n_components=dimensions,
-        metric="precomputed",
-        random_state=seed,
-        n_jobs=1,
-    )
-    return np.asarray(method.fit_transform(correlation_distances(r)), dtype=np.float64)
+    settings = {"n_neighbors": min(_UMAP_NEIGHBOURS, len(r) - 1), "random_state": seed}
+    return _on_distances("umap", "UMAP", r, dimensions, n_jobs=1, **settings)
 
 
 def _tsne(r: Array, dimensions: int, seed: int) -> Array:
-    method = import_module("sklearn.manifold").TSNE(
-        dimensions,
-        perplexity=_PERPLEXITY if len(r) > _PERPLEXITY else (len(r) - 1) / 3,
-        metric="precomputed",
-        init="random",
-        method="barnes_hut" if dimensions <= _BARNES_HUT_DIMENSIONS else "exact",
-        random_state=seed,
-        n_jobs=1,
-    )
-    return np.asarray(method.fit_transform(correlation_distances(r)), dtype=np.float64)
+    settings = {
+        "perplexity": _PERPLEXITY if len(r) > _PERPLEXITY else (len(r) - 1) / 3,
+        "init": "random",
+        "method": "barnes_hut" if dimensions <= _BARNES_HUT_DIMENSIONS else "exact",
+        "random_state": seed,
+    }
+    return _on_distances("sklearn.manifold", "TSNE", r, dimensions, n_jobs=1, **settings)
 
 
 def _pca(r: Array, dimensions: int, _: int) -> Array:
     # Kernel PCA on r is PCA of the standardised readings with sensors as observations.
-    method = import_module("sklearn.decomposition").KernelPCA(
-        dimensions, kernel="precomputed", eigen_solver="dense"
-    )
-    return np.asarray(method.fit_transform(r))
+    settings = {"kernel": "precomputed", "eigen_solver": "dense"}
+    return _fitted("sklearn.decomposition", "KernelPCA", r, dimensions, **settings)
 
 
 def _laplacian(r: Array, dimensions: int, seed: int) -> Array:
-    method = import_module("sklearn.manifold").SpectralEmbedding(
-        dimensions, affinity="precomputed", random_state=seed
-    )
-    return np.asarray(method.fit_transform(np.maximum(r, 0)))
+    settings = {"affinity": "precomputed", "random_state": seed}
+    kind = "SpectralEmbedding"
+    return _fitted("sklearn.manifold", kind, np.maximum(r, 0), dimensions, **settings)
 
 
 def _som(r: Array, dimensions: int, _: int) -> Array:
@@ -240,9 +234,7 @@ def map_by_rival(recording: Recording, name: str, dimensions: int, *, seed: int 
     parameters of the authors' library. Where a graph of neighbours is not connected, scikit-learn
     joins its pieces.
     """
-    rival = RIVALS[name]
-    if not rival.installed:
-        raise MissingExtraError(f"the method {name}", rival.extra)
+    check_methods([name])
     varying = np.flatnonzero(recording.varying())
     positions = np.full((recording.n_sensors, dimensions), np.nan)
     # Warnings concern the libraries: an optional dependency, a graph that they have joined.
@@ -250,7 +242,7 @@ def map_by_rival(recording: Recording, name: str, dimensions: int, *, seed: int 
         warnings.simplefilter("ignore")
         try:
             r = np.corrcoef(recording.readings[:, varying].astype(np.float64).T)
-            positions[varying] = rival.place(np.clip((r + r.T) / 2, -1, 1), dimensions, seed)
+            positions[varying] = RIVALS[name].place(np.clip((r + r.T) / 2, -1, 1), dimensions, seed)
         except (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
             raise InputError(
                 f"{name} cannot map {len(varying)} sensors in {dimensions} dimensions"

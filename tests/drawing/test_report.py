@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anisomap.drawing.report import Touches, check_writable, render_report
-from anisomap.drawing.report.contents import MAX_ROWS
+from anisomap.drawing.report import MAX_ROWS, Touches, check_writable, render_report
 from anisomap.drawing.report.interactive import MAX_DOTS
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.evidence import SIMILARITIES
-from anisomap.large.chunked_similarity import CHUNKED, computed_similarity
+from anisomap.large.streaming import CHUNKED, computed_similarity
 from anisomap.numerics.similarity import binning as value_counts
 from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import ValueCounts

@@ -59,7 +59,7 @@ def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit)
     options = ExaminationOptions(**OPTIONS, drop=("palm.0",))
     final = limit != "MAX_INTERIM_READINGS"
     found = examine(tmp_path / "r.csv", len(hand), options, final=final)
-    assert found.sensor_map is not None, found.reason
+    assert found.sensor_map is not None, found.verdict
     assert list(found.sensor_map.names) == NAMES
     unplaced = [name for name, one in zip(NAMES, found.sensor_map.placed, strict=True) if not one]
     assert unplaced == ["palm.0"]

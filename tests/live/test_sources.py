@@ -78,8 +78,8 @@ class Collected:
         return any(isinstance(item, Notice) and words in item.text for item in self.items)
 
 
-def collected(address, **options):
-    return Collected(open_source(address, **options))
+def collected(address):
+    return Collected(open_source(address))
 
 
 @contextmanager
@@ -144,9 +144,9 @@ def test_a_recording_is_replayed_whole(tmp_path, speed):
 
 def test_a_simulated_hand_rubs_where_it_is_told():
     body = find_body("sphere")
-    source, asked = SimulatedHand(body, speed=0, max_frames=60), []
+    source, asked = SimulatedHand(body, speed=0), []
     source.where = lambda: asked.append(7) or ((7,), None)
-    batches = list(source.items(threading.Event()))
+    batches = list(itertools.islice(source.items(threading.Event()), 60))
     assert [batch.readings.shape for batch in batches] == [(1, body.n_sensors)] * 60
     assert len(asked) == -(-60 // BOUT_FRAMES)
     assert (np.diff([batch.times[0] for batch in batches]) > 0).all()

@@ -30,6 +30,7 @@ _CLOSE_S = 2.0
 
 
 Mapper: TypeAlias = Callable[[NDArray[Any]], Any]
+"""Makes an accumulator of a chunk of finite readings, shape (t, N)."""
 
 
 @dataclass(frozen=True)

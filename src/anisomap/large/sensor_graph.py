@@ -22,6 +22,7 @@ from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, labels_by_size, most_similar
 from anisomap.numerics.reliability.significance import MIN_SHARED, count_shared_neighbours
+from anisomap.numerics.signals import count_contacts
 
 logger = logging.getLogger(__name__)
 
@@ -126,8 +127,8 @@ def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Gen
         varying |= values.any(axis=0)
         for side, is_beyond in enumerate((values > 0, values < 0)):
             beyond[side] += np.count_nonzero(is_beyond, axis=0)
-            crossings[side] += is_beyond[0] & ~was_beyond[side]
-            crossings[side] += np.count_nonzero(is_beyond[1:] & ~is_beyond[:-1], axis=0)
+            seen = np.concatenate([was_beyond[side, None], is_beyond])
+            crossings[side] += count_contacts(seen) - was_beyond[side]
             was_beyond[side] = is_beyond[-1]
         used, rows = np.unique(components, return_inverse=True)
         entries = (signs.astype(np.float32), (rows, np.arange(len(chunk))))

@@ -14,14 +14,6 @@
 ====================  ============================================================
 """
 
-from anisomap.live.examination import Examination, ExaminationOptions
-from anisomap.live.session import LiveSession
-from anisomap.live.sources import SOURCES, open_source
-
-__all__ = [
-    "SOURCES",
-    "Examination",
-    "ExaminationOptions",
-    "LiveSession",
-    "open_source",
-]
+from anisomap.live.examination import ExaminationOptions as ExaminationOptions
+from anisomap.live.session import LiveSession as LiveSession
+from anisomap.live.sources import open_source as open_source

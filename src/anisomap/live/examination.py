@@ -30,7 +30,7 @@ MAX_INTERIM_READINGS = 1 << 22
 class Examination:
     """A checked map.
 
-    sensor_map: None if there is no map yet; see `reason`.
+    sensor_map: None if there is no map yet, for the reason of the verdict.
     error_against_truth: RMS error in spacings, if the truth is known; else NaN.
     n_frames: Number of frames of the recording when it was read.
     final: Whether all frames of the session are in the map.
@@ -44,7 +44,6 @@ class Examination:
     n_frames: int
     seconds: float
     final: bool
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def examine(
     begun = time.monotonic()
     made: SensorMap | None = None
     examined: route.Examined | None = None
-    reason, error = "", float("nan")
+    verdict, error = Verdict(), float("nan")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -82,17 +81,16 @@ def examine(
             if options.truth is not None:
                 error = score(made, options.truth, permutations=0).rms_in_spacings
         except AnisomapError as problem:
-            reason = str(problem)
+            verdict = Verdict(reasons=(str(problem),))
     return Examination(
         sensor_map=made,
         health=() if examined is None else tuple(examined.health),
         summary=None if examined is None else examined.summary,
-        verdict=Verdict(reasons=(reason,)) if made is None else made.verdict,
+        verdict=verdict if made is None else made.verdict,
         error_against_truth=error,
         n_frames=n_frames,
         seconds=time.monotonic() - begun,
         final=final,
-        reason=reason,
     )
 
 

@@ -224,7 +224,7 @@ def save_report(examination: Examination | None, path: Path) -> Path:
 def map_of(examination: Examination | None) -> SensorMap:
     """Return the checked map."""
     if examination is None or examination.sensor_map is None:
-        reason = "" if examination is None else f": {examination.reason}"
+        reason = "" if examination is None else f": {examination.verdict.reasons[0]}"
         raise InputError(f"there is no checked map yet{reason}")
     return examination.sensor_map
 

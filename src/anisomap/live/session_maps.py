@@ -63,10 +63,8 @@ class SessionMaps:
         self.ready = threading.Event()
         self._notify, self._announce, self._clock = notify, announce, clock
         self._segment: Segment | None = None
-        self._chosen = 0  # dimensions of the last checked map
         self._dimensions = SPATIAL  # of quick maps, if the options leave it open
         self._has_changed = False
-        self._final: Examination | None = None
         self._finished = threading.Event()
         self._examined_frames = 0
         self._examined_at = 0.0
@@ -139,7 +137,6 @@ class SessionMaps:
         """Map a new recording from now on."""
         self._segment = segment
         self.quick = self.checked = self._previous = None
-        self._chosen = 0
         self._examined_frames = 0
         self._map_quickly()
 
@@ -172,7 +169,7 @@ class SessionMaps:
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames, final=True))
         if not self._examiner.gone:
             self._finished.wait(timeout_s)
-        return self._final
+        return self.checked if self.checked is not None and self.checked.final else None
 
     def _map_quickly(self) -> None:
         """Tell the worker what to map from now on."""
@@ -206,7 +203,6 @@ class SessionMaps:
             self._choose(found.sensor_map.dimensions)
         self._announce()
         if found.final:
-            self._final = found
             self._finished.set()
 
     def _choose(self, dimensions: int) -> None:
@@ -215,7 +211,8 @@ class SessionMaps:
         It is changed when two checked maps in a row agree; the first time, one suffices if nearly
         all sensors were touched.
         """
-        agree, self._chosen = dimensions == self._chosen, dimensions
+        before = None if self._previous is None else self._previous.sensor_map
+        agree = before is not None and before.dimensions == dimensions
         first = not self._has_changed and self.share_touched >= _NEARLY_ALL
         if self.quick is None or dimensions == self.quick.positions.shape[1]:
             return

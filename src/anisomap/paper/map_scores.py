@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist, pdist
 from scipy.stats import spearmanr
 
 from anisomap.defaults import DEFAULT_BINS
-from anisomap.drawing.figures.charts import METHOD_LOOKS, NullBox
+from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.evaluation import Mantel, Score, align, score
@@ -296,11 +296,19 @@ def stopped(rows: Iterable[Mapping[str, Any]]) -> str:
     return ", ".join(f"{method} {count}" for method, count in counts.items()) or "none"
 
 
-def null_box(row: Mapping[str, Any]) -> NullBox:
+_BOX = {
+    "whislo": "whisker_low",
+    "q1": "quartile_1",
+    "med": "median",
+    "q3": "quartile_3",
+    "whishi": "whisker_high",
+}
+
+
+def null_box(row: Mapping[str, Any]) -> dict[str, Any]:
     """Return the box plot of a null distribution from a row of `SCORE_COLUMNS`."""
-    quantiles = ("whisker_low", "quartile_1", "median", "quartile_3", "whisker_high")
-    outliers = tuple(float(value) for value in str(row["null_outliers"]).split())
-    return NullBox(**{name: row[f"null_{name}"] for name in quantiles}, outliers=outliers)
+    outliers = [float(value) for value in str(row["null_outliers"]).split()]
+    return {key: row[f"null_{name}"] for key, name in _BOX.items()} | {"fliers": outliers}
 
 
 def _null_cells(mantel: Mantel) -> Row:

@@ -183,10 +183,10 @@ def _opened(
     if coached and simulate is None:
         raise InputError("--coached is for a simulated hand; use it with --simulate BODY")
     if simulate is not None:
-        from anisomap.cli import bodies
+        from anisomap.cli.commands.simulation import read_body
         from anisomap.live.sources.replay import SimulatedHand
 
-        return SimulatedHand(bodies.find(simulate, None), seed, speed)
+        return SimulatedHand(read_body(simulate), seed, speed)
     return open_source(str(source), speed=speed)
 
 
@@ -316,7 +316,7 @@ def _finish(
                 written.append(("report", save_report(final, report)))
         printer.say(f"Final map of {final.n_frames} frames: {final.verdict}")
     elif final is not None:
-        print_warning(f"there is no map: {final.reason}")
+        print_warning(f"there is no map: {final.verdict.reasons[0]}")
     elif written:
         print_warning("the final map was not made; the recording is complete")
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
@@ -19,6 +19,7 @@ from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from anisomap.scene import Scene
+    from anisomap.sensor_map import SensorMap
     from anisomap.simulation import Body, Simulation
 
 _looks = Group("Pictures", sort_key=1)
@@ -75,17 +76,16 @@ def simulate_body(
         Show the run in MuJoCo's viewer.
     """
     from anisomap import io
-    from anisomap.cli import bodies
     from anisomap.cli.outputs import Outputs
     from anisomap.drawing.figures import scenes
     from anisomap.simulation import run_simulation, simulate_runs
 
-    skin = bodies.find(body, sensors, **({"placement": placement} if placement else {}))
+    skin = read_body(body, sensors, **({"placement": placement} if placement else {}))
     target = output or Path(f"{skin.name}-{scenario}.npz")
     Outputs(recording=target, picture=picture, others=[video], inputs=[Path(body)])
     if video:
         scenes.check_animation(video)
-    settings = {"n_frames": frames, **bodies.parse_parameters(parameter or [])}
+    settings = {"n_frames": frames, **_parse_parameters(parameter or [])}
     if runs > 1:
         if picture or video or view:
             raise InputError("--picture, --video and --view show one run; leave out --runs")
@@ -224,7 +224,6 @@ def coverage(
     output
         CSV file for the table.
     """
-    from anisomap.cli import bodies
     from anisomap.cli.outputs import Outputs
     from anisomap.drawing import figures
     from anisomap.drawing.figures.charts import coverage_figure
@@ -234,7 +233,7 @@ def coverage(
     Outputs(picture=picture, others=[output])
     if output:
         check_target(output)
-    skin = bodies.find(body, sensors)
+    skin = read_body(body, sensors)
     with progress(f"simulating {runs} runs of {scenario} of {skin.name}"):
         curve = coverage_curve(
             skin,
@@ -243,7 +242,7 @@ def coverage(
             range(first_seed, first_seed + runs),
             method=method,
             dimensions=dimensions,
-            **bodies.parse_parameters(parameter or []),
+            **_parse_parameters(parameter or []),
         )
     records = [
         {
@@ -329,3 +328,71 @@ def spoil(
     printer.rows("Injected faults", columns, records)
     printer.record(injected=records)
     printer.files([("recording", output)])
+
+
+def read_body(body: str, sensors: str | None = None, **options: Any) -> Body:
+    """Make a body from its name or file."""
+    from anisomap.simulation import BODIES, body_from_points, find_body, load_body
+    from anisomap.simulation.imported import MESH_SUFFIXES, MODEL_SUFFIXES
+
+    given: int | Path | None = None
+    if sensors is not None:
+        given = int(sensors) if sensors.lstrip("-").isdecimal() else Path(sensors)
+    if body in BODIES:
+        if given is None or isinstance(given, int):
+            return find_body(body, given, **options)
+        raise InputError(
+            f"--sensors must be the number of sensors of the body {body}, which has predefined "
+            f"positions, got {sensors}"
+        )
+    if options:
+        raise InputError(
+            f"--{next(iter(options))} applies to named bodies only, and {body} is a file"
+        )
+    path = Path(body)
+    if path.suffix.lower() in (*MESH_SUFFIXES, *MODEL_SUFFIXES) and not _contains_only_points(path):
+        if isinstance(given, Path):
+            found = _positions(given)
+            return load_body(path, found.positions, found.names)
+        return load_body(path, given)
+    if not path.exists():
+        raise InputError(
+            f"there is no body or file {body!r}; choose from {', '.join(BODIES)}, or give a mesh, "
+            "a MuJoCo model or a file of positions"
+        )
+    found = _positions(path)
+    return body_from_points(
+        found.positions, names=found.names, name=path.name.split(".")[0], units=found.units
+    )
+
+
+def _contains_only_points(path: Path) -> bool:
+    """Return whether a file is a PLY point cloud, without faces, as written for maps."""
+    if path.suffix.lower() != ".ply" or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b"element face" not in file.read(4096).split(b"end_header")[0]
+
+
+def _positions(path: Path) -> SensorMap:
+    from anisomap import io
+
+    found = io.read_map(path)
+    if found.dimensions != 3:
+        raise InputError(f"{path} must contain positions in 3 dimensions, got {found.dimensions}")
+    return found
+
+
+def _parse_parameters(parameters: list[str]) -> dict[str, Any]:
+    """Read ``NAME=VALUE`` pairs."""
+    parsed: dict[str, Any] = {}
+    for text in parameters:
+        name, equals, value = text.partition("=")
+        try:
+            parsed[name.strip().replace("-", "_")] = (
+                int(value) if value.strip().lstrip("+-").isdecimal() else float(value)
+            )
+        except ValueError as error:
+            hint = f"{value!r} is not a number" if equals else "write NAME=VALUE"
+            raise InputError(f"--parameter {text!r}: {hint}") from error
+    return parsed

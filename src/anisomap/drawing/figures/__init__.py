@@ -1,39 +1,20 @@
 """Figures of maps and simulated scenes; matplotlib is imported when the first one is drawn."""
 
-from anisomap.drawing.figures.backend import KINDS, check_writable, figure_bytes, save_figure
-from anisomap.drawing.figures.charts import (
-    plot_null_test,
-    plot_series,
-    plot_shepard,
-    plot_stress_per_point,
-    series_figure,
-    stress_figure,
-)
-from anisomap.drawing.figures.maps import map_figure, plot, plot_distances, plot_map
-from anisomap.drawing.figures.sensors import (
-    plot_difference,
-    plot_layout,
-    plot_placement,
-    plot_touches,
-)
-
-__all__ = [
-    "KINDS",
-    "check_writable",
-    "figure_bytes",
-    "map_figure",
-    "plot",
-    "plot_difference",
-    "plot_distances",
-    "plot_layout",
-    "plot_map",
-    "plot_null_test",
-    "plot_placement",
-    "plot_series",
-    "plot_shepard",
-    "plot_stress_per_point",
-    "plot_touches",
-    "save_figure",
-    "series_figure",
-    "stress_figure",
-]
+from anisomap.drawing.figures.backend import KINDS as KINDS
+from anisomap.drawing.figures.backend import check_writable as check_writable
+from anisomap.drawing.figures.backend import figure_bytes as figure_bytes
+from anisomap.drawing.figures.backend import save_figure as save_figure
+from anisomap.drawing.figures.charts import plot_null_test as plot_null_test
+from anisomap.drawing.figures.charts import plot_series as plot_series
+from anisomap.drawing.figures.charts import plot_shepard as plot_shepard
+from anisomap.drawing.figures.charts import plot_stress_per_point as plot_stress_per_point
+from anisomap.drawing.figures.charts import series_figure as series_figure
+from anisomap.drawing.figures.charts import stress_figure as stress_figure
+from anisomap.drawing.figures.maps import map_figure as map_figure
+from anisomap.drawing.figures.maps import plot as plot
+from anisomap.drawing.figures.maps import plot_distances as plot_distances
+from anisomap.drawing.figures.maps import plot_map as plot_map
+from anisomap.drawing.figures.sensors import plot_difference as plot_difference
+from anisomap.drawing.figures.sensors import plot_layout as plot_layout
+from anisomap.drawing.figures.sensors import plot_placement as plot_placement
+from anisomap.drawing.figures.sensors import plot_touches as plot_touches

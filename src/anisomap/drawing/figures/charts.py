@@ -61,33 +61,16 @@ METHOD_LOOKS = {
 
 
 @dataclass(frozen=True)
-class NullBox:
-    """Box plot of a null distribution.
-
-    whisker_low, quartile_1, median, quartile_3, whisker_high: The whiskers reach to the most
-        extreme values within 1.5 interquartile ranges.
-    outliers: Values drawn beyond the whiskers.
-    """
-
-    whisker_low: float
-    quartile_1: float
-    median: float
-    quartile_3: float
-    whisker_high: float
-    outliers: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
 class ScoreGroup:
     """Scores of several methods on one kind of run.
 
     scores: One value per run, by method.
-    nulls: Null distributions, by method.
+    nulls: Box plots of null distributions, by method: arguments of matplotlib's ``bxp``.
     """
 
     label: str
     scores: Mapping[str, Sequence[float]]
-    nulls: Mapping[str, NullBox]
+    nulls: Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,18 +202,10 @@ def _draw_runs(axes: Axes, x: Values, values: Values, colour: str, marker: str) 
     axes.plot(x, mean, color=colour, marker=marker, markersize=4.5)
 
 
-def _draw_null(axes: Axes, x: float, box: NullBox, look: MethodLook) -> None:
+def _draw_null(axes: Axes, x: float, box: Mapping[str, Any], look: MethodLook) -> None:
     line = {"color": look.colour, "linewidth": 1.0}
-    statistics = {
-        "med": box.median,
-        "q1": box.quartile_1,
-        "q3": box.quartile_3,
-        "whislo": box.whisker_low,
-        "whishi": box.whisker_high,
-        "fliers": list(box.outliers),
-    }
     axes.bxp(
-        [statistics],
+        [box],
         positions=[x],
         widths=0.55,
         boxprops=line,

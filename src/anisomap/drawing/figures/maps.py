@@ -480,18 +480,13 @@ def truth_panel(
     *,
     units: str = "",
     on_maps: ArrayLike | None = None,
-    excluded: ArrayLike | None = None,
+    excluded: ArrayLike = False,
     labels: Mapping[int, str] | None = None,
 ) -> Panel:
     """Prepare a panel of the true positions. truth (N, k)."""
     places = np.asarray(truth, dtype=np.float64)
-    placed = (
-        np.ones(len(places), dtype=bool) if on_maps is None else np.asarray(on_maps, dtype=bool)
-    )
-    left_out = np.zeros(len(places), dtype=bool)
-    if excluded is not None:
-        left_out |= np.asarray(excluded, dtype=bool)
-    drawn = _panel(title, places, places, placed, left_out, units=units, labels=labels or {})
+    placed = np.full(len(places), True) if on_maps is None else np.asarray(on_maps, dtype=bool)
+    drawn = _panel(title, places, places, placed, excluded=excluded, units=units, labels=labels)
     return replace(drawn, unplaced=places[~placed])
 
 
@@ -508,14 +503,11 @@ def map_panel(
     truth (N, k).
     """
     places = np.asarray(truth, dtype=np.float64)
+    points = score.alignment.apply(sensor_map.positions)[:, : places.shape[1]]
+    excluded = np.isin(np.arange(sensor_map.n_sensors), score.excluded)
+    placed = sensor_map.placed & (sensor_map.component == 0)
     return _panel(
-        title,
-        score.alignment.apply(sensor_map.positions)[:, : places.shape[1]],
-        places,
-        sensor_map.placed & (sensor_map.component == 0),
-        np.isin(np.arange(sensor_map.n_sensors), score.excluded),
-        units=score.units,
-        labels=labels or {},
+        title, points, places, placed, excluded=excluded, units=score.units, labels=labels
     )
 
 
@@ -562,27 +554,28 @@ def _panel(
     points: Points,
     truth: Points,
     placed: NDArray[np.bool_],
-    excluded: NDArray[np.bool_],
     *,
+    excluded: ArrayLike,
     units: str,
-    labels: Mapping[int, str],
+    labels: Mapping[int, str] | None,
 ) -> Panel:
     view = VIEWS[0]  # ignored in 2D
     if truth.shape[1] == 3:
         view = VIEWS[0] if best_view(truth) == VIEWS[0] else _OBLIQUE_VIEW
     rows = np.flatnonzero(placed)
     row_of = {int(sensor): i for i, sensor in enumerate(rows)}
+    left_out = np.broadcast_to(np.asarray(excluded, dtype=bool), placed.shape)[rows]
     pairs = neighbour_pairs(truth[rows])
     return Panel(
         points=points[rows],
         colours=place_colours(truth, view)[rows],
-        pairs=pairs[~excluded[rows][pairs].any(axis=1)],  # whose place on the map is arbitrary
+        pairs=pairs[~left_out[pairs].any(axis=1)],  # whose place on the map is arbitrary
         view=view,
         units=units,
-        uncompared=excluded[rows],
+        uncompared=left_out,
         faulty=np.zeros(len(rows), dtype=bool),
         sensors=rows,
         truth=truth[rows],
-        labels={row_of[sensor]: name for sensor, name in labels.items() if sensor in row_of},
+        labels={row_of[i]: name for i, name in (labels or {}).items() if i in row_of},
         title=title,
     )

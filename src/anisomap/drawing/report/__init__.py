@@ -4,30 +4,290 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import math
 import os
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
 from importlib.resources import files
 from typing import Any
 
-from anisomap.drawing.report.contents import (
-    Touches,
-    alternative_text,
-    caveats,
-    facts,
-    headlines,
-    method_sentences,
-    provenance,
-    sensor_statuses,
-    sensor_table,
-)
+import numpy as np
+
 from anisomap.drawing.report.interactive import interactive_views, status_colours
-from anisomap.drawing.view import drawn_components, printable
+from anisomap.drawing.view import MAX_JOINED, drawn_components, layout_notes, printable
 from anisomap.errors import FileError, import_extra
 from anisomap.evaluation import Score
+from anisomap.evidence import SIMILARITIES
 from anisomap.files import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
-from anisomap.sensor_map import SensorMap
+from anisomap.methods import METHODS
+from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
+from anisomap.wording import UNKNOWN, join_items, number, percent
+
+TITLE = "Map of a skin"
+
+SUFFIXES = (".html", ".htm")
+"""Suffixes of report files."""
+
+MAX_ROWS = 2000
+"""Largest number of sensors in the table; browsers lay out longer tables slowly."""
+
+_N_WORST = 5  # sensors named first
+_MAX_PRINTED = 8  # rows of the table in print; figures and facts fill the rest of two pages
+
+
+@dataclass(frozen=True)
+class _Fact:
+    """A value with its name and an explanation."""
+
+    name: str
+    value: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True)
+class Touches:
+    """How a skin was touched.
+
+    facts: Numbers of contacts, and where to touch next.
+    map_png: Picture of the contacts by place.
+    series_png: Picture of the readings of doubted sensors over time.
+    """
+
+    facts: Mapping[str, str]
+    map_png: bytes
+    series_png: bytes | None = None
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A table cell: its text, and the key by which it is sorted (None is last)."""
+
+    text: str
+    key: str | float | None = None
+
+
+def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
+    """Tell the verdict and what is known of the errors; the first sentence is the headline."""
+    sentences = [printable(sentence) for sentence in sensor_map.verdict.sentences]
+    if score is not None:
+        null = score.mantel.quantiles().get(0.95)
+        if null is not None and score.mantel.r <= null:
+            sentences.append(
+                "The map agrees with the true positions no better than random permutations of the "
+                "sensors."
+            )
+        worst = score.worst(_N_WORST)
+        farthest = [
+            f"{printable(sensor_map.names[i])} ({number(float(error), 3, score.units)})"
+            for i, error in zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
+        ]
+        sentences.append(f"Farthest from their true positions: {join_items(farthest)}.")
+    sizes = sensor_map.component_sizes
+    if len(sizes) > 1:
+        sentences.append(
+            f"Only {sizes[0]} sensors are placed relative to one another: the others are in "
+            f"{len(sizes) - 1} separate components."
+        )
+    if sensor_map.approximate:
+        sentences.append("This map is approximate: only some pairs of sensors were compared.")
+    fitted = "" if score is None else ", and was fitted to the true positions"
+    return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
+
+
+def _method_sentences(sensor_map: SensorMap) -> list[str]:
+    """Describe the method that made the map."""
+    told = []
+    if sensor_map.method in METHODS:
+        told.append(f"{sensor_map.method}: {METHODS[sensor_map.method].summary}")
+    if sensor_map.similarity in SIMILARITIES:
+        told.append(f"similarity of readings: {SIMILARITIES[sensor_map.similarity].summary}")
+    if steps := steps_of(sensor_map):
+        told.append(f"steps, with the share of the map that each gave: {join_items(steps)}")
+    return [f"{text[:1].upper()}{text[1:]}." for text in told]
+
+
+def _facts(sensor_map: SensorMap, score: Score | None) -> list[_Fact]:
+    """List the figures of merit."""
+    found = []
+    if score is not None:
+        null, mantel = score.mantel.quantiles(), score.mantel
+        null_range = "not computed"
+        if null:
+            null_range = (
+                f"Mantel r of random permutations: min {null[0.0]:.3f}, median {null[0.5]:.3f}, "
+                f"max {null[1.0]:.3f}; p = {number(mantel.p_value, 2)}"
+            )
+        meaning = "correlation of the distances on the map with the true distances; at most 1"
+        in_spacings = (
+            f"or {number(score.rms_in_spacings, 3)} spacings of "
+            f"{number(score.spacing, unit=score.units)}"
+        )
+        kept = "share of the true nearest neighbours that are also nearest on the map"
+        found += [
+            _Fact("Mantel r", f"{mantel.r:.3f}", meaning),
+            _Fact("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, null_range),
+            _Fact("RMS error", number(score.rms, unit=score.units), in_spacings),
+            _Fact("Neighbours kept", f"{score.neighbours_kept:.0%}", kept),
+        ]
+    placed = f"{int(sensor_map.placed.sum())} of {sensor_map.n_sensors}"
+    misfit = "misfit between the distances on the map and the metric; 0 is a perfect fit"
+    return [
+        *found,
+        _Fact("Placed", placed, "sensors with a position on the map"),
+        _Fact("Stress-1", number(sensor_map.stress), misfit),
+    ]
+
+
+def _alternative_text(sensor_map: SensorMap, score: Score | None) -> str:
+    """Describe the picture for readers who cannot see it."""
+    placed = int(sensor_map.placed.sum())
+    if score is None:
+        lines = ", neighbours joined by lines" if placed <= MAX_JOINED else ""
+        return f"The map of {placed} sensors{lines}."
+    lines = ", true neighbours joined by lines in both" if placed <= MAX_JOINED else ""
+    return (
+        f"Left: the true positions of {len(score.sensors)} sensors. Middle: the map aligned with "
+        f"them{lines}. Right: distances on the map against true distances, Mantel r "
+        f"{score.mantel.r:.3f}."
+    )
+
+
+def _caveats(
+    sensor_map: SensorMap, score: Score | None, summary: RecordingSummary | None
+) -> list[str]:
+    """List the caveats of map, score and recording, without repetition."""
+    notes = [*sensor_map.notes, *layout_notes(sensor_map, score)]
+    unplaced = [printable(sensor_map.names[i]) for i in np.flatnonzero(~sensor_map.placed)]
+    if unplaced and score is None:
+        notes.append(f"sensors without a position: {join_items(unplaced, 12)}")
+    if score is not None:
+        notes += score.notes
+    notes += summary.warnings if summary is not None else ()
+    return list(dict.fromkeys(printable(note[:1].upper() + note[1:]) for note in notes))
+
+
+def _sensor_statuses(sensor_map: SensorMap, health: Sequence[SensorHealth]) -> tuple[str, ...]:
+    """Return the status of every sensor, from `health` or else from the map."""
+    assessed = {sensor.name: sensor.status for sensor in health}
+    own = zip(sensor_map.names, sensor_map.health, strict=True)
+    return tuple(printable(assessed.get(name, status)) for name, status in own)
+
+
+def _sensor_table(
+    sensor_map: SensorMap, score: Score | None, health: Sequence[SensorHealth]
+) -> dict[str, Any]:
+    """Tabulate the sensors: those with the greatest errors first, else those with problems.
+
+    Returns the columns between name and status and the reason, the rows, at most `MAX_ROWS`, the
+    number of sensors with each status, and the number of sensors, of the map and on paper.
+    """
+    assessed = {sensor.name: sensor for sensor in health}
+    statuses = _sensor_statuses(sensor_map, health)
+    errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
+    columns: list[tuple[_Fact, Callable[[int], _Cell]]] = []
+    if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
+        fact = _Fact("Component", "", "connected component of the map; 1 is the largest")
+        numbers = (sensor_map.component + 1).tolist()
+        columns.append((fact, lambda i: _count(numbers[i]) if numbers[i] else _Cell("not placed")))
+    if score is not None:
+        unit = f" ({score.units})" if score.units else ""
+        fact = _Fact(f"Error{unit}", "", "distance from the true position")
+        columns.append((fact, lambda i: _numeric(errors.get(i))))
+    if sensor_map.covariances is not None:
+        units, scale = sensor_map.units, np.ones(len(statuses))
+        if score is not None:  # in the frame and unit of the errors beside them
+            units = score.units
+            scale = np.where(sensor_map.component == 0, score.alignment.scale, np.nan)
+        unit = "" if units in UNSCALED else f" ({printable(units)})"
+        radii = scale * ellipses(sensor_map.covariances)[0].max(axis=1)
+        fact = _Fact(f"95 %{unit}", "", "longest half axis of the 95 % ellipse")
+        columns.append((fact, lambda i: _numeric(float(radii[i]))))
+    if health:
+        known = [assessed.get(name) for name in sensor_map.names]
+        columns += [
+            (_Fact(title, "", meaning), partial(_measured, known, attribute, cell))
+            for title, meaning, attribute, cell in _MEASURED
+        ]
+    listed = sorted(
+        range(len(statuses)), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0))
+    )
+    printed = set(listed[:_MAX_PRINTED])
+    rows = [
+        {
+            "name": printable(name := sensor_map.names[i]),
+            "status": statuses[i],
+            "reason": printable(assessed[name].reason) if name in assessed else "",
+            "cells": [cell(i) for _, cell in columns],
+            "printed": i in printed,
+        }
+        for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0))
+    ]
+    counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
+    return {
+        "columns": [fact for fact, _ in columns],
+        "rows": rows,
+        "counts": counts,
+        "n_sensors": len(statuses),
+        "n_printed": len(printed),
+    }
+
+
+def _provenance(
+    sensor_map: SensorMap, score: Score | None, origin: Mapping[str, str]
+) -> list[_Fact]:
+    """List the information needed to reproduce the map."""
+    found = [
+        *(_Fact(printable(name), printable(value)) for name, value in origin.items()),
+        _Fact("method", printable(sensor_map.method or "not recorded")),
+        _Fact("dimensions", str(sensor_map.dimensions)),
+        _Fact("units of the map", printable(sensor_map.units)),
+    ]
+    if score is not None:
+        found.append(_Fact("permutations of the null", str(len(score.mantel.null))))
+    return found + [
+        _Fact(printable(name), printable(str(value)))
+        for name, value in sensor_map.provenance.items()
+    ]
+
+
+def _measured(
+    known: Sequence[SensorHealth | None], attribute: str, cell: Callable[[Any], _Cell], i: int
+) -> _Cell:
+    return cell(getattr(known[i], attribute)) if known[i] else _Cell(UNKNOWN)
+
+
+def _count(value: int) -> _Cell:
+    return _Cell(str(value), value)
+
+
+def _share(value: float) -> _Cell:
+    return _Cell(percent(value) if math.isfinite(value) else UNKNOWN, value)
+
+
+def _numeric(value: float | None, digits: int = 3) -> _Cell:
+    if value is None or not math.isfinite(value):
+        return _Cell(UNKNOWN)
+    return _Cell(number(value, digits), float(value))
+
+
+_two_digits = partial(_numeric, digits=2)
+_MEASURED: tuple[tuple[str, str, str, Callable[[Any], _Cell]], ...] = (
+    ("Min", "smallest reading", "minimum", _numeric),
+    ("Max", "largest reading", "maximum", _numeric),
+    ("Values", "number of distinct readings", "distinct", _count),
+    ("Active", "share of frames in which the reading is not at rest", "active", _share),
+    ("Contacts", "number of separate contacts", "contacts", _count),
+    (
+        "Lag-1 r",
+        "autocorrelation at a lag of one frame; near 0 for noise",
+        "lag_correlation",
+        _two_digits,
+    ),
+    ("Best match", "highest Pearson r with another sensor", "best_match", _two_digits),
+)
+"""Columns of the table of sensors that the health of a sensor fills: title, meaning, attribute."""
 
 
 def load_libraries() -> tuple[Any, Any]:
@@ -66,14 +326,6 @@ def _environment() -> Any:
 
 def _text(name: str) -> str:
     return files("anisomap.drawing.report").joinpath("templates", name).read_text(encoding="utf-8")
-
-
-__all__ = ["SUFFIXES", "TITLE", "Touches", "check_writable", "render_report", "write_report"]
-
-TITLE = "Map of a skin"
-
-SUFFIXES = (".html", ".htm")
-"""Suffixes of report files."""
 
 
 def write_report(
@@ -125,7 +377,7 @@ def render_report(
     """
     _, plotly = load_libraries()
     drawn = drawn_components(sensor_map, score)
-    statuses = sensor_statuses(sensor_map, health)
+    statuses = _sensor_statuses(sensor_map, health)
     scene = interactive_views(sensor_map, drawn, score, statuses)
     # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
     # package contain none (tested), and tojson escapes the data.
@@ -136,17 +388,17 @@ def render_report(
         .get_template("report.html")
         .render(
             title=printable(title),
-            verdict=headlines(sensor_map, score),
-            facts=facts(sensor_map, score),
-            caveats=caveats(sensor_map, score, summary),
+            verdict=_headlines(sensor_map, score),
+            facts=_facts(sensor_map, score),
+            caveats=_caveats(sensor_map, score, summary),
             scene=scene,
             statuses=status_colours(statuses),
-            alt=alternative_text(sensor_map, score),
+            alt=_alternative_text(sensor_map, score),
             compared=score is not None,
-            table=sensor_table(sensor_map, score, health),
+            table=_sensor_table(sensor_map, score, health),
             recording=summary.facts if summary else {},
-            method=method_sentences(sensor_map),
-            provenance=provenance(sensor_map, score, origin or {}),
+            method=_method_sentences(sensor_map),
+            provenance=_provenance(sensor_map, score, origin or {}),
             picture=_encoded(figure_png),
             touches=None
             if touches is None

@@ -13,7 +13,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
-from anisomap import io
 from anisomap.errors import InputError
 from anisomap.live.batches import Address, Source
 from anisomap.live.sources.replay import replay
@@ -54,7 +53,7 @@ SOURCES: Mapping[str, Entry] = MappingProxyType({
 """Kinds of sources by the scheme of their addresses."""
 
 
-def open_source(text: str, *, speed: float = 1.0, options: io.ReadOptions | None = None) -> Source:
+def open_source(text: str, *, speed: float = 1.0) -> Source:
     """Open a source."""
     scheme, colon, _ = text.partition("://")
     if text == "-" or (colon and scheme in SOURCES):
@@ -65,6 +64,6 @@ def open_source(text: str, *, speed: float = 1.0, options: io.ReadOptions | None
         except ValueError as error:
             raise InputError(f"{text} is not an address: {error}") from error
     if Path(text).exists():
-        return replay(Path(text), speed, options)
+        return replay(Path(text), speed)
     known = ", ".join(entry.example for entry in SOURCES.values())
     raise InputError(f"there is no file {text}, and it is no address: {known}")

@@ -32,12 +32,12 @@ _BATCH_S = 0.05  # longest time between two batches, so that the page moves smoo
 _MAX_BATCH = 512
 
 
-def replay(path: Path, speed: float = 1.0, options: io.ReadOptions | None = None) -> Source:
+def replay(path: Path, speed: float) -> Source:
     """Return a recording that is replayed at its rate, or faster; it is read in blocks.
 
     speed: Multiple of the rate of the recording; 0 for as fast as possible.
     """
-    with io.open_stream(path, frames=1, options=options) as stream:
+    with io.open_stream(path, frames=1) as stream:
         names, truth = stream.names or default_names(stream.n_sensors), None
         if stream.positions is not None:
             truth = SensorMap(stream.positions, names=names, units=stream.units)
@@ -45,7 +45,7 @@ def replay(path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
 
     def items(stop: Event) -> Iterator[Item]:
         started, clock = time.monotonic(), 0.0
-        with io.open_stream(path, frames=_MAX_BATCH, options=options) as stream:
+        with io.open_stream(path, frames=_MAX_BATCH) as stream:
             step = 1 / (stream.rate_hz or known_rate or DEFAULT_RATE_HZ)
             for block in stream.blocks:
                 times = _times(block, clock, step)
@@ -82,12 +82,11 @@ class SimulatedHand(Source):
 
     speed: Multiple of the speed of a human hand, about 20 frames per second; 0 for as fast as
         possible.
-    max_frames: Number of frames after which the source ends; 0 for none.
     where: Returns the sensors to rub next, by index, and the contacts of each sensor if they are
         known; no sensors for anywhere.
     """
 
-    def __init__(self, body: Body, seed: int = 1, speed: float = 1.0, max_frames: int = 0) -> None:
+    def __init__(self, body: Body, seed: int = 1, speed: float = 1.0) -> None:
         truth = SensorMap(body.positions, names=body.names, units=body.units)
         super().__init__(
             f"simulated hand on {body.name}, seed {seed}",
@@ -99,7 +98,7 @@ class SimulatedHand(Source):
         self.where: Callable[[], Advised] = lambda: ((), None)
         self._options = options_for(RubbingOptions, body)
         self._hand = GuidedHand(body, self._options, np.random.default_rng(seed))
-        self._speed, self._max_frames = speed, max_frames
+        self._speed = speed
 
     def _rub(self, stop: Event) -> Iterator[Item]:
         started, n_frames, interval = time.monotonic(), 0, self._options.frame_interval
@@ -110,5 +109,3 @@ class SimulatedHand(Source):
                 times = np.array([n_frames * interval])
                 yield Batch(row[None].astype(np.float64), times)
                 n_frames += 1
-                if n_frames == self._max_frames:
-                    return
