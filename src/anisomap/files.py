@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import stat
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -15,7 +14,6 @@ from typing import TypeAlias
 from anisomap.errors import FileError
 
 _MARK_BYTES = 8  # of a temporary file's name: no two agree
-_STANDARD_ERROR = 2
 _STEM = 32  # characters of the output's name in it; systems limit names to 255 bytes
 
 
@@ -153,26 +151,3 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             del moves[temporary]
             temporary.unlink(missing_ok=True)
             raise
-
-
-@contextmanager
-def silent_library() -> Iterator[None]:
-    """Discard what a library in C prints on standard error, before an exception that says it.
-
-    The descriptor is of the whole process, so that the block must be short.
-    """
-    if sys.stderr is not None:
-        sys.stderr.flush()
-    try:
-        original = os.dup(_STANDARD_ERROR)
-    except OSError:  # it is closed
-        yield
-        return
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, _STANDARD_ERROR)
-        yield
-    finally:
-        os.dup2(original, _STANDARD_ERROR)
-        os.close(original)
-        os.close(null)

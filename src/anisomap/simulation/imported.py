@@ -1,162 +1,35 @@
 """Bodies from meshes, MuJoCo models and positions of sensors.
 
-What a MuJoCo model declares is checked before MuJoCo allocates it: a few characters can declare any
-number of elements (``replicate``) or values (``hfield``), and any file as a part of the model.
+Another process compiles MuJoCo models, within limits of memory and time: a few characters can
+declare any number of elements (``replicate``) or values (``hfield``).
 """
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.files import check_regular, open_regular, silent_library
+from anisomap.files import check_regular, open_regular
 from anisomap.memory import Budget
 from anisomap.mesh_files import read_mesh
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.surfaces import estimate_normals
+from anisomap.reader_process import opened
 from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
 from anisomap.simulation.physics import load_mujoco
-from anisomap.simulation.solids import Solid, spread
-
-MAX_ELEMENTS = 10_000
-"""The time in which MuJoCo 3.9 compiles a model is quadratic: 9 s for so many geoms or bodies."""
-
-_MAX_BYTES = 1 << 26
-_INCLUDES, _MULTIPLIERS = {"include", "model"}, {"replicate", "composite", "flexcomp"}
-_FOLDERS = ("meshdir", "texturedir", "assetdir")
-# Attributes whose product is a number of values, and the bytes per value.
-_TABLES = {"hfield": (("nrow", "ncol"), 4), "texture": (("width", "height"), 4)}
-_UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40, "P": 1 << 50, "E": 1 << 60}
-_SIZE = re.compile(r"\s*+(\d{1,30})\s*+([KMGTPE]?)\s*+")
-_VALUE_BYTES = 8
-_PNG = b"\x89PNG\r\n\x1a\n"
-
-
-@dataclass
-class _Model:
-    """The counts that a MuJoCo model declares, while its files are read."""
-
-    path: Path
-    budget: Budget
-    n_elements: int = 0
-    n_attachable: int = 0  # elements of models that each `attach` copies
-    copies: list[int] = field(default_factory=lambda: [1])  # of the elements that are open
-    folders: set[Path] = field(default_factory=set)
-    seen: set[Path] = field(default_factory=set)
-
-    def read(self, path: Path) -> None:
-        """Check the elements of a file, and then the files that they name."""
-        if (file := Path(os.path.realpath(path))) in self.seen:
-            return  # MuJoCo rejects files that are included twice
-        self.seen.add(file)
-        parser = expat.ParserCreate()
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = lambda _: self.copies.pop()
-        parser.StartDoctypeDeclHandler = self._refuse_types
-        try:
-            parser.Parse(_markup(path), True)
-        except expat.ExpatError as error:
-            raise FileError(f"MuJoCo cannot read {path}: it is not valid XML ({error})") from error
-
-    def _start(self, name: str, attributes: Mapping[str, str]) -> None:
-        copies = self.copies[-1]
-        if name in _MULTIPLIERS:
-            copies *= max(1, math.prod(_integers(attributes.get("count", "1"))))
-        self.copies.append(copies)
-        self.n_elements += copies * (1 + (self.n_attachable if name == "attach" else 0))
-        if self.n_elements > MAX_ELEMENTS:
-            raise FileError(
-                f"{self.path} declares more than {MAX_ELEMENTS} elements with their copies; remove "
-                "those that are not part of the body"
-            )
-        for n_bytes in _declared(name, attributes):
-            self.budget.check(n_bytes * copies, f"<{name}>")
-        if name == "compiler":
-            self.folders |= {self.path.parent / attributes.get(key, "") for key in _FOLDERS}
-        for file in (attributes.get("file"), attributes.get("filename")):
-            if file:
-                self._check_file(name, file)
-
-    def _check_file(self, name: str, file: str) -> None:
-        folders = {self.path.parent, *self.folders}
-        for candidate in sorted({folder / file for folder in folders}):
-            if not candidate.exists():
-                continue
-            if name in _INCLUDES:
-                before = self.n_elements
-                self.read(candidate)
-                if name == "model":
-                    self.n_attachable += self.n_elements - before
-                continue
-            with open_regular(candidate) as stream:
-                head = stream.read(24)
-            if head.startswith(_PNG):
-                width, height = (int.from_bytes(head[at : at + 4], "big") for at in (16, 20))
-                self.budget.check(4 * width * height, str(candidate))
-
-    def _refuse_types(self, *_: object) -> None:
-        raise FileError(f"{self.path} declares a document type, which is not supported")
-
-
-def _declared(name: str, attributes: Mapping[str, str]) -> Iterator[int]:
-    """Yield the bytes that the attributes of an element declare."""
-    if name in _TABLES:
-        keys, n_bytes = _TABLES[name]
-        yield n_bytes * math.prod(max(1, *_integers(attributes.get(key, "1"))) for key in keys)
-    if name == "size":
-        for key, text in attributes.items():
-            if match := _SIZE.fullmatch(text):
-                n_bytes = int(match[1]) * _UNITS[match[2]]
-                yield n_bytes if key == "memory" else n_bytes * _VALUE_BYTES
-    if name in ("numeric", "text", "tuple"):
-        yield _VALUE_BYTES * max(1, *_integers(attributes.get("size", "1")))
-    for key in ("nsample", "dim"):  # of the history of a sensor, and of a sensor of the user
-        yield _VALUE_BYTES * max(1, *_integers(attributes.get(key, "1")))
-
-
-def _integers(text: str) -> list[int]:
-    found = []
-    for word in text.split():
-        with suppress(ValueError, OverflowError):
-            found.append(int(float(word)))
-    return [count for count in found if count >= 0] or [1]
-
-
-def _markup(path: Path) -> bytes:
-    """Return the markup of a file in ASCII, without comments and declarations.
-
-    MuJoCo accepts what Expat does not: two hyphens in a comment, and bytes that are not UTF-8.
-    """
-    with open_regular(path) as stream:
-        content = stream.read(_MAX_BYTES + 1)
-    if len(content) > _MAX_BYTES:
-        raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for models")
-    for opening, closing in ((b"<!--", b"-->"), (b"<?", b"?>")):
-        at, parts = 0, []
-        while (start := content.find(opening, at)) >= 0:
-            parts.append(content[at:start])
-            end = content.find(closing, start)
-            at = len(content) if end < 0 else end + len(closing)
-        parts.append(content[at:])
-        content = b"".join(parts)
-    return content.strip().decode("ascii", "replace").replace("\ufffd", "?").encode()
-
+from anisomap.simulation.solids import Points, Solid, spread
 
 MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
 MODEL_SUFFIXES = (".mjcf", ".xml")
@@ -165,6 +38,8 @@ TOLERANCE = 0.02
 """Maximum distance of a given sensor from the surface, as a fraction of the reach of the body."""
 
 _SEED = 0
+_MAX_BYTES = 1 << 26  # of a file that is searched for names of others
+_NAMED = re.compile(rb"""\b(file|filename|meshdir|texturedir|assetdir)\s*=\s*(["'])(.+?)\2""")
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}  # of geoms of MuJoCo
 _TRIANGLE_BYTES = 72  # of its corners
 _MIN_LENGTH = 1e-100  # its cube is within the range of float64
@@ -280,40 +155,86 @@ def body_from_mjcf(
     FileError
         If MuJoCo cannot read the model, or it has no geoms, or no sites and no sensors are given.
     """
-    mujoco = load_mujoco()
-    _Model(path, Budget(path)).read(path)
-    try:
-        with silent_library():
-            model = mujoco.MjModel.from_xml_path(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        first = str(error).strip().splitlines()[0]
-        raise FileError(f"MuJoCo cannot read {path}: {first}") from error
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    for lengths in (data.geom_xpos, data.geom_xmat, model.geom_size, model.mesh_vert):
-        if not np.abs(lengths.astype(np.float64)).max(initial=0) < solids.MAX_LENGTH:
+    with opened(_read_model, path) as answers:
+        found = next(answers)
+    lengths = [found[name] for name in ("sizes", "centres", "rotations")]
+    for values in (*lengths, *(vertices for vertices, _ in found["meshes"])):
+        if not np.abs(values.astype(np.float64)).max(initial=0) < solids.MAX_LENGTH:
             raise FileError(f"{path} holds coordinates that are not finite or out of range")
-    scenery = {int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)}
-    candidates = [i for i in range(model.ngeom) if int(model.geom_type[i]) not in scenery]
-    colliding = [i for i in candidates if model.geom_contype[i] or model.geom_conaffinity[i]]
-    used = colliding or candidates
-    is_mesh = model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH)
-    assets = [int(model.geom_dataid[i]) for i in used if is_mesh[i]]
-    n_bytes = _TRIANGLE_BYTES * int(model.mesh_facenum[assets].sum(dtype=np.int64))
+    shown = [found["meshes"][i] for i in found["shown"] if i >= 0]
+    n_bytes = _TRIANGLE_BYTES * sum(len(faces) for _, faces in shown)
     Budget(path).check(n_bytes, "the surface of its meshes")
-    shapes = {asset: _solid_from_mesh(model.mesh(asset), model) for asset in set(assets)}
-    parts = [_solid_from_geom(mujoco, model, data, shapes, i) for i in used]
+    meshes = [_solid_from_mesh(*mesh) for mesh in found["meshes"]]
+    parts = []
+    for kind, label, i, size, centre, rotation in zip(
+        found["kinds"], found["labels"], found["shown"], *lengths, strict=True
+    ):
+        if kind != "mesh" and kind not in _SIZES:
+            raise InputError(
+                f"geom {label} must be a sphere, capsule, cylinder, box, ellipsoid or mesh"
+            )
+        solid = meshes[i] if kind == "mesh" else Solid(kind, tuple(size[: _SIZES[kind]].tolist()))
+        parts.append(solid.moved(rotation.reshape(3, 3), centre))
     if not parts:
         raise FileError(f"{path} has no geoms for sensors")
     if sensors is None:
-        if not model.nsite:
+        if not found["names"]:
             raise FileError(
                 f"{path} has no sites to use as sensors; add sites or give the number of sensors "
                 "(--sensors)"
             )
-        sensors = np.array(data.site_xpos)
-        names = [model.site(i).name or f"site{i}" for i in range(model.nsite)]
+        sensors, names = found["sites"], found["names"]
     return _with_sensors(path.stem, parts, sensors, names, "m")
+
+
+def _read_model(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield geoms and sites in the initial pose; this runs in the process for readers."""
+    _check_named_files(path)
+    mujoco = load_mujoco()
+    try:
+        model = mujoco.MjModel.from_xml_path(os.fspath(path))
+    except (ValueError, mujoco.FatalError) as error:
+        first = str(error).strip().splitlines()[0]
+        raise FileError(f"MuJoCo cannot read {path}: {first}") from error
+    except RuntimeError as error:  # of the memory that it was refused
+        raise MemoryError from error
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    kinds = [mujoco.mjtGeom(int(kind)).name.removeprefix("mjGEOM_") for kind in model.geom_type]
+    solid = np.array([kind not in ("PLANE", "HFIELD") for kind in kinds], dtype=bool)
+    colliding = solid & ((model.geom_contype | model.geom_conaffinity) != 0)
+    used = np.flatnonzero(colliding if colliding.any() else solid)
+    assets = [int(model.geom_dataid[i]) if kinds[i] == "MESH" else -1 for i in used]
+    meshes = sorted({*assets} - {-1})
+    yield {
+        "kinds": [kinds[i].lower() for i in used],
+        "labels": [model.geom(i).name or int(i) for i in used],
+        "shown": [meshes.index(asset) if asset >= 0 else -1 for asset in assets],
+        "sizes": model.geom_size[used],
+        "centres": data.geom_xpos[used],
+        "rotations": data.geom_xmat[used],
+        "meshes": [
+            (
+                model.mesh_vert[model.mesh_vertadr[i] :][: model.mesh_vertnum[i]],
+                model.mesh_face[model.mesh_faceadr[i] :][: model.mesh_facenum[i]],
+            )
+            for i in meshes
+        ],
+        "sites": np.array(data.site_xpos),
+        "names": [model.site(i).name or f"site{i}" for i in range(model.nsite)],
+    }
+
+
+def _check_named_files(path: Path) -> None:
+    """Check that a model names regular files only; MuJoCo would wait for pipes."""
+    folders, files = [path.parent], [path]
+    for file in files:
+        with open_regular(file) as stream:
+            named = _NAMED.findall(stream.read(_MAX_BYTES))
+        folders += [path.parent / os.fsdecode(name) for kind, _, name in named if b"dir" in kind]
+        names = {os.fsdecode(name) for kind, _, name in named if b"dir" not in kind}
+        candidates = sorted({folder / name for folder in folders for name in names})
+        files += [one for one in candidates if one not in files and one.exists()]
 
 
 def body_from_points(
@@ -445,27 +366,7 @@ def _with_sensors(
     return Body(name, positions, normals, centred, names=tuple(names), units=units, origin=origin)
 
 
-def _solid_from_geom(
-    mujoco: Any, model: Any, data: Any, shapes: Mapping[int, Solid], i: int
-) -> Solid:
-    kind = mujoco.mjtGeom(int(model.geom_type[i])).name.removeprefix("mjGEOM_").lower()
-    if kind == "mesh":
-        solid = shapes[int(model.geom_dataid[i])]
-    elif kind in _SIZES:
-        solid = Solid(kind, tuple(float(length) for length in model.geom_size[i][: _SIZES[kind]]))
-    else:
-        raise InputError(
-            f"geom {model.geom(i).name or i} must be a sphere, capsule, cylinder, box, ellipsoid "
-            "or mesh"
-        )
-    return solid.moved(data.geom_xmat[i].reshape(3, 3), data.geom_xpos[i])
-
-
-def _solid_from_mesh(shape: Any, model: Any) -> Solid:
-    first, count = int(shape.vertadr[0]), int(shape.vertnum[0])
-    vertices = np.array(model.mesh_vert[first : first + count])
-    first, count = int(shape.faceadr[0]), int(shape.facenum[0])
-    faces = np.array(model.mesh_face[first : first + count])
+def _solid_from_mesh(vertices: Points, faces: NDArray[np.intp]) -> Solid:
     try:
         return solids.mesh(vertices, faces)
     except InputError:
