@@ -99,6 +99,7 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
             axes = plot_scene(touched, 0, ax=add_axes(figure, 3, 1, len(scenes), i + 1))
             set_title(axes, label)
             axes.locator_params(nbins=2)
+            axes.patch.set_visible(False)  # it would hide labels of the panel to its left
         return figure
 
 
