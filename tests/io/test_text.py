@@ -340,10 +340,10 @@ def test_truncated_gzip_files(put: Put) -> None:
 
 
 def test_a_truncated_last_line(put: Put) -> None:
-    with pytest.warns(AnisomapWarning, match=r"last line \(4\) is truncated in field 2 of 3"):
+    with pytest.warns(AnisomapWarning, match=r"truncated .* \(line 4 has 2 fields"):
         found = io.read(put("x.csv", "a,b,c\n1,2,3\n4,5,6\n7,8"))
     assert found.readings.tolist() == [[1, 2, 3], [4, 5, 6]]
-    with pytest.warns(AnisomapWarning, match="field 3 of 3"):
+    with pytest.warns(AnisomapWarning, match=r"truncated .* \(line 3, column 3"):
         assert io.read(put("x.csv", "1,2,3\n4,5,6\n7,8,-")).n_frames == 2
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files import open_regular
+from anisomap.io import npz
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import (
     file_errors,
@@ -31,7 +32,7 @@ from anisomap.io.parsing.source import (
     read_lines,
 )
 from anisomap.io.parsing.tables import parse_number, read_sample, records
-from anisomap.io.recordings import delimited_text, npy
+from anisomap.io.recordings import delimited_text
 from anisomap.io.registry import read
 from anisomap.memory import Budget
 from anisomap.recording import default_names, match_sensors
@@ -149,9 +150,9 @@ def _may_be_square(file: Path) -> bool:
         return False
     with suppress(FileError), file_errors(file):
         head = read_head(file)
-        if head.startswith(npy.MAGIC):
+        if head.startswith(npz.ARRAY_MAGIC):
             with open_regular(file) as stream:
-                shape = npy.read_header(stream, "the array").shape
+                shape = npz.read_header(stream, "the array").shape
             return len(shape) == 2 and shape[0] == shape[1]
         if head.startswith(delimited_text.SIGNATURE) or not delimited_text.recognises(file, head):
             return False

@@ -1,42 +1,53 @@
-"""NumPy archives: recordings, events and maps. Nothing is unpickled.
+"""NumPy archives and arrays: recordings, events and maps. Nothing is unpickled.
 
 A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
 ``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``. Scalars of other
 names are its metadata, and other arrays are ignored. A recording of events has ``times`` and
 ``taxels``, ``channels`` or the like instead of readings. A map has ``positions`` instead of
-``readings``. Arrays with impossible sizes are not decompressed.
+``readings``. Arrays with impossible sizes are not decompressed. A file of one array, ``.npy``,
+holds readings.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import sys
+import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError
+from anisomap.errors import DamagedError, FileError, InputError, error_reason
+from anisomap.files import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.contacts import NOUNS, noun_of
 from anisomap.io.recordings.events import Events, stream_events
-from anisomap.io.recordings.npy import Header, read_header
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasing_times
+from anisomap.io.stream import (
+    BLOCK_BYTES,
+    Block,
+    ReadOptions,
+    Stream,
+    increasing_times,
+    salvage,
+)
 from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ACCURACY, UNKNOWN
 from anisomap.wording import join_items
 
-MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+MAGICS, ARRAY_MAGIC = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
 NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"
 """Accepted values of `numpy.dtype.kind`."""
 
@@ -50,6 +61,31 @@ _RECORDING_KEYS = {
 }
 _TIMES, _NUMBERED = ("times", "time", "spike_times"), ("events", "event")
 _SENSORS = (*NOUNS, "spike_clusters")
+
+
+class Header(NamedTuple):
+    """Shape, order and type of a stored array."""
+
+    shape: tuple[int, ...]
+    fortran_order: bool
+    dtype: np.dtype[Any]
+
+
+def read_header(stream: IO[bytes], what: str) -> Header:
+    """Read the header of an array, and leave the stream at its first value."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            read = np.lib.format.read_array_header_1_0
+            if np.lib.format.read_magic(stream) != (1, 0):
+                read = np.lib.format.read_array_header_2_0
+            shape, fortran_order, dtype = read(stream)
+    except (OSError, EOFError, zlib.error, zipfile.BadZipFile):  # of what holds the array
+        raise
+    except Exception as error:  # numpy evaluates a literal; any error may result
+        raise InputError(f"the header of {what} is damaged: {error_reason(error)}") from error
+    # numpy accepts True for 1.
+    return Header(tuple(int(length) for length in shape), fortran_order, dtype)
 
 
 @contextmanager
@@ -92,9 +128,14 @@ class Archive:
             self.budget.spend(math.prod(header.shape) * item_bytes, f"array {name}")
             return _whole(member, header)
 
-    def array(self, name: str, kinds: str = NUMBERS) -> NDArray[Any] | None:
-        """Read an array."""
-        return self.required(name, kinds) if name in self.names else None
+    def array(
+        self, name: str, kinds: str = NUMBERS, *, listed: bool = False
+    ) -> NDArray[Any] | None:
+        """Read an array, with one dimension if it is `listed`."""
+        values = self.required(name, kinds) if name in self.names else None
+        if listed and values is not None and values.ndim != 1:
+            raise FileError(f"{self.path}: {name} has shape {values.shape}; it must be 1-D")
+        return values
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Return the shape of an existing array of readings."""
@@ -117,21 +158,16 @@ class Archive:
 
     def texts(self, name: str) -> tuple[str, ...]:
         """Read a 1-D array of strings."""
-        values = self.array(name, TEXT + WHOLE)
-        if values is None:
-            return ()
-        self.check_list(name, values)
-        return tuple(map(str, self._python(name, values)))
+        values = self.array(name, TEXT + WHOLE, listed=True)
+        return () if values is None else tuple(map(str, self._python(name, values)))
 
     def text(self, name: str, default: str = "") -> str:
         """Read a single string."""
-        values = self.array(name, TEXT)
-        return default if values is None else str(self._single(name, values))
+        return str(self._single(name, TEXT)) if name in self.names else default
 
     def number(self, name: str) -> float | None:
         """Read a single number."""
-        values = self.array(name)
-        return None if values is None else float(self._single(name, values))
+        return float(self._single(name, NUMBERS)) if name in self.names else None
 
     def mapping(self, name: str) -> dict[str, Scalar]:
         """Read a mapping stored as JSON; other text becomes the value of the key `name`."""
@@ -153,15 +189,11 @@ class Archive:
                 with self._open(name) as (_, header):
                     scalar = header.shape == () and header.dtype.kind in NUMBERS + TEXT
                 if scalar:
-                    found[name] = self._single(name, self.required(name, NUMBERS + TEXT))
+                    found[name] = self._single(name, NUMBERS + TEXT)
         return found
 
-    def check_list(self, name: str, values: NDArray[Any]) -> None:
-        """Check that an array has one dimension."""
-        if values.ndim != 1:
-            raise FileError(f"{self.path}: {name} has shape {values.shape}; it must be 1-D")
-
-    def _single(self, name: str, values: NDArray[Any]) -> Any:
+    def _single(self, name: str, kinds: str) -> Any:
+        values = self.required(name, kinds)
         if values.size != 1:
             raise FileError(f"{self.path}: {name} has shape {values.shape}; it must be one value")
         return self._python(name, values.reshape(1))[0]
@@ -294,6 +326,54 @@ def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -
     )
 
 
+@contextmanager
+def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open an array of shape (T, N).
+
+    It is read, not memory-mapped, because the system kills a process that reads a mapped file
+    after it was cut.
+    """
+    with open_regular(path) as stream:
+        shape, _, dtype = header = read_header(stream, "the array")
+        if dtype.kind not in NUMBERS:
+            raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
+        if len(shape) != 2 or min(shape) < 1:
+            raise FileError(f"{path}: the array must be frames x sensors (T, N), got shape {shape}")
+        needed = math.prod(shape) * dtype.itemsize
+        held = os.fstat(stream.fileno()).st_size - stream.tell()
+        if needed > held:
+            raise DamagedError(
+                f"{path} is cut short: its array needs {needed} bytes, but {held} follow the header"
+            )
+        blocks = salvage(_blocks_of_array(path, stream, header), path)
+        yield Stream(path, shape[1], blocks, source=path.name)
+
+
+def _blocks_of_array(path: Path, stream: BufferedReader, header: Header) -> Iterator[Block]:
+    (n_frames, n_sensors), fortran_order, dtype = header
+    first = stream.tell()
+    # In Fortran order, a block takes one read per sensor, so blocks are larger.
+    n_bytes = BLOCK_BYTES << 2 if fortran_order else BLOCK_BYTES
+    step = max(1, n_bytes // (n_sensors * dtype.itemsize))
+    for start in range(0, n_frames, step):
+        count = min(step, n_frames - start)
+        if fortran_order:
+            columns = np.empty((n_sensors, count), dtype)
+            for sensor, column in enumerate(columns):
+                stream.seek(first + (sensor * n_frames + start) * dtype.itemsize)
+                _fill(path, stream, column)
+            rows = columns.T
+        else:
+            rows = np.empty((count, n_sensors), dtype)
+            _fill(path, stream, rows)
+        yield Block(rows, (start + count) / n_frames)
+
+
+def _fill(path: Path, stream: BufferedReader, values: NDArray[Any]) -> None:
+    if stream.readinto(values.data.cast("B")) < values.nbytes:
+        raise DamagedError(f"{path} was cut while it was read")
+
+
 def read_map(path: Path) -> SensorMap:
     """Read a map, or the true positions of a recording, without its readings."""
     with open_archive(path) as archive:
@@ -309,9 +389,8 @@ def read_map(path: Path) -> SensorMap:
             **{name: archive.texts(name) for name in ("reasons", "notes")},
             "provenance": archive.mapping("provenance"),
         }
-        component, errors = archive.array("component", WHOLE), archive.array("errors")
-        if component is not None:
-            archive.check_list("component", component)
+        component = archive.array("component", WHOLE, listed=True)
+        errors = archive.array("errors")
         return SensorMap(
             positions,
             names=names,

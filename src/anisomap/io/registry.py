@@ -30,7 +30,6 @@ from anisomap.io.recordings import (
     hdf5,
     images,
     mat,
-    npy,
     pressure_mats,
     robot_logs,
 )
@@ -106,8 +105,8 @@ FORMATS = (
     Format("npz", (".npz",), "NumPy archive", None,
            npz.open_recording, npz.read_map, npz.write_map, npz.write_recording,
            magics=npz.MAGICS),
-    Format("npy", (".npy",), "NumPy array, frames x sensors", None, npy.open_recording,
-           magics=(npy.MAGIC,)),
+    Format("npy", (".npy",), "NumPy array, frames x sensors", None, npz.open_array,
+           magics=(npz.ARRAY_MAGIC,)),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", json.is_calibration,
            read_map=json.read_calibration),
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",

@@ -6,7 +6,6 @@ import csv
 import gzip
 import io
 import json
-import re
 import warnings
 import zipfile
 import zlib
@@ -123,19 +122,19 @@ def _open(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
 class TextLines(io.TextIOWrapper):
     """UTF-8 text whose lines have a maximum length when it is iterated.
 
-    last: The last line that was read.
+    last, number: The last line that was read, and its number from 1.
     """
 
     def __init__(self, path: Path, stream: io.BufferedReader, raw: io.BufferedReader) -> None:
         super().__init__(stream, encoding="utf-8-sig", newline="")
-        self.last = ""
+        self.last, self.number = "", 0
         self._path, self._raw, self._size = path, raw, max(path.stat().st_size, 1)
 
     def __next__(self) -> str:  # type: ignore[override]
         line = self.readline(_MAX_LINE)
         if not line:
             raise StopIteration
-        self.last = line
+        self.last, self.number = line, self.number + 1
         if len(line) == _MAX_LINE:
             raise _long_line(self._path)
         return line
@@ -254,65 +253,23 @@ _FREE_PARTS, _PART_CHARACTERS = 1 << 19, 10
 """Lists and objects that any file may hold, and the characters of each beyond that number; the
 shortest sensor of a map has 21 for its two."""
 
-_BLANKS = re.compile(r"[ \t\r\n]*+")
-
 
 def read_json(path: Path) -> Any:
     """Parse a JSON file."""
-    text = _read_text(path)
+    budget = Budget(path)
+    with open_text(path) as stream:
+        text = stream.read(budget.limit // _OBJECT_BYTES + 1)
+    budget.check(_OBJECT_BYTES * len(text), "its text")
     n_parts = text.count("[") + text.count("{")
     if n_parts > max(_FREE_PARTS, len(text) // _PART_CHARACTERS):
         raise FileError(
             f"{path} holds {n_parts} lists and objects in {len(text)} characters, too many for a "
             "map; it is damaged or a decompression bomb"
         )
-    value, end = _decoded(path, text, 0)
-    if end < len(text):
-        raise _invalid(path, "Extra data", text, end)
-    return value
-
-
-def read_json_items(path: Path) -> Iterator[Any]:
-    """Yield the elements of a JSON file that is one list; only one of them takes memory."""
-    text = _read_text(path)
-    at, mark = text.index("[") + 1, ","
-    if text.startswith("]", _after_blanks(text, at)):
-        at, mark = _after_blanks(text, at) + 1, "]"
-    while mark == ",":
-        value, at = _decoded(path, text, at)
-        yield value
-        mark, at = text[at : at + 1], at + 1
-    if mark != "]":
-        raise _invalid(path, "Expecting ',' delimiter", text, at - 1)
-    if (end := _after_blanks(text, at)) < len(text):
-        raise _invalid(path, "Extra data", text, end)
-
-
-def _read_text(path: Path) -> str:
-    budget = Budget(path)
-    with open_text(path) as stream:
-        text = stream.read(budget.limit // _OBJECT_BYTES + 1)
-    budget.check(_OBJECT_BYTES * len(text), "its text")
-    return text
-
-
-def _decoded(path: Path, text: str, at: int) -> tuple[Any, int]:
-    """Return a value after blanks, and the place after it and the blanks behind it."""
     try:
-        value, end = json.JSONDecoder().raw_decode(text, _after_blanks(text, at))
+        return json.loads(text)
     except json.JSONDecodeError as error:
-        raise _invalid(path, error.msg, text, error.pos) from error
+        where = f"{path}, line {error.lineno}, column {error.colno}"
+        raise FileError(f"{where}: not valid JSON ({error.msg})") from error
     except (ValueError, RecursionError) as error:
         raise FileError(f"{path}: not valid JSON ({error})") from error
-    return value, _after_blanks(text, end)
-
-
-def _invalid(path: Path, problem: str, text: str, at: int) -> FileError:
-    place = json.JSONDecodeError(problem, text, at)
-    where = f"{path}, line {place.lineno}, column {place.colno}"
-    return FileError(f"{where}: not valid JSON ({problem})")
-
-
-def _after_blanks(text: str, at: int) -> int:
-    found = _BLANKS.match(text, at)
-    return found.end() if found else at

@@ -43,15 +43,21 @@ class LineError(FileError):
 
     line: From 1.
     problem: Rest of the message.
+    surplus: Whether it has too many fields, so that it is not truncated.
     """
 
-    def __init__(self, path: Path, line: int, problem: str) -> None:
+    def __init__(self, path: Path, line: int, problem: str, *, surplus: bool = False) -> None:
         super().__init__(f"{path}, line {line}{problem}")
-        self.line = line
+        self.line, self.surplus, self.reason = line, surplus, f"line {line}{problem}"
 
 
 def read_undamaged(
-    path: Path, parse: Callable[[TextLines], Iterator[Item]], noun: str
+    path: Path,
+    parse: Callable[[TextLines], Iterator[Item]],
+    noun: str,
+    *,
+    count: Callable[[Item], int] = lambda _: 1,
+    quietly: bool = False,
 ) -> Iterator[Item]:
     """Yield what is parsed from the lines of a file before any damage, and warn about the rest.
 
@@ -62,17 +68,21 @@ def read_undamaged(
         try:
             for item in parse(lines):
                 yield item
-                n_read += 1
-        except (LineError, csv.Error):
-            whole = lines.last.endswith(("\n", "\r"))
-            if not n_read or whole or next(lines, None) is not None:
+                n_read += count(item)
+        except (LineError, csv.Error) as error:
+            is_last = not isinstance(error, LineError) or error.line == lines.number
+            truncated = is_last and not lines.last.endswith(("\n", "\r"))
+            if not n_read or not truncated or getattr(error, "surplus", False) or next(lines, ""):
                 raise
-            problem = "the last line is truncated and dropped"
-            warn(path, f"{problem}; read the {n_read} {noun} before it")
+            reason = getattr(error, "reason", str(error))
+            if not quietly:
+                problem = f"the last line is truncated and dropped ({reason})"
+                warn(path, f"{problem}; read the {n_read} {noun} before it")
         except GZIP_ERRORS as error:
-            if not n_read:
-                raise
-            warn_of_loss(path, error, f"{n_read} {noun}", lines.fraction())
+            if not quietly:
+                if not n_read:
+                    raise
+                warn_of_loss(path, error, f"{n_read} {noun}", lines.fraction())
 
 
 @dataclass(frozen=True)
@@ -106,24 +116,19 @@ def read_blocks(
     Blank lines and comments, from ``#`` to the end of the line, are skipped; an empty field is
     NaN. A truncated last line and what is behind damage are dropped with a warning, or `quietly`.
     """
-    first_line, n_rows = table.first_line, 0
-    with open_text(table.path) as text:
-        lines = itertools.islice(text, first_line - 1, None)
-        try:
-            for block, damage in _line_blocks(lines):
-                rows, problem = _parse_whole_lines(block, table, first_line, n_rows, lines)
-                first_line, n_rows = first_line + len(block), n_rows + len(rows)
-                if problem and not quietly:
-                    warn(table.path, problem)
-                if len(rows):
-                    yield rows, text.fraction()
-                if damage:
-                    raise damage
-        except GZIP_ERRORS as error:
-            if not n_rows and not quietly:
-                raise
-            if not quietly:
-                warn_of_loss(table.path, error, f"{n_rows} frames", text.fraction())
+
+    def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
+        first_line = table.first_line
+        for block, damage in _line_blocks(itertools.islice(text, first_line - 1, None)):
+            for rows in _parsed(block, table, first_line):
+                yield rows, text.fraction()
+            first_line += len(block)
+            if damage:
+                raise damage
+
+    return read_undamaged(
+        table.path, parse, "frames", count=lambda block: len(block[0]), quietly=quietly
+    )
 
 
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
@@ -156,27 +161,6 @@ def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | 
     else:
         if block:
             yield block, None
-
-
-def _parse_whole_lines(
-    lines: list[str], table: Table, first_line: int, n_before: int, later: Iterator[str]
-) -> tuple[NDArray[np.float64], str]:
-    """Parse lines without an incomplete last line of the file, which a message tells of."""
-    try:
-        return _parse_fast(lines, table, first_line), ""
-    except LineError as error:
-        *whole, broken = lines
-        is_last = error.line == first_line + len(whole) and next(later, None) is None
-        n_fields = len(_fields(broken, table.delimiter))
-        if not is_last or broken.endswith(("\n", "\r")) or n_fields > table.n_columns:
-            raise
-        rows = _parse_fast(whole, table, first_line)
-        if not n_before + len(rows):
-            raise
-        return rows, (
-            f"the last line ({error.line}) is truncated in field {n_fields} of "
-            f"{table.n_columns} and dropped; read the {n_before + len(rows)} frames before it"
-        )
 
 
 def line_of(table: Table, row: int) -> str:
@@ -240,43 +224,42 @@ def _text_to_nan(field: str) -> float:
     return math.nan
 
 
-def _parse_fast(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
+def _parsed(lines: list[str], table: Table, first_line: int) -> Iterator[NDArray[np.float64]]:
+    """Yield the rows of some lines, those before a wrong line before its error."""
     cleaned = list(map(table.clean, lines)) if table.clean else lines
-    if all(map(is_skipped, cleaned)):
-        return _parse_lines(lines, table, first_line)
-    try:
-        block = np.loadtxt(
-            cleaned,
-            np.float64,
-            comments="#",
-            delimiter=table.delimiter,
-            converters=dict.fromkeys(table.text_columns, _text_to_nan) or None,
-            ndmin=2,
-            quotechar='"',
-        )
-    except ValueError:
-        return _parse_lines(lines, table, first_line)
+    block, rows = np.empty((0, 0)), list[list[float]]()
+    if not all(map(is_skipped, cleaned)):
+        with suppress(ValueError):
+            block = np.loadtxt(
+                cleaned,
+                np.float64,
+                comments="#",
+                delimiter=table.delimiter,
+                converters=dict.fromkeys(table.text_columns, _text_to_nan) or None,
+                ndmin=2,
+                quotechar='"',
+            )
     # np.loadtxt compares the widths of lines only within the block.
-    return block if block.shape[1] == table.n_columns else _parse_lines(lines, table, first_line)
-
-
-def _parse_lines(lines: list[str], table: Table, first_line: int) -> NDArray[np.float64]:
-    rows = [
-        _row(line, table, number)
-        for number, line in enumerate(lines, first_line)
-        if not is_skipped(line, table.delimiter)
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, table.n_columns)
+    if block.shape[1] == table.n_columns:
+        yield block
+        return
+    try:
+        for number, line in enumerate(lines, first_line):
+            if not is_skipped(line, table.delimiter):
+                rows.append(_row(line, table, number))
+    except LineError:
+        if rows:
+            yield np.array(rows)
+        raise
+    if rows:
+        yield np.array(rows)
 
 
 def _row(line: str, table: Table, number: int) -> list[float]:
     fields = _fields(table.clean(line) if table.clean else line, table.delimiter)
     if len(fields) != table.n_columns:
-        raise LineError(
-            table.path,
-            number,
-            f" has {len(fields)} field{'s' * (len(fields) != 1)}, but {table.because}",
-        )
+        problem = f" has {len(fields)} field{'s' * (len(fields) != 1)}, but {table.because}"
+        raise LineError(table.path, number, problem, surplus=len(fields) > table.n_columns)
     values = []
     for column, field in enumerate(fields):
         is_text = column in table.text_columns

@@ -22,7 +22,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.names import is_time, units_per_second, words_of
-from anisomap.io.parsing.source import open_text, quote, read_head, read_json_items
+from anisomap.io.parsing.source import open_text, quote, read_head, read_json
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     LineError,
@@ -313,7 +313,7 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     with open_text(path) as stream:
         start = next((line for line in stream if line.strip()), "")
     if start.lstrip("\ufeff \t").startswith("["):
-        yield from ((f"contact {i}", found) for i, found in enumerate(read_json_items(path)))
+        yield from ((f"contact {i}", found) for i, found in enumerate(read_json(path)))
         return
 
     def parse(lines: Iterable[str]) -> Iterator[tuple[str, Any]]:

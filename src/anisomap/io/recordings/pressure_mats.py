@@ -101,15 +101,16 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def _read_header(path: Path) -> _Header:
     with open_text(path) as lines:
         entries = _read_entries(path, lines)
-        rows, columns = (int(entries.get(key, (0, ""))[0]) for key in ("rows", "columns"))
-        if rows * columns > _MAX_CELLS:
-            size = f"{rows} x {columns} cells"
-            raise FileError(f"{path}: the header gives {size}; at most {_MAX_CELLS} are supported")
-        first = _first_frame(lines, rows)
+    rows, columns = (int(entries.get(key, (0, ""))[0]) for key in ("rows", "columns"))
+    if rows * columns > _MAX_CELLS:
+        size = f"{rows} x {columns} cells"
+        raise FileError(f"{path}: the header gives {size}; at most {_MAX_CELLS} are supported")
+    with open_text(path) as lines:
+        line, _, first = next(_rows_of_frames(lines, rows), (0, None, []))
     if not first:
         raise FileError(f"{path} has no frame")
     delimiter = next((mark for mark in (";", "\t", ",") if mark in _plain(first[0])), None)
-    table = _parsed(path, first, delimiter)
+    table = _parsed(path, line, first, delimiter)
     rows, columns = rows or table.shape[0], columns or table.shape[1]
     if table.shape != (rows, columns):
         raise FileError(
@@ -134,50 +135,48 @@ def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, st
     raise FileError(f"{path}: no frame starts in the first {_MAX_HEADER} lines")
 
 
-def _first_frame(lines: Iterable[str], rows: int) -> list[str]:
-    """Return the lines of the first frame; with unknown `rows`, up to the next line of text."""
-    first: list[str] = []
-    for line in lines:
-        if _FRAME.match(line) or (first and not line.strip(" \t\r\n,;")):
-            break
-        if _is_data(line):
-            first.append(line)
-        if first and len(first) in (rows, _MAX_CELLS):
-            break
-    return first
+def _rows_of_frames(
+    lines: Iterable[str], n_rows: int
+) -> Iterator[tuple[int, float | None, list[str]]]:
+    """Yield the line, the time of day and the rows of each frame.
 
-
-def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
-    lines: list[str] = []
-    clock: float | None = None
-    before, started, n_frames = 0.0, 0, 0
-    for number, line in enumerate(text, start=1):
-        if _FRAME.match(line):
-            if started and lines:
-                raise _size_error(path, started, lines, header)
-            started, lines, clock = number, [], None
+    A frame ends with `n_rows` rows, or if this is 0 with a blank line, and before another one.
+    """
+    rows, started = list[str](), 0
+    clock, before = None, 0.0
+    for number, line in enumerate(lines, start=1):
+        begins = _FRAME.match(line)
+        if rows and (begins or not (n_rows or line.strip(" \t\r\n,;"))):
+            yield started, clock, rows
+            rows = []
+        if begins:
+            started, clock = number, None
         elif started and (match := _CLOCK.match(line)):
             clock = before = _after(before, match)
         elif started and _is_data(line):
-            lines.append(line)
-            if len(lines) == header.rows:
-                cells = _parsed(path, lines, header.delimiter, first_line=number - header.rows + 1)
-                if cells.shape[1] != header.columns:
-                    raise _size_error(path, started, lines, header)
-                yield cells.ravel()[header.inside], clock, text.fraction()
-                lines, n_frames = [], n_frames + 1
-    if lines:
-        if not n_frames:
-            raise _size_error(path, started, lines, header)
-        what = f"truncated in row {len(lines)} of {header.rows} and dropped"
-        warn(path, f"the last frame is {what}; read the {n_frames} frames before it")
+            rows.append(line)
+            if len(rows) in (n_rows, _MAX_CELLS):
+                yield started, clock, rows
+                rows = []
+    if rows:
+        yield started, clock, rows
 
 
-def _size_error(path: Path, line: int, lines: list[str], header: _Header) -> FileError:
-    return FileError(
-        f"{path}: the frame at line {line} has {len(lines)} rows of numbers; "
-        f"all frames must have {header.rows} rows of {header.columns} numbers"
-    )
+def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
+    found = enumerate(_rows_of_frames(text, header.rows))
+    for n_frames, (line, clock, rows) in found:
+        if len(rows) < header.rows and n_frames and not next(text, ""):
+            what = f"truncated in row {len(rows)} of {header.rows} and dropped"
+            warn(path, f"the last frame is {what}; read the {n_frames} frames before it")
+            return
+        whole = len(rows) == header.rows
+        cells = _parsed(path, line, rows, header.delimiter) if whole else np.empty((0, 0))
+        if cells.shape[1] != header.columns:
+            raise FileError(
+                f"{path}: the frame at line {line} has {len(rows)} rows of numbers; "
+                f"all frames must have {header.rows} rows of {header.columns} numbers"
+            )
+        yield cells.ravel()[header.inside], clock, text.fraction()
 
 
 def _after(before: float, clock: re.Match[str]) -> float:
@@ -199,16 +198,13 @@ def _plain(line: str) -> str:
     return line.strip().strip('",;').replace('","', ";").replace(",", ".").replace('"', "")
 
 
-def _parsed(
-    path: Path, lines: list[str], delimiter: str | None, *, first_line: int = 0
-) -> NDArray[np.float64]:
-    cleaned = [_OUTSIDE.sub("nan", _plain(line)).strip().rstrip(delimiter or "") for line in lines]
+def _parsed(path: Path, line: int, rows: list[str], delimiter: str | None) -> NDArray[np.float64]:
+    cleaned = [_OUTSIDE.sub("nan", _plain(row)).strip().rstrip(delimiter or "") for row in rows]
     try:
         return np.loadtxt(cleaned, np.float64, delimiter=delimiter, comments=None, ndmin=2)
     except ValueError as error:
-        where = f" of lines {first_line} to {first_line + len(lines) - 1}" if first_line else ""
-        shown = quote(lines[0].strip())
-        message = f"{path}: the frame{where} is not a table of numbers: {shown} ..."
+        shown = quote(rows[0].strip())
+        message = f"{path}: the frame at line {line} is not a table of numbers: {shown} ..."
         raise FileError(message) from error
 
 
