@@ -16,8 +16,7 @@ import scipy
 import crashing
 from anisomap import io, reader_process
 from anisomap.errors import AnisomapWarning, DamagedError, FileError, MissingExtraError
-from anisomap.io import isolated
-from anisomap.io.stream import assemble
+from anisomap.io.stream import assemble, contents_isolated, open_isolated
 from anisomap.wording import join_items
 
 READINGS = np.random.default_rng(3).random((50, 4)).round(3)
@@ -32,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals do not end processes on Windows")
 def test_a_library_that_crashes_costs_the_rest_of_a_file(path: Path) -> None:
-    reader = partial(isolated.open_recording, crashing.open_recording, path)
+    reader = partial(open_isolated, crashing.open_recording, path)
     io.read(path)
     with reader(io.ReadOptions()) as stream, pytest.warns(AnisomapWarning, match="read the 4 fram"):
         np.testing.assert_array_equal(assemble(stream).readings, np.eye(4))
@@ -46,7 +45,7 @@ def test_a_library_that_crashes_costs_the_rest_of_a_file(path: Path) -> None:
 def test_a_library_that_computes_without_end_is_stopped(path: Path, monkeypatch) -> None:
     monkeypatch.setattr(reader_process, "_SECONDS", 1)
     with pytest.raises(FileError, match=r"skin.mat: reading takes more than 1 s; it is damaged"):
-        isolated.contents(crashing.contents, path, io.ReadOptions())
+        contents_isolated(crashing.contents, path, io.ReadOptions())
 
 
 def test_exceptions_of_libraries_are_damage_and_others_are_defects(path: Path) -> None:

@@ -1,7 +1,7 @@
 """Read recordings and maps from files, and write them.
 
 `registry` lists every format, and reads and writes with it. `stream` holds the blocks in
-which recordings are read. `recordings`, `maps` and `ros` hold the formats, and `parsing` the code
+which recordings are read. `recordings` and `maps` hold the formats, and `parsing` the code
 they share. A new format is one module with its readers and writers, and one line in
 `registry.FORMATS`.
 """
@@ -10,9 +10,9 @@ from anisomap.io.dissimilarities import Dissimilarities as Dissimilarities
 from anisomap.io.dissimilarities import find_dissimilarities as find_dissimilarities
 from anisomap.io.dissimilarities import read_dissimilarities as read_dissimilarities
 from anisomap.io.dissimilarities import read_pair_weights as read_pair_weights
-from anisomap.io.maps.csv import read_modules as read_modules
 from anisomap.io.maps.point_files import to_montage as to_montage
 from anisomap.io.maps.robot_models import read_robot as read_robot
+from anisomap.io.maps.text_files import read_modules as read_modules
 from anisomap.io.presets import apply_preset as apply_preset
 from anisomap.io.presets import numbering as numbering
 from anisomap.io.registry import FORMATS as FORMATS

@@ -31,8 +31,7 @@ from anisomap.errors import DamagedError, FileError, InputError, error_reason
 from anisomap.files import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
-from anisomap.io.recordings.contacts import NOUNS, noun_of
-from anisomap.io.recordings.events import Events, stream_events
+from anisomap.io.recordings.events import NOUNS, Events, noun_of, stream_events
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,

@@ -16,24 +16,23 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
 from anisomap.files import atomic_write, check_distinct, check_target, together
-from anisomap.io import isolated, npz
-from anisomap.io.maps import csv, json, point_files, robot_models
+from anisomap.io import npz
+from anisomap.io.maps import point_files, robot_models, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, with_grid
 from anisomap.io.recordings import (
     arrow,
+    bag_files,
+    bags,
     biosignals,
-    contacts,
     delimited_text,
-    hdf5,
-    images,
-    mat,
-    pressure_mats,
+    events,
+    grids,
+    named_arrays,
     robot_logs,
 )
-from anisomap.io.ros import bag_files, bags
 from anisomap.io.stream import (
     BLOCK_FRAMES,
     Block,
@@ -41,6 +40,8 @@ from anisomap.io.stream import (
     ReadOptions,
     Stream,
     assemble,
+    contents_isolated,
+    open_isolated,
     rechunk,
 )
 from anisomap.memory import SENSOR_BYTES, Budget, bytes_kept
@@ -107,12 +108,13 @@ FORMATS = (
            magics=npz.MAGICS),
     Format("npy", (".npy",), "NumPy array, frames x sensors", None, npz.open_array,
            magics=(npz.ARRAY_MAGIC,)),
-    Format("cyskin-calibration", (), "CySkin calibration (JSON)", json.is_calibration,
-           read_map=json.read_calibration),
+    Format("cyskin-calibration", (), "CySkin calibration (JSON)", text_files.is_calibration,
+           read_map=text_files.read_calibration),
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
-           contacts.is_json, contacts.open_json_list),
-    Format("json", (".json",), "JSON", json.recognises,
-           read_map=json.read_map, write_map=json.write_map, signature=json.SIGNATURE),
+           events.is_json, events.open_json_list),
+    Format("json", (".json",), "JSON", text_files.is_json,
+           read_map=text_files.read_json_map, write_map=text_files.write_json,
+           signature=text_files.SIGNATURE),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", point_files.is_ply,
            read_map=point_files.read_ply, write_map=point_files.write_ply),
     Format("pcd", (".pcd",), "PCD point cloud with normals (ASCII)", point_files.is_pcd,
@@ -131,10 +133,11 @@ FORMATS = (
            robot_logs.open_yarp, contents=robot_logs.contents),
     Format("cyskin", (), "CySkin recording (text)", robot_logs.is_cyskin,
            robot_logs.open_cyskin),
-    Format("mat", (".mat",), "MATLAB (7.3: with the extra)", None, mat.open_recording,
-           contents=mat.contents, extra=mat.EXTRA, magics=mat.MAGICS),
-    Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", hdf5.recognises, hdf5.open_recording,
-           contents=hdf5.contents, extra=hdf5.EXTRA),
+    Format("mat", (".mat",), "MATLAB (7.3: with the extra)", None, named_arrays.open_mat,
+           contents=named_arrays.mat_contents, extra=named_arrays.MAT_EXTRA,
+           magics=named_arrays.MAT_MAGICS),
+    Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", named_arrays.is_hdf5, named_arrays.open_hdf5,
+           contents=named_arrays.hdf5_contents, extra=named_arrays.HDF5_EXTRA),
     Format("parquet", (".parquet", ".arrow", ".feather"), "Parquet, Arrow, Feather",
            arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA,
            magics=arrow.MAGICS),
@@ -147,14 +150,14 @@ FORMATS = (
     Format("elc", (".elc",), "electrodes (ASA)", write_map=point_files.write_elc, in_metres=True),
     Format("sfp", (".sfp",), "electrodes (BESA)", write_map=point_files.write_sfp, in_metres=True),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
-           pressure_mats.recognises, pressure_mats.open_recording),
+           grids.is_mat_export, grids.open_mat_export),
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
-           images.recognises, images.open_recording, extra=images.EXTRA, magics=images.MAGICS),
-    Format("contacts", (), "list of contacts or spikes: time, sensors", contacts.is_text,
-           contacts.open_text_list),
+           grids.is_folder, grids.open_images, extra=grids.EXTRA, magics=grids.MAGICS),
+    Format("contacts", (), "list of contacts or spikes: time, sensors", events.is_text,
+           events.open_text_list),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
-           delimited_text.open_recording, csv.read_map, csv.write_map,
+           delimited_text.open_recording, text_files.read_text, text_files.write_text,
            delimited_text.write_recording, contents=delimited_text.contents,
            signature=delimited_text.SIGNATURE),
 )
@@ -273,7 +276,7 @@ def contents(
         chosen = _recognise(file)
         if chosen.contents is None:
             return ()
-        listed = partial(isolated.contents, chosen.contents) if chosen.extra else chosen.contents
+        listed = partial(contents_isolated, chosen.contents) if chosen.extra else chosen.contents
         return listed(file, options or ReadOptions())
 
 
@@ -385,7 +388,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
                 problem = f"holds a single recording; leave out --select {options.select}"
                 raise FileError(f"{described} {problem}")
             if chosen.extra:
-                opened = partial(isolated.open_recording, opened)
+                opened = partial(open_isolated, opened)
             stream = stack.enter_context(opened(file, options))
             budget = Budget(stream.path)  # of several files, the one with the readings
             budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")

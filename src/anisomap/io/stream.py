@@ -7,14 +7,18 @@ at the same time, and `choose` selects the recording in files that hold several.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap import reader_process
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.io.parsing.source import warn, warn_of_loss
 from anisomap.recording import Recording, Scalar, default_names
@@ -44,7 +48,7 @@ def increasing_times(
     return None
 
 
-def to_float32_if_exact(readings: NDArray[np.float64]) -> NDArray[np.floating]:
+def to_float32_if_exact(readings: NDArray[Any]) -> NDArray[Any]:
     """Convert readings to float32 if that is exact, which halves the memory of most recordings."""
     with np.errstate(over="ignore"):
         single = readings.astype(np.float32)
@@ -289,29 +293,39 @@ def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
         warn_of_loss(path, error.__cause__ or error, f"{n_frames} frames", fraction)
 
 
-Frame: TypeAlias = tuple[NDArray[np.float64], float | None, float]
-"""Readings, shape (N,), time, and the fraction of the file read so far."""
+class Frame(NamedTuple):
+    """Readings, shape (N,), the fraction of the file read so far, and two times as of a `Block`."""
+
+    readings: NDArray[Any]
+    fraction: float
+    time: float | None = None
+    receive_time: float | None = None
 
 
 def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
-    """Collect single frames in blocks; times are dropped from a block that lacks some."""
+    """Collect single frames in blocks; those before an error come before it.
+
+    Times are dropped from a block that lacks some.
+    """
     held: list[Frame] = []
-    for frame in frames:
-        held.append(frame)
-        if len(held) * frame[0].nbytes >= BLOCK_BYTES:
+    try:
+        for frame in frames:
+            held.append(frame)
+            if len(held) * frame.readings.nbytes >= BLOCK_BYTES:
+                yield _stacked(held)
+                held = []
+    except Exception:
+        if held:
             yield _stacked(held)
-            held = []
+        raise
     if held:
         yield _stacked(held)
 
 
 def _stacked(frames: list[Frame]) -> Block:
-    times = [time for _, time, _ in frames if time is not None]
-    return Block(
-        to_float32_if_exact(np.array([readings for readings, _, _ in frames])),
-        frames[-1][2],
-        np.array(times) if len(times) == len(frames) else None,
-    )
+    readings, fractions, *clocks = zip(*frames, strict=True)
+    times = (None if None in clock else np.array(clock) for clock in clocks)
+    return Block(to_float32_if_exact(np.array(readings)), fractions[-1], *times)
 
 
 class _GrowingArray:
@@ -427,3 +441,49 @@ class _Follower:
         unused = max(int(last.min(initial=0)), 0)
         self._times, self._readings = self._times[unused:], self._readings[unused:]
         return readings, known
+
+
+@contextmanager
+def open_isolated(
+    function: Callable[..., Any], path: Path, options: ReadOptions
+) -> Iterator[Stream]:
+    """Open a recording by the function of a format, and read it in another process."""
+    with reader_process.opened(_recording, path, *_sent(function, options)) as parts:
+        facts = next(parts)
+        path, names = Path(facts.pop("path")), tuple(facts.pop("names"))
+        blocks = salvage((Block(**block) for block in parts), path)
+        yield Stream(path, blocks=blocks, names=names, **facts)
+
+
+def contents_isolated(
+    function: Callable[..., Any], path: Path, options: ReadOptions
+) -> tuple[Content, ...]:
+    """List the content of a file by the function of a format, in another process."""
+    with reader_process.opened(_contents, path, *_sent(function, options)) as parts:
+        return tuple(Content(**each) for each in next(parts))
+
+
+def _sent(function: Callable[..., Any], options: ReadOptions) -> tuple[Any, ...]:
+    width = None if options.bin_s is None else float(options.bin_s)
+    definitions = [os.fspath(each) for each in options.definitions]
+    return function.__module__, function.__name__, options.select, definitions, width
+
+
+def _called(path: Path, *sent: Any) -> Any:
+    module, name, select, definitions, bin_s = sent
+    options = ReadOptions(select, definitions=tuple(map(Path, definitions)), bin_s=bin_s)
+    return getattr(import_module(module), name)(path, options)
+
+
+def _recording(path: Path, *sent: Any) -> Iterator[dict[str, Any]]:
+    """Yield the facts of a stream, and its blocks."""
+    with _called(path, *sent) as stream:
+        facts = {**vars(stream), "path": os.fspath(stream.path)}
+        blocks = facts.pop("blocks")
+        yield {**facts, "metadata": dict(stream.metadata)}
+        for block in blocks:
+            yield vars(block)
+
+
+def _contents(path: Path, *sent: Any) -> Iterator[list[dict[str, Any]]]:
+    yield [vars(each) for each in _called(path, *sent)]

@@ -48,7 +48,7 @@ from anisomap.io.parsing.tables import (
     records,
     unguard_formula,
 )
-from anisomap.io.recordings import contacts, events
+from anisomap.io.recordings import events
 from anisomap.io.stream import (
     Block,
     Content,
@@ -97,8 +97,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     Empty fields are missing readings, NaN. The metadata of the stream names the columns taken as
     time and frame counter and the skipped columns of text. Errors give line and column.
     """
-    if contacts.selects_columns(options.select):
-        yield contacts.stream_columns(path, options)
+    if events.selects_columns(options.select):
+        yield events.stream_columns(path, options)
         return
     sample, known, metadata = _read_start(path)
     if options.bin_s is not None and not known:
@@ -206,7 +206,8 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
             except ValueError as error:
                 problem = f": {quote(str(error))} is not a number"
                 raise LineError(table.path, line, problem) from None
-            yield readings, None if time is None else time / roles.per_second, lines.fraction()
+            at = None if time is None else time / roles.per_second
+            yield Frame(readings, lines.fraction(), at)
 
     return Stream(
         table.path,

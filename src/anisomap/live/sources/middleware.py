@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError, import_extra
-from anisomap.io.ros.bags import kind_of, values_at
+from anisomap.io.recordings.bags import kind_of, values_at
 from anisomap.live.batches import (
     RETRY_S,
     WAIT_S,

@@ -1,6 +1,6 @@
-"""Exports of pressure mats: a header, and a block of rows x columns per frame.
+"""Grids of cells: exports of pressure mats, and images with one sensor per pixel.
 
-For example::
+An export has a header, and a block of rows x columns per frame::
 
     ROWS 3
     COLS 2
@@ -22,15 +22,18 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError
+from anisomap.errors import FileError, import_extra
+from anisomap.files import check_regular
 from anisomap.io.parsing.source import TextLines, open_text, quote, warn
 from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
@@ -63,7 +66,7 @@ class _Header:
     inside: NDArray[np.bool_]
 
 
-def recognises(path: Path, head: bytes) -> bool:
+def is_mat_export(path: Path, head: bytes) -> bool:
     """Recognise an export by lines that number frames, and by the size in its header."""
     if b"\0" in head:
         return False
@@ -74,7 +77,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 @contextmanager
-def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+def open_mat_export(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording of a pressure mat.
 
     Sensors are the cells inside the sensor in row-major order. Positions are in the unit of the
@@ -176,7 +179,7 @@ def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
                 f"{path}: the frame at line {line} has {len(rows)} rows of numbers; "
                 f"all frames must have {header.rows} rows of {header.columns} numbers"
             )
-        yield cells.ravel()[header.inside], clock, text.fraction()
+        yield Frame(cells.ravel()[header.inside], text.fraction(), clock)
 
 
 def _after(before: float, clock: re.Match[str]) -> float:
@@ -222,3 +225,83 @@ def _number(text: str) -> float:
         return float(text.rstrip(".,").replace(",", "."))
     except ValueError:
         return 0.0
+
+
+EXTRA = "images"
+
+MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
+_SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
+_GREY_MODES = {"L", "I", "F", "I;16", "I;16B"}
+
+
+def is_folder(path: Path, head: bytes) -> bool:
+    """Recognise a folder by the suffixes of its files."""
+    return path.is_dir() and len(_images(path)) > 1
+
+
+@contextmanager
+def open_images(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open a folder of images of equal size, in the order of the numbers in their names, or a file.
+
+    Sensors are pixels in row-major order with positions in pixels; colours are converted to grey.
+    """
+    pillow = import_extra("PIL.Image", "reading images", EXTRA)
+    if path.is_dir():
+        files = _images(path)
+        yield _stream_images(path, len(files), lambda i: _image(pillow, files[i]))
+        return
+    with pillow.open(path) as image:
+        count = int(getattr(image, "n_frames", 1))
+        if count < 2:
+            raise FileError(f"{path} holds a single image (one frame); give a folder of images")
+        yield _stream_images(path, count, lambda i: _page(image, i))
+
+
+def _stream_images(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stream:
+    rows, columns = read(0).shape
+
+    def frames() -> Iterator[Frame]:
+        for i in range(count):
+            pixels = read(i).ravel()
+            if pixels.size != rows * columns:
+                raise FileError(
+                    f"{path}: all images must have the size of the first, {rows} x {columns}, but "
+                    f"image {i} has {pixels.size} pixels"
+                )
+            yield Frame(pixels, (i + 1) / count)
+
+    return Stream(
+        path,
+        rows * columns,
+        stack_frames(frames()),
+        names=grid_names(rows, columns),
+        positions=grid_positions(rows, columns),
+        units="pixels",
+        source=path.name,
+        metadata={"format": "images", "rows": rows, "columns": columns},
+    )
+
+
+def _images(folder: Path) -> list[Path]:
+    found = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES]
+    return sorted(found, key=lambda path: _natural_key(path.name))
+
+
+def _natural_key(name: str) -> list[tuple[int, str]]:
+    """Return a sort key that orders image2 before image10."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _image(pillow: Any, path: Path) -> NDArray[Any]:
+    check_regular(path)
+    with pillow.open(path) as image:
+        return _page(image, 0)
+
+
+def _page(image: Any, page: int) -> NDArray[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # Pillow warns about damage
+        image.seek(page)
+        grey = image if image.mode in _GREY_MODES else image.convert("L")
+        return np.asarray(grey)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,20 +22,21 @@ from numpy.typing import NDArray
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
-from anisomap.io.ros.bag_files import (
+from anisomap.io.recordings.bag_files import (
     EXTRA,
     METADATA,
     prepare,
     register_definitions,
 )
 from anisomap.io.stream import (
-    BLOCK_BYTES,
     Block,
     Content,
+    Frame,
     ReadOptions,
     Stream,
     choose,
     join_streams,
+    stack_frames,
 )
 from anisomap.recording import Scalar
 from anisomap.wording import join_items
@@ -190,7 +191,6 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 """Known message types by name, or by package and name if the name is ambiguous."""
 
 
-_BLOCK_MESSAGES = 1024
 _NUMBERS = {
     *("bool", "byte", "char", "float32", "float64"),
     *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
@@ -339,7 +339,7 @@ class _Rows:
         return Stream(
             self.bag.path,
             values.size,
-            self._blocks(self._frames(values)),
+            self._blocks(self._readings(values)),
             names=names if len(names) == values.size else (),
             positions=positions,
             units="" if positions is None else "m" if positions.shape[1] == 3 else "pixels",
@@ -383,7 +383,7 @@ class _Rows:
             )
         return values
 
-    def _frames(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int, int]]:
+    def _readings(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int, int]]:
         """Yield readings with the stamps of sender and receiver in nanoseconds."""
         convert = partial(unwrap_counters, first=first) if self.kind.wraps else np.asarray
         for number, (message, received) in enumerate(self.bag.messages(self.topic)):
@@ -397,19 +397,18 @@ class _Rows:
                 )
             yield convert(values), _sent(message, received), received
 
-    def _blocks(self, frames: Iterator[tuple[NDArray[Any], int, int]]) -> Iterator[Block]:
+    def _blocks(self, readings: Iterator[tuple[NDArray[Any], int, int]]) -> Iterator[Block]:
         total = max(int(self.bag.reader.topics[self.topic].msgcount), 1)
         start = int(self.bag.reader.start_time)
-        done = 0
-        for batch in _batches(frames):
-            done += len(batch)
-            rows, sent, received = zip(*batch, strict=True)
-            yield Block(
-                np.array(rows),
-                min(done / total, 1.0),
-                (np.array(sent, dtype=np.int64) - start) / _NANOSECONDS,
-                (np.array(received, dtype=np.int64) - start) / _NANOSECONDS,
+        return stack_frames(
+            Frame(
+                values,
+                min((i + 1) / total, 1.0),
+                (sent - start) / _NANOSECONDS,
+                (received - start) / _NANOSECONDS,
             )
+            for i, (values, sent, received) in enumerate(readings)
+        )
 
     def _metadata(self) -> dict[str, Scalar]:
         kind = str(self.bag.reader.topics[self.topic].msgtype)
@@ -474,20 +473,3 @@ def _sent(message: Any, received: int) -> int:
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     sent = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
     return sent or received
-
-
-def _batches(frames: Iterator[Any]) -> Iterator[Sequence[Any]]:
-    batch: list[Any] = []
-    try:
-        for frame in frames:
-            batch.append(frame)
-            if len(batch) == _BLOCK_MESSAGES or len(batch) * frame[0].nbytes > BLOCK_BYTES:
-                yield batch
-                batch = []
-    except Exception:
-        # Messages before the damage are valid.
-        if batch:
-            yield batch
-        raise
-    if batch:
-        yield batch

@@ -11,16 +11,19 @@ Layouts: MCAP specification, and "Bag File Format, version 2.0" (ROS 1).
 
 from __future__ import annotations
 
-import bz2
 import io
 import struct
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular, open_regular, read_small
+from anisomap.files import check_regular, read_small
 
 EXTRA = "ros"
 
@@ -41,11 +44,12 @@ def prepare(path: Path) -> tuple[Path, str]:
         for each in path.iterdir():
             check_regular(each)
         return path, ""
-    with open_regular(path) as file:
+    check_regular(path)
+    with _BagFile(path) as file:
         start = file.read(max(map(len, MAGICS)))
         suffix = next((s for magic, s in MAGICS.items() if start.startswith(magic)), path.suffix)
         find = {".mcap": _repair_mcap, ".bag": _repair_ros1}.get(suffix)
-        repair, size = find(file) if find else None, file.seek(0, io.SEEK_END)
+        repair, size = find(file, file.size) if find else None, file.size
     overrides: dict[str, Any] = {"suffix": suffix}
     if find:
         overrides["open"] = lambda self, *_, **__: _BagFile(path, repair)
@@ -75,8 +79,7 @@ def _type_name(file: Path) -> str:
 
 _MCAP_FOOTER = b"\x02\x14" + bytes(7) + bytes(20) + _MCAP
 _MCAP_HEAD = 9
-_INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 4, 5, 6, 7
-_MAX_HEADER = 1 << 16
+_LATEST = (1 << 32) * 10**9 - 1  # of the format, in nanoseconds
 
 
 @dataclass(frozen=True)
@@ -95,14 +98,14 @@ class _BagFile(io.BufferedReader):
     any number.
     """
 
-    def __init__(self, path: Path, repair: _Repair | None) -> None:
+    def __init__(self, path: Path, repair: _Repair | None = None) -> None:
         super().__init__(io.FileIO(path, "r") if repair is None else _Repaired(path, repair))
-        self._size = self.seek(0, io.SEEK_END)
+        self.size = self.seek(0, io.SEEK_END)
         self.seek(0)
 
     def read(self, size: int | None = -1) -> bytes:
         """Read at most `size` bytes."""
-        left = max(self._size - self.tell(), 0)
+        left = max(self.size - self.tell(), 0)
         return super().read(left if size is None or size < 0 else min(size, left))
 
 
@@ -145,8 +148,7 @@ class _Repaired(io.RawIOBase):
         super().close()
 
 
-def _repair_mcap(file: BinaryIO) -> _Repair | None:
-    size = file.seek(0, io.SEEK_END)
+def _repair_mcap(file: BinaryIO, size: int) -> _Repair | None:
     file.seek(max(size - len(_MCAP), 0))
     if file.read() == _MCAP:
         return None
@@ -160,151 +162,107 @@ def _repair_mcap(file: BinaryIO) -> _Repair | None:
         end += _MCAP_HEAD + length
 
 
-@dataclass(frozen=True)
-class _Record:
+class _Record(NamedTuple):
     """A record of a ROS 1 bag: header fields, and the offsets of start, data and end."""
 
     start: int
-    fields: dict[bytes, bytes]
+    fields: Any
     data: int
     end: int
 
-    @property
-    def kind(self) -> int:
-        return self.number(b"op")
 
-    def number(self, name: bytes) -> int:
-        return int.from_bytes(self.fields.get(name, b""), "little")
+def _records(file: BinaryIO, start: int, size: int) -> Iterator[_Record]:
+    """Yield records up to the first incomplete one."""
+    library = _library("reader")
+    with suppress(library.ReaderError, ValueError):
+        while start < size:
+            file.seek(start)
+            fields = library.Header.read(file)
+            length = library.read_uint32(file)
+            record = _Record(start, fields, file.tell(), file.tell() + length)
+            if record.end > size:
+                return
+            yield record
+            start = record.end
 
 
-@dataclass
-class _Chunk:
-    """A chunk of messages, with the counts per connection and the times in its index."""
-
-    record: _Record
-    counts: dict[int, int]
-    times: list[int]
+def _library(module: str) -> Any:
+    return import_extra(f"rosbags.rosbag1.{module}", "reading bags", EXTRA)
 
 
-def _repair_ros1(file: BinaryIO) -> _Repair | None:
-    size = file.seek(0, io.SEEK_END)
-    head = _record(file, len(_ROS1), size)
-    if head is None or not head.fields.keys() >= {b"index_pos", b"conn_count", b"chunk_count"}:
+def _repair_ros1(file: BinaryIO, size: int) -> _Repair | None:
+    head = next(_records(file, len(_ROS1), size), None)
+    counted = ("conn_count", "chunk_count")
+    if head is None or not head.fields.keys() >= {"index_pos", *counted}:
         return None  # without a bag header, nothing can be repaired
-    n_indexed = head.number(b"conn_count") + head.number(b"chunk_count")
-    index = head.number(b"index_pos")
+    n_indexed = sum(head.fields.get_uint32(name) for name in counted)
+    index = head.fields.get_uint64("index_pos")
     if index and sum(1 for _ in _records(file, index, size)) >= n_indexed:
         return None
-    chunks, connections, end = _scan(file, head.end, size)
-    tail = b"".join(connections.values()) + b"".join(map(_chunk_info, chunks))
+    end, infos, connections = _scan(file, head.end, size)
     file.seek(0)
     start = file.read(head.data)
     for name, value, width in (
         (b"index_pos=", end, 8),
         (b"conn_count=", len(connections), 4),
-        (b"chunk_count=", len(chunks), 4),
+        (b"chunk_count=", len(infos), 4),
     ):
         at = start.index(name) + len(name)
         start = start[:at] + value.to_bytes(width, "little") + start[at + width :]
-    return _Repair(start, end, tail)
+    return _Repair(start, end, b"".join([*connections.values(), *infos]))
 
 
-def _scan(file: BinaryIO, start: int, size: int) -> tuple[list[_Chunk], dict[int, bytes], int]:
-    """Return the indexed chunks, the connections of their messages, and the offset of their end."""
-    chunks: list[_Chunk] = []
-    connections: dict[int, bytes] = {}
-    end = start
+def _scan(file: BinaryIO, start: int, size: int) -> tuple[int, list[bytes], dict[int, bytes]]:
+    """Return the end of the indexed chunks, their records of the index, and the connections."""
+    kinds = _library("reader").RecordType
+    end, chunks = start, list[tuple[_Record, dict[int, NDArray[np.int64]]]]()
     for record in _records(file, start, size):
-        if record.kind == _CHUNK:
-            chunks.append(_Chunk(record, {}, []))
-        elif record.kind == _INDEX and chunks:
-            _take_index(file, record, chunks[-1])
+        kind = int.from_bytes(record.fields.get("op", b""), "little")
+        if kind == kinds.CHUNK:
+            chunks.append((record, {}))
+        elif kind == kinds.IDXDATA and chunks:
+            file.seek(record.data)
+            entries = file.read((record.end - record.data) // 12 * 12)
+            stamps = np.frombuffer(entries, "<u4").reshape(-1, 3).astype(np.int64)
+            times = stamps[:, 0] * 10**9 + stamps[:, 1]
+            chunks[-1][1][record.fields.get_uint32("conn")] = times
             end = record.end
         else:
             break  # the rest is an incomplete index, which is rebuilt
-    whole = [chunk for chunk in chunks if chunk.counts]
-    for chunk in whole:
-        if not connections.keys() >= chunk.counts.keys():
-            connections |= _connections(file, chunk.record)
-    return whole, connections, end
-
-
-def _take_index(file: BinaryIO, record: _Record, chunk: _Chunk) -> None:
-    count = record.number(b"count")
-    file.seek(record.data + 4)
-    entries = file.read(min(12 * count, record.end - record.data - 4))
-    chunk.counts[record.number(b"conn")] = count
-    # Seconds and nanoseconds of a stamp are combined in one integer for comparison.
-    stamps = [struct.unpack_from("<II", entries, at) for at in range(0, len(entries) - 7, 12)]
-    chunk.times += [seconds << 32 | nanoseconds for seconds, nanoseconds in stamps]
+    infos, connections = list[bytes](), dict[int, bytes]()
+    for record, indexed in chunks:
+        if indexed:
+            infos.append(_chunk_info(record.start, indexed))
+            if not connections.keys() >= indexed.keys():
+                connections |= _connections(file, record)
+    return end, infos, connections
 
 
 def _connections(file: BinaryIO, chunk: _Record) -> dict[int, bytes]:
-    file.seek(chunk.data + 4)
-    compressed = file.read(chunk.end - chunk.data - 4)
-    compression = chunk.fields.get(b"compression", b"none").decode("latin-1")
+    library = _library("reader")
+    file.seek(chunk.data)
+    packed = file.read(chunk.end - chunk.data)
     try:
-        content = _decompress(compressed, compression)
-    except (OSError, ValueError, EOFError, RuntimeError):  # of bz2 and lz4
+        content = library.decompressors[chunk.fields.get_string("compression")](packed)
+    except (OSError, ValueError, EOFError, RuntimeError, KeyError):  # of bz2 and lz4
         return {}
-    inner = io.BytesIO(content)
+    found = _records(io.BytesIO(content), 0, len(content))
+    kind = bytes([library.RecordType.CONNECTION])
     return {
-        record.number(b"conn"): content[record.start : record.end]
-        for record in _records(inner, 0, len(content))
-        if record.kind == _CONNECTION
+        record.fields.get_uint32("conn"): content[record.start : record.end]
+        for record in found
+        if record.fields.get("op") == kind
     }
 
 
-def _decompress(compressed: bytes, compression: str) -> bytes:
-    if compression == "lz4":
-        content: bytes = import_extra("lz4.frame", "reading bags", EXTRA).decompress(compressed)
-        return content
-    return bz2.decompress(compressed) if compression == "bz2" else compressed
-
-
-def _chunk_info(chunk: _Chunk) -> bytes:
-    first, last = (
-        struct.pack("<II", time >> 32, time & 0xFFFFFFFF)
-        for time in (min(chunk.times, default=0), max(chunk.times, default=0))
-    )
-    fields = {
-        b"op": bytes([_CHUNK_INFO]),
-        b"ver": struct.pack("<I", 1),
-        b"chunk_pos": struct.pack("<Q", chunk.record.start),
-        b"start_time": first,
-        b"end_time": last,
-        b"count": struct.pack("<I", len(chunk.counts)),
-    }
-    parts = [name + b"=" + value for name, value in fields.items()]
-    header = b"".join(struct.pack("<I", len(part)) + part for part in parts)
-    data = b"".join(struct.pack("<II", *pair) for pair in chunk.counts.items())
-    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
-
-
-def _records(file: BinaryIO, start: int, size: int) -> Iterator[_Record]:
-    """Yield records up to the first incomplete one."""
-    while (record := _record(file, start, size)) is not None:
-        yield record
-        start = record.end
-
-
-def _record(file: BinaryIO, start: int, size: int) -> _Record | None:
-    if start >= size:
-        return None
-    file.seek(start)
-    length = int.from_bytes(file.read(4), "little")
-    if not 0 < length <= min(_MAX_HEADER, size - start - 8):
-        return None
-    header = file.read(length)
-    data = start + 4 + length
-    end = data + 4 + int.from_bytes(file.read(4), "little")
-    if end > size:
-        return None
-    fields: dict[bytes, bytes] = {}
-    at = 0
-    while at + 4 < len(header):
-        width = int.from_bytes(header[at : at + 4], "little")
-        name, _, value = header[at + 4 : at + 4 + width].partition(b"=")
-        fields[name] = value
-        at += 4 + width
-    return _Record(start, fields, data, end)
+def _chunk_info(start: int, indexed: dict[int, NDArray[np.int64]]) -> bytes:
+    header, times = _library("writer").Header(), np.concatenate([*indexed.values()])
+    header.set_uint32("ver", 1)
+    header.set_uint64("chunk_pos", start)
+    header.set_time("start_time", int(times.min(initial=_LATEST)))
+    header.set_time("end_time", int(times.max(initial=0)))
+    header.set_uint32("count", len(indexed))
+    info = io.BytesIO()
+    header.write(info, _library("reader").RecordType.CHUNK_INFO)
+    counts = b"".join(struct.pack("<II", name, len(each)) for name, each in indexed.items())
+    return info.getvalue() + struct.pack("<I", len(counts)) + counts

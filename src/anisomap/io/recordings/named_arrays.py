@@ -1,0 +1,556 @@
+"""Files of named arrays: HDF5, and MATLAB of versions 4, 5 and 7.3, the latter with reversed axes.
+
+A recording is any numeric array of frames x sensors, or the times of spikes, of which three layouts
+are known: the times of all units in one vector, beside the number of spikes of each unit
+(``spikes``, ``sCount``: the retinal wave repository, Eglen et al. 2014, GigaScience 3:3,
+doi:10.1186/2047-217X-3-3), or beside the end of each unit in the vector (``spike_times``,
+``spike_times_index``: Neurodata Without Borders), or a group with one vector of times per unit,
+whose names hold numbers.
+
+MATLAB files may also list contacts or spikes in a cell array of vectors, or in a field of a
+structure array (or of a cell array of structures). Whole numbers are the ids of the sensors of each
+contact; other numbers are the spike times of each channel. A matrix of four columns holds
+``x y z id``, one row per sensor of a contact.
+
+Source: The MathWorks (2024). MAT-File Level 5 File Format.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from anisomap.errors import FileError, import_extra
+from anisomap.files import check_regular, open_regular
+from anisomap.io.parsing.names import is_time, units_per_second
+from anisomap.io.parsing.source import quote
+from anisomap.io.recordings.events import Events, name_sensors, stream_events
+from anisomap.io.stream import (
+    BLOCK_BYTES,
+    Block,
+    Content,
+    ReadOptions,
+    Stream,
+    choose,
+    increasing_times,
+)
+from anisomap.recording import Scalar
+
+_NUMBERS, _REAL, _TEXT = "biuf", "iuf", "SUO"
+_MICROMETRES = "epos"  # positions in the retinal wave repository, which defines their unit
+_SPAN = "recordingtime"
+_POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", _MICROMETRES}
+_RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A named array in a file.
+
+    name: Name with groups, such as ``"left/readings"``.
+    shape: The first axis of a recording is frames.
+    dtype: Data type, for display.
+    kind: As `numpy.dtype.kind`.
+    read: ``read(start, stop)`` reads a range of frames.
+    frames_at_once: Number of frames per compressed chunk.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    kind: str
+    read: Callable[[int, int], NDArray[Any]]
+    frames_at_once: int = 1
+
+    @property
+    def key(self) -> str:
+        """Name without groups, in lower case."""
+        return self.name.rpartition("/")[2].lower()
+
+    @property
+    def group(self) -> str:
+        """Groups that hold the dataset."""
+        return self.name.rpartition("/")[0]
+
+    def whole(self) -> NDArray[Any]:
+        """Read the whole array."""
+        return self.read(0, self.shape[0])
+
+
+_MIN_UNITS = 2
+_DIGIT = re.compile(r"\d")
+
+
+@dataclass(frozen=True)
+class SpikeTrains:
+    """The arrays that hold the spike times of several units.
+
+    name: Name to select them by.
+    times: Times of all units, or one array per unit.
+    index: Divides the times among the units; None for one array per unit.
+    counted: Whether it gives the number of spikes of each unit, or else the end of the unit.
+    """
+
+    name: str
+    times: tuple[Dataset, ...]
+    index: Dataset | None = None
+    counted: bool = True
+
+    @property
+    def n_units(self) -> int:
+        """Number of units."""
+        return math.prod(self.index.shape) if self.index else len(self.times)
+
+    @property
+    def members(self) -> set[str]:
+        """Names of all arrays."""
+        return {each.name for each in (*self.times, self.index) if each}
+
+
+def find_spike_trains(arrays: Sequence[Dataset]) -> tuple[SpikeTrains, ...]:
+    """Find the spike trains of each group."""
+    groups: dict[str, list[Dataset]] = {}
+    for each in arrays:
+        groups.setdefault(each.group, []).append(each)
+    return tuple(found for group, members in groups.items() if (found := _in_group(group, members)))
+
+
+def _in_group(group: str, members: Sequence[Dataset]) -> SpikeTrains | None:
+    vectors = {each.key: each for each in members if _is_vector(each)}
+    for times, index in (("spikes", "scount"), ("spike_times", "spike_times_index")):
+        if times in vectors and index in vectors:
+            found = vectors[times]
+            return SpikeTrains(found.name, (found,), vectors[index], index == "scount")
+    one_each = group and len(vectors) == len(members) >= _MIN_UNITS
+    numbered = all(each.kind == "f" and _DIGIT.search(key) for key, each in vectors.items())
+    lengths = {math.prod(each.shape) for each in vectors.values()}
+    # Vectors of equal length are readings or properties of sensors.
+    if one_each and numbered and len(lengths) > 1:
+        return SpikeTrains(group, tuple(members))
+    return None
+
+
+def _is_vector(array: Dataset) -> bool:
+    """Return whether an array is a vector of numbers, which MATLAB stores as a matrix."""
+    return array.kind in _REAL and sum(size != 1 for size in array.shape) <= 1
+
+
+def stream_spikes(
+    path: Path,
+    trains: SpikeTrains,
+    bin_s: float | None,
+    *,
+    names: tuple[str, ...] = (),
+    **known: Any,
+) -> Stream:
+    """Create a stream of spike counts; `known` are further arguments of `stream_events`."""
+    vectors = [each.whole().astype(np.float64).ravel() for each in trains.times]
+    times = np.concatenate(vectors)
+    if trains.index is None:
+        counts = np.array([len(vector) for vector in vectors])
+        names = names or tuple(each.name.rpartition("/")[2] for each in trains.times)
+    else:
+        counts = _counts(path, trains, trains.index, len(times))
+    units = np.repeat(np.arange(len(counts)), counts)
+    events = Events(times, units, names or tuple(f"e{i}" for i in range(len(counts))))
+    facts = {"format": "spike trains"}
+    return stream_events(path, events, bin_s=bin_s, spikes=True, metadata=facts, **known)
+
+
+def _counts(path: Path, trains: SpikeTrains, index: Dataset, n_spikes: int) -> NDArray[np.intp]:
+    """Return the number of spikes of each unit."""
+    values = index.whole().astype(np.float64).ravel()
+    counts = values if trains.counted else np.diff(values, prepend=0)
+    whole = bool(np.isfinite(counts).all() and (counts == np.floor(counts)).all())
+    if not whole or counts.min(initial=0) < 0 or counts.sum() != n_spikes:
+        raise FileError(
+            f"{path}: {index.name} must divide the {n_spikes} times of {trains.name} among the "
+            f"units, but it gives {counts.sum():g}"
+        )
+    return counts.astype(np.intp)
+
+
+def contents_of(datasets: Sequence[Dataset]) -> tuple[Content, ...]:
+    """List datasets, and whether they, or spike trains made of them, can be a recording."""
+    trains = find_spike_trains(datasets)
+    in_trains = {name for each in trains for name in each.members}
+    # Vectors beside readings may be of any kind.
+    readings = any(_usable(each) and each.name not in in_trains for each in datasets)
+    return (
+        *(
+            Content(each.name, f"{each.n_units} spike trains", not readings or bool(each.index))
+            for each in trains
+        ),
+        *(
+            Content(
+                each.name,
+                f"{each.dtype}, {' x '.join(map(str, each.shape))}",
+                _usable(each) and each.name not in in_trains,
+            )
+            for each in datasets
+            if each.name not in {train.name for train in trains}
+        ),
+    )
+
+
+def stream_of(
+    path: Path,
+    datasets: Sequence[Dataset],
+    options: ReadOptions,
+    metadata: Mapping[str, Scalar],
+) -> Stream:
+    """Create a stream of the selected or only possible recording."""
+    name = choose(path, contents_of(datasets), options.select, "dataset").name
+    for trains in find_spike_trains(datasets):
+        if trains.name == name:
+            stream = _stream_of_spikes(path, datasets, trains, options)
+            return replace(stream, source=f"{path.name}:{name}")
+    chosen = next(each for each in datasets if each.name == name)
+    if not _usable(chosen):
+        choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
+    near = [each for each in datasets if each.group == chosen.group and each is not chosen]
+    n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
+    return Stream(
+        path,
+        n_sensors,
+        _blocks(chosen, _times(path, near, n_frames)),
+        names=_names(near, n_sensors) or _grid_names(chosen.shape[1:]),
+        rate_hz=_rate(near),
+        positions=_positions(near, n_sensors),
+        source=f"{path.name}:{chosen.name}",
+        metadata=metadata,
+    )
+
+
+def _stream_of_spikes(
+    path: Path, datasets: Sequence[Dataset], trains: SpikeTrains, options: ReadOptions
+) -> Stream:
+    group = trains.times[0].group
+    near = [each for each in datasets if each.group == group and each.name not in trains.members]
+    micrometres = any(each.key == _MICROMETRES for each in near)
+    names, positions = _names(near, trains.n_units), _positions(near, trains.n_units)
+    stream = stream_spikes(
+        path, trains, options.bin_s, names=names, positions=positions, span=_span(near)
+    )
+    return replace(stream, units="um" if micrometres and positions is not None else "")
+
+
+def _usable(dataset: Dataset) -> bool:
+    fits = dataset.kind in _NUMBERS and len(dataset.shape) >= 2 and dataset.shape[0] > 1
+    return (
+        fits
+        and 0 not in dataset.shape
+        and dataset.key not in _POSITIONS
+        and not _is_time_vector(dataset)
+    )
+
+
+def _is_time_vector(dataset: Dataset) -> bool:
+    """Return whether this is a vector of times, which MATLAB stores as a matrix."""
+    return len(dataset.shape) == 2 and 1 in dataset.shape and is_time(dataset.key)
+
+
+def _blocks(dataset: Dataset, times: NDArray[np.float64] | None) -> Iterator[Block]:
+    n_frames, frame = dataset.shape[0], dataset.shape[1:]
+    step = max(1, BLOCK_BYTES // (8 * math.prod(frame)))
+    step = -(-step // dataset.frames_at_once) * dataset.frames_at_once
+    for start in range(0, n_frames, step):
+        stop = min(start + step, n_frames)
+        rows = dataset.read(start, stop).reshape(stop - start, -1)
+        yield Block(rows, stop / n_frames, None if times is None else times[start:stop])
+
+
+def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.float64] | None:
+    clocks = {each.key for each in near if is_time(each.key)}
+    key, values = _numbers(near, clocks, n_frames)
+    return (
+        None if values is None else increasing_times(values / units_per_second(key, values), path)
+    )
+
+
+def _names(near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
+    for each in near:
+        if each.key != "names" or math.prod(each.shape) != n_sensors:
+            continue
+        values = each.whole().ravel().tolist() if each.kind in _TEXT else []
+        if values and all(isinstance(value, str | bytes) for value in values):
+            return tuple(v.decode() if isinstance(v, bytes) else v for v in values)
+    return ()
+
+
+def _grid_names(frame: tuple[int, ...]) -> tuple[str, ...]:
+    if len(frame) < 2:
+        return ()
+    return tuple(".".join(map(str, index)) for index in np.ndindex(*frame))
+
+
+def _positions(near: Sequence[Dataset], n_sensors: int) -> NDArray[np.float64] | None:
+    for each in near:
+        if each.key in _POSITIONS and each.kind in _NUMBERS and len(each.shape) == 2:
+            values = each.whole().astype(np.float64)
+            if values.shape[0] == n_sensors and values.shape[1] in (2, 3):
+                return values
+            # R and MATLAB store matrices by columns.
+            if values.shape[1] == n_sensors and values.shape[0] in (2, 3):
+                return np.ascontiguousarray(values.T)
+    return None
+
+
+def _numbers(
+    near: Sequence[Dataset], keys: Collection[str], size: int
+) -> tuple[str, NDArray[np.float64] | None]:
+    """Return the key and values of the first dataset with one of the keys and so many numbers."""
+    for each in near:
+        if each.key in keys and each.kind in _NUMBERS and math.prod(each.shape) == size:
+            return each.key, each.whole().astype(np.float64).ravel()
+    return "", None
+
+
+def _span(near: Sequence[Dataset]) -> tuple[float, float] | None:
+    """Return the start and end of a recording of spikes, if the file gives them."""
+    _, values = _numbers(near, {_SPAN}, 2)
+    start, end = (math.nan, math.nan) if values is None else values.tolist()
+    return (start, end) if math.isfinite(start) and start < end < math.inf else None
+
+
+def _rate(near: Sequence[Dataset]) -> float | None:
+    _, values = _numbers(near, _RATES, 1)
+    rate = math.nan if values is None else float(values[0])
+    return rate if 0 < rate < math.inf else None
+
+
+HDF5_EXTRA = "hdf5"
+
+_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+
+def is_hdf5(path: Path, head: bytes) -> bool:
+    """Recognise HDF5 by its signature, which may follow a user block of 512, 1024, ... bytes."""
+    offsets = [0, *(512 << i for i in range(7))]
+    return any(head[offset : offset + len(_MAGIC)] == _MAGIC for offset in offsets)
+
+
+def hdf5_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the datasets of a file."""
+    with open_datasets(path, HDF5_EXTRA) as datasets:
+        return contents_of(datasets)
+
+
+@contextmanager
+def open_hdf5(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open the dataset `options.select`, given with or without groups, or the only possible one."""
+    with open_datasets(path, HDF5_EXTRA) as datasets:
+        yield stream_of(path, datasets, options, {"format": "HDF5"})
+
+
+@contextmanager
+def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Iterator[list[Dataset]]:
+    """Open an HDF5 file and list its datasets, without following links to other files."""
+    h5py = import_extra("h5py", "reading HDF5", extra)
+    check_regular(path)
+    with h5py.File(path, "r") as file:
+        found = list[Any]()
+        file.visititems(lambda _, item: found.append(item))  # stops at anything but None
+        yield [
+            _hdf5_dataset(each, frames_last)
+            for each in found
+            if isinstance(each, h5py.Dataset) and not each.name.startswith("/#")
+        ]
+
+
+def _hdf5_dataset(item: Any, frames_last: bool) -> Dataset:
+    name = item.name.lstrip("/")
+    shape = tuple(item.shape or ())
+    chunks = tuple(item.chunks or ())
+    if frames_last:
+        shape, chunks = shape[::-1], chunks[::-1]
+
+    def read(start: int, stop: int) -> NDArray[Any]:
+        if item.external or item.is_virtual:
+            raise OSError(f"dataset {name} is stored in other files, which are not opened")
+        if not shape:
+            return np.asarray(item[()]).reshape(1)
+        if not frames_last:
+            return np.asarray(item[start:stop])
+        return np.asarray(item[..., start:stop]).T
+
+    kind = item.dtype.kind
+    return Dataset(name, shape or (1,), str(item.dtype), kind, read, chunks[0] if chunks else 1)
+
+
+MAT_EXTRA = "mat"
+MAT_MAGICS = (b"MATLAB 5.0 MAT-file", _MAGIC_73 := b"MATLAB 7.3 MAT-file")
+"""First bytes of versions 5 and 7.3; version 4 has only its suffix."""
+
+_KINDS = {
+    "double": "f",
+    "single": "f",
+    "logical": "u",
+    **{f"int{bits}": "i" for bits in (8, 16, 32, 64)},
+    **{f"uint{bits}": "u" for bits in (8, 16, 32, 64)},
+}
+_WITH_POINT = 4  # columns of x y z id
+
+
+def mat_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the variables of a file."""
+    with _open_mat(path) as (lists, datasets):
+        return _contents(lists, datasets)
+
+
+@contextmanager
+def open_mat(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open the variable `options.select`, or the only one of frames x sensors.
+
+    Contacts and spikes may be in cell arrays, and in fields of structures (``torso/taxels``).
+    """
+    with _open_mat(path) as (lists, datasets):
+        if lists:
+            name = choose(path, _contents(lists, datasets), options.select, "variable").name
+            options = replace(options, select=name)
+        listed = next((each for each in lists if each.name == options.select), None)
+        if listed:
+            stream = _stream_of_lists(path, listed, options.bin_s)
+            yield replace(stream, source=f"{path.name}:{listed.name}")
+        else:
+            yield stream_of(path, datasets, options, {"format": "MATLAB"})
+
+
+@dataclass(frozen=True, eq=False)
+class _Lists:
+    """Lists of numbers of different lengths, one per contact or channel.
+
+    name: Name of the variable, with the field.
+    contacts: Whether the lists are ids of sensors; otherwise they are times.
+    """
+
+    name: str
+    lists: tuple[NDArray[np.float64], ...]
+    contacts: bool
+
+    @property
+    def summary(self) -> str:
+        """Description for display."""
+        return f"{len(self.lists)} {'lists of sensors' if self.contacts else 'spike trains'}"
+
+
+def _contents(lists: Sequence[_Lists], datasets: Sequence[Dataset]) -> tuple[Content, ...]:
+    variables = {each.name.partition("/")[0] for each in lists}
+    tables = [each for each in contents_of(datasets) if each.name not in variables]
+    # Cell arrays beside readings may be of any kind.
+    alone = not any(each.usable for each in tables)
+    return (*(Content(each.name, each.summary, alone) for each in lists), *tables)
+
+
+@contextmanager
+def _open_mat(path: Path) -> Iterator[tuple[list[_Lists], list[Dataset]]]:
+    with open_regular(path) as stream:
+        is_73 = stream.read(len(_MAGIC_73)) == _MAGIC_73
+    if is_73:
+        with open_datasets(path, MAT_EXTRA, frames_last=True) as datasets:
+            yield [], datasets
+        return
+    listed = scipy.io.whosmat(path)
+    datasets = [_dataset(path, *each) for each in listed]
+    cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
+    yield _find_lists(_load(path, cells)) if cells else [], datasets
+
+
+def _dataset(path: Path, name: str, shape: tuple[int, ...], kind: str) -> Dataset:
+    return Dataset(name, tuple(shape), kind, _KINDS.get(kind, "V"), _reader(path, name))
+
+
+def _reader(path: Path, name: str) -> Callable[[int, int], NDArray[Any]]:
+    @functools.cache
+    def loaded() -> NDArray[Any]:
+        found = np.asarray(_load(path, [name])[name])
+        if np.iscomplexobj(found):  # which the listing does not tell
+            raise FileError(f"{path}: variable {quote(name)} is complex; readings are real")
+        return found
+
+    return lambda start, stop: loaded()[start:stop]
+
+
+def _load(path: Path, names: list[str]) -> dict[str, Any]:
+    found = scipy.io.loadmat(path, variable_names=names)
+    if lost := [name for name in names if name not in found]:
+        raise FileError(f"{path} is damaged: it lists the variable {quote(lost[0])} and lacks it")
+    return {name: found[name] for name in names}
+
+
+def _find_lists(variables: dict[str, NDArray[Any]]) -> list[_Lists]:
+    """Find the contacts and spike trains in cell arrays and structures."""
+    return [found for name, value in variables.items() for found in _lists_in(name, value)]
+
+
+def _lists_in(name: str, value: NDArray[Any]) -> Iterator[_Lists]:
+    items = [*value.ravel()]
+    fields = value.dtype.names
+    if fields is None and all(_is_struct(item) for item in items):
+        items = [item.ravel()[0] for item in items if item.size == 1]
+        fields = items[0].dtype.names if items and len(items) == value.size else ()
+        if any(item.dtype.names != fields for item in items):
+            return
+    columns = {name: items}
+    if fields is not None:
+        columns = {f"{name}/{field}": [item[field] for item in items] for field in fields}
+    for column, entries in columns.items():
+        vectors = [_vector(entry) for entry in entries]
+        known = [vector for vector in vectors if vector is not None]
+        if len(known) < len(entries) or max(map(len, known), default=0) < 2:
+            continue
+        values = np.concatenate(known)
+        # Ids in float64 are exact up to 2^53, which no numbering of sensors reaches.
+        whole = bool(((values >= 0) & (values == np.floor(values)) & (values < 2**53)).all())
+        if whole or all((np.diff(vector) >= 0).all() for vector in known):
+            yield _Lists(column, tuple(known), contacts=whole)
+
+
+def _is_struct(item: Any) -> bool:
+    return isinstance(item, np.ndarray) and item.dtype.names is not None
+
+
+def _vector(item: Any) -> NDArray[np.float64] | None:
+    """Return a vector as float64, the last column of ``x y z id``, or None for anything else."""
+    if not isinstance(item, np.ndarray) or item.dtype.kind not in _REAL or item.ndim != 2:
+        return None
+    values = item.astype(np.float64)
+    if not values.size or 1 in values.shape:
+        # A single row of four columns with fractions is a point with an id.
+        fractions = bool((values[..., :3] % 1 != 0).any())
+        return values[0, 3:] if values.shape == (1, _WITH_POINT) and fractions else values.ravel()
+    return values[:, 3] if values.shape[1] == _WITH_POINT else None
+
+
+def _stream_of_lists(path: Path, lists: _Lists, bin_s: float | None) -> Stream:
+    """Create a stream of lists: a frame per contact, or counts of spikes in bins."""
+    lengths = np.array([len(each) for each in lists.lists])
+    values = np.concatenate(lists.lists)
+    if not lists.contacts:
+        names = tuple(f"channel{i + 1}" for i in range(len(lengths)))
+        events = Events(values, np.repeat(np.arange(len(lengths)), lengths), names)
+        return stream_events(
+            path, events, bin_s=bin_s, spikes=True, metadata={"format": "spike trains"}
+        )
+    ids, sensors = np.unique(values.astype(np.int64), return_inverse=True)
+    names, _ = name_sensors([str(each) for each in ids.tolist()], "taxel")
+    # A contact without a sensor is a moment, too.
+    rows = np.maximum(lengths, 1)
+    active = np.full(rows.sum(), -1, dtype=np.intp)
+    active[np.repeat(lengths > 0, rows)] = sensors
+    return stream_events(
+        path,
+        Events(np.repeat(np.arange(float(len(lengths))), rows), active, names, timed=False),
+        bin_s=bin_s,
+        metadata={"format": "list of contacts", "variable": lists.name},
+    )
