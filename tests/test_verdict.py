@@ -66,10 +66,13 @@ def test_every_verdict_has_reasons_and_intervals_around_its_numbers(chance, diff
     )
 
 
-def test_faults_and_lost_regions_exclude_usable_maps_and_are_the_first_reason():
+def test_only_faults_that_no_measurement_shows_exclude_usable_maps():
     assert judge(evidence()).level == "usable"
-    found = judge(evidence(faults=("channels leak",)))
+    found = judge(evidence(unseen=("channels leak",)))
     assert (found.level, found.reasons[0]) == ("usable for neighbours", "channels leak")
+    told = judge(evidence(faults=("sensors hum",)))
+    assert (told.level, "sensors hum" in told.reasons) == ("usable", False)
+    assert judge(evidence(5.0, 5.0, faults=("sensors hum",))).reasons[0] == "sensors hum"
     apart = judge(evidence(largest=30))
     assert apart.level == "usable for neighbours"
     assert "10 of 40 sensors" in apart.reasons[0]
@@ -82,7 +85,7 @@ def test_without_measurements_nothing_can_be_told():
         found = judge(unknown)
         assert found.level == UNKNOWN
         assert math.isnan(found.expected_error)
-    assert str(judge(Evidence(unknown="too short"))) == "cannot tell: too short"
+    assert str(judge(Evidence(unknown="too short"))) == "cannot tell; too short"
 
 
 def test_levels_are_ordered_and_checked():
@@ -180,10 +183,11 @@ def test_noise_and_large_contacts_in_one_place_are_worse_than_a_plain_skin():
 
 
 @quiet
-def test_faults_that_were_found_limit_the_verdict():
+def test_faults_that_the_error_does_not_show_limit_the_verdict():
     skin, made = flat_skin(n_frames=800), flat_map(n_frames=800)
     assert verdict(made, skin).level == "usable"
-    for kind, level in (("leak", "usable for neighbours"), ("one-period", "not usable")):
+    limits = {"hum": "usable", "copies": "usable for neighbours", "one-period": "not usable"}
+    for kind, level in limits.items():
         fault = Finding(kind, (), 1.0, "", "a fault", "a wrong map", mendable=False)
         assert diagnose(made, skin, findings=[fault]).verdict.level == level
 

@@ -33,9 +33,9 @@ class Evidence:
     difference: RMS difference from a map of evenly spaced sensors, in spacings.
     placed: Number of sensors with positions.
     largest: Number of sensors in the largest component.
-    faults: Sentences on the faults of the recording that spoil the map.
-    distorted: What the method itself says against lengths on the map.
-    fatal: Sentences on those after which readings do not tell which sensors are near.
+    faults: Sentences on faults of the recording that the measurements show.
+    unseen: Sentences on what spoils the map in a way that the measurements do not show.
+    fatal: Sentences on faults after which readings do not tell which sensors are near.
     unknown: Why the repeatability is unknown, and what to do; empty if it is known.
     """
 
@@ -44,14 +44,14 @@ class Evidence:
     placed: int = 0
     largest: int = 0
     faults: tuple[str, ...] = ()
-    distorted: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
     fatal: tuple[str, ...] = ()
     unknown: str = ""
 
 
 def judge(evidence: Evidence) -> Verdict:
     """Return the verdict that follows from the evidence."""
-    limits = [*evidence.fatal, *evidence.faults, *evidence.distorted]
+    limits = [*evidence.fatal, *evidence.unseen]
     if evidence.largest < MIN_LARGEST * evidence.placed:
         apart = evidence.placed - evidence.largest
         limits.append(
@@ -74,6 +74,8 @@ def judge(evidence: Evidence) -> Verdict:
         level = "usable for neighbours"
     else:
         level = "not usable"
+    if level != "usable":
+        limits += evidence.faults
     return Verdict(
         level,
         *(error.value, error.low, error.high),

@@ -46,7 +46,7 @@ _USED = (
     f"{_LONG_CONTACTS}, so lengths were taken from the heights of contacts that pass over "
     "neighbours; this assumes that ground or touch is equally rough in both directions"
 )
-_CURVE = (
+CURVE = (
     "the sensors lie along a curve on the map: unless they form a line on the skin, "
     f"{_LONG_CONTACTS}, and the map must not be trusted"
 )
@@ -75,7 +75,7 @@ def by_heights(
     return Proposal(
         final,
         0.0 if found is None else EXACT,
-        notes=(() if found is None else (_USED,)) + ((_CURVE,) if curved else ()),
+        notes=(() if found is None else (_USED,)) + ((CURVE,) if curved else ()),
         facts={name: True for name, holds in facts.items() if holds},
         distorted=curved,
         elongated=curved or found is not None,

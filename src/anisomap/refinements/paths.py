@@ -33,7 +33,7 @@ bombarded, rolling and rubbed bodies and on the iCub's skin.
 
 _NOTE = (
     "contacts differ from place to place ({:.0%} of the variance of the correlations does not "
-    "follow from distance): trust neighbours, not proportions"
+    "follow from distance), so lengths are less certain than neighbours"
 )
 
 
