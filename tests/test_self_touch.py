@@ -6,11 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 from benchmarks.self_touch import RADII, SPACING, URDF, simulate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import special_ortho_group
 
 from anisomap import Recording, SensorMap, reconstruct
 from anisomap.errors import InputError
 from anisomap.io import read_robot
 from anisomap.placement import place_by_self_touch
+from anisomap.placement.self_touch import fit_pose
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +116,40 @@ def test_a_pose_does_not_depend_on_gains_zeros_and_durations(scenes):
     # A contact that lasts counts once.
     assert len(thrice.frames) == len(found.frames) == 40
     np.testing.assert_allclose(thrice.map.positions, found.map.positions, atol=1e-4)
+
+
+def touched(seed, count=30):
+    """Places on a patch, and the same points in the frame of its link."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-1, 1, (count, 3)) * [3, 2, 0.5]
+    turn = special_ortho_group.rvs(3, random_state=rng)
+    return places, places @ turn.T + rng.normal(size=3)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=10)
+def test_the_pose_of_an_exact_patch_with_wrong_contacts(seed):
+    places, targets = touched(seed)
+    wrong = np.arange(0, 30, 5)
+    moved = targets.copy()
+    moved[wrong] += np.random.default_rng(seed).normal(0, 5, (len(wrong), 3))
+    found = fit_pose(places, moved, places)
+    np.testing.assert_allclose(found.positions, targets, atol=1e-6)
+    assert np.flatnonzero(~found.used).tolist() == wrong.tolist()
+
+
+def test_errors_of_a_pose_are_as_large_as_stated():
+    """The squared error of a point over its variance has the mean 1."""
+    ratios = []
+    for seed in range(80):
+        places, targets = touched(seed)
+        noisy = targets + np.random.default_rng(seed).normal(0, 0.05, targets.shape)
+        found = fit_pose(places[1:], noisy[1:], places[:1])
+        ratios.append(np.sum((found.positions - targets[0]) ** 2) / found.spread[0])
+    assert np.mean(ratios) == pytest.approx(1, abs=4 * np.std(ratios) / len(ratios) ** 0.5)
+
+
+def test_contacts_on_a_line_do_not_determine_a_pose():
+    line = touched(1)[0] * [1, 0, 0]
+    with pytest.raises(InputError, match="lie on a line"):
+        fit_pose(line, line, line)

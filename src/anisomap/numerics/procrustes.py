@@ -1,4 +1,4 @@
-"""Procrustes analysis: similarity transforms, and poses of rigid bodies and of patches."""
+"""Procrustes analysis: similarity transforms and their errors."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, diags_array
-from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
@@ -136,220 +134,36 @@ def fit_similarity_robustly(
     return min(fits, key=lambda found: found[:2])[2]
 
 
-_CONVERGED_POSES = 1e-8  # relative decrease of the objective
-_FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-9, 1e9  # as usual for Levenberg-Marquardt
-_DAMPING_STEP = 10.0
+def turns(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotations by angles in the plane, (B, 1), or rotation vectors, (B, 3): (B, k, k)."""
+    if angles.shape[1] == 3:
+        return Rotation.from_rotvec(angles).as_matrix()
+    return Rotation.from_rotvec(np.pad(angles, ((0, 0), (2, 0)))).as_matrix()[:, :2, :2]
 
 
-@dataclass(frozen=True, eq=False)
-class Poses:
-    """Poses of B rigid bodies: ``x = rotation[b] @ offset + translation[b]``.
+def similarity_derivatives(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return derivatives of points by shift, rotation and scale, which is last, (n, k, p)."""
+    n, k = points.shape
+    columns = [np.tile(np.eye(k), (n, 1, 1))]
+    for i in range(k):
+        for j in range(i):
+            turn = np.zeros((n, k, 1))
+            turn[:, i, 0], turn[:, j, 0] = points[:, j], -points[:, i]
+            columns.append(turn)
+    return np.concatenate([*columns, points[:, :, None]], axis=2)
 
-    rotation (B, k, k)
-    translation (B, k)
+
+def leverage(
+    fitted: NDArray[np.float64], points: NDArray[np.float64], *, scaling: bool = True
+) -> NDArray[np.float64]:
+    """Return variances that a similarity fitted to (n, k) gives to points (m, k), shape (m,).
+
+    Sums over coordinates, for independent errors of variance 1 of a coordinate.
     """
-
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
-
-    def points(self, offsets: NDArray[np.float64], body: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the positions of points, shape (n, k), from their offsets on their bodies."""
-        turned = np.einsum("nij,nj->ni", self.rotation[body], offsets)
-        return np.asarray(turned + self.translation[body])
-
-    def moved(self, step: NDArray[np.float64]) -> Poses:
-        """Turn and shift each body by a row of `step`: rotation vector or angle, then shift."""
-        k = self.translation.shape[1]
-        turn, shift = step[:, :-k], step[:, -k:]
-        if k == 2:
-            cosine, sine = np.cos(turn[:, 0]), np.sin(turn[:, 0])
-            extra = np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
-        else:
-            extra = Rotation.from_rotvec(turn).as_matrix()
-        return Poses(extra @ self.rotation, self.translation + shift)
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What is known of n points on rigid bodies.
-
-    pairs: Points at a known distance.
-    lengths (P,): Their distances.
-    pair_sigma: Standard deviation of the distances.
-    targets (n, k): Approximate positions; NaN for points without one.
-    target_sigma: Their standard deviation per coordinate.
-    """
-
-    pairs: NDArray[np.intp]
-    lengths: NDArray[np.float64]
-    pair_sigma: float
-    targets: NDArray[np.float64]
-    target_sigma: float
-
-
-def fit_poses(
-    start: Poses, offsets: NDArray[np.float64], body: NDArray[np.intp], evidence: Evidence
-) -> Poses:
-    """Fit poses of rigid bodies to positions of points and to distances between them.
-
-    offsets (n, k).
-
-    Levenberg-Marquardt on the manifold of poses, with sparse normal equations (Nocedal & Wright
-    2006, Numerical Optimization, section 10.3).
-    """
-    poses, damping = start, _FIRST_DAMPING
-    residuals, jacobian = _linearised(poses, offsets, body, evidence)
-    value = float(residuals @ residuals)
-    for _ in range(_MAX_ITERATIONS):
-        normal, slope = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residuals
-        scale = normal.diagonal()
-        scale = scale + np.finfo(float).eps * max(float(scale.max()), 1.0)
-        improved = False
-        while damping < _MAX_DAMPING:
-            step = -spsolve((normal + diags_array(damping * scale)).tocsc(), slope)
-            trial = poses.moved(step.reshape(len(poses.translation), -1))
-            found, found_jacobian = _linearised(trial, offsets, body, evidence)
-            found_value = float(found @ found)
-            if found_value < value:
-                improved = True
-                break
-            damping *= _DAMPING_STEP
-        if not improved:
-            break
-        decrease = (value - found_value) / value
-        poses, residuals, jacobian, value = trial, found, found_jacobian, found_value
-        damping = max(damping / _DAMPING_STEP, _MIN_DAMPING)
-        if decrease < _CONVERGED_POSES:
-            break
-    return poses
-
-
-def _linearised(
-    poses: Poses, offsets: NDArray[np.float64], body: NDArray[np.intp], evidence: Evidence
-) -> tuple[NDArray[np.float64], csr_array]:
-    """Return errors in standard deviations, and their derivatives by turns and shifts of bodies."""
-    points = poses.points(offsets, body)
-    arms = points - poses.translation[body]
-    first, second = evidence.pairs.T
-    between = points[first] - points[second]
-    distances = np.linalg.norm(between, axis=1)
-    along = between / np.maximum(distances, np.finfo(float).tiny)[:, None] / evidence.pair_sigma
-    known = np.flatnonzero(np.isfinite(evidence.targets).all(axis=1))
-    offs = (points[known] - evidence.targets[known]) / evidence.target_sigma
-    k = points.shape[1]
-    unit = np.eye(k) / evidence.target_sigma
-    rows = np.arange(len(first) + k * len(known))
-    axes = rows[len(first) :].reshape(len(known), k)
-    entries = [
-        (rows[: len(first)], first, along),
-        (rows[: len(first)], second, -along),
-        *((axes[:, i], known, np.tile(unit[i], (len(known), 1))) for i in range(k)),
-    ]
-    width = k + (1 if k == 2 else 3)
-    values, row_of, column_of = [], [], []
-    for row, point, direction in entries:
-        arm = arms[point]
-        if k == 2:
-            turn = (arm[:, 0] * direction[:, 1] - arm[:, 1] * direction[:, 0])[:, None]
-        else:
-            turn = np.cross(arm, direction)
-        values.append(np.hstack([turn, direction]).ravel())
-        row_of.append(np.repeat(row, width))
-        column_of.append((body[point][:, None] * width + np.arange(width)).ravel())
-    jacobian = coo_array(
-        (np.concatenate(values), (np.concatenate(row_of), np.concatenate(column_of))),
-        shape=(len(rows), width * len(poses.translation)),
+    centre, size = fitted.mean(axis=0), float(np.sqrt(np.sum(np.var(fitted, axis=0))))
+    here, there = (
+        similarity_derivatives((one - centre) / size)[:, :, : None if scaling else -1]
+        for one in (fitted, points)
     )
-    errors = (distances - evidence.lengths) / evidence.pair_sigma
-    return np.concatenate([errors, offs.ravel()]), jacobian.tocsr()
-
-
-MIN_PLACES = 6
-"""Fewest places: twice the three that determine a pose, so that a wrong one is outvoted."""
-
-_PARAMETERS = 6  # of a pose
-FAR = 4.0
-"""Noise scales beyond which a place is wrong: 1 in 900 of normal errors in space."""
-
-
-@dataclass(frozen=True, eq=False)
-class PatchPose:
-    """A transform from the frame of a patch to that of its link.
-
-    similarity: Rigid.
-    used: False for places that contradict the others.
-    residuals (C,): Distances between the two places of each contact, in units of the link.
-    sigma: Standard deviation of a coordinate of the places that were used.
-    covariance (6, 6): Of a rotation vector about `centre` and a shift.
-    centre (3,): In the frame of the link.
-    """
-
-    similarity: Similarity
-    used: NDArray[np.bool_]
-    residuals: NDArray[np.float64]
-    sigma: float
-    covariance: NDArray[np.float64]
-    centre: NDArray[np.float64]
-
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom of `sigma`."""
-        return 3 * int(self.used.sum()) - _PARAMETERS
-
-    def position_covariances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the covariances of points of the link, shape (n, 3), due to that of the pose.
-
-        The result has the shape (n, 3, 3).
-        """
-        slopes = _derivatives(points - self.centre)
-        return np.asarray(np.einsum("nip,pq,njq->nij", slopes, self.covariance, slopes))
-
-
-def fit_patch_pose(places: NDArray[np.float64], targets: NDArray[np.float64]) -> PatchPose:
-    """Fit the pose of a rigid patch to where it was touched.
-
-    places (C, 3), targets (C, 3).
-
-    Least squares of a pose have a closed form (Umeyama 1991), so for given weights the global
-    minimum is found. Weights are those of `fit_similarity_robustly`; then wrong places are left out
-    and the others count alike. The covariance is that of linear least squares at the minimum.
-    """
-    if len(places) < MIN_PLACES:
-        raise InputError(
-            f"a pose needs at least {MIN_PLACES} contacts between the patches, got {len(places)}"
-        )
-    robust = fit_similarity_robustly(places, targets, scaling=False, reflection=False)
-    off = np.linalg.norm(robust.apply(places) - targets, axis=1)
-    # Rounding errors of exact places must not exclude any.
-    least = SINGULAR * float(np.ptp(targets))
-    used = off <= FAR * max(noise_scale(off, 3), least)
-    x, y = places[used], targets[used]
-    widths = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
-    if len(x) < MIN_PLACES or widths[1] <= SINGULAR * widths[0]:
-        raise InputError(
-            f"the pose is not determined: the {len(x)} contacts that agree are fewer than "
-            f"{MIN_PLACES} or lie on a line of the patch; touch more of it, in other postures"
-        )
-    fit = fit_similarity(x, y, scaling=False, reflection=False)
-    placed = fit.apply(x)
-    centre = placed.mean(axis=0)
-    slopes = _derivatives(placed - centre).reshape(-1, _PARAMETERS)
-    errors = (placed - y).ravel()
-    sigma = float(np.sqrt(errors @ errors / (len(errors) - _PARAMETERS)))
-    return PatchPose(
-        similarity=fit,
-        used=used,
-        residuals=np.linalg.norm(fit.apply(places) - targets, axis=1),
-        sigma=sigma,
-        covariance=np.asarray(sigma**2 * np.linalg.inv(slopes.T @ slopes), dtype=np.float64),
-        centre=centre,
-    )
-
-
-def _derivatives(arms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivatives of points by rotation vector and shift, shape (n, 3, 6)."""
-    found = np.zeros((len(arms), 3, _PARAMETERS))
-    for i, axis in enumerate(np.eye(3)):
-        found[:, :, i] = np.cross(axis, arms)
-        found[:, i, 3 + i] = 1.0
-    return found
+    spread = np.linalg.pinv(np.einsum("nki,nkj->ij", here, here), rcond=1e-9)
+    return np.asarray(np.einsum("mki,ij,mkj->m", there, spread, there))

@@ -16,6 +16,8 @@ from anisomap.numerics.procrustes import (
     Similarity,
     extent,
     fit_similarity,
+    leverage,
+    similarity_derivatives,
     similarity_freedom,
 )
 from anisomap.numerics.surfaces import Points
@@ -135,9 +137,8 @@ def krige(
     x, y (n, k), positions (m, k). Chiles & Delfiner (2012), Geostatistics, section 3.4.
     """
     anchors, placed = fit.apply(x), fit.apply(positions)
-    centre, k = anchors.mean(axis=0), anchors.shape[1]
-    size = float(np.sqrt(np.mean(np.sum((anchors - centre) ** 2, axis=1))))
-    here, there = (_derivatives((points - centre) / size) for points in (anchors, placed))
+    centre, size = anchors.mean(axis=0), extent(anchors)
+    here, there = (similarity_derivatives((points - centre) / size) for points in (anchors, placed))
     covariance = kernel.between(anchors, anchors)
     covariance[np.diag_indices_from(covariance)] += kernel.noise
     inverse = np.linalg.inv(covariance)
@@ -158,8 +159,7 @@ def krige(
     rest = residual - here @ drift
     # Without validation, errors are those of a similarity whose errors are independent: a wrong
     # field must not make them smaller.
-    even = np.linalg.pinv(np.einsum("nki,nkj->ij", here, here), rcond=1e-9)
-    relative = 1.0 + np.einsum("mki,ij,mkj->m", there, even, there) / k
+    relative = 1.0 + leverage(anchors, placed) / anchors.shape[1]
     if validated:
         relative -= np.einsum("mn,mn->m", weights, across) / total
     return Kriged(
@@ -167,19 +167,6 @@ def krige(
         np.maximum(relative, 0.0),
         float(total * np.einsum("nk,nm,mk->", rest, inverse, rest)),
     )
-
-
-def _derivatives(points: Points) -> NDArray[np.float64]:
-    """Return derivatives of points by shift, rotation and scale of a similarity, (n, k, p)."""
-    n, k = points.shape
-    shift = np.tile(np.eye(k), (n, 1, 1))
-    turns = []
-    for i in range(k):
-        for j in range(i):
-            turn = np.zeros((n, k, 1))
-            turn[:, i, 0], turn[:, j, 0] = points[:, j], -points[:, i]
-            turns.append(turn)
-    return np.concatenate([shift, *turns, points[:, :, None]], axis=2)
 
 
 DECISIVE = float(np.log(1000.0))

@@ -10,22 +10,22 @@ import string
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import (
-    Evidence,
-    Poses,
     extent,
-    fit_poses,
     fit_similarity,
     similarity_freedom,
+    turns,
 )
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import METRES, mirrored
@@ -458,20 +458,35 @@ def _refined(
     step = float(np.sqrt(np.median([np.sum(np.var(scaled[m], axis=0)) for m in groups])))
     # All modules share such a drift, so their positions are as good as those of one module.
     drift = n_modules * alone.distortion**2 * extent(scaled[here]) * step
-    poses = fit_poses(
-        Poses(rotation, translation),
-        arms,
-        np.maximum(bodies, 0),
-        Evidence(
-            pairs=pairs,
-            lengths=lengths,
-            # Distances from one pad to all pads of a module share its error.
-            pair_sigma=alone.noise * float(np.sqrt(2 * pads)),
-            targets=np.where(placed[:, None], scaled, np.nan),
-            target_sigma=float(np.sqrt(alone.noise**2 + pads * drift)),
-        ),
+    # Distances from one pad to all pads of a module share its error.
+    pair_sigma = alone.noise * float(np.sqrt(2 * pads))
+    target_sigma = float(np.sqrt(alone.noise**2 + pads * drift))
+    n_bodies, width = len(translation), 3 if k == 2 else 6  # angles, then a shift
+    known = np.flatnonzero(bodies >= 0)
+
+    def points(steps: NDArray[np.float64]) -> Points:
+        by_body = steps.reshape(n_bodies, width)
+        frames = turns(by_body[:, :-k]) @ rotation
+        found = np.full_like(positions, np.nan)
+        found[known] = np.einsum("nij,nj->ni", frames[bodies[known]], arms[known])
+        found[known] += (translation + by_body[:, -k:])[bodies[known]]
+        return found
+
+    def misfits(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = points(steps)
+        between = np.linalg.norm(found[pairs[:, 0]] - found[pairs[:, 1]], axis=1)
+        off = (found - scaled)[here] / target_sigma
+        return np.concatenate([(between - lengths) / pair_sigma, off.ravel()])
+
+    rows = np.concatenate(
+        [np.tile(np.arange(len(pairs)), 2), len(pairs) + np.arange(k * here.size)]
     )
-    found = np.full_like(positions, np.nan)
-    known = bodies >= 0
-    found[known] = poses.points(arms[known], bodies[known])
-    return found
+    moves = bodies[np.concatenate([*pairs.T, np.repeat(here, k)])]
+    columns = moves[:, None] * width + np.arange(width)
+    depends = coo_array(
+        (np.ones(columns.size), (np.repeat(rows, width), columns.ravel())),
+        shape=(rows[-1] + 1, n_bodies * width),
+    )
+    start = np.zeros(n_bodies * width)
+    best: Any = least_squares(misfits, start, jac_sparsity=depends.tocsr(), x_scale="jac")
+    return points(best.x)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +13,12 @@ from scipy.special import fdtri
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_others
 from anisomap.numerics.procrustes import (
-    FAR,
-    MIN_PLACES,
-    fit_patch_pose,
+    SINGULAR,
     fit_similarity,
+    fit_similarity_robustly,
+    leverage,
     noise_scale,
+    similarity_freedom,
 )
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.anchors import COVERAGE, fit_anchors
@@ -33,6 +35,10 @@ from anisomap.placement.placing import Placement
 from anisomap.recording import Recording, match_names
 from anisomap.sensor_map import MAX_COORDINATE, SensorMap
 
+MIN_PLACES = 6
+"""Fewest places: twice the three that determine a pose, so that a wrong one is outvoted."""
+
+_FAR = 4.0  # noise scales of a wrong place: 1 in 900 of normal errors in space
 # Chosen by hand.
 _MIN_DEPTH = 0.1  # of the range of readings; light contacts have a noisy centre
 _RANGE_QUANTILE = 0.998  # of the depths of a patch; excludes glitches
@@ -144,13 +150,11 @@ def place_by_self_touch(
     _check_agreement(places, targets, scaling=not exact)
     if exact:
         factor = METRES[sensor_map.units]
-        pose = fit_patch_pose(factor * places, targets)
-        points = pad_to_3d(sensor_map.positions)
-        positions = pose.similarity.apply(factor * points)
-        spread = np.trace(pose.position_covariances(positions), axis1=1, axis2=2)
-        spread += 3 * _SYSTEMATIC * pose.sigma**2
-        errors = np.sqrt(spread * fdtri(3, pose.freedom, COVERAGE))
-        used, residuals = pose.used, pose.residuals
+        pose = fit_pose(factor * places, targets, factor * pad_to_3d(sensor_map.positions))
+        positions, used, residuals = pose.positions, pose.used, pose.residuals
+        spread = pose.spread + 3 * _SYSTEMATIC * pose.variance
+        freedom = similarity_freedom(int(used.sum()), 3, scaling=False)
+        errors = np.sqrt(spread * fdtri(3, freedom, COVERAGE))
         how, handed, reflected = "rigid pose", True, False
     else:
         stated = handedness == "mirrored" if handedness else (False if sensor_map.handed else None)
@@ -271,6 +275,46 @@ def _distinct(
     return np.sort(np.array(found, dtype=np.intp))
 
 
+class PatchPose(NamedTuple):
+    """A patch in the frame of its link.
+
+    positions (N, 3), spread (N,): Of its sensors, and the variances summed over coordinates.
+    used (C,): False for places that contradict the others.
+    residuals (C,): Distances between the two places of each contact.
+    variance: Of a coordinate of the places that were used.
+    """
+
+    positions: Points
+    spread: NDArray[np.float64]
+    used: NDArray[np.bool_]
+    residuals: NDArray[np.float64]
+    variance: float
+
+
+def fit_pose(places: Points, targets: Points, points: Points) -> PatchPose:
+    """Fit the pose of a rigid patch, with sensors at points, to where it was touched, (C, 3) each.
+
+    Places that a robust fit leaves far off are left out; the others count alike.
+    """
+    robust = fit_similarity_robustly(places, targets, scaling=False, reflection=False)
+    off = np.linalg.norm(robust.apply(places) - targets, axis=1)
+    # Rounding errors of exact places must not exclude any.
+    used = off <= _FAR * max(noise_scale(off, 3), SINGULAR * float(np.ptp(targets)))
+    x, y = places[used], targets[used]
+    widths = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+    if len(x) < MIN_PLACES or widths[1] <= SINGULAR * widths[0]:
+        raise InputError(
+            f"the pose is not determined: the {len(x)} contacts that agree are fewer than "
+            f"{MIN_PLACES} or lie on a line of the patch; touch more of it, in other postures"
+        )
+    fit = fit_similarity(x, y, scaling=False, reflection=False)
+    residuals = np.linalg.norm(fit.apply(places) - targets, axis=1)
+    variance = float(np.sum(residuals[used] ** 2)) / similarity_freedom(*x.shape, scaling=False)
+    positions = fit.apply(points)
+    spread = variance * leverage(fit.apply(x), positions, scaling=False)
+    return PatchPose(positions, spread, used, residuals, variance)
+
+
 def _check_agreement(places: Points, targets: Points, *, scaling: bool) -> None:
     """Refuse contacts that agree no better than pairs of the places of different contacts.
 
@@ -278,7 +322,7 @@ def _check_agreement(places: Points, targets: Points, *, scaling: bool) -> None:
     they would dominate the sum; the choice of these targets does not depend on the order.
     """
     off = np.linalg.norm(targets - np.median(targets, axis=0), axis=1)
-    near = off <= FAR * noise_scale(off, 3)
+    near = off <= _FAR * noise_scale(off, 3)
     x, y = places[near], targets[near]
     rng = np.random.default_rng(0)
 
