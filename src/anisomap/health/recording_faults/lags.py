@@ -23,17 +23,13 @@ _MIN_SENSORS, _MAX_SENSORS = 8, 128  # compared; the others take the lag of the 
 _CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tuned on seeds 1 and 2
 _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
-# Limits of a finding, tuned on simulated skins (seeds 1 to 20) and on real recordings.
-_MIN_AGREEMENT = 0.8  # share of the links between groups with the lag of the groups
-_MIN_RELATIVE = 0.93  # this share over the share of the links within groups without a lag
-_MAX_OPPOSITE = 0.08  # share of the links between groups with a lag of the other sign
-_MIN_EXPLAINED = 0.5  # share of the correlation lost between groups that the lags restore
+# Limits of a finding; others decide nothing on 373 recordings of `benchmarks.faults`, 301 and 302.
+_MIN_RELATIVE = 0.93  # share of the links with the lag of their groups, between over within them
 _MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
 _MIN_GAIN = 0.8  # restored correlation over what the lags would cost links within groups
-_MIN_WITHIN = 0.6  # share of the links within groups without a lag
 _MIN_GROUP = 3.0  # sensors per group, on average
 _CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more
-_MAX_ROUNDS = 3
+_MAX_ROUNDS = 3  # of the fit of lags
 
 
 def find_lags(recording: Recording) -> Iterator[Found]:
@@ -47,14 +43,8 @@ def find_lags(recording: Recording) -> Iterator[Found]:
     groups and in all quarters of the recording. It must restore as much correlation as such a lag
     costs links within groups.
     """
-    lags = np.zeros(recording.n_sensors, dtype=np.intp)
     varying = np.flatnonzero(recording.varying())
-    for _ in range(_MAX_ROUNDS):
-        found = _find_once(_aligned(recording.readings, lags), varying)
-        if found is None:
-            break
-        lags = lags + found
-        lags -= _most_frequent(lags)
+    lags = _lags(recording.readings, varying)
     if lags.any():
         listed = join_items([f"{lag:+d}" for lag in np.unique(lags[lags != 0]).tolist()])
         certain = _is_of_boards(lags[varying])
@@ -99,20 +89,21 @@ def _aligned(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
     return shifted
 
 
-def _find_once(readings: NDArray[Any], varying: NDArray[np.intp]) -> NDArray[np.intp] | None:
+def _lags(readings: NDArray[Any], varying: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the lag of each sensor; 0 unless lags are clear."""
+    lags = np.zeros(readings.shape[1], dtype=np.intp)
     chosen = varying[some_sensors(varying.size, _MAX_SENSORS)]
-    frames = middle_frames(len(readings), max(1024, _MAX_VALUES // max(1, chosen.size)))
-    values = readings[frames][:, chosen]
-    if chosen.size < _MIN_SENSORS or len(values) < 8 * _MAX_LAG:
-        return None
-    fit = _Fit.of(values)
+    part = readings[middle_frames(len(readings), max(1024, _MAX_VALUES // max(1, chosen.size)))]
+    if chosen.size < _MIN_SENSORS or len(part) < 8 * _MAX_LAG:
+        return lags
+    fit = _Fit.of(part[:, chosen])
     if not fit.is_clear():
-        return None
-    everyone = np.zeros(readings.shape[1], dtype=np.intp)
-    everyone[chosen] = fit.lags
+        return lags
+    lags[chosen] = fit.lags
     if chosen.size < varying.size:
-        everyone = _extended(readings[frames], varying, chosen, everyone)
-    return everyone - _most_frequent(everyone[varying])
+        lags = _extended(part, varying, chosen, lags)
+    lags[varying] -= _most_frequent(lags[varying])
+    return lags
 
 
 def _correlations(parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -186,8 +177,7 @@ class _Fit:
             return fit, float(_at(fit.curves, fit.expected).sum())
 
         anywhere, most = fitted(_anywhere(tree))
-        starts = (tree, anywhere.lags)
-        in_order, best = max((fitted(_in_order(lags)) for lags in starts), key=lambda one: one[1])
+        in_order, best = fitted(_in_order(tree))
         return anywhere if most > _CLEARLY_MORE * best else in_order
 
     def refitted(self, curves: NDArray[np.float32]) -> NDArray[np.intp]:
@@ -231,7 +221,6 @@ class _Fit:
         slack = np.maximum(1, 0.15 * np.abs(expected))
         weight = self.peak.astype(np.float64) ** 2  # weak links have random lags
         agreement = _share(np.abs(own - expected) <= slack, weight * across)
-        opposite = _share(np.sign(own) == -np.sign(expected), weight * across)
         within, cost = 1.0, np.zeros(_MAX_LAG + 1)
         if not across.all():
             within = _share(np.abs(own) <= 1, weight * ~across)
@@ -244,10 +233,7 @@ class _Fit:
         restored = (_at(self.curves, expected)[across] - without).sum()
         return bool(
             restored >= _MIN_GAIN * gain
-            and restored >= _MIN_EXPLAINED * (self.peak[across] - without).sum()
-            and agreement >= max(_MIN_AGREEMENT, _MIN_RELATIVE * within)
-            and opposite <= _MAX_OPPOSITE
-            and within >= _MIN_WITHIN
+            and agreement >= _MIN_RELATIVE * within
             and all(share >= _MIN_AGAIN for share in self.found_again())
         )
 
