@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli import app, console, printing
+from anisomap.cli import app, console, outputs
 from command_line import call
 from skins import flat_skin
 
@@ -157,8 +157,8 @@ def test_no_advice_says_that_touches_suffice_where_the_verdict_asks_for_more():
     for path in (golden / "readings" / f"{name}.npz" for name in asked):
         if path.exists():
             recording = anisomap.read(path)
-            coverage = printing.coverage_without_map(recording)
-            told = printing.touch_facts(coverage, recording.names)["touch next"]
+            coverage = outputs.coverage_without_map(recording)
+            told = outputs.touch_facts(coverage, recording.names)["touch next"]
             assert not any(word in told for word in ("nowhere", "enough"))
             found += 1
     assert found > 2

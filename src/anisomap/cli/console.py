@@ -146,7 +146,7 @@ class Printer:
 
     def record(self, source: object = None, names: str = "", **values: object) -> None:
         """Record some attributes of an object, and other values, for the JSON object."""
-        self.values |= {name: getattr(source, name) for name in names.split()} | values
+        self.values |= attributes(source, names) | values
 
     def facts(self, title: str, facts: Mapping[str, str]) -> None:
         """Print names and values, one per line."""
@@ -257,6 +257,11 @@ class Printer:
             output(*arguments, **settings)
         except FileError as error:
             self.failure = error
+
+
+def attributes(source: object, names: str) -> dict[str, Any]:
+    """Return some attributes of an object, whose names are separated by blanks, by name."""
+    return {name: getattr(source, name) for name in names.split()}
 
 
 def _cell(text: str) -> Text:

@@ -1,28 +1,32 @@
-"""Files that commands write, and the last steps of a map: judge, score, write and print."""
+"""What commands write and print: files, tables and facts, and the last steps of a map."""
 
 from __future__ import annotations
 
 import hashlib
 import shlex
+import warnings
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from anisomap import io
-from anisomap.cli import printing
-from anisomap.cli.console import Printer, console, progress
+from anisomap.cli.console import Columns, Printer, attributes, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions, doubt_spacing
-from anisomap.errors import FileError, InputError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct, check_target, together
-from anisomap.health import TouchCoverage, touch_coverage
+from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
+from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.placement.frames import in_millimetres
+from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.route import Examined, Judge
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import SensorMap, steps_of
+from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,7 +70,7 @@ class Truth:
                 rng=np.random.default_rng(self.seed),
                 progress=report_progress,
             )
-        printing.print_score(printer, result, sensor_map, title)
+        print_score(printer, result, sensor_map, title)
         return result
 
 
@@ -175,7 +179,7 @@ class Outputs:
                     touch = figures.plot_touches(shown, coverage, result).figure
                     series = figures.series_figure(examined.recording, doubted) if doubted else None
                     touches = report.Touches(
-                        printing.touch_facts(coverage, shown.names),
+                        touch_facts(coverage, shown.names),
                         figures.figure_bytes(touch),
                         None if series is None else figures.figure_bytes(series),
                     )
@@ -225,9 +229,9 @@ def finish(
     with together():
         others = write_others()
         files = outputs.write(placed(sensor_map))
-    printing.print_health(printer, examined.health)
-    printing.print_touches(printer, coverage, sensor_map.names)
-    printing.print_map(printer, placed(sensor_map))
+    print_health(printer, examined.health)
+    print_touches(printer, coverage, sensor_map.names)
+    print_map(printer, placed(sensor_map))
     if outputs.placing and outputs.placing.spacing:
         doubt_spacing(outputs.placing.spacing)
     paths = ", ".join(str(path) for _, path in files)
@@ -238,11 +242,273 @@ def finish(
                 sensor_map = judge(sensor_map, progress=report_progress)
         shown = placed(sensor_map)
         if judge is not None or not examined.runs:
-            printing.print_verdict(printer, shown)
-        printing.record_map(printer, shown)
+            print_verdict(printer, shown)
+        record_map(printer, shown)
         result = truth.score(printer, shown, "Score against the true positions", examined.recording)
         files += outputs.write_all(shown, result, examined, coverage)[len(files) :]
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; {paths} is written, without a verdict") from None
     printer.files([*others, *files])
     return sensor_map
+
+
+_MAX_SHOWN = 12  # faulty sensors; anisomap info --all shows all
+
+
+def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
+    """Print the contents of a file that may contain several recordings."""
+    contents = io.contents(path, options=how)
+    if contents:
+        records = [asdict(content) for content in contents]
+        columns: Columns = {
+            "name": ("name", str),
+            "content": ("summary", str),
+            "a recording": ("usable", lambda usable: "yes" if usable else "no"),
+        }
+        printer.rows(f"Contents of {path.name}", columns, records)
+        printer.record(contents=records)
+
+
+def print_recording(printer: Printer, recording: Recording, summary: RecordingSummary) -> None:
+    """Print a summary of a recording."""
+    bin_s = recording.metadata.get("bin_s")
+    events = {} if bin_s is None else {"events": f"counted in bins of {bin_s:g} s"}
+    known = {"true positions": "unknown" if recording.positions is None else "known"}
+    source = {"source": recording.source or "unknown"}
+    printer.facts("Recording", source | summary.facts | events | known)
+    values = {name.removeprefix("n_"): value for name, value in asdict(summary).items()}
+    if summary.n_frames < summary.n_sensors:
+        print_warning(
+            f"there are more sensors (columns, {summary.n_sensors}) than frames (rows, "
+            f"{summary.n_frames}): if the rows of the file are the sensors, transpose it"
+        )
+    printer.record(recording={"source": recording.source, **values})
+
+
+def print_health(
+    printer: Printer, health: Sequence[SensorHealth], *, all_sensors: bool = False
+) -> None:
+    """Print the health of sensors that are not ok, or of all, and the number of each status."""
+    faulty = [sensor for sensor in health if sensor.status != "ok"]
+    shown = faulty if all_sensors else faulty[:_MAX_SHOWN]
+    healthy = [sensor for sensor in health if sensor.status == "ok"]
+    counts = Counter(sensor.status for sensor in health)
+    title = "Sensor health: " + ", ".join(f"{n} {status}" for status, n in counts.most_common())
+    printer.record(health=[asdict(sensor) for sensor in (health if all_sensors else faulty)])
+    rows = [
+        (
+            sensor.name,
+            sensor.status,
+            f"{number(sensor.minimum)} .. {number(sensor.maximum)}",
+            str(sensor.distinct),
+            percent(sensor.active),
+            str(sensor.contacts),
+            number(sensor.best_match, 2),
+        )
+        for sensor in (shown + healthy if all_sensors else shown)
+    ]
+    if not rows:
+        printer.facts(title, {})
+        return
+    columns = ("sensor", "status", "range", "values", "active", "contacts", "best r")
+    printer.table(title, columns, rows)
+    alike: defaultdict[str, list[str]] = defaultdict(list)
+    for sensor in shown:
+        alike[sensor.reason].append(sensor.name)
+    for reason, names in alike.items():
+        printer.say(f"  {join_items(names)}: {reason}")
+    if len(faulty) > len(shown):
+        printer.line(
+            f"  ... and {len(faulty) - len(shown)} more sensors: anisomap info --all lists them"
+        )
+
+
+def print_findings(
+    printer: Printer, findings: Sequence[Finding], *, repaired: bool = False
+) -> None:
+    """Print the faults of a recording: what was found, and what mends it or did."""
+    printer.record(findings=[asdict(finding) for finding in findings])
+    if not findings:
+        return
+    printer.line("Faults of the recording" + (", mended where possible" if repaired else ""))
+    for finding in findings:
+        printer.say(f"  {finding.kind}: {finding}")
+        if repaired and finding.mended:
+            printer.say(f"    mended: {finding.mended}")
+    mendable = sum(finding.mendable for finding in findings)
+    if mendable and not repaired:
+        printer.line(f"  {mendable} of {len(findings)} can be mended: anisomap map --repair")
+
+
+def print_map(printer: Printer, sensor_map: SensorMap) -> None:
+    """Print what a map places, and how well it fits."""
+    n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
+    approximate = ", approximate" if sensor_map.approximate else ""
+    because = sensor_map.provenance.get("dimensions_because")
+    steps, order = steps_of(sensor_map), _order(sensor_map)
+    printer.facts(
+        f"Map by {sensor_map.method}{approximate}",
+        {
+            "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
+            f"in {sensor_map.dimensions} dimensions"
+            + (f", of which {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
+            **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
+            **({"order along the line": join_items(order, len(order))} if order else {}),
+            **({"refined by": join_items(steps)} if steps else {}),
+            "components": f"{len(sizes)}"
+            + (f"; sensors in each: {join_items(sizes, max_items=12)}" if len(sizes) > 1 else ""),
+            "Stress-1": f"{number(sensor_map.stress)} "
+            + (
+                "(within components; small components always fit)"
+                if len(sizes) > 1
+                else "(0 is a perfect fit of the metric)"
+            ),
+            "pose": sensor_map.pose,
+        },
+    )
+    if sensor_map.dimensions > 3:
+        print_warning(
+            f"maps in {sensor_map.dimensions} dimensions fit tables only (CSV, JSON, NPZ), and "
+            "pictures show three of them: skins need 2 (-d 2) or 3 (-d 3)"
+        )
+
+
+def print_verdict(printer: Printer, sensor_map: SensorMap) -> None:
+    """Print how far a map can be used, and why."""
+    headline, *others = sensor_map.verdict.sentences
+    printer.facts(headline, {})
+    for sentence in others:
+        printer.say(f"  {sentence}")
+
+
+def record_map(printer: Printer, sensor_map: SensorMap) -> None:
+    """Record a map and its verdict for the JSON object."""
+    printer.record(
+        map={
+            **attributes(sensor_map, "method dimensions"),
+            "sensors": sensor_map.n_sensors,
+            "placed": int(sensor_map.placed.sum()),
+            **({"order": _order(sensor_map)} if sensor_map.dimensions == 1 else {}),
+            **attributes(sensor_map, "component_sizes approximate stress units notes provenance"),
+        },
+        verdict=asdict(sensor_map.verdict),
+    )
+
+
+def _order(sensor_map: SensorMap) -> list[str]:
+    """Name the sensors of the largest component in their order along a line; [] if it is none."""
+    if sensor_map.dimensions > 1:
+        return []
+    order = np.argsort(sensor_map.positions[:, 0], kind="stable").tolist()
+    return [sensor_map.names[i] for i in order if sensor_map.component[i] == 0]
+
+
+def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:
+    """Print the comparison of a map with reference positions, and name the worst sensors."""
+    units = result.units or "units of the reference"
+    null = result.mantel.quantiles()
+    facts = {"Mantel r": number(result.mantel.r)}
+    if null:
+        facts |= {
+            "null distribution": ", ".join(
+                f"{_QUANTILES.get(level, f'{level:.0%}')} {r:.3f}" for level, r in null.items()
+            ),
+            "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} permutations)",
+        }
+    facts |= {
+        "RMS error": f"{number(result.rms)} {units}, or "
+        f"{number(result.rms_in_spacings, 3)} spacings of {number(result.spacing)} {units}",
+        "median error": f"{number(result.median_error)} {units}",
+        "mirrored": "yes" if result.alignment.reflected else "no",
+        "neighbours kept": percent(result.neighbours_kept),
+        "sensors compared": str(result.mantel.n_sensors),
+    }
+    printer.facts(title, facts)
+    printer.notes(result.notes)
+    names, errors = sensor_map.names, result.alignment.errors
+    worst = [
+        {"sensor": names[result.sensors[i]], "error": float(errors[i])} for i in result.worst()
+    ]
+    spacing = result.spacing if result.spacing > 0 else np.nan
+    columns: Columns = {
+        "sensor": ("sensor", str),
+        f"error ({units})": ("error", number),
+        "spacings": ("error", lambda error: number(error / spacing, 3)),
+    }
+    printer.rows("Worst sensors", columns, worst)
+    printer.record(
+        score={
+            "mantel_r": result.mantel.r,
+            "null_quantiles": {str(level): r for level, r in null.items()},
+            "p_value": result.mantel.p_value if null else None,
+            "permutations": result.mantel.null.size,
+            **attributes(result, "rms median_error units rms_in_spacings"),
+            "median_spacing": result.spacing,
+            "reflected": result.alignment.reflected,
+            "neighbours_kept": result.neighbours_kept,
+            "sensors_compared": result.mantel.n_sensors,
+            "notes": result.notes,
+            "worst": worst,
+        }
+    )
+
+
+_QUANTILES = {0.0: "min", 0.5: "median", 1.0: "max"}
+_MAX_QUICK = 1000  # sensors of which `anisomap info` makes a quick map, in about a second
+_PLACES_TOLD = 3
+_QUICK_METHOD = "r-anisomap"  # the fastest; neighbours suffice
+
+
+def coverage_without_map(recording: Recording) -> TouchCoverage | None:
+    """Return how a skin was touched, by its true positions or by a quick map; None without one."""
+    if recording.positions is not None:
+        return touch_coverage(SensorMap(recording.positions, names=recording.names), recording)
+    if recording.n_sensors > _MAX_QUICK:
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", AnisomapWarning)
+            complete = recording.complete("interpolate")
+            return touch_coverage(reconstruct(complete, _QUICK_METHOD), recording)
+    except InputError:  # too few sensors vary
+        return None
+
+
+def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]:
+    """Say in two facts how a skin was touched, and where to touch it next."""
+    counts = coverage.contacts
+    least = names[int(np.argmin(counts))]
+    apart = len(coverage.never_together)
+    told = [f"median {np.median(counts):g} per sensor, least {counts.min()} ({least})"]
+    if coverage.untouched.size:
+        told.append(f"{coverage.untouched.size} of {len(counts)} sensors untouched")
+    if apart:
+        told.append(f"{apart} of {len(coverage.pairs)} pairs of neighbours never touched together")
+    around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
+    untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
+    enough = f"no place stands out: all neighbours had about {ENOUGH_CONTACTS} contacts together"
+    return {
+        "contacts": ", ".join(told),
+        "touch next": around or (f"wherever {untouched} may be" if untouched else enough),
+    }
+
+
+def print_touches(printer: Printer, coverage: TouchCoverage | None, names: Sequence[str]) -> None:
+    """Print how a skin was touched, and where to touch it next."""
+    if coverage is None:
+        return
+    printer.facts("Touches", touch_facts(coverage, names))
+    printer.record(
+        touches={
+            "contacts": dict(zip(names, coverage.contacts.tolist(), strict=True)),
+            "never_together": [[names[i], names[j]] for i, j in coverage.never_together.tolist()],
+            "next": [
+                {
+                    "sensors": [names[i] for i in place.sensors],
+                    "centre": place.centre.tolist(),
+                    "need": place.need,
+                }
+                for place in coverage.places
+            ],
+        }
+    )

@@ -1,4 +1,5 @@
 from .anchors import Anchors as Anchors
+from .anchors import anchors_at as anchors_at
 from .anchors import anchors_from_map as anchors_from_map
 from .anchors import parse_anchor as parse_anchor
 from .anchors import suggest_anchors as suggest_anchors

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,6 +109,15 @@ def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
             "s17=0.012,0.040,0.003"
         )
     return name, position
+
+
+def anchors_at(
+    given: Sequence[tuple[str, Sequence[float]]], normals: NDArray[np.float64] | None = None
+) -> Anchors:
+    """Make anchors of names with positions; those in two dimensions lie in the plane z = 0."""
+    width = max(len(position) for _, position in given)
+    rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
+    return Anchors(tuple(name for name, _ in given), np.array(rows), normals)
 
 
 def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:

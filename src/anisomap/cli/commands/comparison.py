@@ -41,18 +41,14 @@ def to_markdown(comparisons: Sequence[Comparison]) -> str:
     lines = [[*_FACTS, *methods], ["---"] * (len(_FACTS) + len(methods))]
     for comparison in comparisons:
         best = [comparison.best(stock=stock) for stock in (False, True)]
-        cells = [
-            f"{_number(s.mantel_r, '.3f')} ({s.rms_in_spacings:.2f})" if not s.reason else "-"
-            for s in comparison.scores
-        ]
-        bold = [any(s is one for one in best) for s in comparison.scores]
-        lines.append(
-            [
-                escape(printable(comparison.name), quote=False).replace("|", "\\|"),
-                *_facts(comparison),
-                *(f"**{c}**" if is_best else c for c, is_best in zip(cells, bold, strict=True)),
-            ]
-        )
+        name = escape(printable(comparison.name), quote=False).replace("|", "\\|")
+        cells = [name, *_facts(comparison)]
+        for s in comparison.scores:
+            cell = (
+                f"{_number(s.mantel_r, '.3f')} ({s.rms_in_spacings:.2f})" if not s.reason else "-"
+            )
+            cells.append(f"**{cell}**" if s in best else cell)
+        lines.append(cells)
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     stock = "; ".join(f"{m}: {RIVALS[m].summary}" for m in methods if m in RIVALS)
     said = [*sentences(comparisons), *([f"Stock methods: {stock}."] if stock else [])]

@@ -40,7 +40,7 @@ def demo(
         Reconstruction method: see `anisomap methods`.
     """
     from anisomap import io, route
-    from anisomap.cli import outputs, printing
+    from anisomap.cli import outputs
     from anisomap.simulation import simulate
 
     import_extra("mujoco", "the demo", "report,simulation")
@@ -60,7 +60,7 @@ def demo(
             "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
         )
     examined = route.examine([recording], progress=progress)
-    printing.print_recording(printer, examined.recording, examined.summary)
+    outputs.print_recording(printer, examined.recording, examined.summary)
     sensor_map, judge = route.make_map(examined, method, dimensions=3, progress=progress)
 
     def write_recording() -> list[tuple[str, Path]]:

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
-from anisomap.cli import printing
-from anisomap.cli.console import Printer, progress
-from anisomap.cli.outputs import Outputs, Truth
+from anisomap.cli.console import Printer, attributes, progress
+from anisomap.cli.outputs import Outputs, Truth, print_map, record_map
 from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard, permutation_test, shepard, stress_per_point
@@ -191,16 +190,14 @@ def print_fit(printer: Printer, made: SensorMap, fit: Fit) -> None:
         len(shown.pairs),
         stress=made.stress,
         explicit_stress=explicit,
-        nonmetric_stress=shown.nonmetric_stress,
-        nonmetric_fit=shown.nonmetric_fit,
-        linear_fit=shown.linear_fit,
+        **attributes(shown, "nonmetric_stress nonmetric_fit linear_fit"),
         stress_per_point=dict(zip(made.names, fit.shares.tolist(), strict=True)),
         p_value=fit.test.p_value if null.size else None,
         permutations=null.size,
     )
     printer.facts("Dissimilarities", pairs)
-    printing.print_map(printer, made)
-    printing.record_map(printer, made)
+    print_map(printer, made)
+    record_map(printer, made)
     worst = np.argsort(-fit.shares, kind="stable")[:_WORST]
     facts = {
         "Stress-1 as in smacof": number(explicit),

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from anisomap.cli import parameters as options
-from anisomap.cli.console import MAX_SHOWN, Columns, Printer, progress
+from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.defaults import N_SHIFTS
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 from anisomap.wording import join_items, number, percent
@@ -24,8 +24,6 @@ INCONSISTENT = 1
 """Exit code if readings contradict positions, those of single sensors or of all."""
 
 _EXIT_CODES = {"consistent": 0, "unknown": 2}
-
-_MEASURED = ("displacement", "agreement_stated", "agreement_proposed", "chance", "gain")
 
 
 def check(
@@ -176,11 +174,11 @@ def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
         }
         for i in finding.sensors.tolist()
     ]
+    measured = "displacement agreement_stated agreement_proposed chance gain"
     return {
-        "kind": finding.kind,
-        "explanation": finding.explanation,
+        **attributes(finding, "kind explanation"),
         "sensors": sensors,
-        **{name: getattr(finding, name) for name in _MEASURED},
+        **attributes(finding, measured),
     }
 
 

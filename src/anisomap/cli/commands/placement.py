@@ -138,11 +138,10 @@ class AnchorOptions:
     def read(self) -> Anchors | None:
         """Read the anchors; None if there are none."""
         from anisomap import io
-        from anisomap.placement import Anchors, anchors_from_map, parse_anchor
+        from anisomap.placement import anchors_at, anchors_from_map, parse_anchor
 
         given = [parse_anchor(text) for text in self.anchor]
-        widths = {len(position) for _, position in given}
-        if len(widths) > 1:
+        if len({len(position) for _, position in given}) > 1:
             raise InputError("all anchors must have two coordinates, or all three")
         normals = None
         if self.anchors is not None:
@@ -150,12 +149,7 @@ class AnchorOptions:
             if found.normals is not None:
                 normals = np.vstack([np.full((len(given), 3), np.nan), found.normals])
             given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
-            widths.add(found.positions.shape[1])
-        if not given:
-            return None
-        width = max(widths)
-        rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
-        return Anchors(tuple(name for name, _ in given), np.array(rows), normals)
+        return anchors_at(given, normals) if given else None
 
 
 @dataclass(frozen=True)

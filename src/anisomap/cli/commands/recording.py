@@ -47,7 +47,7 @@ def info(
         List all sensors, not only faulty ones.
     """
     from anisomap import route
-    from anisomap.cli import printing
+    from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.io import ChoiceError
 
@@ -60,17 +60,17 @@ def info(
     if table is not None:
         objects.print_pairs(printer, table)
         return
-    printing.print_contents(printer, recording, how)
+    outputs.print_contents(printer, recording, how)
     try:
         found = route.read(recording, how, progress=progress)
     except ChoiceError as error:
         print_warning(str(error))  # the contents are listed; the user must select one
         return
     examined = route.examine([found], progress=progress)
-    printing.print_recording(printer, examined.recording, examined.summary)
-    printing.print_findings(printer, examined.findings)
-    printing.print_health(printer, examined.health, all_sensors=all_sensors)
-    printing.print_touches(printer, printing.coverage_without_map(found), found.names)
+    outputs.print_recording(printer, examined.recording, examined.summary)
+    outputs.print_findings(printer, examined.findings)
+    outputs.print_health(printer, examined.health, all_sensors=all_sensors)
+    outputs.print_touches(printer, outputs.coverage_without_map(found), found.names)
     for weakness in examined.summary.warnings:
         print_warning(weakness)
     if examined.summary.missing:
@@ -99,17 +99,16 @@ def repair(
         NPZ file to write. Default: NAME.repaired.npz in the current folder.
     """
     from anisomap import assess, io, route
-    from anisomap.cli import printing
-    from anisomap.cli.outputs import Outputs
+    from anisomap.cli import outputs
 
     output = output or options.beside(recording, ".repaired.npz")
-    Outputs(recording=output, inputs=(recording, *reading.inputs))
+    outputs.Outputs(recording=output, inputs=(recording, *reading.inputs))
     (repaired,), findings = route.read_mended([recording], reading.checked(), progress=progress)
     io.write(repaired, output)
-    printing.print_findings(printer, findings, repaired=True)
+    outputs.print_findings(printer, findings, repaired=True)
     if not findings:
         printer.line("No faults of the recording were found; it is unchanged.")
-    printing.print_health(printer, assess(repaired))
+    outputs.print_health(printer, assess(repaired))
     printer.files([("recording", output)])
 
 
@@ -271,7 +270,7 @@ def map_recording(
         usable-for-neighbours. All files are written.
     """
     from anisomap import io, route
-    from anisomap.cli import outputs, printing
+    from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.methods import check_even_spacing, find_method
 
@@ -348,8 +347,8 @@ def map_recording(
     sensor_map, judge = route.make_map(
         examined, by, dimensions, options=chosen, drop=dropped, seed=seed, progress=progress
     )
-    printing.print_recording(printer, examined.recording, examined.summary)
-    printing.print_findings(printer, mended if repair else examined.findings, repaired=repair)
+    outputs.print_recording(printer, examined.recording, examined.summary)
+    outputs.print_findings(printer, mended if repair else examined.findings, repaired=repair)
     if done := dict.fromkeys(one.kind for one in mended if one.mendable):
         provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
         sensor_map = replace(sensor_map, provenance=provenance)
