@@ -73,13 +73,13 @@ def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) 
     path = uncoached(hand, max(LENGTHS)) if way == "uncoached" else np.empty((0, 0), np.float32)
     where: tuple[int, ...] = ()
     touched = np.zeros(body.n_sensors, dtype=bool)
-    while (n_frames := mapper.n_frames) < max(LENGTHS):
+    while (n_frames := mapper.sample.n_frames) < max(LENGTHS):
         if way == "uncoached":
             part = path[n_frames : n_frames + BOUT_FRAMES]
         else:
             part = hand.rub(BOUT_FRAMES, where, touched.astype(np.intp))
         mapper.add(part.astype(np.float64))
-        if way == "uncoached" and mapper.n_frames not in LENGTHS:
+        if way == "uncoached" and mapper.sample.n_frames not in LENGTHS:
             continue
         made = mapper.make()
         where, touched = made.advice.next_sensors, made.contacts > 0

@@ -44,23 +44,18 @@ _MAX_NAMED = 5
 class Advice:
     """Advice to the person who touches the skin: places that lack contacts, most urgent first.
 
-    share_done: Share of the evidence that is there, in [0, 1].
+    enough: Whether more contacts would gain little.
     """
 
     places: tuple[Place, ...] = ()
     untouched: tuple[int, ...] = ()
-    share_done: float = 0.0
+    enough: bool = False
     text: str = "touch the skin"
 
     @property
     def next_sensors(self) -> tuple[int, ...]:
         """Sensors to touch next, for a simulated hand; none for anywhere."""
         return self.untouched or (self.places[0].sensors if self.places else ())
-
-    @property
-    def enough(self) -> bool:
-        """Whether more contacts would gain little."""
-        return not (self.places or self.untouched) and self.share_done > 0
 
 
 def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]:
@@ -90,8 +85,8 @@ def advise(
     pairs = neighbouring_sensors(positions)
     need = needed_evidence(contacts, pairs, count_joint_contacts(active, pairs))
     places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
-    done = 1 - float(need[wanted].mean()) if wanted.any() else 0.0
-    return Advice(places, untouched, done, _in_words(places, untouched, names))
+    enough = wanted.any() and not (places or untouched)
+    return Advice(places, untouched, bool(enough), _in_words(places, untouched, names))
 
 
 def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence[str]) -> str:
@@ -160,11 +155,6 @@ class QuickMapper:
     def __post_init__(self) -> None:
         self.sample = sample_of(len(self.names))
 
-    @property
-    def n_frames(self) -> int:
-        """Number of frames so far."""
-        return self.sample.n_frames
-
     def add(self, readings: NDArray[np.float64]) -> None:
         """Add frames. readings (t, N)."""
         if len(readings):
@@ -188,7 +178,7 @@ class QuickMapper:
         side_of_contact = np.where(rest.side > 0, *recording.extremes[::-1])
         return QuickMap(
             positions=positions,
-            n_frames=self.n_frames,
+            n_frames=self.sample.n_frames,
             seconds=time.monotonic() - begun,
             contacts=count_contacts(active),
             pairs=neighbour_lines(positions),

@@ -151,7 +151,6 @@ class Recorder:
         self.segments: list[Segment] = []
         self.n_frames = 0
         self.seconds = 0.0
-        self.n_missing = 0
         self.arrived_at: float | None = None
         self._path, self._source, self._notify, self._begin = path, source, notify, begin
         self._writer: JournalWriter | None = None
@@ -168,6 +167,11 @@ class Recorder:
     def width(self) -> int:
         """Number of sensors of the current file; 0 before the first frame."""
         return len(self.segments[-1].names) if self._writer is not None else 0
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether a reading of the current file is missing."""
+        return bool(self._missing.any())
 
     def put(self, batch: Batch) -> None:
         """Record frames, unless they are wider than `MAX_WIDTH`."""
@@ -238,7 +242,6 @@ class Recorder:
         self._recent.append(batch.readings)
         absent = ~np.isfinite(batch.readings)
         if absent.any():
-            self.n_missing += int(np.count_nonzero(absent))
             fresh = np.flatnonzero(absent.any(axis=0) & ~self._missing)
             self._missing[fresh] = True
             names = self.segments[-1].names

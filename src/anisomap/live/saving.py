@@ -107,7 +107,7 @@ def _write_mcap(session: _Session, path: Path) -> None:
         writer.start(profile="", library="anisomap")
 
         def write(channel: int, moment: int, message: dict[str, Any]) -> None:
-            data = json.dumps(message, default=_base64).encode()
+            data = json.dumps(message, default=lambda raw: base64.b64encode(raw).decode()).encode()
             writer.add_message(channel, log_time=moment, publish_time=moment, data=data)
 
         names = {"names": session.names}
@@ -128,10 +128,6 @@ def _write_mcap(session: _Session, path: Path) -> None:
         for time, levels in zip(session.times, session.levels, strict=True):
             write(clouds, moment := int(time * 1e9), cloud(moment, levels))
         writer.finish()
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode()
 
 
 def _schema_of(value: object) -> dict[str, Any]:

@@ -190,7 +190,7 @@ class LiveSession:
         """The command that makes the final map again; empty before the first frame."""
         if self.segment is None:
             return ""
-        return command_for(self.segment.path, self.maps.options, gaps=self.recorder.n_missing > 0)
+        return command_for(self.segment.path, self.maps.options, gaps=self.recorder.has_gaps)
 
     def notify(self, text: str) -> None:
         """Add a sentence for the user; of one kind, only one in some seconds."""

@@ -192,7 +192,7 @@ class _QuickMaps:
             readings, more = tail.read(_READ_BYTES)
             self._mapper.add(readings)
         self.wait_s = 0.0 if more else _POLL_S
-        if self._mapper.n_frames <= self._mapped_frames or time.monotonic() < self._next_map:
+        if self._mapper.sample.n_frames <= self._mapped_frames or time.monotonic() < self._next_map:
             return None
         given = task.options.dimensions
         self._mapper.dimensions = task.dimensions if given == AUTO else int(given)

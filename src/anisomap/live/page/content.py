@@ -23,7 +23,7 @@ from anisomap.live.saving import EXPORTS, save_map, save_report
 from anisomap.live.session import LiveSession
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement import Anchors, parse_anchor
+from anisomap.placement import anchors_at, parse_anchor
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import UNKNOWN
 
@@ -81,9 +81,7 @@ def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
     if not given:
         session.anchors = None
         return Done("there are no anchors: maps have no frame")
-    width = max(len(position) for _, position in given)
-    rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
-    anchors = Anchors(tuple(name for name, _ in given), np.array(rows))
+    anchors = anchors_at(given)
     if unknown := [name for name in anchors.names if name not in session.maps.names]:
         raise InputError(f"there is no sensor {unknown[0]}")
     session.anchors = anchors

@@ -2,6 +2,7 @@
 
 const INK = "#1c2733", QUIET = "#4d5b69", GRID = "#dde3e9", BLUE = "#0b5394", MARK = "#b35000";
 const RASTER_SECONDS = 10;
+const FAMILY = "system-ui, 'DejaVu Sans', sans-serif";
 
 // From light grey at rest to dark blue: lightness falls steadily.
 const STOPS = [[236, 240, 244], [189, 215, 231], [107, 174, 214], [33, 113, 181], [8, 48, 107]];
@@ -35,6 +36,13 @@ export function lines(context, ends) {
   context.stroke();
 }
 
+// Prepare texts: a font such as "600 15px", a colour, and how they are aligned.
+export function texts(context, font, colour, align = "center") {
+  context.font = `${font} ${FAMILY}`;
+  context.fillStyle = colour;
+  context.textAlign = align;
+}
+
 export function disc(context, x, y, radius) {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
@@ -54,14 +62,12 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last, events 
   const highest = top ?? Math.max(1.2, ...all.map(([, y]) => Math.min(y, 10))) * 1.1;
   const x = (value) => left + value / end * (right - left);
   const y = (value) => bottom - Math.min(value, highest) / highest * (bottom - above);
-  context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-  context.fillStyle = QUIET;
+  texts(context, "11px", QUIET, "right");
   context.strokeStyle = GRID;
   context.lineWidth = 1;
   const step = niceStep(highest, 3);
   for (let value = 0; value <= highest; value += step) {
     lines(context, [[left, y(value), right, y(value)]]);
-    context.textAlign = "right";
     context.fillText(unit === "%" ? `${Math.round(100 * value)}%` : String(+value.toFixed(2)), left - 4, y(value) + 4);
   }
   context.textAlign = "center";
@@ -120,29 +126,35 @@ export class Raster {
     while (this.columns.length && this.columns[0].seconds < seconds - RASTER_SECONDS) this.columns.shift();
   }
 
-  // Return the places of the events of the last seconds on a width.
-  at(width) {
-    const now = this.columns[this.columns.length - 1].seconds;
-    return this.events.filter((seconds) => seconds > now - RASTER_SECONDS && seconds <= now)
-      .map((seconds) => (1 - (now - seconds) / RASTER_SECONDS) * width);
+  get now() {
+    return this.columns[this.columns.length - 1].seconds;
+  }
+
+  // Return the place of a time on a width.
+  at(seconds, width) {
+    return (1 - (this.now - seconds) / RASTER_SECONDS) * width;
+  }
+
+  _markEvents(context, width, height) {
+    const recent = this.events.filter((seconds) => seconds > this.now - RASTER_SECONDS && seconds <= this.now);
+    ticks(context, recent.map((seconds) => this.at(seconds, width)), 0, height);
   }
 
   // Draw the readings of one sensor as a curve.
   drawTrace(canvas, sensor) {
     if (!this.columns.length || sensor >= this.columns[0].levels.length) return;
     const context = sized(canvas), width = canvas.clientWidth, height = canvas.clientHeight;
-    const now = this.columns[this.columns.length - 1].seconds;
-    ticks(context, this.at(width), 0, height);
+    this._markEvents(context, width, height);
     context.strokeStyle = BLUE;
     context.lineWidth = 1.5;
     curveThrough(context, this.columns.map(({ seconds, levels }) => [
-      (1 - (now - seconds) / RASTER_SECONDS) * width, height - 3 - levels[sensor] / 255 * (height - 6)]));
+      this.at(seconds, width), height - 3 - levels[sensor] / 255 * (height - 6)]));
   }
 
   draw() {
     if (!this.columns.length) return;
     const context = sized(this.canvas), width = this.canvas.clientWidth, height = this.canvas.clientHeight - 14;
-    const now = this.columns[this.columns.length - 1].seconds, count = this.columns[0].levels.length;
+    const now = this.now, count = this.columns[0].levels.length;
     const rows = Math.max(1, Math.min(count, Math.floor(height))), pixels = new ImageData(RASTER_SECONDS * 20, rows);
     for (let i = 0; i < pixels.width * rows; i++) pixels.data.set([...RAMP[0], 255], 4 * i);
     for (const { seconds, levels } of this.columns) {
@@ -165,10 +177,8 @@ export class Raster {
     image.getContext("2d").putImageData(pixels, 0, 0);
     context.imageSmoothingEnabled = false;
     context.drawImage(image, 0, 0, width, height);
-    ticks(context, this.at(width), 0, height);
-    context.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-    context.fillStyle = QUIET;
-    context.textAlign = "left";
+    this._markEvents(context, width, height);
+    texts(context, "11px", QUIET, "left");
     context.fillText(`−${RASTER_SECONDS} s`, 2, height + 12);
     context.textAlign = "right";
     context.fillText("now", width - 2, height + 12);

@@ -206,10 +206,8 @@ const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select, textarea, dialog")) return;
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-  if (event.shiftKey && TURNS[key]) {
-    view.turn += TURNS[key][0];
-    view.tilt = Math.max(-1.5, Math.min(1.5, view.tilt + TURNS[key][1]));
-  } else if (key === "ArrowLeft" || key === "ArrowRight") step(key === "ArrowLeft" ? -1 : 1);
+  if (event.shiftKey && TURNS[key]) view.turnBy(...TURNS[key]);
+  else if (key === "ArrowLeft" || key === "ArrowRight") step(key === "ArrowLeft" ? -1 : 1);
   else if (key === "+" || key === "=") view.zoomBy(1.2);
   else if (key === "-") view.zoomBy(1 / 1.2);
   else if (key === "0") view.reset();

@@ -1,6 +1,6 @@
 // The map: sensors, neighbours, halos and the places to touch, in 2D or turned in 3D.
 
-import { COLOURS, disc, lines, sized } from "./charts.js";
+import { COLOURS, disc, lines, sized, texts } from "./charts.js";
 
 const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.2)", MARK = "#b35000";
 const EASE_MS = 250;
@@ -171,11 +171,9 @@ export class MapView {
 
   // Names of all sensors where they do not overlap; always of the one below the pointer and the selected one.
   _names(context, points, order, radius) {
-    context.font = "12px system-ui, 'DejaVu Sans', sans-serif";
-    context.textAlign = "center";
+    texts(context, "12px", OUTLINE);
     context.lineWidth = 3;
     context.strokeStyle = "#ffffff";
-    context.fillStyle = OUTLINE;
     const taken = [], first = [this.hovered, this.selected].filter((i) => i >= 0 && points[i]);
     for (const i of [...first, ...(this.named ? order.slice().reverse() : [])]) {
       const name = this.names[i].length > 24 ? `${this.names[i].slice(0, 23)}…` : this.names[i];
@@ -188,8 +186,6 @@ export class MapView {
   }
 
   _marks(context, points, radius) {
-    context.font = "600 15px system-ui, 'DejaVu Sans', sans-serif";
-    context.textAlign = "center";
     this.places.forEach((place, n) => {
       const inside = place.sensors.map((i) => points[i]).filter(Boolean);
       if (!inside.length) return;
@@ -205,7 +201,7 @@ export class MapView {
       context.fillStyle = MARK;
       disc(context, x, y - reach, 11);
       context.fill();
-      context.fillStyle = "#ffffff";
+      texts(context, "600 15px", "#ffffff");
       context.fillText(String(n + 1), x, y - reach + 5);
     });
   }
@@ -238,8 +234,7 @@ export class MapView {
       const [dx, dy] = [event.clientX - held[0], event.clientY - held[1]];
       moved += Math.abs(dx) + Math.abs(dy);
       held = [event.clientX, event.clientY];
-      this.turn += 0.008 * dx;
-      this.tilt = Math.max(-1.5, Math.min(1.5, this.tilt + 0.008 * dy));
+      this.turnBy(0.008 * dx, 0.008 * dy);
     });
     this.canvas.addEventListener("pointerup", (event) => {
       if (held && moved < 6) this.select(under(event));
@@ -250,6 +245,11 @@ export class MapView {
       event.preventDefault();
       this.zoomBy(event.deltaY < 0 ? 1.1 : 1 / 1.1);
     }, { passive: false });
+  }
+
+  turnBy(across, up) {
+    this.turn += across;
+    this.tilt = Math.max(-1.5, Math.min(1.5, this.tilt + up));
   }
 
   zoomBy(factor) {
