@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy
 
 import anisomap
 from anisomap.recording import Recording
@@ -27,30 +26,6 @@ def contacts_as_text(skin: Recording, path: Path) -> None:
         rows = csv.writer(file)
         rows.writerow(("time", "taxels"))
         rows.writerows((i / 10, active) for i, active in enumerate(_active(skin)))
-
-
-def contacts_of_the_icub(skin: Recording, path: Path) -> None:
-    vectors = " ".join(["(0.0 0.0 0.0)"] * 5)
-    with path.open("w") as file:
-        for i, active in enumerate(_active(skin)):
-            contact = f"((1 4 5 5) {vectors} ({' '.join(map(str, active))}) 9.5)" if active else ""
-            print(i, f"{1.6e9 + i / 20:.6f}", contact, file=file)
-
-
-def contacts_in_matlab(skin: Recording, path: Path) -> None:
-    contacts = np.zeros((skin.n_frames, 1), dtype=[("activatedTaxels", object)])
-    for i, active in enumerate(_active(skin)):
-        contacts[i, 0] = (np.array([active], dtype=float),)
-    scipy.io.savemat(path, {"torso": contacts})
-
-
-def spikes_as_text(skin: Recording, path: Path) -> None:
-    rng = np.random.default_rng(1)
-    with path.open("w") as file:
-        print("time_ms,electrode", file=file)
-        for i, active in enumerate(_active(skin)):
-            for sensor in active:
-                print(f"{100 * i + 99 * rng.random():.3f},{sensor}", file=file)
 
 
 def spikes_in_hdf5(skin: Recording, path: Path) -> None:
@@ -80,9 +55,6 @@ def cyskin(skin: Recording, path: Path) -> None:
 
 FILES: dict[str, tuple[Callable[[Recording, Path], None], tuple[str, ...]]] = {
     "contacts.csv": (contacts_as_text, ()),
-    "skin_events.log": (contacts_of_the_icub, ()),
-    "touch.mat": (contacts_in_matlab, ("--select", "torso")),
-    "spikes.csv": (spikes_as_text, ("--bin-width", "100ms")),
     "spikes.h5": (spikes_in_hdf5, ("--bin-width", ".1")),
     "insole.csv": (lists_in_cells, ()),
     "hand.txt": (cyskin, ()),

@@ -33,7 +33,7 @@ def merged(mapper, parts):
 
 def in_chunks(name, parts):
     recipe = CHUNKED[name]
-    known = merged(ValueCounts.of, parts) if recipe.needs_values else None
+    known = merged(ValueCounts.of, parts) if recipe.recode else None
     return recipe.finish(merged(recipe.prepare(known, BINS), parts))
 
 

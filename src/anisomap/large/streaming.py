@@ -81,11 +81,6 @@ class Chunked:
     recode: Callable[[ValueCounts, int], Outcomes] | None = None
     can_store: bool = False
 
-    @property
-    def needs_values(self) -> bool:
-        """Whether a first pass must count distinct values."""
-        return self.recode is not None
-
     def prepare(self, values: ValueCounts | None, bins: int) -> Mapper:
         """Return the mapper, given the counts of distinct values if they are needed."""
         if self.recode is None or values is None:
@@ -137,10 +132,6 @@ def _bins(values: ValueCounts, bins: int) -> Outcomes:
     return codes, Layout.of(np.array(full).astype(np.int64))
 
 
-def _phi(found: CoOccurrences) -> Reals:
-    return phi_from_counts(found.counts, found.n_frames)
-
-
 def _information(found: CoOccurrences | StoredCodes) -> Reals:
     if isinstance(found, StoredCodes):
         return information_from_codes(found.whole())
@@ -152,7 +143,7 @@ CHUNKED: Mapping[str, Chunked] = MappingProxyType(
     {
         "pearson": Chunked(Moments.correlation),
         "spearman": Chunked(Moments.correlation, _ranks),
-        "co-activation": Chunked(_phi, _activity),
+        "co-activation": Chunked(lambda it: phi_from_counts(it.counts, it.n_frames), _activity),
         "mutual-information": Chunked(_information, _bins, can_store=True),
         # Blending weights r by its reliability, which is nearly 1 in long recordings.
         "blended-correlation": Chunked(Moments.correlation),
@@ -274,7 +265,7 @@ def stream_similarity(
             yield chunk
 
     values: ValueCounts | None = None
-    if chunked.needs_values:
+    if chunked.recode is not None:
         logger.info("counting distinct values")
         values = map_reduce(
             checked_chunks, ValueCounts.of, pool=pool, checkpoint=saved, stage="values"

@@ -26,7 +26,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from graphlib import TopologicalSorter
-from importlib import import_module
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,6 +38,7 @@ from threadpoolctl import threadpool_limits
 import anisomap
 from anisomap._version import __version__
 from anisomap.drawing.figures import figure_bytes
+from anisomap.drawing.report import templates
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
 from anisomap.files import atomic_write
 from anisomap.paper import accuracy, bodies, claims, patch, sample_data, sensitivity
@@ -324,14 +324,7 @@ def write_page(
     fingerprints: Mapping[str, str],
 ) -> None:
     """Write the page of the results beside their folders."""
-    jinja2 = import_module("jinja2")
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("anisomap.paper"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates("anisomap.paper")
     environment.filters |= {"cell": _cell_text, "numeric": _numeric_columns}
     sections = [  # without a result if the experiment was skipped
         {"experiment": one, "result": load(path.parent, one.name, fingerprints.get(one.name, ""))}

@@ -154,7 +154,11 @@ def panel(
             axes: Axes = data.pop("ax", None)
             count = dimensions(*data.values()) if callable(dimensions) else dimensions
             if axes is not None:
-                _check_axes(axes, count)
+                if (axes.name == "3d") != (count == 3):
+                    wanted = "3D axes (projection='3d')" if count == 3 else "2D axes"
+                    raise InputError(
+                        f"the data need {wanted}, got axes with projection {axes.name!r}"
+                    )
                 draw(*args, **kwargs)
                 return axes
             with drawing_style():
@@ -170,12 +174,6 @@ def panel(
         return plot
 
     return decorate
-
-
-def _check_axes(axes: Axes, dimensions: int) -> None:
-    if (axes.name == "3d") != (dimensions == 3):
-        wanted = "3D axes (projection='3d')" if dimensions == 3 else "2D axes"
-        raise InputError(f"the data need {wanted}, got axes with projection {axes.name!r}")
 
 
 def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:

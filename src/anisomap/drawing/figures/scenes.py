@@ -252,9 +252,7 @@ def _within(
 
 
 def _surface(triangles: NDArray[np.float64], role: str) -> Any:
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    light = (1 + normals @ _LIGHT) / 2
+    light = (1 + _normals(triangles) @ _LIGHT) / 2
     face = np.array(load("matplotlib.colors").to_rgb(_FACES[role]))
     colours = np.empty((len(triangles), 4))
     colours[:, :3] = face * (_DARKEST + (1 - _DARKEST) * light[:, None])
@@ -265,13 +263,17 @@ def _surface(triangles: NDArray[np.float64], role: str) -> Any:
     )
 
 
+def _normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit normals of triangles, (n, 3, 3) -> (n, 3)."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+
 def _sharp_edges(mesh: Mesh, vertices: NDArray[np.float64]) -> Any:
     """Return the edges where faces meet at an angle, which are all that is drawn of a room."""
-    faces = vertices[mesh.faces]
-    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = _normals(vertices[mesh.faces])
     sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    face_of = np.repeat(np.arange(len(faces)), 3)
+    face_of = np.repeat(np.arange(len(mesh.faces)), 3)
     order = np.lexsort(sides.T)
     sides, face_of = sides[order], face_of[order]
     pairs = np.flatnonzero((sides[1:] == sides[:-1]).all(axis=1))

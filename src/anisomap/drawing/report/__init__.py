@@ -310,10 +310,11 @@ def _policy(scripts: list[str]) -> str:
 
 
 @cache
-def _environment() -> Any:
-    jinja, _ = load_libraries()
+def templates(package: str) -> Any:
+    """Return the environment of the templates of a package, which escapes all values."""
+    jinja = import_extra("jinja2", "a report", "report")
     environment = jinja.Environment(
-        loader=jinja.PackageLoader("anisomap.drawing.report"),
+        loader=jinja.PackageLoader(package),
         autoescape=True,
         undefined=jinja.StrictUndefined,
         trim_blocks=True,
@@ -384,7 +385,7 @@ def render_report(
     own = _text("report.js")
     scripts = [plotly.get_plotlyjs(), own] if scene else [own]
     page: str = (
-        _environment()
+        templates("anisomap.drawing.report")
         .get_template("report.html")
         .render(
             title=printable(title),
