@@ -166,11 +166,6 @@ def test_folder(tmp_path: Path) -> None:
         io.read(tmp_path)
 
 
-def test_a_selection_in_a_file_with_a_single_recording_is_rejected(put) -> None:
-    with pytest.raises(FileError, match=r"x\.csv .* single recording; leave out --select a/b"):
-        io.read(put("x.csv", "1,2\n3,4\n"), options=io.ReadOptions(select="a/b"))
-
-
 def test_files_without_read_permission(put, monkeypatch: pytest.MonkeyPatch) -> None:
     path = put("x.csv", "1,2\n")
 

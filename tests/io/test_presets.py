@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from anisomap import Recording, io
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import InputError
 from anisomap.io.presets import apply_preset
 
 Put = Callable[[str, str | bytes], Path]
@@ -68,39 +68,6 @@ def test_recordings_that_do_not_fit_a_preset_are_rejected() -> None:
         apply_preset(Recording(np.eye(24)), "nao")
     with pytest.raises(InputError, match="no sensor of preset icub varies"):
         apply_preset(Recording(np.ones((3, 24))), "icub")
-
-
-def test_grids(tmp_path: Path) -> None:
-    readings = np.random.default_rng(0).integers(0, 9, (20, 6))
-    np.savetxt(tmp_path / "mat.csv", readings, "%d", ",")
-    found = io.read(tmp_path / "mat.csv", options=io.ReadOptions(grid=(2, 3)))
-    assert found.names == ("r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2")
-    assert found.positions.tolist() == [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]]
-    with pytest.raises(InputError, match="4 x 4 grid has 16 sensors, but the recording has 6"):
-        io.read(tmp_path / "mat.csv", options=io.ReadOptions(grid=(4, 4)))
-
-
-def test_some_cells_by_their_numbers(put: Put) -> None:
-    for names in ("c1,c4,c5", "r0c1,r1c1,r1c2"):
-        path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
-        found = io.read(path, options=io.ReadOptions(grid=(2, 3)))
-        np.testing.assert_array_equal(found.positions, [[1, 0], [1, 1], [2, 1]])
-        assert found.names == tuple(names.split(","))
-
-
-@pytest.mark.parametrize("names", ["c1,c4,c6", "c1,c1x,c2", "r0c1,r2c1,r1c2", "a,b,c"])
-def test_names_that_give_no_cells(put: Put, names: str) -> None:
-    path = put("mat.csv", f"{names}\n1,2,3\n4,5,6\n")
-    with pytest.raises(FileError, match=r"2 x 3 grid has 6 sensors.* not give the cells"):
-        io.read(path, options=io.ReadOptions(grid=(2, 3)))
-
-
-def test_cells_without_a_reading_are_dead(put: Put) -> None:
-    path = put("mat.csv", "a,b,c,d\n1,,3,\n4,,6,\n7,nan,8,1\n")
-    with pytest.warns(AnisomapWarning, match="1 of 4 cells of the grid have no reading"):
-        found = io.read(path, options=io.ReadOptions(grid=(2, 2)))
-    np.testing.assert_array_equal(found.readings[:, 1], 0)
-    assert np.isnan(found.readings[:2, 3]).all(), "cells with a reading keep their gaps"
 
 
 @pytest.mark.parametrize("grid", [(-1, -2), (0, 3), (1, 2, 3), (2.0, 3), 6, "2x3", ((1, 2), 3)])

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from functools import partial
 
 import pytest
 
@@ -45,6 +46,44 @@ WRONG_CONTACTS = {
 }
 CONTACTS = "must hold contacts, each of 8 lists and numbers in brackets"
 LISTS = "".join(f'{i},"1,2,3"\n' for i in range(60))
+
+INSOLE = "file:\twalk\n\nsensors\t99\n\n\nt [s]\tl1\tl2\tr1\tr2\n" + "".join(
+    "1\t2\n" if i == 9 else f"{i / 50}\t1\t2\t{i % 7}\t4\n" for i in range(30)
+)
+
+
+def taxel(**changes: object) -> str:
+    rows = [{"id": 7, "x": [0, 0, 0]}, {"id": 8, "x": [0, 0, 1], "n": [0, 0, 1], **changes}]
+    return json.dumps({"skin": {"taxels": rows}})
+
+
+PADDED = "0,0.1,5\n0,0.1,6\n1,0.3,6\n"
+FAR = "time,channel\n" + "".join(f"{i / 7:.3f},{i % 3}\n" for i in range(60)) + "1e12,1\n"
+NO_EVENTS = "holds readings, not events"
+NO_CELLS = "2 x 3 grid has 6 sensors, but the recording has 3, and their names do not give"
+CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
+    ({"bin_s": 1.0}, "x.csv", "event,taxel\n0,3\n0,17\n", "numbers its events without times"),
+    ({"bin_s": 1.0}, "x.csv", FAR, "61 events from 0 to 1e+12 s would fill"),
+    *(
+        ({"bin_s": 1.0}, "x.csv", text, NO_EVENTS)
+        for text in (
+            "a,b\n1,2\n3,4\n",
+            "a,b\n1.5,2\n0.5,4\n",
+            "a,b\n0.5,1\n,2\n1.5,3\n",
+            "a,b\n0.5,x\n",
+        )
+    ),
+    ({"bin_s": 1.0}, "data.log", log("{}"), NO_EVENTS),
+    ({"select": "1:7"}, "x.csv", PADDED, "no column '7'; it has 3 columns"),
+    ({"select": "1:2"}, "x.csv", PADDED, "line 1, column 2: '0.1' must be the id of a sensor"),
+    ({"select": "a/b"}, "x.csv", "1,2\n3,4\n", "single recording; leave out --select a/b"),
+    ({"grid": (4, 4)}, "x.csv", "1,2\n3,4\n", "4 x 4 grid has 16 sensors, but the recording has 2"),
+    *(
+        ({"grid": (2, 3)}, "x.csv", f"{names}\n1,2,3\n4,5,6\n", NO_CELLS)
+        for names in ("c1,c4,c6", "c1,c1x,c2", "r0c1,r2c1,r1c2", "a,b,c")
+    ),
+]
+"""What is refused with options of reading."""
 
 RECORDINGS = [
     ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n", "line 5 has 2 fields, but line 3 has 3"),
@@ -110,6 +149,8 @@ RECORDINGS = [
     ("walk.asf", mat(columns="4"), "but the header says 2 x 4"),
     ("walk.asf", mat(rows="99999999"), "at most 4194304 are supported"),
     ("walk.asf", "ROWS 4\nCOLS 3\nFrame 1\n", "has no frame"),
+    ("walk.asc", INSOLE, "line 16 has 2 fields, but the header names 5"),
+    ("h.json", taxel(), "holds no recording"),
 ]
 
 MAP_HEADER = "name,x,y,component,health\n"
@@ -118,11 +159,6 @@ MAP_HEADER = "name,x,y,component,health\n"
 def sensors(*changes: dict[str, object], **properties: object) -> str:
     rows = [{"name": "a", "position": [1.0, 2.0], **change} for change in changes or [{}]]
     return json.dumps({"sensors": rows, **properties})
-
-
-def taxel(**changes: object) -> str:
-    rows = [{"id": 7, "x": [0, 0, 0]}, {"id": 8, "x": [0, 0, 1], "n": [0, 0, 1], **changes}]
-    return json.dumps({"skin": {"taxels": rows}})
 
 
 PLY = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {a}\n" for a in "xyz")
@@ -231,6 +267,7 @@ OF_BOTH = [
     ("skin.xyz", b"\0\1\2\3", "unknown format; 'anisomap formats' lists"),
 ]
 CASES = [
+    *((partial(io.read, options=io.ReadOptions(**given)), *case) for given, *case in CHOSEN),
     *((io.read, *case) for case in (*RECORDINGS, *OF_BOTH)),
     *((io.read_map, *case) for case in (*MAPS, *OF_BOTH)),
 ]

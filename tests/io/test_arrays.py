@@ -1,0 +1,405 @@
+"""Binary files: HDF5, MATLAB, Parquet, Arrow, archives of events, and images."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError
+
+h5py = pytest.importorskip("h5py")
+arrow = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+
+READINGS = np.random.default_rng(3).integers(0, 9, (300, 6)).astype(np.float64)
+OTHER = np.random.default_rng(4).integers(0, 9, (200, 4))
+
+
+def select(name: str) -> io.ReadOptions:
+    return io.ReadOptions(select=name)
+
+
+@pytest.fixture
+def h5(tmp_path: Path):
+    def make(**arrays: object) -> Path:
+        with h5py.File(tmp_path / "skin.h5", "w") as file:
+            for name, values in arrays.items():
+                file[name.replace("__", "/")] = values
+        return tmp_path / "skin.h5"
+
+    return make
+
+
+def test_times_names_and_positions_come_from_the_same_group(h5) -> None:
+    path = h5(
+        left__readings=READINGS,
+        left__time_ms=np.arange(300) * 20,
+        left__names=np.array(list("abcdef"), "S"),
+        left__positions=np.eye(6)[:, :3],
+        times=np.arange(300),
+        positions=np.ones((6, 3)),
+    )
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == tuple("abcdef")
+    assert found.rate_hz == pytest.approx(50)
+    np.testing.assert_array_equal(found.positions, np.eye(6)[:, :3])
+    assert found.source == "skin.h5:left/readings"
+
+
+def test_several_datasets_are_listed_and_one_is_selected(h5) -> None:
+    path = h5(left__skin=READINGS, right__skin=OTHER, note="rubbed by hand", one=np.arange(5))
+    with pytest.raises(io.ChoiceError, match=r"2 possible.*left/skin.*300 x 6.*--select"):
+        io.read(path)
+    usable = {content.name: content.usable for content in io.contents(path)}
+    assert usable == {"left/skin": True, "right/skin": True, "note": False, "one": False}
+    np.testing.assert_array_equal(io.read(path, options=select("right")).readings, OTHER)
+
+
+def test_the_selection_must_match_one_recording(h5) -> None:
+    path = h5(left__skin=READINGS, right__skin=OTHER, one=np.arange(5))
+    np.testing.assert_array_equal(io.read(path, options=select("left/skin")).readings, READINGS)
+    with pytest.raises(FileError, match=r"several datasets match 'skin'"):
+        io.read(path, options=select("skin"))
+    with pytest.raises(FileError, match=r"no dataset 'middle'; the file holds left/skin"):
+        io.read(path, options=select("middle"))
+    with pytest.raises(FileError, match=r"no dataset that can be a recording; it holds one"):
+        io.read(path, options=select("one"))
+
+
+def test_further_dimensions_are_flattened(h5) -> None:
+    found = io.read(h5(film=READINGS.reshape(300, 2, 3)))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == ("0.0", "0.1", "0.2", "1.0", "1.1", "1.2")
+
+
+def test_variable_length_names_are_read(h5) -> None:
+    names = np.array(list("abcdef"), h5py.string_dtype())
+    assert io.read(h5(readings=READINGS, names=names)).names == tuple("abcdef")
+
+
+def test_datasets_in_other_files_are_not_opened(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(bytes(48))
+    with h5py.File(tmp_path / "skin.h5", "w") as file:
+        file.create_dataset("a", (3, 2), "f8", external=[(str(tmp_path / "secret"), 0, 48)])
+        file["b"] = h5py.ExternalLink("other.h5", "/b")
+    with pytest.raises(FileError, match="is stored in other files"):
+        io.read(tmp_path / "skin.h5")
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4", "u1", "i4", "?"])
+def test_dtypes_in_matlab(tmp_path: Path, kind: str) -> None:
+    readings = READINGS.astype(kind)
+    scipy.io.savemat(tmp_path / "skin.mat", {"skin": readings, "fs": 50.0, "note": "by hand"})
+    found = io.read(tmp_path / "skin.mat")
+    np.testing.assert_array_equal(found.readings, readings)
+    assert found.rate_hz == 50
+
+
+def test_matlab_4(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "skin.mat", {"skin": READINGS}, format="4")
+    np.testing.assert_array_equal(io.read(tmp_path / "skin.mat").readings, READINGS)
+
+
+def table(**columns: object) -> object:
+    return arrow.table({name.replace("__", "."): values for name, values in columns.items()})
+
+
+def fixed(values: np.ndarray) -> object:
+    return arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), values.shape[1])
+
+
+def test_episodes_give_a_rate_but_no_times(tmp_path: Path) -> None:
+    columns = table(
+        observation__tactile=fixed(READINGS),
+        observation__state=fixed(READINGS[:, :2]),
+        action=[[1.0]] * 300,
+        timestamp=np.arange(300) % 100 / 30,
+        episode_index=np.arange(300) // 100,
+    )
+    parquet.write_table(columns, tmp_path / "file-000.parquet", row_group_size=70)
+    with pytest.raises(io.ChoiceError, match="3 possible recordings"):
+        io.read(tmp_path / "file-000.parquet")
+    found = io.read(tmp_path / "file-000.parquet", options=select("observation.tactile"))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.times is None
+    assert found.rate_hz == pytest.approx(30)
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather", "arrows"])
+def test_one_column_per_sensor(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"skin.{suffix}"
+    columns = table(
+        frame=np.arange(300),
+        time=np.arange(300) / 25,
+        **{f"pad {i}": READINGS[:, i] for i in range(6)},
+        who=["me"] * 300,
+    )
+    if suffix == "parquet":
+        parquet.write_table(columns, path)
+    else:
+        writer = arrow.ipc.new_file if suffix == "feather" else arrow.ipc.new_stream
+        with arrow.OSFile(str(path), "wb") as sink, writer(sink, columns.schema) as out:
+            out.write_table(columns, max_chunksize=64)
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == tuple(f"pad {i}" for i in range(6))
+    assert found.rate_hz == pytest.approx(25)
+
+
+def test_nested_and_ragged_lists(tmp_path: Path) -> None:
+    path = tmp_path / "skin.parquet"
+    parquet.write_table(table(a=READINGS.reshape(300, 3, 2).tolist()), path)
+    np.testing.assert_array_equal(io.read(path).readings, READINGS)
+    parquet.write_table(table(a=[[1.0, 2.0], [3.0], [4.0, 5.0]]), path)
+    with pytest.raises(FileError, match="differ in length"):
+        io.read(path)
+    parquet.write_table(table(a=[[1.0, 2.0], None, [4.0, 5.0]]), path)
+    with pytest.raises(FileError, match="a list in every row, got null"):
+        io.read(path)
+    parquet.write_table(table(a=[[1.0, 2.0], [None, 3.0], [4.0, 5.0]]), path)
+    np.testing.assert_array_equal(io.read(path).readings[1], [np.nan, 3])
+    parquet.write_table(table(a=["x", "y"]), path)
+    with pytest.raises(FileError, match=r"no column that can be a recording; it holds a"):
+        io.read(path)
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather"])
+@pytest.mark.parametrize("values", [np.arange(6.0), [[1.0, 2.0]] * 6])
+def test_columns_of_the_same_name(tmp_path: Path, suffix: str, values) -> None:
+    columns = [arrow.array(values), arrow.array(range(6)), arrow.array(range(6))]
+    repeated = arrow.Table.from_arrays(columns, names=["a", "b", "b"])
+    path = tmp_path / f"skin.{suffix}"
+    if suffix == "parquet":
+        parquet.write_table(repeated, path)
+    else:
+        with arrow.ipc.new_file(str(path), repeated.schema) as writer:
+            writer.write_table(repeated)
+    with pytest.raises(FileError, match=r"skin\.\w+ has 2 columns with the name 'b'"):
+        io.read(path)
+
+
+TOUCHED = np.array([[1, 0, 1], [0, 0, 0], [0, 0, 1], [1, 1, 1]])
+FRAMES = np.random.default_rng(5).integers(0, 255, (30, 4, 3))
+OPTIONS = io.ReadOptions
+
+
+class TestMatlab:
+    """Contacts and spikes in structures and cell arrays."""
+
+    CONTACTS = ([3, 17], [], [17], [3, 4, 17])
+
+    @pytest.fixture
+    def saved(self, tmp_path: Path) -> Callable[..., Path]:
+        def save(**variables: object) -> Path:
+            scipy.io.savemat(tmp_path / "touch.mat", variables, do_compression=True)
+            return tmp_path / "touch.mat"
+
+        return save
+
+    def cells(self, items: list[object]) -> np.ndarray:
+        cells = np.empty((len(items), 1), dtype=object)
+        cells[:, 0] = items
+        return cells
+
+    @pytest.mark.parametrize("inside", ["row", "column", "points", "cells of structures"])
+    def test_contacts(self, saved, inside: str) -> None:
+        items: list[object] = []
+        for ids in self.CONTACTS:
+            listed = np.array(ids, dtype=float).reshape(1, -1)
+            if inside == "column":
+                listed = listed.T
+            if inside == "points":
+                listed = np.column_stack([np.full((len(ids), 3), 0.25), listed.ravel()])
+            items.append({"taxels": listed} if inside == "cells of structures" else listed)
+        found = io.read(saved(torso=self.cells(items)))
+        assert found.names == ("taxel3", "taxel4", "taxel17")
+        np.testing.assert_array_equal(found.readings, TOUCHED)
+        assert found.times is None
+
+    def test_two_skins(self, saved) -> None:
+        contacts = np.zeros((4, 1), dtype=[("activatedTaxels", object), ("side", object)])
+        for i, ids in enumerate(self.CONTACTS):
+            contacts[i, 0] = (np.array([ids], dtype=np.uint16), "left")
+        path = saved(torso=contacts, arm=contacts[::-1])
+        assert [each.name for each in io.contents(path) if each.usable] == [
+            "torso/activatedTaxels",
+            "arm/activatedTaxels",
+        ]
+        with pytest.raises(io.ChoiceError, match="2 possible recordings"):
+            io.read(path)
+        arm = io.read(path, options=OPTIONS(select="arm"))
+        np.testing.assert_array_equal(arm.readings, TOUCHED[::-1])
+        assert arm.source == "touch.mat:arm/activatedTaxels"
+
+    def test_spike_trains(self, saved) -> None:
+        trains = [np.array(train).reshape(-1, 1) for train in ([0.25, 1.5], [], [0.5, 2.25])]
+        found = io.read(saved(spikes=self.cells(trains)), options=OPTIONS(bin_s=1.0))
+        # The first bin begins with the first spike, at 0.25 s.
+        np.testing.assert_array_equal(found.readings, [[1, 0, 1], [1, 0, 0], [0, 0, 1]])
+        assert found.names == ("channel1", "channel2", "channel3")
+
+    def test_readings_beside_cells_are_preferred(self, saved) -> None:
+        path = saved(readings=np.eye(4), notes=self.cells([np.array([[1.0, 2.0]])]))
+        assert io.read(path).n_sensors == 4
+
+
+class TestArchives:
+    """Events in NumPy archives."""
+
+    def test_names_tell_silent_sensors(self, tmp_path: Path) -> None:
+        np.savez(
+            tmp_path / "x.npz", times=[0.5, 0.25, 0.5], taxels=[0, 2, 2], names=list("abcd"),
+            positions=np.eye(4)[:, :2], units="mm",
+        )  # fmt: skip
+        found = io.read(tmp_path / "x.npz")
+        assert found.names == tuple("abcd")
+        np.testing.assert_array_equal(found.readings, [[0, 0, 1, 0], [1, 0, 1, 0]])
+        assert found.units == "mm"
+        np.testing.assert_array_equal(found.positions, np.eye(4)[:, :2])
+
+    def test_spikes_need_bins(self, tmp_path: Path) -> None:
+        np.savez(tmp_path / "x.npz", spike_times=[0.5, 0.25, 2.5], units=[7, 4, 4])
+        with pytest.warns(AnisomapWarning, match="in bins of 1 s"):
+            found = io.read(tmp_path / "x.npz")
+        assert found.names == ("unit4", "unit7")
+        np.testing.assert_array_equal(found.readings, [[1, 1], [0, 0], [1, 0]])
+
+    @pytest.mark.parametrize(
+        ("arrays", "message"),
+        [
+            ({"times": [0.5, 1], "ids": [1]}, "must be lists of equal length"),
+            ({"times": [0.5, 1], "ids": [1, -1]}, "ids must be numbers of sensors from 0"),
+            ({"times": [0.5, 1], "ids": [1, 2], "names": ["a", "b"]}, "holds 2, but there are 2"),
+            ({"times": [0.5, 1], "ids": [1, 0.5]}, "it must be integers"),
+            ({"times": [0.5, np.nan], "ids": [1, 2]}, "the time of an event is not finite"),
+        ],
+    )
+    def test_wrong_arrays(self, tmp_path: Path, arrays: dict[str, object], message: str) -> None:
+        np.savez(tmp_path / "x.npz", **arrays)
+        with pytest.raises(FileError, match=message):
+            io.read(tmp_path / "x.npz")
+
+
+class TestSpikeTrains:
+    """Times of spikes in HDF5: three layouts, with positions, names and span."""
+
+    TRAINS = ([0.25, 1.5, 1.75], [], [0.5, 2.25])
+    COUNTS = ([1, 0, 1], [2, 0, 0], [0, 0, 1])
+
+    @pytest.fixture
+    def saved(self, tmp_path: Path) -> Callable[..., Path]:
+        h5py = pytest.importorskip("h5py")
+
+        def save(**arrays: object) -> Path:
+            with h5py.File(tmp_path / "spikes.h5", "w") as file:
+                for name, values in arrays.items():
+                    file[name.replace("__", "/")] = values
+            return tmp_path / "spikes.h5"
+
+        return save
+
+    @pytest.mark.parametrize(
+        ("arrays", "names"),
+        [
+            (
+                {"spikes": np.concatenate(TRAINS), "sCount": [3.0, 0, 2], "array": b"MEA"},
+                ("e0", "e1", "e2"),
+            ),
+            (
+                {
+                    "units__spike_times": np.concatenate(TRAINS),
+                    "units__spike_times_index": [3, 3, 5],
+                    "units__names": np.array(["a", "b", "c"], dtype="S"),
+                },
+                ("a", "b", "c"),
+            ),
+            (
+                {f"spikes__ch{i}": np.array(train) for i, train in enumerate(TRAINS)},
+                ("ch0", "ch1", "ch2"),
+            ),
+        ],
+    )
+    def test_layouts(self, saved, arrays: dict[str, object], names: tuple[str, ...]) -> None:
+        path = saved(**arrays)
+        found = io.read(path, options=OPTIONS(bin_s=1.0))
+        assert found.names == names
+        # The first bin begins with the first spike, at 0.25 s.
+        np.testing.assert_array_equal(found.readings, self.COUNTS)
+        assert found.rate_hz == 1
+        with pytest.warns(AnisomapWarning, match="in bins of 1 s, the default"):
+            io.read(path)
+
+    @pytest.mark.parametrize("transposed", [False, True])
+    def test_positions_and_span(self, saved, transposed: bool) -> None:
+        positions = np.array([[0.0, 42], [42, 42], [84, 0]])
+        path = saved(
+            spikes=np.concatenate(self.TRAINS),
+            sCount=[3, 0, 2],
+            epos=positions.T if transposed else positions,
+            recordingtime=[0.0, 4.0],
+            summary__N=[3.0],
+            summary__frate=[1.0, 0, 0.5],
+        )
+        found = io.read(path, options=OPTIONS(bin_s=1.0))
+        np.testing.assert_array_equal(found.readings, [*self.COUNTS, [0, 0, 0]])
+        np.testing.assert_array_equal(found.times, np.arange(4))
+        if not transposed:  # three positions of three coordinates would be ambiguous
+            np.testing.assert_array_equal(found.positions, positions)
+        assert found.units == "um"
+
+    @pytest.mark.parametrize("counts", [[3, 0, 1], [3, -1, 3], [2.5, 0, 2.5], [np.nan, 1, 1]])
+    def test_counts_that_do_not_agree(self, saved, counts: list[float]) -> None:
+        path = saved(spikes=np.concatenate(self.TRAINS), sCount=counts)
+        with pytest.raises(
+            FileError, match=r"spikes\.h5: sCount must divide the 5 times of spikes"
+        ):
+            io.read(path, options=OPTIONS(bin_s=1.0))
+
+    def test_readings_beside_vectors_are_preferred(self, saved) -> None:
+        path = saved(
+            skin__readings=np.eye(4), events__ch1=np.array([0.5]), events__ch2=np.array([0.5, 1.5])
+        )
+        assert io.read(path).n_sensors == 4
+        events = io.read(path, options=OPTIONS(select="events", bin_s=1.0))
+        np.testing.assert_array_equal(events.readings, [[1, 1], [0, 1]])
+
+
+@pytest.fixture
+def pillow():
+    return pytest.importorskip("PIL.Image")
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
+def test_a_folder_of_images_in_the_order_of_their_numbers(tmp_path: Path, pillow, suffix) -> None:
+    for i, frame in enumerate(FRAMES):
+        pillow.fromarray(frame.astype(np.uint8)).save(tmp_path / f"touch{i}.{suffix}")
+    found = io.read(tmp_path)
+    np.testing.assert_array_equal(found.readings, FRAMES.reshape(30, 12))
+    assert found.units == "pixels"
+    assert found.names[-1] == "r3c2"
+
+
+def test_images_of_16_bits_and_in_colour(tmp_path: Path, pillow) -> None:
+    deep = [pillow.fromarray((257 * frame).astype(np.uint16)) for frame in FRAMES]
+    deep[0].save(tmp_path / "deep.tif", save_all=True, append_images=deep[1:])
+    found = io.read(tmp_path / "deep.tif")
+    np.testing.assert_array_equal(found.readings, 257 * FRAMES.reshape(30, 12))
+    grey = [pillow.fromarray(np.repeat(f[..., None], 3, 2).astype(np.uint8)) for f in FRAMES]
+    grey[0].save(tmp_path / "grey.tif", save_all=True, append_images=grey[1:])
+    np.testing.assert_array_equal(io.read(tmp_path / "grey.tif").readings, FRAMES.reshape(30, 12))
+
+
+def test_unsuitable_images(tmp_path: Path, pillow) -> None:
+    one = pillow.fromarray(FRAMES[0].astype(np.uint8))
+    one.save(tmp_path / "one.tif")
+    with pytest.raises(FileError, match="a single image"):
+        io.read(tmp_path / "one.tif")
+    (tmp_path / "sizes").mkdir()
+    one.save(tmp_path / "sizes" / "a.png")
+    one.resize((2, 2)).save(tmp_path / "sizes" / "b.png")
+    with pytest.raises(FileError, match="size of the first, 4 x 3, but image 1 has 4 pixels"):
+        io.read(tmp_path / "sizes")
