@@ -5,10 +5,10 @@ import pytest
 
 import anisomap
 from anisomap import io
-from anisomap.live import ExaminationOptions, LiveSession, examination
+from anisomap.live import ExaminationOptions, LiveSession, workers
 from anisomap.live.batches import Batch
-from anisomap.live.examination import examine
 from anisomap.live.recorder import JournalWriter
+from anisomap.live.workers import examine
 from live_processes import Given, wait_for_maps
 from skins import lattice, rubbed
 
@@ -55,7 +55,7 @@ def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit)
     writer.add(np.arange(len(hand)) / 50, hand)
     writer.close()
     if limit:
-        monkeypatch.setattr(examination, limit, 192 * 300)
+        monkeypatch.setattr(workers, limit, 192 * 300)
     options = ExaminationOptions(**OPTIONS, drop=("palm.0",))
     final = limit != "MAX_INTERIM_READINGS"
     found = examine(tmp_path / "r.csv", len(hand), options, final=final)

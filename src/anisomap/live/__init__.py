@@ -5,15 +5,13 @@
 `sources`             where frames come from
 `recorder`            the recording on disk
 `quick_map`           the quick map, and where to touch next
-`examination`         the checked map
-`workers`             the processes that make both
-`session_maps`        when maps are made, and what they show so far
-`session`             all of this together
+`workers`             the checked map, and the processes that make both
+`session`             all of this together, and when maps are made
 `saving`              the files that a session writes besides its recording
 `page`                the page in the browser
 ====================  ============================================================
 """
 
-from anisomap.live.examination import ExaminationOptions as ExaminationOptions
 from anisomap.live.session import LiveSession as LiveSession
 from anisomap.live.sources import open_source as open_source
+from anisomap.live.workers import ExaminationOptions as ExaminationOptions

@@ -21,7 +21,7 @@ from anisomap.drawing import figures, report
 from anisomap.errors import InputError, import_extra
 from anisomap.evaluation import median_spacing
 from anisomap.files import atomic_write
-from anisomap.live.examination import Examination, ExaminationOptions
+from anisomap.live.workers import Examination, ExaminationOptions
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement import METRES, Anchors, parse_length, place, scaled_to_spacing
 from anisomap.recording import Recording

@@ -1,7 +1,8 @@
 """Processes beside the session: one makes quick maps, one makes checked maps.
 
 Frames reach them through the recording on disk, which they read as it grows: the acquisition never
-waits for a map, a backlog takes no memory, and a map of the session is one of the recording.
+waits for a map, a backlog takes no memory, and a map of the session is one of the recording. A
+checked map is exactly the map of ``anisomap map``, with its verdict.
 """
 
 from __future__ import annotations
@@ -10,22 +11,123 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 import numpy as np
 
-from anisomap.dimensions import AUTO, SPATIAL
-from anisomap.errors import InputError
-from anisomap.io import numbering
-from anisomap.live.examination import Examination, ExaminationOptions, examine
+from anisomap import io, route
+from anisomap.defaults import DEFAULT_METHOD
+from anisomap.dimensions import AUTO, SPATIAL, Dimensions
+from anisomap.errors import AnisomapError, InputError
+from anisomap.evaluation import score
+from anisomap.health import RecordingSummary, SensorHealth
+from anisomap.large.chunks import Excerpt
 from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
 from anisomap.memory import check_pair_memory
 from anisomap.recording import Recording
+from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
+
+MAX_READINGS = 1 << 27
+"""Readings of a final map above which they are read in blocks, as ``anisomap map`` does: 512 MiB
+of float32."""
+
+MAX_INTERIM_READINGS = 1 << 22
+"""Readings of a checked map while the session runs; of more, evenly spread parts are used."""
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """A checked map.
+
+    sensor_map: None if there is no map yet, for the reason of the verdict.
+    error_against_truth: RMS error in spacings, if the truth is known; else NaN.
+    n_frames: Number of frames of the recording when it was read.
+    final: Whether all frames of the session are in the map.
+    """
+
+    sensor_map: SensorMap | None
+    health: tuple[SensorHealth, ...]
+    summary: RecordingSummary | None
+    verdict: Verdict
+    error_against_truth: float
+    n_frames: int
+    seconds: float
+    final: bool
+
+
+@dataclass(frozen=True)
+class ExaminationOptions:
+    """What a checked map is made with.
+
+    dimensions: Number of coordinates; "auto" chooses it for each checked map.
+    preset: See `ReadOptions`.
+    drop: Sensors to leave out.
+    truth: Positions to compare with.
+    """
+
+    dimensions: Dimensions = AUTO
+    method: str = DEFAULT_METHOD
+    preset: str = ""
+    drop: tuple[str, ...] = ()
+    truth: SensorMap | None = None
+
+
+def examine(
+    path: Path, n_frames: int, options: ExaminationOptions, *, final: bool = False
+) -> Examination:
+    """Map the recording of a session, and judge the map."""
+    begun = time.monotonic()
+    made: SensorMap | None = None
+    examined: route.Examined | None = None
+    verdict, error = Verdict(), float("nan")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            examined = route.examine(_read(path, n_frames, options, final))
+            drop = [name for name in options.drop if name in examined.recording.names]
+            made, judge = route.make_map(examined, options.method, options.dimensions, drop=drop)
+            made = made if judge is None else judge(made)
+            if options.truth is not None:
+                error = score(made, options.truth, permutations=0).rms_in_spacings
+        except AnisomapError as problem:
+            verdict = Verdict(reasons=(str(problem),))
+    return Examination(
+        sensor_map=made,
+        health=() if examined is None else tuple(examined.health),
+        summary=None if examined is None else examined.summary,
+        verdict=verdict if made is None else made.verdict,
+        error_against_truth=error,
+        n_frames=n_frames,
+        seconds=time.monotonic() - begun,
+        final=final,
+    )
+
+
+def _read(path: Path, n_frames: int, options: ExaminationOptions, final: bool) -> route.Source:
+    """Read a recording as `anisomap map` does; parts of it if it is long and still grows."""
+    how = io.ReadOptions(preset=options.preset)
+    with io.open_stream(path, frames=1) as stream:
+        n_readings = n_frames * stream.n_sensors
+    if final and n_readings > MAX_READINGS:
+        return route.read_in_blocks([path], how, "interpolate", method=options.method)
+    if final or n_readings <= MAX_INTERIM_READINGS:
+        return route.read_runs([path], how, "interpolate")
+    excerpt = Excerpt(MAX_INTERIM_READINGS)
+    with io.open_stream(path) as stream:
+        for block in stream.blocks:
+            excerpt.add(block.readings)
+        parts = Recording(excerpt.readings, names=stream.names, source=stream.source)
+    found = io.apply_preset(parts, options.preset) if options.preset else parts
+    return [found.complete("interpolate")]
+
 
 _POLL_S = 0.03  # between two looks at a recording that has not grown
 _READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
@@ -212,7 +314,7 @@ class _QuickMaps:
             probe = Recording(readings, names=given, source=task.segment.source)
             self._problem = ""
             try:
-                kept = numbering(probe, options.preset)
+                kept = io.numbering(probe, options.preset)
             except InputError as error:
                 self._problem = str(error)
         names = tuple(kept.get(i, name) for i, name in enumerate(given))

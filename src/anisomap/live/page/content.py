@@ -17,10 +17,10 @@ from anisomap import io
 from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.files import together
-from anisomap.live.examination import Examination
 from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.saving import EXPORTS, save_map, save_report
 from anisomap.live.session import LiveSession
+from anisomap.live.workers import Examination
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement import anchors_at, parse_anchor
