@@ -8,7 +8,7 @@ of 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from anisomap.comparison import COMPARED, compare_methods, spanned_dimensions
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
-from benchmarks.harness import in_parallel, markdown_table, options, publish
+from benchmarks.harness import frame, markdown_table, measured, options, publish
 
 SKINS = (
     ("sphere", "bombardment"),
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     skins = [(*skin, seed, tuple(chosen.contacts)) for seed in seeds for skin in SKINS]
-    rows = [row for found in in_parallel(rows_of, skins, chosen.workers) for row in found]
+    rows = measured(rows_of, skins, chosen.workers)
     publish(chosen.output, "contacts", rows, tables(rows))
 
 
@@ -98,50 +98,35 @@ def rows_of(skin: tuple[str, str, int, tuple[int, ...]]) -> list[Row]:
 
 def tables(rows: Sequence[Row]) -> str:
     """Return one table per skin, and the points at which another method leads."""
-    methods = list(dict.fromkeys(row.method for row in rows))
-    lines, losses, n_points = [], [], 0
-    for skin in dict.fromkeys(row.skin for row in rows):
+    found = frame(rows)
+    medians = found.fillna({"r": 0, "error": np.inf}).groupby(["skin", "contacts", "method"])
+    points = medians[["r", "error", "frames", "placed", "scored"]].median()
+    methods, losses = list(found.method.unique()), []
+    lines: list[str] = []
+    for skin, group in found.groupby("skin", sort=False):
         cells = []
-        for contacts in sorted({row.contacts for row in rows if row.skin == skin}):
-            point = [row for row in rows if (row.skin, row.contacts) == (skin, contacts)]
-            own = [row for row in point if row.method == DEFAULT_METHOD]
-            r = {m: _median(row.r for row in point if row.method == m) for m in methods}
-            error = {
-                m: _median((row.error for row in point if row.method == m), np.inf) for m in methods
-            }
-            best = max(r, key=lambda m: (round(r[m], 3), m == DEFAULT_METHOD))
-            n_points += 1
+        for contacts in sorted(group.contacts.unique()):
+            point = points.loc[skin, contacts].reindex(methods)
+            own, texts = point.loc[DEFAULT_METHOD], {}
+            best = max(methods, key=lambda m: (round(point.r[m], 3), m == DEFAULT_METHOD))
             if best != DEFAULT_METHOD:
-                losses.append(
-                    f"{skin}, {contacts} contacts ({r[DEFAULT_METHOD]:.3f} against {r[best]:.3f} "
-                    f"of {best})"
-                )
-            texts = {
-                m: f"{r[m]:.3f} ({error[m]:.2f})" if np.isfinite(error[m]) else "-" for m in methods
-            }
-            cells.append(
-                [
-                    contacts,
-                    round(_median(row.frames for row in own)),
-                    *(f"**{text}**" if m == best else text for m, text in texts.items()),
-                    f"{_median(row.placed for row in own):.0%}",
-                    f"{_median(row.scored for row in own):.0%}",
-                ]
-            )
+                scores = f"{own.r:.3f} against {point.r[best]:.3f} of {best}"
+                losses.append(f"{skin}, {contacts} contacts ({scores})")
+            for m, r, error in point[["r", "error"]].itertuples():
+                text = f"{r:.3f} ({error:.2f})" if np.isfinite(error) else "-"
+                texts[m] = f"**{text}**" if m == best else text
+            shares = (f"{own.placed:.0%}", f"{own.scored:.0%}")
+            cells.append([contacts, round(own.frames), *texts.values(), *shares])
         header = ("contacts", "frames", *methods, "placed", "scored")
-        seeds = len({row.seed for row in rows if row.skin == skin})
-        lines += [f"### {skin}, {seeds} seeds", "", *markdown_table(header, cells), ""]
+        title = f"### {skin}, {group.seed.nunique()} seeds"
+        lines += [title, "", *markdown_table(header, cells), ""]
     named = f": {'; '.join(losses)}" if losses else ""
+    n_points = len(points.groupby(level=["skin", "contacts"]))
     lines.append(
         f"{DEFAULT_METHOD} does not have the largest r at {len(losses)} of {n_points} "
         f"points{named}."
     )
     return "\n".join(lines) + "\n"
-
-
-def _median(values: Iterable[float], missing: float = 0) -> float:
-    """Return the median; `missing` stands for a map without a score."""
-    return float(np.median([missing if np.isnan(value) else value for value in values]))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import AnisomapWarning
@@ -129,6 +130,18 @@ def write_rows(path: Path, rows: Sequence[Any], digits: int | None = None) -> No
     """Write rows, which are dataclasses of one kind, as CSV; nothing if there are none."""
     if rows:
         write_csv(path, columns(rows[0]), map(astuple, rows), digits)
+
+
+def frame(rows: Sequence[Any]) -> Any:
+    """Return rows, which are dataclasses of one kind, as a data frame of pandas."""
+    return pd.DataFrame([astuple(row) for row in rows], columns=columns(rows[0]))
+
+
+def measured(
+    measure: Callable[[Source], list[Row]], sources: Sequence[Source], workers: int
+) -> list[Row]:
+    """Measure sources in processes; return the rows of all."""
+    return [row for rows in in_parallel(measure, sources, workers) for row in rows]
 
 
 def publish(folder: Path, name: str, rows: Sequence[Any], text: str) -> None:

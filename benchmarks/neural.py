@@ -18,7 +18,7 @@ import anisomap
 from anisomap.comparison import RIVALS, compare_methods
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.sensor_map import SensorMap
-from benchmarks.harness import files_in, in_parallel, markdown_table, options, publish
+from benchmarks.harness import files_in, markdown_table, measured, options, publish
 
 NAMES = ("eeg", "retina")
 SHARES = tuple(Fraction(1, part) for part in (8, 4, 2, 1))
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Map all recordings of electrodes and write the table."""
     chosen = options(__doc__, "quality", workers=True).parse_args(arguments)
     files = [path for path in files_in(chosen.recordings) if path.stem.startswith(NAMES)]
-    rows = [row for found in in_parallel(rows_of, files, chosen.workers) for row in found]
+    rows = measured(rows_of, files, chosen.workers)
     publish(chosen.output, "neural", rows, table(rows))
 
 

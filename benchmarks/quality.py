@@ -8,14 +8,12 @@ Markdown and CSV, all scores as CSV, and a figure of errors against the length o
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import anisomap
@@ -23,7 +21,16 @@ from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED, RIVALS, Comparison, compare_methods
 from anisomap.defaults import DEFAULT_METHOD
 from anisomap.methods import METHODS
-from benchmarks.harness import COLOURS, files_in, heading, in_parallel, line, options, write_rows
+from benchmarks.harness import (
+    COLOURS,
+    files_in,
+    frame,
+    heading,
+    line,
+    measured,
+    options,
+    write_rows,
+)
 
 SCENARIOS = (
     ("sphere", "bombardment"),
@@ -72,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     chosen.output.mkdir(parents=True, exist_ok=True)
     files = files_in(chosen.recordings)
-    real = [found for rows in in_parallel(score_file, files, chosen.workers) for found in rows]
+    real = measured(score_file, files, chosen.workers)
     skins = [
         (body, scenario, frames, seed, tuple(chosen.methods))
         for seed in range(1, chosen.seeds + 1)
@@ -81,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             *((which, (DEFAULT_FRAMES,)) for which in MORE_SCENARIOS if seed <= 3),
         )
     ]
-    simulated = [q for rows in in_parallel(score_simulation, skins, chosen.workers) for q in rows]
+    simulated = measured(score_simulation, skins, chosen.workers)
     write(
         chosen.output,
         [compared for compared, _ in real],
@@ -155,94 +162,67 @@ def all_scores(compared: Comparison, seed: int) -> list[Result]:
 
 def tables(results: Sequence[Result]) -> str:
     """Return tables of mean and worst scores of simulated skins, one per length, and the losses."""
-    methods = list(dict.fromkeys(result.method for result in results))
+    every = frame(results).fillna({"mantel_r": 0.0})  # a map without a score counts as 0
+    methods, n_rows = list(every.method.unique()), 0
     lines, losses = [], []
-    for n_frames in sorted({result.n_frames for result in results}):
-        group = [result for result in results if result.n_frames == n_frames]
+    for n_frames, of_length in every.groupby("n_frames"):
         header = ["skin", "seeds", *methods, "error ratio", "scored"]
         lines += [f"### {n_frames:,} frames", "", *heading(header)]
-        for name in dict.fromkeys(result.recording for result in group):
-            found = [result for result in group if result.recording == name]
-            lines.append(line(cells(name, found, methods)))
-            lost = loss(found, methods)
+        for name, group in of_length.groupby("recording", sort=False):
+            r = group.pivot(index="seed", columns="method", values="mantel_r")[methods]
+            lines.append(line([name, len(r), *cells(r), f"{group.share_scored.min():.0%}"]))
+            lost = loss(r)
             losses += [f"{name}, {n_frames:,} frames ({lost})"] if lost else []
+            n_rows += 1
         lines.append("")
     if DEFAULT_METHOD in methods and any(method in RIVALS for method in methods):
-        n_rows = len({(result.recording, result.n_frames) for result in results})
         named = f": {'; '.join(losses)}" if losses else ""
         lines.append(
             f"On average over the seeds, a stock method is better than {DEFAULT_METHOD} on "
             f"{len(losses)} of {n_rows} rows{named}."
         )
     if DEFAULT_METHOD in methods and REFERENCE in methods:
-        lines += ["", worse_maps(results)]
+        runs = ["recording", "n_frames", "seed"]
+        r = every.pivot(index=runs, columns="method", values="mantel_r")
+        lost = r[REFERENCE] - r[DEFAULT_METHOD]
+        worse = lost[lost > TOLERANCE]
+        most = f", by at most {worse.max():.3f}" if len(worse) else ""
+        lines += [
+            "",
+            (
+                f"Maps by {DEFAULT_METHOD} that are worse than those by {REFERENCE} by more than "
+                f"{TOLERANCE}: {len(worse)} of {lost.count()}{most}."
+            ),
+        ]
     return "\n".join(lines) + "\n"
 
 
-def worse_maps(results: Sequence[Result]) -> str:
-    """Count the maps that are worse by the default method than by the reference."""
-    r = {
-        m: {
-            (q.recording, q.n_frames, q.seed): float(np.nan_to_num(q.mantel_r))
-            for q in results
-            if q.method == m
-        }
-        for m in (DEFAULT_METHOD, REFERENCE)
-    }
-    losses = [r[REFERENCE][which] - own for which, own in r[DEFAULT_METHOD].items()]
-    worse = [lost for lost in losses if lost > TOLERANCE]
-    most = f", by at most {max(worse):.3f}" if worse else ""
-    return (
-        f"Maps by {DEFAULT_METHOD} that are worse than those by {REFERENCE} by more than "
-        f"{TOLERANCE}: {len(worse)} of {len(losses)}{most}."
-    )
-
-
-def scores(group: Sequence[Result], methods: Sequence[str]) -> dict[str, dict[int, float]]:
-    """Return Mantel r by method and seed; a recording without a score counts as 0."""
-    return {
-        m: {q.seed: 0.0 if math.isnan(q.mantel_r) else q.mantel_r for q in group if q.method == m}
-        for m in methods
-    }
-
-
-def best(found: Mapping[str, Mapping[int, float]], *, stock: bool) -> str:
+def best(r: Any, *, stock: bool) -> str:
     """Return the stock method, or the method of anisomap, with the largest mean; empty if none."""
-    means = {m: np.mean(list(r.values())) for m, r in found.items() if (m in RIVALS) is stock}
-    return max(means, key=lambda m: means[m], default="")
+    means = r[[m for m in r if (m in RIVALS) is stock]].mean()
+    return str(means.idxmax()) if len(means) else ""
 
 
-def mean_and_worst(values: Iterable[float]) -> str:
-    """Format the mean, and the smallest value in brackets."""
-    known = np.array(list(values))
-    return f"{known.mean():.3f} ({known.min():.3f})"
+def cells(r: Any) -> list[str]:
+    """Return the cells of one row; the best method of anisomap and the best stock one are bold.
 
-
-def cells(name: str, group: Sequence[Result], methods: Sequence[str]) -> list[str]:
-    """Return the cells of one row; the best method of anisomap and the best stock one are bold."""
-    found = scores(group, methods)
-    bold = {best(found, stock=True), best(found, stock=False)}
-    texts = {m: mean_and_worst(r.values()) for m, r in found.items()}
+    r: Mantel r by seed and method.
+    """
+    bold = {best(r, stock=True), best(r, stock=False)}
+    texts = [f"{r[m].mean():.3f} ({r[m].min():.3f})" for m in r]
     ratio = "-"
-    if REFERENCE in found and DEFAULT_METHOD in found:
-        reference, own = found[REFERENCE], found[DEFAULT_METHOD]
-        ratio = f"{np.mean([(1 - r) / (1 - reference[seed]) for seed, r in own.items()]):.2f}"
-    return [
-        name,
-        str(len(found[methods[0]])),
-        *(f"**{text}**" if m in bold else text for m, text in texts.items()),
-        ratio,
-        f"{min(q.share_scored for q in group):.0%}",
-    ]
+    if REFERENCE in r and DEFAULT_METHOD in r:
+        ratio = f"{((1 - r[DEFAULT_METHOD]) / (1 - r[REFERENCE])).mean():.2f}"
+    marked = (f"**{text}**" if m in bold else text for m, text in zip(r, texts, strict=True))
+    return [*marked, ratio]
 
 
-def loss(group: Sequence[Result], methods: Sequence[str]) -> str:
+def loss(r: Any) -> str:
     """Compare the default method with the best stock method; empty if it is not worse."""
-    found = scores(group, methods)
-    stock = best(found, stock=True)
-    if not stock or DEFAULT_METHOD not in found:
+    stock = best(r, stock=True)
+    if not stock or DEFAULT_METHOD not in r:
         return ""
-    own, other = (np.mean(list(found[m].values())) for m in (DEFAULT_METHOD, stock))
+    own, other = r[DEFAULT_METHOD].mean(), r[stock].mean()
     return f"{own:.3f} against {other:.3f} of {stock}" if round(own - other, 3) < 0 else ""
 
 
@@ -254,13 +234,16 @@ def draw(results: Sequence[Result], path: Path) -> None:
     """
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     panels = figure.subplots(2, 3, sharex=True)
-    scored = [r for r in results if not math.isnan(r.mantel_r)]
-    looks = dict(zip(dict.fromkeys(r.method for r in scored), cycle(COLOURS), strict=False))
+    scored = frame(results).dropna(subset="mantel_r")
+    looks = dict(zip(scored.method.unique(), cycle(COLOURS), strict=False))
     for (body, scenario), axes in zip(SCENARIOS, panels.flat, strict=True):
         name = f"{body}, {scenario}"
-        for method, colour in looks.items():
-            chosen = [r for r in scored if (r.recording, r.method) == (name, method)]
-            draw_method(axes, chosen, method, colour)
+        for method, group in scored[scored.recording == name].groupby("method", sort=False):
+            errors = (1 - group.mantel_r).groupby(group.n_frames).quantile([0, 0.5, 1]).unstack()
+            style, look = "s--" if method in RIVALS else "o-", {"color": looks[method]}
+            axes.loglog(errors.index, errors[0.5], style, label=method, lw=1.5, ms=4, **look)
+            if method not in RIVALS:
+                axes.fill_between(errors.index, errors[0.0], errors[1.0], alpha=0.15, **look)
         axes.set_title(name, fontsize=10)
         axes.set_xticks(FRAMES, [f"{n:,}" for n in FRAMES])
         axes.minorticks_off()
@@ -271,23 +254,6 @@ def draw(results: Sequence[Result], path: Path) -> None:
         axes.set_ylabel("1 - Mantel r")
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.savefig(path, dpi=150)
-
-
-def draw_method(axes: Axes, results: Sequence[Result], method: str, colour: str) -> None:
-    """Draw the errors of one method in one scenario."""
-    lengths = sorted({r.n_frames for r in results})
-    if not lengths:
-        return
-    errors = np.array(
-        [
-            np.quantile([1 - r.mantel_r for r in results if r.n_frames == n], (0, 0.5, 1))
-            for n in lengths
-        ]
-    )
-    style = "s--" if method in RIVALS else "o-"
-    axes.loglog(lengths, errors[:, 1], style, color=colour, label=method, linewidth=1.5, ms=4)
-    if method not in RIVALS:
-        axes.fill_between(lengths, errors[:, 0], errors[:, 2], color=colour, alpha=0.15)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from anisomap.methods import METHODS, Method
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from benchmarks.harness import files_in, in_parallel, markdown_table, options, publish
+from benchmarks.harness import files_in, frame, markdown_table, measured, options, publish
 
 FIRST_SEED = 831
 N_FRAMES = 2000
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         partial(rows_of_simulation, *skin, seed) for seed in seeds for skin in SIMULATED
     ]
     sources += [partial(rows_of_file, path) for path in files_in(chosen.recordings)]
-    rows = [row for found in in_parallel(_called, sources, chosen.workers) for row in found]
+    rows = measured(_called, sources, chosen.workers)
     publish(chosen.output, "steps", rows, tables(rows))
 
 
@@ -158,15 +158,13 @@ def _similarities(left_out: str) -> Mapping[str, evidence.Similarity]:
 def tables(rows: Sequence[Row]) -> str:
     """Return the table of accuracy and that of CPU time."""
     scores, times = [], []
-    for kind in sorted({row.kind for row in rows}, key=lambda kind: ("real" in kind, kind)):
-        group = [row for row in rows if row.kind == kind]
-        means = {
-            left_out: np.mean([(q.r, q.error, q.cpu) for q in group if q.left_out == left_out], 0)
-            for left_out in VARIANTS
-        }
+    for kind, group in sorted(
+        frame(rows).groupby("kind"), key=lambda one: ("real" in one[0], one[0])
+    ):
+        means = group.groupby("left_out")[["r", "error", "cpu"]].mean().loc[[*VARIANTS]]
         label = (kind, len(group) // len(VARIANTS))
-        scores.append((*label, *(f"{r:.3f} ({error:.2f})" for r, error, _ in means.values())))
-        times.append((*label, *(f"{cpu:.2f}" for *_, cpu in means.values())))
+        scores.append((*label, *(f"{one.r:.3f} ({one.error:.2f})" for one in means.itertuples())))
+        times.append((*label, *(f"{cpu:.2f}" for cpu in means.cpu)))
     header = ("kind", "recordings", *VARIANTS)
     return "\n".join(
         [
