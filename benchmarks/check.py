@@ -18,7 +18,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,7 @@ from anisomap.layout.checking import NOT_TESTED
 from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import congruent, symmetries
 from anisomap.numerics.layout.evidence import neighbour_spacing
-from benchmarks.harness import heading, line, options, quietly, read_rows, write_rows
+from benchmarks.harness import frame, heading, line, options, quietly, read_rows, write_rows
 
 FIRST_SEED = 1001
 SHARES = (0.01, 0.05, 0.1)
@@ -126,7 +128,7 @@ def checks(path: Path, kinds: Sequence[str], seeds: range) -> Iterator[Result]:
                         counts = score_sensors(found, groups)
                     rows.append(Result(path.stem, n_frames, kind, share, seed, *counts))
                     yield rows[-1]
-                print(" ", *cells(rows), flush=True)
+                print(" ", *cells(frame(rows)), flush=True)
 
 
 def score_places(
@@ -165,19 +167,10 @@ def _of_right(found: LayoutCheck, right: NDArray[np.bool_]) -> tuple[int, int]:
     return int(right.sum()), int((found.accused & right).sum())
 
 
-def swapped(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Exchange pairs of sensors 3 spacings apart and more."""
-    return _cycles(skin, share, rng, lambda: 2)
-
-
-def cycle(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Permute 3 to 5 sensors that are 3 spacings apart and more."""
-    return _cycles(skin, share, rng, lambda: int(rng.integers(3, 6)))
-
-
-def _cycles(
-    skin: Skin, share: float, rng: np.random.Generator, draw_length: Callable[[], int]
+def cycle(
+    skin: Skin, share: float, rng: np.random.Generator, most: int = 5
 ) -> tuple[Points, Groups]:
+    """Permute 3 to `most` sensors that are 3 spacings apart and more; 2 exchanges pairs."""
     stated = skin.positions.copy()
     distances = cdist(stated, stated) / skin.spacing
     free = np.ones(len(stated), dtype=bool)
@@ -185,7 +178,7 @@ def _cycles(
     wanted = max(2, round(share * len(stated)))
     while sum(map(len, groups)) < wanted:
         chosen = [int(rng.choice(np.flatnonzero(free)))]
-        length = draw_length()
+        length = int(rng.integers(3, most + 1)) if most > 2 else 2
         while len(chosen) < length:
             far = free & (distances[chosen] >= MIN_SWAPPED).all(axis=0)
             chosen.append(int(rng.choice(np.flatnonzero(far))))
@@ -207,19 +200,10 @@ def shifted(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points,
     return stated, [run]
 
 
-def turned(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Rotate modules on their own places."""
-    return _turned(skin, share, rng, reflected=False)
-
-
-def mirrored(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Reflect modules on their own places."""
-    return _turned(skin, share, rng, reflected=True)
-
-
-def _turned(
-    skin: Skin, share: float, rng: np.random.Generator, *, reflected: bool
+def turned(
+    skin: Skin, share: float, rng: np.random.Generator, *, reflected: bool = False
 ) -> tuple[Points, Groups]:
+    """Rotate modules on their own places, or reflect them."""
     stated = skin.positions.copy()
     groups: Groups = []
     for k in rng.permutation(len(skin.members)):
@@ -294,43 +278,44 @@ def _some(n_sensors: int, share: float, rng: np.random.Generator) -> NDArray[np.
 
 
 LAYOUT_FAULTS: dict[str, Callable[[Skin, float, np.random.Generator], tuple[Points, Groups]]] = {
-    f.__name__: f for f in (swapped, cycle, shifted, turned, mirrored, exchanged, moved)
+    "swapped": partial(cycle, most=2),
+    "cycle": cycle,
+    "shifted": shifted,
+    "turned": turned,
+    "mirrored": partial(turned, reflected=True),
+    "exchanged": exchanged,
+    "moved": moved,
 }
 READING_FAULTS: dict[
     str,
     Callable[[anisomap.Recording, float, np.random.Generator], tuple[anisomap.Recording, Groups]],
-] = {f.__name__: f for f in (dead, doubled)}
+] = {"dead": dead, "doubled": doubled}
 
 
 def table(results: Sequence[Result]) -> list[str]:
     """Return a table in Markdown: one row per recording, number of frames and kind."""
     lines = heading(HEADER)
     order = [*LAYOUT_FAULTS, *READING_FAULTS]
-    keys = sorted(
-        {(r.recording, r.n_frames, r.kind) for r in results},
-        key=lambda key: (key[0], -key[1], order.index(key[2])),
-    )
-    for key in keys:
-        rows = [r for r in results if (r.recording, r.n_frames, r.kind) == key]
-        lines.append(line((key[0], f"{key[1]:,}", *cells(rows))))
+    groups = frame(results).groupby(["recording", "n_frames", "kind"])
+    for (name, n_frames, _), rows in sorted(
+        groups, key=lambda group: (group[0][0], -group[0][1], order.index(group[0][2]))
+    ):
+        lines.append(line((name, f"{n_frames:,}", *cells(rows))))
     return lines
 
 
-def cells(rows: Sequence[Result]) -> tuple[str, ...]:
-    """Return the cells of some results taken together."""
-    faults = sum(r.faults for r in rows)
-    shares = sorted({r.share for r in rows})
-    share = f"{shares[0]:.0%}" if len(shares) == 1 else f"{shares[0]:.0%} to {shares[-1]:.0%}"
-    accused = sum(r.right_accused for r in rows) / max(1, sum(r.right_sensors for r in rows))
+def cells(rows: Any) -> tuple[object, ...]:
+    """Return the cells of some results, a data frame, taken together."""
+    low, high = rows.share.min(), rows.share.max()
+    faults = rows.faults.sum()
+    accused = rows.right_accused.sum() / max(1, rows.right_sensors.sum())
     return (
-        rows[0].kind,
-        share,
-        str(faults),
-        *(f"{sum(counts) / max(1, faults):.1%}" for counts in (
-            [r.found for r in rows], [r.placed for r in rows]
-        )),
+        rows.kind.iloc[0],
+        f"{low:.0%}" if low == high else f"{low:.0%} to {high:.0%}",
+        faults,
+        *(f"{rows[name].sum() / max(1, faults):.1%}" for name in ("found", "placed")),
         f"{accused:.2%}",
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from anisomap.errors import InputError
 from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
 from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate, solids
 from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS, covered, midpoints
-from benchmarks.harness import files_in, heading, line, markdown_table, options, quietly, write_rows
+from benchmarks.harness import files_in, heading, line, markdown_table, options, stream
 
 FIRST_SEED = 631
 FRAMES = 1000
@@ -98,13 +98,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = options(__doc__, "dimension", seeds=20, first_seed=FIRST_SEED)
     parser.add_argument("--scenarios", nargs="*", default=SCENARIOS)
     chosen = parser.parse_args(arguments)
-    rows: list[Row] = []
-    with quietly():
-        for row in _rows(chosen):
-            print(*astuple(row), flush=True)
-            rows.append(row)
-            write_rows(chosen.output / "dimension.csv", rows, digits=4)
-            (chosen.output / "dimension-table.md").write_text(markdown(rows), encoding="utf-8")
+    rows = stream(chosen.output / "dimension.csv", _rows(chosen))
+    (chosen.output / "dimension-table.md").write_text(markdown(rows), encoding="utf-8")
     return 0
 
 

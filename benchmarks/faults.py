@@ -20,7 +20,15 @@ import anisomap
 from anisomap.comparison import spanned_dimensions
 from anisomap.sensor_map import is_faulty
 from anisomap.simulation import inject, parse_fault
-from benchmarks.harness import files_in, heading, in_parallel, line, options, write_rows
+from benchmarks.harness import (
+    files_in,
+    frame,
+    heading,
+    in_parallel,
+    line,
+    options,
+    write_rows,
+)
 
 BODIES = (
     ("sphere", "bombardment"),
@@ -33,60 +41,44 @@ FIRST_SEED = 301
 FRAMES = 2000
 
 
-@dataclass(frozen=True)
-class Damage:
-    """A fault with its size.
-
-    kind: Kind of the finding that is right.
-    fault: As for ``anisomap spoil``; ``{sd}`` stands for one standard deviation of the median
-        sensor as a share of the range of the recording, times the number after it.
-    also: Further kinds of findings that are right.
-    """
-
-    kind: str
-    fault: str
-    also: tuple[str, ...] = ()
-
-
-DAMAGES: Mapping[str, Damage] = MappingProxyType(
+DAMAGES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
-        "5 % of the sensors are copies": Damage("copies", "duplicated:5%"),
-        "10 % are copies, other gains, 10 % noise": Damage(
-            "copies", "duplicated:10%,factor=3,level=0.1"
-        ),
-        "10 % are copies, other gains, 40 % noise": Damage(
-            "copies", "duplicated:10%,factor=3,level=0.4"
-        ),
-        "5 % leak into the next channel": Damage("leak", "leaking:*,share=0.05"),
-        "20 % leak into the next channel": Damage("leak", "leaking:*,share=0.2"),
-        "boards of 12 lag by 1 frame each": Damage("lags", "lagging:*,board=12,frames=1"),
-        "boards of 12 lag by 3 frames each": Damage("lags", "lagging:*,board=12,frames=3"),
-        "boards of 12 lag by 10 frames each": Damage("lags", "lagging:*,board=12,frames=10"),
-        "half of the sensors lag by 10 frames": Damage("lags", "lagging:50%,frames=10"),
-        "half of the sensors lag by 30 frames": Damage("lags", "lagging:50%,frames=30"),
-        "30 % of the sensors are inverted": Damage("inverted", "inverted:30%"),
-        "50 % of the sensors are inverted": Damage("inverted", "inverted:50%"),
-        "common noise of 1 sd": Damage("common-noise", "common-noise:*,level=1"),
-        "common noise of 3 sd": Damage("common-noise", "common-noise:*,level=3"),
-        "noise of boards of 12, 1 sd": Damage("board-noise", "common-noise:*,level=1,board=12"),
-        "spikes of boards of 12 in 2 % of the frames": Damage("spikes", "spiking:*,board=12"),
-        "hum of 1 sd": Damage("hum", "humming:*,level=1"),
-        "hum of 3 sd": Damage("hum", "humming:*,level=3"),
-        "baselines wander by 0.5 sd": Damage("drift", "drifting:*,level={sd}0.5"),
-        "baselines wander by 1 sd": Damage("drift", "drifting:*,level={sd}1"),
-        "baselines warm up by 1 sd": Damage("drift", "warming:*,level={sd}1"),
-        "half of the readings of 30 % interpolated": Damage("gaps", "bridged-gaps:30%"),
-        "half of the readings of 30 % missing": Damage(
-            "gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"
-        ),
-        "30 % of the sensors clipped at 0.3": Damage("saturation", "clipped:30%,level=0.3"),
-        "readings of 10 % at 1,000 times the range": Damage("glitches", "glitching:10%,level=1000"),
-        "wires of 5 % exchanged half-way": Damage("changed", "rewired:5%"),
-        "wires of 20 % exchanged after a third": Damage("changed", "rewired:20%,share=0.33"),
-        "two regions touched one after the other": Damage("separate-regions", "separate-regions"),
-        "sines of one period": Damage("one-period", "cycling:*"),
+        "5 % of the sensors are copies": ("copies", "duplicated:5%"),
+        "10 % are copies, other gains, 10 % noise": ("copies", "duplicated:10%,factor=3,level=0.1"),
+        "10 % are copies, other gains, 40 % noise": ("copies", "duplicated:10%,factor=3,level=0.4"),
+        "5 % leak into the next channel": ("leak", "leaking:*,share=0.05"),
+        "20 % leak into the next channel": ("leak", "leaking:*,share=0.2"),
+        "boards of 12 lag by 1 frame each": ("lags", "lagging:*,board=12,frames=1"),
+        "boards of 12 lag by 3 frames each": ("lags", "lagging:*,board=12,frames=3"),
+        "boards of 12 lag by 10 frames each": ("lags", "lagging:*,board=12,frames=10"),
+        "half of the sensors lag by 10 frames": ("lags", "lagging:50%,frames=10"),
+        "half of the sensors lag by 30 frames": ("lags", "lagging:50%,frames=30"),
+        "30 % of the sensors are inverted": ("inverted", "inverted:30%"),
+        "50 % of the sensors are inverted": ("inverted", "inverted:50%"),
+        "common noise of 1 sd": ("common-noise", "common-noise:*,level=1"),
+        "common noise of 3 sd": ("common-noise", "common-noise:*,level=3"),
+        "noise of boards of 12, 1 sd": ("board-noise", "common-noise:*,level=1,board=12"),
+        "spikes of boards of 12 in 2 % of the frames": ("spikes", "spiking:*,board=12"),
+        "hum of 1 sd": ("hum", "humming:*,level=1"),
+        "hum of 3 sd": ("hum", "humming:*,level=3"),
+        "baselines wander by 0.5 sd": ("drift", "drifting:*,level={sd}0.5"),
+        "baselines wander by 1 sd": ("drift", "drifting:*,level={sd}1"),
+        "baselines warm up by 1 sd": ("drift", "warming:*,level={sd}1"),
+        "half of the readings of 30 % interpolated": ("gaps", "bridged-gaps:30%"),
+        "half of the readings of 30 % missing": ("gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"),
+        "30 % of the sensors clipped at 0.3": ("saturation", "clipped:30%,level=0.3"),
+        "readings of 10 % at 1,000 times the range": ("glitches", "glitching:10%,level=1000"),
+        "wires of 5 % exchanged half-way": ("changed", "rewired:5%"),
+        "wires of 20 % exchanged after a third": ("changed", "rewired:20%,share=0.33"),
+        "two regions touched one after the other": ("separate-regions", "separate-regions"),
+        "sines of one period": ("one-period", "cycling:*"),
     }
 )
+"""Kind of the finding that is right, and fault as for ``anisomap spoil``, by what it does.
+
+``{sd}`` stands for one standard deviation of the median sensor as a share of the range of the
+recording, times the number after it.
+"""
 
 
 SOUND = (
@@ -161,9 +153,9 @@ def examinations(
         name, "none", found=False, falsely_found=" ".join(kinds), undamaged=sound,
         damaged=sound, repaired=sound, share_of_sensors=1.0,
     )  # fmt: skip
-    for text, damage in DAMAGES.items():
+    for text, (kind, fault) in DAMAGES.items():
         try:
-            damaged = inject(recording, [parse_fault(sized(damage.fault, recording))], seed)
+            damaged = inject(recording, [parse_fault(sized(fault, recording))], seed)
         except anisomap.InputError:
             continue  # no positions or times
         repaired = anisomap.repair(damaged)
@@ -171,8 +163,8 @@ def examinations(
         yield Result(
             recording=name,
             damage=text,
-            found=damage.kind in found,
-            falsely_found=" ".join(sorted(found - {damage.kind, *damage.also})),
+            found=kind in found,
+            falsely_found=" ".join(sorted(found - {kind})),
             undamaged=sound,
             damaged=accuracy(damaged, dimensions),
             repaired=accuracy(repaired.recording, dimensions),
@@ -205,21 +197,13 @@ def table(results: Sequence[Result]) -> str:
         "r repaired", "worst loss after repair", "sensors mapped",
     ]  # fmt: skip
     lines = heading(header)
-    for text in dict.fromkeys(one.damage for one in results):
-        group = [one for one in results if one.damage == text]
-        r = np.array([(one.undamaged, one.damaged, one.repaired) for one in group])
-        found = "-" if text == "none" else str(sum(one.found for one in group))
-        share = np.mean([one.share_of_sensors for one in group])
-        cells = [
-            text,
-            str(len(group)),
-            found,
-            str(sum(bool(one.falsely_found) for one in group)),
-            *(f"{value:.3f}" for value in np.nanmedian(r, axis=0)),
-            f"{np.nanmax(r[:, 0] - r[:, 2]):.3f}",
-            f"{share:.0%}",
-        ]
-        lines.append(line(cells))
+    for text, group in frame(results).groupby("damage", sort=False):
+        found = "-" if text == "none" else group.found.sum()
+        medians = group[["undamaged", "damaged", "repaired"]].median()
+        lost = (group.undamaged - group.repaired).max()
+        cells = (text, len(group), found, (group.falsely_found != "").sum())
+        scores = (*(f"{r:.3f}" for r in medians), f"{lost:.3f}")
+        lines.append(line([*cells, *scores, f"{group.share_of_sensors.mean():.0%}"]))
     return "\n".join(lines) + "\n"
 
 
@@ -241,8 +225,8 @@ def false_alarms(seeds: Sequence[int]) -> str:
     header = ["sound recordings", "number", "with a fault", "sensors", "called faulty"]
     lines = heading(header)
     for kind, counted in rows.items():
-        with_fault, accused, sensors = (str(sum(one)) for one in zip(*counted, strict=True))
-        lines.append(line([kind, str(len(counted)), with_fault, sensors, accused]))
+        with_fault, accused, sensors = map(sum, zip(*counted, strict=True))
+        lines.append(line([kind, len(counted), with_fault, sensors, accused]))
     return "\n".join(lines) + "\n"
 
 

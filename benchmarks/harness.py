@@ -144,6 +144,18 @@ def measured(
     return [row for rows in in_parallel(measure, sources, workers) for row in rows]
 
 
+def stream(path: Path, rows: Iterable[Row]) -> list[Row]:
+    """Print rows, which are dataclasses of one kind, as they are made; write them as CSV."""
+    made: list[Any] = []
+    with quietly():
+        row: Any
+        for row in rows:
+            print(*astuple(row), sep=", ", flush=True)
+            made.append(row)
+            write_rows(path, made, digits=4)
+    return made
+
+
 def publish(folder: Path, name: str, rows: Sequence[Any], text: str) -> None:
     """Write rows as CSV and their table as Markdown, and print the table."""
     write_rows(folder / f"{name}.csv", rows, digits=4)

@@ -29,7 +29,7 @@ from anisomap.mapping import Configuration, dissimilarities, refine_components
 from anisomap.methods import METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from benchmarks.harness import files_in, markdown_table, options, quietly, write_rows
+from benchmarks.harness import files_in, markdown_table, options, stream
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""
@@ -61,12 +61,8 @@ class Limits:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure all recordings and write the table."""
     chosen = options(__doc__, "quality").parse_args(arguments)
-    results: list[Limits] = []
-    for path in files_in(chosen.recordings):
-        with quietly():
-            results.append(limits_of(anisomap.read(path), path.stem))
-        print(results[-1], flush=True)
-    write_rows(chosen.output / "limits.csv", results)
+    found = (limits_of(anisomap.read(path), path.stem) for path in files_in(chosen.recordings))
+    results = stream(chosen.output / "limits.csv", found)
     (chosen.output / "limits-table.md").write_text(markdown(results), encoding="utf-8")
 
 

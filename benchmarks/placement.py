@@ -9,7 +9,7 @@ real recordings and simulations of seeds 201 to 203 and 211.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,7 +30,7 @@ from anisomap.placement import (
 )
 from anisomap.scene import Mesh
 from anisomap.simulation import Body, find_body
-from benchmarks.harness import options, quietly, write_rows
+from benchmarks.harness import options, stream
 
 Result = TypeVar("Result")
 
@@ -76,12 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--bodies", nargs="+", default=BODIES, choices=BODIES)
     chosen = parser.parse_args(arguments)
-    found: list[Figure] = []
-    with quietly():
-        for figure in _figures(chosen.shared, chosen.draws, chosen.bodies):
-            print(*astuple(figure), sep=", ", flush=True)
-            found.append(figure)
-    write_rows(chosen.output, found, digits=4)
+    stream(chosen.output, _figures(chosen.shared, chosen.draws, chosen.bodies))
 
 
 def _figures(shared: Path | None, draws: int, bodies: Sequence[str]) -> Iterator[Figure]:

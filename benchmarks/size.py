@@ -8,7 +8,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 
 import anisomap
 from anisomap.reconstruction import reconstruct_with_stages
+from benchmarks.harness import columns, markdown_table
 
 PACKAGE = Path(anisomap.__file__).parent
 GOALS = {"files": 230, "lines": 42_000, "code": 28_000}
@@ -90,31 +91,28 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _size_table() -> list[str]:
-    names = [field.name for field in fields(Size)]
+    names = columns(Size)
     rooms = sorted(path for path in PACKAGE.iterdir() if (path / "__init__.py").exists())
     rows = {room.name: size_of(sorted(room.rglob("*.py"))) for room in rooms}
     rows["modules beside them"] = size_of(sorted(PACKAGE.glob("*.py")))
     rows["all"] = size_of(sorted(PACKAGE.rglob("*.py")))
     tests = sorted((PACKAGE.parents[1] / "tests").rglob("*.py"))
     rows["tests"] = size_of(tests)
-    table = [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-    for name, size in rows.items():
-        table.append(f"| {name} | {' | '.join(f'{getattr(size, n):,}' for n in names)} |")
-    goals = " | ".join(f"{GOALS[n]:,}" if n in GOALS else "" for n in names)
-    return [*table, f"| goal for all | {goals} |"]
+    cells = [(name, *(f"{count:,}" for count in astuple(size))) for name, size in rows.items()]
+    cells.append(("goal for all", *(f"{GOALS[n]:,}" if n in GOALS else "" for n in names)))
+    return markdown_table(("", *names), cells)
 
 
 def _path_table() -> list[str]:
     rng = np.random.default_rng(1)
     places, touches = rng.uniform(0, 8, (60, 2)), rng.uniform(0, 8, (2000, 1, 2))
     readings = np.maximum(0, 2 - np.linalg.norm(touches - places, axis=2))
-    table = ["| map of 60 sensors | functions | modules |", "|---|---|---|"]
+    rows = []
     with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
         warnings.simplefilter("ignore")
         for name, call in _calls(readings, Path(folder)).items():
-            counted = path_of(call)
-            table.append(f"| {name} | {counted.functions} | {counted.modules} |")
-    return table
+            rows.append((name, *astuple(path_of(call))))
+    return markdown_table(("map of 60 sensors", "functions", "modules"), rows)
 
 
 def _calls(readings: np.ndarray[Any, Any], folder: Path) -> dict[str, Callable[[], Any]]:

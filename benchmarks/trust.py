@@ -15,7 +15,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,7 +31,16 @@ from anisomap.diagnosis.diagnostics import examine
 from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.usability import ACCURACY
-from benchmarks.harness import heading, in_parallel, line, options, quietly, write_csv
+from benchmarks.harness import (
+    columns,
+    heading,
+    in_parallel,
+    line,
+    markdown_table,
+    options,
+    quietly,
+    write_csv,
+)
 from benchmarks.other_skins import cases_of_other
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 
@@ -69,20 +78,11 @@ _LOOKS = (("#0072B2", "o"), ("#E69F00", "s"), ("#D55E00", "x"))
 class Outcome:
     """A verdict, and the truth about the map.
 
-    source: Seed or file.
-    name: Of the recording.
-    group, kind: See `Case`.
-    fault: That was injected.
-    level: Of the verdict, or ``"refused"``.
-    expected: Expected error in spacings.
+    source: Seed or file; group, kind: See `Case`; expected: Error in spacings.
     r, error, kept: Mantel r, RMS error in spacings, and share of neighbours kept.
     evidence: What the verdict follows from, and properties of the recording.
     """
 
-    FIXED: ClassVar = (
-        "source", "name", "group", "kind", "fault", "level", "expected", "r", "error", "kept",
-        "reasons",
-    )  # fmt: skip
     NUMBERS: ClassVar = ("expected", "r", "error", "kept")
 
     source: str
@@ -96,7 +96,7 @@ class Outcome:
     error: float
     kept: float
     reasons: str
-    evidence: Mapping[str, float]
+    evidence: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_bad(self) -> bool:
@@ -119,6 +119,10 @@ class Outcome:
         return self.is_good and self.level == "not usable"
 
 
+FIXED = columns(Outcome)[:-1]
+"""Columns before those of the evidence."""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Map all recordings and write the results."""
     parser = options(__doc__, "trust", seeds=SEEDS, first_seed=FIRST_SEED, workers=True)
@@ -132,13 +136,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     files = [path for folder in chosen.recordings for path in folder.glob("*.npz")]
     every: list[int | Path | str] = [*sorted(files, key=lambda path: -path.stat().st_size)]
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
-    every += [
-        *seeds,
-        *(
-            f"other-{seed}"
-            for seed in range(chosen.first_seed, chosen.first_seed + 3 * chosen.seeds)
-        ),
-    ]
+    last = chosen.first_seed + 3 * chosen.seeds
+    every += [*seeds, *(f"other-{seed}" for seed in range(chosen.first_seed, last))]
     path = chosen.output / "trust.csv"
     outcomes = read_outcomes(path) if path.exists() else []
     done = {outcome.source for outcome in outcomes}
@@ -176,6 +175,7 @@ def outcomes_of(source: int | Path | str, folder: Path, chosen: str | None = Non
 def judged(case: Case, source: str = "") -> Outcome:
     """Map a recording, and compare the verdict on the map with its error."""
     recording = case.recording
+    of_case = (source, case.name, case.group, case.kind, case.fault)
     facts = {
         "sensors": float(recording.n_sensors),
         "frames": float(recording.n_frames),
@@ -194,11 +194,8 @@ def judged(case: Case, source: str = "") -> Outcome:
             truth = np.asarray(recording.positions)
             scored = anisomap.score(made, truth, permutations=0)
         except anisomap.InputError as error:
-            unknown = math.nan
-            return Outcome(
-                source, case.name, case.group, case.kind, case.fault, REFUSED,
-                unknown, unknown, unknown, unknown, str(error), facts,
-            )  # fmt: skip
+            nan = math.nan
+            return Outcome(*of_case, REFUSED, nan, nan, nan, nan, str(error), facts)
     facts |= {
         "repeatability": evidence.repeatability,
         "difference": evidence.difference,
@@ -207,20 +204,9 @@ def judged(case: Case, source: str = "") -> Outcome:
         "placed": float(np.mean(made.component == 0)),
     }
     facts |= {name: getattr(verdict, name) for name in ACCURACY}
-    return Outcome(
-        source,
-        case.name,
-        case.group,
-        case.kind,
-        case.fault,
-        verdict.level,
-        verdict.expected_error,
-        scored.mantel.r,
-        scored.rms_in_spacings,
-        scored.neighbours_kept,
-        "; ".join(verdict.reasons),
-        facts,
-    )
+    scores = (scored.mantel.r, scored.rms_in_spacings, scored.neighbours_kept)
+    reasons = "; ".join(verdict.reasons)
+    return Outcome(*of_case, verdict.level, verdict.expected_error, *scores, reasons, facts)
 
 
 def region_error(made: anisomap.SensorMap, truth: np.ndarray) -> float:
@@ -254,12 +240,8 @@ def share_inside(
 def write_outcomes(outcomes: Sequence[Outcome], path: Path) -> None:
     """Write all outcomes; columns of evidence follow the others."""
     evidence = list(dict.fromkeys([*FACTS, *(name for one in outcomes for name in one.evidence)]))
-    rows = (
-        [*(getattr(one, name) for name in Outcome.FIXED),
-         *(one.evidence.get(name, "") for name in evidence)]
-        for one in outcomes
-    )  # fmt: skip
-    write_csv(path, [*Outcome.FIXED, *evidence], rows)
+    rows = ([*astuple(one)[:-1], *(one.evidence.get(n, "") for n in evidence)] for one in outcomes)
+    write_csv(path, [*FIXED, *evidence], rows)
 
 
 def read_outcomes(path: Path) -> list[Outcome]:
@@ -267,18 +249,11 @@ def read_outcomes(path: Path) -> list[Outcome]:
     outcomes = []
     with path.open(newline="", encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
-            fixed: dict[str, Any] = {name: row.pop(name) for name in Outcome.FIXED}
-            fixed |= {name: number(fixed[name]) for name in Outcome.NUMBERS}
-            evidence = {name: number(text) for name, text in row.items() if text}
+            fixed: dict[str, Any] = {name: row.pop(name) for name in FIXED}
+            fixed |= {name: float(fixed[name]) for name in Outcome.NUMBERS}
+            evidence = {name: float(text) for name, text in row.items() if text}
             outcomes.append(Outcome(**fixed, evidence=evidence))
     return outcomes
-
-
-def number(text: str) -> float:
-    """Return a number of a CSV file; an empty text is NaN, and a truth value 0 or 1."""
-    if text in ("True", "False"):
-        return float(text == "True")
-    return float(text) if text else math.nan
 
 
 def table(outcomes: Sequence[Outcome]) -> str:
@@ -288,48 +263,40 @@ def table(outcomes: Sequence[Outcome]) -> str:
     good = [one for one in mapped if one.is_good]
     reassured = [one for one in mapped if one.is_false_reassurance]
     alarms = [one for one in mapped if one.is_false_alarm]
-    ratios = np.array(
-        [
-            one.expected / one.error
-            for one in mapped
-            if math.isfinite(one.expected) and one.error > 0
-        ]
-    )
+    ratios = ratios_of(mapped)
     cost = [
         one.evidence["cpu verdict"] / one.evidence["cpu map"]
         for one in mapped
         if one.evidence.get("cpu map", 0) > 0
     ]
-    lines = heading(("figure", "value", "goal"))
     seeds = [int(one.source) for one in outcomes if one.source.isdecimal()]
-    real = sum(one.group == "real" for one in outcomes)
-    lines += [f"| recordings | {len(outcomes)} | at least 500 |"]
+    groups = Counter(one.group for one in outcomes)
+    rows: list[tuple[object, ...]] = [("recordings", len(outcomes), "at least 500")]
     if seeds:
-        lines.append(f"| of simulated skins, seeds {min(seeds)} to {max(seeds)} | {len(seeds)} | |")
-    others = [one for one in outcomes if one.group == "other"]
-    if others:
-        lines.append(f"| of the second simulator | {len(others)} | |")
-    if real:
-        lines.append(f"| of real skins, which were seen during development | {real} | |")
-    lines += [
-        f"| maps | {len(mapped)} | |",
-        f"| false reassurance: called usable, but r < {MIN_R} or error > {MAX_ERROR:g} spacing | "
-        f"{len(reassured)} of {len(bad)} | none |",
-        f"| false alarm: called not usable, but r >= {GOOD_R} and error < {GOOD_ERROR:g} spacing | "
-        f"{len(alarms)} of {len(good)} ({len(alarms) / max(1, len(good)):.1%}) | at most 5 % |",
-    ]
+        rows.append((f"of simulated skins, seeds {min(seeds)} to {max(seeds)}", len(seeds), ""))
+    if groups["other"]:
+        rows.append(("of the second simulator", groups["other"], ""))
+    if groups["real"]:
+        rows.append(("of real skins, which were seen during development", groups["real"], ""))
+    share = len(alarms) / max(1, len(good))
+    rows += [
+        ("maps", len(mapped), ""),
+        (f"false reassurance: called usable, but r < {MIN_R} or error > {MAX_ERROR:g} spacing",
+         f"{len(reassured)} of {len(bad)}", "none"),
+        (f"false alarm: called not usable, but r >= {GOOD_R} and error < {GOOD_ERROR:g} spacing",
+         f"{len(alarms)} of {len(good)} ({share:.1%})", "at most 5 %"),
+    ]  # fmt: skip
     if ratios.size:
         within = np.mean((ratios >= 1 / 2) & (ratios <= 2))
-        lines += [
-            f"| expected error over true error, median | {np.median(ratios):.2f} | 0.67 to 1.5 |",
-            f"| expected error within a factor of 2 of the true error | {within:.0%} | |",
-            f"| true error above the expected | {np.mean(ratios < 1):.0%} | |",
+        rows += [
+            ("expected error over true error, median", f"{np.median(ratios):.2f}", "0.67 to 1.5"),
+            ("expected error within a factor of 2 of the true error", f"{within:.0%}", ""),
+            ("true error above the expected", f"{np.mean(ratios < 1):.0%}", ""),
         ]
     if cost:
-        lines.append(
-            "| CPU time of the search for faults and the verdict over that of the map, median | "
-            f"{np.median(cost):.1f} | |"
-        )
+        what = "CPU time of the search for faults and the verdict over that of the map, median"
+        rows.append((what, f"{np.median(cost):.1f}", ""))
+    lines = markdown_table(("figure", "value", "goal"), rows)
     lines += ["", *heading(("maps", "number", *LEVELS[:-1]))]
     between = [one for one in mapped if not one.is_bad and not one.is_good]
     for title, group in (
@@ -349,6 +316,12 @@ def table(outcomes: Sequence[Outcome]) -> str:
             for one in sorted(group, key=lambda one: one.r)
         ]
     return "\n".join(lines) + "\n"
+
+
+def ratios_of(outcomes: Iterable[Outcome]) -> np.ndarray:
+    """Return expected errors over true ones, where both are known."""
+    known = (one for one in outcomes if math.isfinite(one.expected) and one.error > 0)
+    return np.array([one.expected / one.error for one in known])
 
 
 def by_group(outcomes: Sequence[Outcome]) -> list[str]:
@@ -371,7 +344,7 @@ def by_group(outcomes: Sequence[Outcome]) -> list[str]:
             ]
             if not group:
                 continue
-            ratios = np.array([one.expected / one.error for one in group if one.error > 0])
+            ratios = ratios_of(group)
             apart = np.abs(np.log(ratios))
             held = [
                 one.evidence.get("expected_error_low", 0.0)
@@ -381,18 +354,15 @@ def by_group(outcomes: Sequence[Outcome]) -> list[str]:
             ]
             shares = [one.evidence.get("inside", math.nan) for one in group]
             known = [share for share in shares if math.isfinite(share)]
-            lines.append(
-                line(
-                    (
-                        f"{title}, with a fault" if damaged else title,
-                        str(len(group)),
-                        f"{np.median(ratios):.2f}",
-                        *(f"{np.mean(apart < math.log(limit)):.0%}" for limit in (1.5, 2)),
-                        f"{np.mean(held):.0%}",
-                        f"{np.mean(known):.0%}" if known else "-",
-                    )
-                )
+            cells = (
+                f"{title}, with a fault" if damaged else title,
+                len(group),
+                f"{np.median(ratios):.2f}",
+                *(f"{np.mean(apart < math.log(limit)):.0%}" for limit in (1.5, 2)),
+                f"{np.mean(held):.0%}",
+                f"{np.mean(known):.0%}" if known else "-",
             )
+            lines.append(line(cells))
     return lines
 
 

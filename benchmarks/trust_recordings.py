@@ -37,7 +37,7 @@ SHORTEST, LONGEST = 100, 8000
 """Frames of a recording; lengths are uniform on a logarithmic scale."""
 
 FAULTS = (
-    *(one.fault for one in DAMAGES.values()),
+    *(fault for _, fault in DAMAGES.values()),
     "dead:5%",
     "stuck:10%",
     "saturating:10%",

@@ -9,7 +9,7 @@ on these recordings, but results on them were seen during development. Simulatio
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from anisomap import Recording, SensorMap, align, gather_evidence, reconstruct, 
 from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.placement import Anchors, place
-from benchmarks.harness import options, quietly, write_rows
+from benchmarks.harness import options, stream
 from benchmarks.placement import Figure
 
 REAL = {"icub_hexagon": 2, "icub_palm": 3, "icub_torso": 2, "plantar": 2}
@@ -39,15 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--only", nargs="+", default=[*REAL, *SIMULATED])
     chosen = parser.parse_args(arguments)
-    found: list[Figure] = []
-    with quietly():
-        for name in chosen.only:
-            if name in REAL and chosen.shared is None:
-                continue
-            for figure in _updates(name, chosen.shared, chosen.draws):
-                print(*astuple(figure), sep=", ", flush=True)
-                found.append(figure)
-    write_rows(chosen.output, found, digits=4)
+    names = [name for name in chosen.only if chosen.shared is not None or name not in REAL]
+    found = (_updates(name, chosen.shared, chosen.draws) for name in names)
+    stream(chosen.output, chain.from_iterable(found))
 
 
 def _updates(name: str, shared: Path | None, draws: int) -> Iterator[Figure]:

@@ -85,7 +85,7 @@ class Source:
         Body, and scenario of `anisomap.simulation` or stimulus of `benchmarks.footprints`.
     n_sensors, n_frames : int
     fault : str
-        As for ``anisomap spoil``; ``{sd}`` is that of `benchmarks.faults.Damage`.
+        As for ``anisomap spoil``; ``{sd}`` is that of `benchmarks.faults.DAMAGES`.
     dtype : str
         Of the stored readings.
     skins : int

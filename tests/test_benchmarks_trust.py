@@ -24,20 +24,10 @@ from anisomap.simulation import FAULTS as SENSOR_FAULTS
 GOOD = Outcome(
     "2001", "good", "simulated", "pulses", "", "usable", 0.3, 0.99, 0.2, 0.9, "", {"frames": 500.0}
 )
-BAD = Outcome(
-    "2001",
-    "bad",
-    "simulated",
-    "pulses",
-    "dead:5%",
-    "not usable",
-    2.0,
-    0.5,
-    3.0,
-    0.2,
-    "",
-    {"uneven": 1.0},
-)
+BAD = replace(
+    GOOD, name="bad", fault="dead:5%", level="not usable", expected=2.0, r=0.5, error=3.0, kept=0.2,
+    evidence={"uneven": 1.0},
+)  # fmt: skip
 
 
 def skin():
