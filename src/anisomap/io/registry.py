@@ -52,29 +52,18 @@ from anisomap.wording import as_text, join_items
 
 @dataclass(frozen=True)
 class Format:
-    """A file format with its readers and writers.
+    """A file format with its readers and writers, which raise as `read` and `write` do.
 
-    Readers raise FileError for damaged files and files without the requested content, and
-    MissingExtraError if a required library is not installed. Writers raise InputError for things
-    that the format cannot represent.
-
-    name: Unique identifier.
     suffixes: In lower case, with the dot. They select the writer, and the reader of files that no
         format recognises by content.
-    summary: One-line description for listings.
-    recognises: ``recognises(path, head)`` returns whether other content is of this format. `head`
-        holds the first bytes of the file, decompressed, and is empty for a folder. It must not
-        raise.
-    open_recording: ``open_recording(path, options)`` is a context manager that yields a `Stream`.
-    read_map: ``read_map(path)`` returns a `SensorMap`.
-    write_map, write_recording: ``write_map(sensor_map, path)`` and
-        ``write_recording(recording, path)``. Equal input gives equal bytes.
+    recognises: ``recognises(path, head)`` returns whether other content is of this format, by its
+        first bytes, decompressed; none for a folder. It must not raise.
     contents: ``contents(path, options)`` lists the possible recordings in a file.
-    extra: Extra that installs the required library; empty if none is required. Recordings of
-        formats with an extra are read in another process: see `anisomap.reader_process`.
+    extra: Extra that installs the library that is required. Recordings of formats with an extra
+        are read in another process: see `anisomap.reader_process`.
     in_metres: Whether the format stores metres, so that a map needs a scale.
-    signature: First bytes of the files that anisomap writes, if no other format's files start with
-        them. They decide before `recognises`, since names and notes may contain marks of others.
+    signature: First bytes of the files that anisomap writes, which decide before `recognises`,
+        since names and notes may contain marks of other formats.
     magics: First bytes of the files of this format.
     """
 
@@ -397,21 +386,17 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
             stream = replace(stream, names=distinct_names(file, stream.names))
             if options.positions is not None and not options.preset:
                 stream = _with_positions(stream, options.positions)
-        yield replace(
-            stream, source=as_text(stream.source), blocks=_checked(stream.blocks, file, budget)
-        )
 
+        def blocks() -> Iterator[Block]:
+            with file_errors(file):  # not those of the caller's loop body
+                for block in stream.blocks:
+                    readings = block.readings
+                    budget.spend(
+                        readings.size * bytes_kept(readings.dtype), "its table of readings"
+                    )
+                    yield block
 
-def _checked(blocks: Iterator[Block], file: Path, budget: Budget) -> Iterator[Block]:
-    """Check the size of the readings, and convert errors of reading to FileErrors.
-
-    Errors of the caller's loop body are not converted.
-    """
-    with file_errors(file):
-        for block in blocks:
-            readings = block.readings
-            budget.spend(readings.size * bytes_kept(readings.dtype), "its table of readings")
-            yield block
+        yield replace(stream, source=as_text(stream.source), blocks=blocks())
 
 
 def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[..., Any]]:
@@ -428,14 +413,14 @@ def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[...
 def _recognise(file: Path) -> Format:
     start = read_head(file)
     *marked, text_format = FORMATS
-    suffixes = [s.lower() for s in file.suffixes if s.lower() != ".gz"]
+    suffix = next((s.lower() for s in reversed(file.suffixes) if s.lower() != ".gz"), None)
     own = (f for f in FORMATS if f.signature and start.startswith(f.signature))
-    by_content = itertools.chain(own, (f for f in marked if f.matches(file, start)))
-    if chosen := next(by_content, None):
+    by_content = (f for f in marked if f.matches(file, start))
+    if chosen := next(itertools.chain(own, by_content), None):
         return chosen
     if file.is_dir():
         raise FileError(_folder_message(file))
-    by_suffix = (f for f in FORMATS if suffixes and suffixes[-1] in f.suffixes)
+    by_suffix = (f for f in FORMATS if suffix in f.suffixes)
     if chosen := next(by_suffix, text_format if text_format.matches(file, start) else None):
         return chosen
     raise FileError(

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.names import is_time, numbers_of, units_per_second, words_of
@@ -132,8 +132,9 @@ def name_sensors(ids: Sequence[str], noun: str) -> tuple[tuple[str, ...], dict[s
     found = list(dict.fromkeys(ids))
     if all(text.isascii() and text.isdecimal() for text in found) and numbers_of(found):
         found.sort(key=int)
-        return tuple(f"{noun}{text}" for text in found), {text: i for i, text in enumerate(found)}
-    return tuple(found), {text: i for i, text in enumerate(found)}
+    else:
+        noun = ""
+    return tuple(f"{noun}{text}" for text in found), {text: i for i, text in enumerate(found)}
 
 
 def stream_events(
@@ -193,6 +194,21 @@ def stream_events(
     )
 
 
+def stream_trains(
+    path: Path,
+    trains: Sequence[ArrayLike],
+    bin_s: float | None,
+    names: tuple[str, ...] = (),
+    **known: Any,
+) -> Stream:
+    """Create a stream of the counts of spikes, whose times are given for each channel."""
+    times = [np.asarray(train, dtype=np.float64).ravel() for train in trains]
+    channels = np.repeat(np.arange(len(times)), [len(train) for train in times])
+    names = names or tuple(f"channel{i + 1}" for i in range(len(times)))
+    events, facts = Events(np.concatenate(times), channels, names), {"format": "spike trains"}
+    return stream_events(path, events, bin_s=bin_s, spikes=True, metadata=facts, **known)
+
+
 def _bins(
     path: Path, moments: NDArray[np.float64], width: float, span: tuple[float, float] | None
 ) -> tuple[NDArray[np.intp], int]:
@@ -247,13 +263,8 @@ def stream_spike_table(path: Path, bin_s: float) -> Stream:
             f"{path} (delimited text) holds readings, not events: its numbers do not increase "
             "along all lines or all columns, as the times of spikes do; leave out --bin-width"
         )
-    events = Events(
-        np.array([time for _, times in trains for time in times], dtype=np.float64),
-        np.repeat(np.arange(len(trains)), [len(times) for _, times in trains]),
-        tuple(name for name, _ in trains),
-    )
-    facts = {"format": "spike trains"}
-    return stream_events(path, events, bin_s=bin_s, spikes=True, metadata=facts)
+    names, times = zip(*trains, strict=True)
+    return stream_trains(path, times, bin_s, names)
 
 
 def _trains(channels: Sequence[Sequence[str]]) -> list[tuple[str, list[float]]] | None:
@@ -299,7 +310,10 @@ _Contact: TypeAlias = tuple[tuple[str, str], float, list[str], float | None]
 """Names of the moment and the sensors; the moment, the ids of the sensors, and a value."""
 
 
-def _stream(path: Path, contacts: Iterable[_Contact], bin_s: float | None) -> Stream:
+def stream_contacts(
+    path: Path, contacts: Iterable[_Contact], bin_s: float | None, **facts: Scalar
+) -> Stream:
+    """Create a stream of contacts, or of spikes."""
     found, valued = EventList[str](path), False
     names = "", ""
     for contact in contacts:
@@ -317,7 +331,8 @@ def _stream(path: Path, contacts: Iterable[_Contact], bin_s: float | None) -> St
         np.array(found.values) if valued else None,
         timed=timed,
     )
-    return stream_events(path, events, bin_s=bin_s, metadata={"format": "list of contacts"})
+    facts = {"format": "list of contacts", **facts}
+    return stream_events(path, events, bin_s=bin_s, metadata=facts)
 
 
 def noun_of(name: str) -> str:
@@ -410,7 +425,7 @@ def open_text_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
     layout = _layout_of(read_head(path))
     if layout is None:
         raise FileError(f"{path} lacks a header that names a time and the sensors")
-    yield _stream(path, _read_text(path, layout), options.bin_s)
+    yield stream_contacts(path, _read_text(path, layout), options.bin_s)
 
 
 def selects_columns(select: str) -> bool:
@@ -439,7 +454,7 @@ def stream_columns(path: Path, options: ReadOptions) -> Stream:
             problem = f"has no column {quote(text)}; it has {len(first)} columns{names}"
             raise FileError(f"{path} {problem}")
     layout = _Layout(delimiter, header, moment=columns[0], sensor=columns[1])
-    return _stream(path, _read_text(path, layout), options.bin_s)
+    return stream_contacts(path, _read_text(path, layout), options.bin_s)
 
 
 def _rows(lines: Sequence[str], delimiter: str | None) -> list[list[str]]:
@@ -544,7 +559,7 @@ def is_json(path: Path, head: bytes) -> bool:
 def open_json_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes; further properties are ignored."""
     contacts = (_contact(f"{path}, {where}", found) for where, found in _objects(path))
-    yield _stream(path, contacts, options.bin_s)
+    yield stream_contacts(path, contacts, options.bin_s)
 
 
 def _objects(path: Path) -> Iterator[tuple[str, Any]]:

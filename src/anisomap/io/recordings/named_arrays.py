@@ -34,7 +34,7 @@ from anisomap.errors import FileError, import_extra
 from anisomap.files import check_regular, open_regular
 from anisomap.io.parsing.names import is_time, units_per_second
 from anisomap.io.parsing.source import quote
-from anisomap.io.recordings.events import Events, name_sensors, stream_events
+from anisomap.io.recordings.events import stream_contacts, stream_trains
 from anisomap.io.stream import (
     BLOCK_BYTES,
     Block,
@@ -145,26 +145,13 @@ def _is_vector(array: Dataset) -> bool:
     return array.kind in _REAL and sum(size != 1 for size in array.shape) <= 1
 
 
-def stream_spikes(
-    path: Path,
-    trains: SpikeTrains,
-    bin_s: float | None,
-    *,
-    names: tuple[str, ...] = (),
-    **known: Any,
-) -> Stream:
-    """Create a stream of spike counts; `known` are further arguments of `stream_events`."""
-    vectors = [each.whole().astype(np.float64).ravel() for each in trains.times]
-    times = np.concatenate(vectors)
+def _spike_times(path: Path, trains: SpikeTrains) -> list[NDArray[Any]]:
+    """Return the times of each unit."""
+    vectors = [each.whole().ravel() for each in trains.times]
     if trains.index is None:
-        counts = np.array([len(vector) for vector in vectors])
-        names = names or tuple(each.name.rpartition("/")[2] for each in trains.times)
-    else:
-        counts = _counts(path, trains, trains.index, len(times))
-    units = np.repeat(np.arange(len(counts)), counts)
-    events = Events(times, units, names or tuple(f"e{i}" for i in range(len(counts))))
-    facts = {"format": "spike trains"}
-    return stream_events(path, events, bin_s=bin_s, spikes=True, metadata=facts, **known)
+        return vectors
+    counts = _counts(path, trains, trains.index, len(vectors[0]))
+    return np.split(vectors[0], np.cumsum(counts)[:-1])
 
 
 def _counts(path: Path, trains: SpikeTrains, index: Dataset, n_spikes: int) -> NDArray[np.intp]:
@@ -237,12 +224,22 @@ def _stream_of_spikes(
 ) -> Stream:
     group = trains.times[0].group
     near = [each for each in datasets if each.group == group and each.name not in trains.members]
-    micrometres = any(each.key == _MICROMETRES for each in near)
-    names, positions = _names(near, trains.n_units), _positions(near, trains.n_units)
-    stream = stream_spikes(
-        path, trains, options.bin_s, names=names, positions=positions, span=_span(near)
+    positions, times = _positions(near, trains.n_units), _spike_times(path, trains)
+    micrometres = positions is not None and any(each.key == _MICROMETRES for each in near)
+    names = (
+        tuple(f"e{i}" for i in range(len(times)))
+        if trains.index
+        else tuple(each.name.rpartition("/")[2] for each in trains.times)
     )
-    return replace(stream, units="um" if micrometres and positions is not None else "")
+    return stream_trains(
+        path,
+        times,
+        options.bin_s,
+        _names(near, trains.n_units) or names,
+        positions=positions,
+        span=_span(near),
+        units="um" if micrometres else "",
+    )
 
 
 def _usable(dataset: Dataset) -> bool:
@@ -534,23 +531,8 @@ def _vector(item: Any) -> NDArray[np.float64] | None:
 
 def _stream_of_lists(path: Path, lists: _Lists, bin_s: float | None) -> Stream:
     """Create a stream of lists: a frame per contact, or counts of spikes in bins."""
-    lengths = np.array([len(each) for each in lists.lists])
-    values = np.concatenate(lists.lists)
     if not lists.contacts:
-        names = tuple(f"channel{i + 1}" for i in range(len(lengths)))
-        events = Events(values, np.repeat(np.arange(len(lengths)), lengths), names)
-        return stream_events(
-            path, events, bin_s=bin_s, spikes=True, metadata={"format": "spike trains"}
-        )
-    ids, sensors = np.unique(values.astype(np.int64), return_inverse=True)
-    names, _ = name_sensors([str(each) for each in ids.tolist()], "taxel")
-    # A contact without a sensor is a moment, too.
-    rows = np.maximum(lengths, 1)
-    active = np.full(rows.sum(), -1, dtype=np.intp)
-    active[np.repeat(lengths > 0, rows)] = sensors
-    return stream_events(
-        path,
-        Events(np.repeat(np.arange(float(len(lengths))), rows), active, names, timed=False),
-        bin_s=bin_s,
-        metadata={"format": "list of contacts", "variable": lists.name},
-    )
+        return stream_trains(path, lists.lists, bin_s)
+    numbered = enumerate(each.astype(np.int64).tolist() for each in lists.lists)
+    contacts = ((("contact", "taxel"), float(i), [*map(str, ids)], None) for i, ids in numbered)
+    return stream_contacts(path, contacts, bin_s, variable=lists.name)
