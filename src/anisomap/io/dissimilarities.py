@@ -31,7 +31,7 @@ from anisomap.io.parsing.source import (
     read_head,
     read_lines,
 )
-from anisomap.io.parsing.tables import parse_number, read_sample, records
+from anisomap.io.parsing.tables import is_number, parse_number, read_sample, records
 from anisomap.io.recordings import delimited_text
 from anisomap.io.registry import read
 from anisomap.memory import Budget
@@ -196,10 +196,7 @@ def _number(cell: str) -> float | None:
     """Convert a cell, which may have a decimal comma: NaN if it is unknown, None if it is text."""
     if cell.lower() in _UNKNOWN:
         return math.nan
-    try:
-        return parse_number(cell, None)
-    except ValueError:
-        return None
+    return parse_number(cell, None) if is_number(cell, None) else None
 
 
 def _pairs_of(rows: Rows) -> Rows:

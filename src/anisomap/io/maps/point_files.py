@@ -25,7 +25,7 @@ from anisomap.io.parsing.facts import format_value, read_comments
 from anisomap.io.parsing.names import distinct_names, numbers_of
 from anisomap.io.parsing.source import numbered_lines, quote, read_lines
 from anisomap.io.parsing.tables import LineError, parse_row
-from anisomap.placement import Taxels, pad_to_3d, surface_normals, to_taxels
+from anisomap.placement import pad_to_3d, surface_normals, to_taxels
 from anisomap.recording import Scalar
 from anisomap.sensor_map import SensorMap
 
@@ -277,38 +277,29 @@ def read_icub(path: Path) -> SensorMap:
 
 def write_elc(sensor_map: SensorMap, path: Path) -> None:
     """Write electrodes for ASA: positions in millimetres, then labels, without fiducials."""
-    electrodes = to_taxels(sensor_map, "an .elc file")
-    with np.errstate(over="ignore"):
-        millimetres = electrodes.positions * 1e3
-    if not np.isfinite(millimetres).all():
-        raise InputError("an .elc file cannot represent the positions, which are too large")
-    lines = [
-        "# ASA electrode file",
-        "ReferenceLabel\tavg",
-        "UnitPosition\tmm",
-        f"NumberPositions=\t{len(electrodes.names)}",
-        "Positions",
-        *_tabbed(millimetres),
-        "Labels",
-        *_labels(electrodes, path),
-    ]
+    labels, rows = _electrodes(sensor_map, path, "an .elc file", 1e3)
+    head = ["# ASA electrode file", "ReferenceLabel\tavg", "UnitPosition\tmm"]
+    lines = [*head, f"NumberPositions=\t{len(rows)}", "Positions", *rows, "Labels", *labels]
     path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
 def write_sfp(sensor_map: SensorMap, path: Path) -> None:
     """Write electrodes for BESA: lines of a label and a position in metres, without fiducials."""
-    electrodes = to_taxels(sensor_map, "an .sfp file")
-    pairs = zip(_labels(electrodes, path), _tabbed(electrodes.positions), strict=True)
+    pairs = zip(*_electrodes(sensor_map, path, "an .sfp file", 1.0), strict=True)
     path.write_text("".join(f"{label}\t{row}\n" for label, row in pairs), encoding="utf-8")
 
 
-def _tabbed(positions: NDArray[np.float64]) -> list[str]:
-    return ["\t".join(map(repr, row)) for row in positions.tolist()]
-
-
-def _labels(electrodes: Taxels, path: Path) -> tuple[str, ...]:
-    """Return names with underscores for blanks."""
-    return distinct_names(path, ["_".join(name.split()) for name in electrodes.names])
+def _electrodes(
+    sensor_map: SensorMap, path: Path, what: str, per_metre: float
+) -> tuple[tuple[str, ...], list[str]]:
+    """Return labels, with underscores for blanks, and positions."""
+    electrodes = to_taxels(sensor_map, what)
+    with np.errstate(over="ignore"):
+        positions = electrodes.positions * per_metre
+    if not np.isfinite(positions).all():
+        raise InputError(f"{what} cannot represent the positions, which are too large")
+    labels = distinct_names(path, ["_".join(name.split()) for name in electrodes.names])
+    return labels, ["\t".join(map(repr, row)) for row in positions.tolist()]
 
 
 def to_montage(sensor_map: SensorMap) -> Any:

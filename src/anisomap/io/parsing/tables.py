@@ -210,11 +210,10 @@ def parse_row(
 
 def is_number(field: str, delimiter: str | None = ",") -> bool:
     """Return whether `parse_number` accepts a field."""
-    try:
+    with suppress(ValueError):
         parse_number(field, delimiter)
-    except ValueError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _text_to_nan(field: str) -> float:

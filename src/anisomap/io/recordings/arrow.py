@@ -145,25 +145,25 @@ def _check_unique(path: Path, used: Sequence[str], names: Sequence[str]) -> None
             )
 
 
-def _is_number(kind: Any) -> bool:
+def _is(kind: Any, *names: str) -> bool:
     types = import_extra("pyarrow.types", "reading Arrow", EXTRA)
-    return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
+    return any(getattr(types, f"is_{name}")(kind) for name in names)
+
+
+def _is_number(kind: Any) -> bool:
+    return _is(kind, "floating", "integer", "boolean")
 
 
 def _is_list(kind: Any) -> bool:
-    types = import_extra("pyarrow.types", "reading Arrow", EXTRA)
-    return bool(types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind))
+    return _is(kind, "fixed_size_list", "list", "large_list")
 
 
 def _list_of_numbers(kind: Any) -> bool:
-    return _is_list(kind) and _is_number(_leaf(kind))
-
-
-def _leaf(kind: Any) -> Any:
-    """Return the type of the items of lists, nested or not."""
-    while _is_list(kind):
-        kind = kind.value_type
-    return kind
+    """Return whether a type is that of lists, nested or not, of numbers."""
+    leaf = kind
+    while _is_list(leaf):
+        leaf = leaf.value_type
+    return leaf is not kind and _is_number(leaf)
 
 
 def _plain_columns(schema: Any) -> list[str]:

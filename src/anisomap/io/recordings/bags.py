@@ -151,24 +151,12 @@ def _encoding(encoding: str) -> tuple[np.dtype[Any], int]:
     return np.dtype(f"{_DEPTHS[bits[-1]]}{int(bits[:-1]) // 8}"), int(channels or 1)
 
 
-def _pixel_names(message: Any, _: str) -> tuple[str, ...]:
-    return grid_names(message.height, message.width)
-
-
-def _pixel_positions(message: Any) -> NDArray[np.float64]:
-    return grid_positions(message.height, message.width)
-
-
 def _lengths(message: Any, path: str) -> NDArray[np.float64]:
     """Return the lengths of vectors that are stored as ``values_x``, ``values_y``, ``values_z``."""
     if path != "values":
         return values_at(message, path)
     parts = [np.asarray(getattr(message, f"values_{axis}"), np.float64) for axis in "xyz"]
     return np.asarray(np.sqrt(sum(part**2 for part in parts)))
-
-
-def _no_names(message: Any, path: str) -> tuple[str, ...]:
-    return ()
 
 
 def _centres(message: Any) -> NDArray[np.float64] | None:
@@ -183,9 +171,14 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "BiotacAll": Kind("tactiles.electrodes", values_at, names_at),
         "SkinCellData": Kind("force", values_at, names_at, cell=True),
         "SkinCellDataArray": Kind("data.force", values_at, names_at),
-        "TaxelArray": Kind("values", _lengths, _no_names, positions=_centres),
+        "TaxelArray": Kind("values", _lengths, lambda *_: (), positions=_centres),
         "sensor_msgs/Range": Kind("range", values_at, lambda *_: ("range",)),
-        "sensor_msgs/Image": Kind("data", _pixels, _pixel_names, positions=_pixel_positions),
+        "sensor_msgs/Image": Kind(
+            "data",
+            _pixels,
+            lambda message, _: grid_names(message.height, message.width),
+            positions=lambda message: grid_positions(message.height, message.width),
+        ),
     }
 )
 """Known message types by name, or by package and name if the name is ambiguous."""
@@ -252,20 +245,17 @@ class _Bag:
     def contents(self) -> tuple[Content, ...]:
         """List the topics; if any is tactile, only tactile topics are usable."""
         topics = dict(self.reader.topics)
-        tactile = any(is_tactile(info.msgtype or "") for info in topics.values())
+        types = {topic: str(info.msgtype or "") for topic, info in topics.items()}
+        tactile = any(map(is_tactile, types.values()))
+        fits = is_tactile if tactile else self.array_fields
         return tuple(
             Content(
                 str(topic),
                 f"{info.msgtype}, {info.msgcount} messages",
-                self._usable(info, tactile),
+                bool(fits(types[topic]) and info.msgcount),
             )
             for topic, info in topics.items()
         )
-
-    def _usable(self, info: Any, tactile: bool) -> bool:
-        name = info.msgtype or ""
-        fits = is_tactile(name) if tactile else bool(self.array_fields(name))
-        return bool(fits and info.msgcount)
 
     def select(self, select: str) -> list[tuple[str, str]]:
         """Return the selected topics, each with the requested field, which may be empty."""
@@ -334,8 +324,18 @@ class _Rows:
 
     def stream(self) -> Stream:
         """Create a stream with the sensors of the first message."""
-        first = self._first()
-        values, names, positions = self._describe(first)
+        first = next((m for m, _ in self.bag.messages(self.topic) if self._values(m).size), None)
+        if first is None:
+            raise FileError(f"{self.bag.path}: no message of {self.topic} holds a reading")
+        values = self._values(first)
+        try:
+            names = self.kind.names(first, self.field)
+            positions = self.kind.positions(first) if self.kind.positions else None
+        except (AttributeError, TypeError) as error:
+            what = f"{self.topic} lacks a field of its type"
+            raise FileError(f"{self.bag.path}: {what} ({error})") from error
+        if positions is not None and len(positions) != values.size:
+            positions = None
         return Stream(
             self.bag.path,
             values.size,
@@ -346,25 +346,6 @@ class _Rows:
             metadata=self._metadata(),
             from_zero=True,
         )
-
-    def _first(self) -> Any:
-        for message, _ in self.bag.messages(self.topic):
-            if self._values(message).size:
-                return message
-        raise FileError(f"{self.bag.path}: no message of {self.topic} holds a reading")
-
-    def _describe(
-        self, first: Any
-    ) -> tuple[NDArray[Any], tuple[str, ...], NDArray[np.float64] | None]:
-        values = self._values(first)
-        try:
-            names = self.kind.names(first, self.field)
-            positions = self.kind.positions(first) if self.kind.positions else None
-        except (AttributeError, TypeError) as error:
-            what = f"{self.topic} lacks a field of its type"
-            raise FileError(f"{self.bag.path}: {what} ({error})") from error
-        fits = positions is not None and len(positions) == values.size
-        return values, names, positions if fits else None
 
     def _values(self, message: Any) -> NDArray[Any]:
         try:

@@ -1,31 +1,21 @@
 """Text logs of robot skins: of ``yarpdatadumper``, and of CySkin.
 
-YARP writes ``data.log``, its folder, or a session of folders.
-
-A line is ``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the
-sender's and the receiver's. The values may be in brackets. ``info.log`` in the same folder names
-the port. A session is a folder with one folder per port.
+YARP writes ``data.log``, its folder, or a session of folders, one per port. A line is
+``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the sender's and
+the receiver's. The values may be in brackets. ``info.log`` in the same folder names the port.
 
 The port ``skin_events`` of the skin manager of the iCub gives contacts instead of values: lists in
 brackets, each of a list of its number, body part, link and skin part; centre of pressure, force,
 moment, geometric centre and normal, of three numbers each; the list of the active taxels; and the
 mean pressure. Later versions append a list of the names of link and frame.
 
-Of CySkin, the recorder of robotskinlib writes a version, the number of taxels, and per frame the
-addresses beside the responses::
+Of CySkin, the recorder of robotskinlib writes a version, the number of taxels, and per frame its
+number, its time in seconds and the addresses beside the responses; the acquisition program writes
+the addresses once, above the frames::
 
-    1
-    3
-    0 26.82 3 38135 257 38136 223 38137 129
-    1 26.92 3 38135 199 38136 106 38137 270
-
-The acquisition program writes the addresses once, above the frames::
-
-    17776 17777 17778
-    0 0.600000 0 0 12
-    1 0.700000 0 1 10
-
-A frame begins with its number and its time in seconds.
+    1                                            17776 17777 17778
+    3                                            0 0.600000 0 0 12
+    0 26.82 3 38135 257 38136 223 38137 129      1 0.700000 0 1 10
 """
 
 from __future__ import annotations
@@ -110,17 +100,18 @@ def _skin_parts(path: Path) -> tuple[Content, ...]:
 
 def _stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> Stream:
     """Create a stream of the contacts of some skin parts."""
-    found = EventList[tuple[str, int]](path)
+    found = EventList[tuple[int, int]](path)
+    order = {part: i for i, part in enumerate(parts)}
     for stamps, contacts in _contact_frames(path):
-        active = [(part, taxel) for part, taxels in contacts if part in parts for taxel in taxels]
         # A line without contact is a frame too.
+        active = [(order[part], i) for part, taxels in contacts if part in order for i in taxels]
         found.add(stamps[0], active, stamps[-1])
-    sensors = sorted(found.sensors, key=lambda sensor: (parts.index(sensor[0]), sensor[1]))
+    sensors = sorted(found.sensors)
     sent, received = np.array(found.moments), np.array(found.values)
     events = Events(
         sent if (np.diff(sent) >= 0).all() else received,
         found.indices({sensor: i for i, sensor in enumerate(sensors)}),
-        tuple(f"{part}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for part, i in sensors),
+        tuple(f"{parts[k]}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for k, i in sensors),
     )
     metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}
     return stream_events(path, events, bin_s=bin_s, contacts=True, metadata=metadata)
