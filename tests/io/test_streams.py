@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import InputError
 
 MIB = 1 << 20
 
@@ -115,12 +115,3 @@ def test_memory(tmp_path: Path, name: str) -> None:
     result = io.read(path).readings.nbytes
     assert peak(lambda: io.read(path)) < 1.3 * result + 8 * MIB
     assert peak(lambda: exhaust(path)) < 0.1 * result + 12 * MIB
-
-
-def test_damage_after_the_first_rows_gives_one_warning(tmp_path: Path) -> None:
-    path = tmp_path / "data.log"
-    lines = "".join(f"{i} {1.3e9 + i / 50:.2f} 1 2 3\n" for i in range(3000))
-    path.write_text(lines + "3000 13")
-    with pytest.warns(AnisomapWarning) as caught:
-        assert io.read(path).n_frames == 3000
-    assert len(caught) == 1

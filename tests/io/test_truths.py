@@ -1,8 +1,9 @@
 """Positions written by other programs: tables, JSON and point clouds."""
 
 import json
-from collections.abc import Callable
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from anisomap import io
 from anisomap.errors import AnisomapWarning
 
-Put = Callable[[str, str | bytes], Path]
 POINTS = np.array([[0.5, 1.25, -2], [3, 4, 5], [6, 7.75, 8], [-0.001, 1e-9, 12345]])
+UNNAMED = ("s0", "s1", "s2", "s3")
 
 
 def rows(points: np.ndarray, delimiter: str = ",", names: tuple[str, ...] = ()) -> str:
@@ -21,68 +22,11 @@ def rows(points: np.ndarray, delimiter: str = ",", names: tuple[str, ...] = ()) 
     return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize("k", [2, 3])
-@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
-@pytest.mark.parametrize("named", [False, True])
-@pytest.mark.parametrize("headed", [False, True])
-def test_tables(put: Put, k: int, delimiter: str, named: bool, headed: bool) -> None:
+def table(k: int, delimiter: str, *, named: bool, headed: bool) -> tuple[str, dict[str, Any]]:
     names = ("pad1", "pad2", "pad3", "pad4") if named else ()
     header = delimiter.join((*(("name",) if named else ()), *"xyz"[:k])) + "\n" if headed else ""
-    found = io.read_map(put("truth.csv", header + rows(POINTS[:, :k], delimiter, names)))
-    np.testing.assert_array_equal(found.positions, POINTS[:, :k])
-    assert found.names == (names or ("s0", "s1", "s2", "s3"))
-    assert found.units == ""
-
-
-@pytest.mark.parametrize(
-    ("header", "units"),
-    [
-        ("x,y,z", ""),
-        ("X [mm],Y [mm],Z [mm]", "mm"),
-        ("x_m,y_m,z_m", "m"),
-        ("x(cm),y(cm),z(cm)", "cm"),
-    ],
-)
-def test_units_in_the_header(put: Put, header: str, units: str) -> None:
-    assert io.read_map(put("truth.csv", f"{header}\n{rows(POINTS)}")).units == units
-
-
-def test_columns_in_any_order_among_others(put: Put) -> None:
-    text = "id,nx,z,y,x,note\n7,0.1,3,2,1,left\n8,0.2,6,5,4,\n"
-    found = io.read_map(put("truth.csv", text))
-    np.testing.assert_array_equal(found.positions, [[1, 2, 3], [4, 5, 6]])
-    assert found.names == ("7", "8")
-
-
-def test_decimal_commas(put: Put) -> None:
-    found = io.read_map(put("truth.csv", "name;x;y\na;0,5;1\nb;2;3,25\n"))
-    np.testing.assert_array_equal(found.positions, [[0.5, 1], [2, 3.25]])
-
-
-def test_unknown_positions(put: Put) -> None:
-    found = io.read_map(
-        put("truth.csv", "# by hand\nname,x,y\na,1,2\nb,,\n# not found\nc,nan,nan\n")
-    )
-    assert found.placed.tolist() == [True, False, False]
-    assert found.names == ("a", "b", "c")
-
-
-def test_a_column_of_older_maps_is_ignored(put: Put) -> None:
-    text = "name,x,y,component,health,excluded\na,1,2,0,ok,1\nb,3,4,0,dead,0\n"
-    found = io.read_map(put("map.csv", text))
-    np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])
-    assert found.health == ("ok", "dead")
-
-
-def test_trailing_delimiters(put: Put) -> None:
-    found = io.read_map(put("truth.csv", "x,y,\n1,2,\n3,4,\n"))
-    np.testing.assert_array_equal(found.positions, [[1, 2], [3, 4]])
-
-
-def test_json_needs_only_positions(put: Put) -> None:
-    found = io.read_map(put("map.json", json.dumps({"sensors": [{"position": [1, None]}]})))
-    assert found.names == ("s0",)
-    np.testing.assert_array_equal(found.positions, [[1, np.nan]])
+    facts = {"positions": POINTS[:, :k], "names": names or UNNAMED, "units": ""}
+    return header + rows(POINTS[:, :k], delimiter, names), facts
 
 
 CLOUD = """ply
@@ -101,22 +45,64 @@ end_header
 0 2.5 1e-3 0
 3 0 1 2
 """
+SCANNED = {"positions": [[0, 0, 0], [1.5, 0, 0], [0, 2.5, 1e-3]], "names": UNNAMED[:3]}
+_LINES = CLOUD.splitlines()
+FACES_FIRST = [*_LINES[:3], *_LINES[8:10], *_LINES[3:8], _LINES[10], _LINES[14], *_LINES[11:14]]
+NAN = math.nan
+TRUTHS: list[tuple[str, dict[str, Any]]] = [
+    *(
+        table(k, delimiter, named=named, headed=headed)
+        for k in (2, 3)
+        for delimiter in ",;\t "
+        for named in (False, True)
+        for headed in (False, True)
+    ),
+    *(
+        (f"{header}\n{rows(POINTS)}", {"positions": POINTS, "units": units})
+        for header, units in (
+            *(("x,y,z", ""), ("X [mm],Y [mm],Z [mm]", "mm")),
+            *(("x_m,y_m,z_m", "m"), ("x(cm),y(cm),z(cm)", "cm")),
+        )
+    ),
+    (
+        "id,nx,z,y,x,note\n7,0.1,3,2,1,left\n8,0.2,6,5,4,\n",
+        {"positions": [[1, 2, 3], [4, 5, 6]], "names": ("7", "8")},
+    ),
+    ("name;x;y\na;0,5;1\nb;2;3,25\n", {"positions": [[0.5, 1], [2, 3.25]]}),
+    (
+        "# by hand\nname,x,y\na,1,2\nb,,\n# not found\nc,nan,nan\n",
+        {"positions": [[1, 2], [NAN, NAN], [NAN, NAN]], "names": ("a", "b", "c")},
+    ),
+    (  # a column of older maps is ignored
+        "name,x,y,component,health,excluded\na,1,2,0,ok,1\nb,3,4,0,dead,0\n",
+        {"positions": [[1, 2], [3, 4]], "health": ("ok", "dead")},
+    ),
+    ("x,y,\n1,2,\n3,4,\n", {"positions": [[1, 2], [3, 4]]}),
+    (
+        json.dumps({"sensors": [{"position": [1, None]}]}),
+        {"positions": [[1, NAN]], "names": ("s0",)},
+    ),
+    # An object over several lines is no list of contacts.
+    (
+        '{"time": 3, "units": "mm",\n "sensors": [{"position": [1, 2]}]}',
+        {"positions": [[1, 2]], "units": "mm"},
+    ),
+    (CLOUD, SCANNED),
+    ("\r\n".join(FACES_FIRST), SCANNED),
+]
 
 
-def test_point_clouds_of_other_programs(put: Put) -> None:
-    found = io.read_map(put("scan.ply", CLOUD))
-    np.testing.assert_array_equal(found.positions, [[0, 0, 0], [1.5, 0, 0], [0, 2.5, 1e-3]])
-    assert found.names == ("s0", "s1", "s2")
+@pytest.mark.parametrize(("text", "facts"), TRUTHS, ids=range(len(TRUTHS)))
+def test_what_a_file_of_positions_holds(put, text: str, facts: dict[str, Any]) -> None:
+    found = io.read_map(put("truth.txt", text))
+    for fact, expected in facts.items():
+        if fact == "positions":
+            np.testing.assert_array_equal(found.positions, expected)
+        else:
+            assert getattr(found, fact) == expected
 
 
-def test_vertices_need_not_come_first(put: Put) -> None:
-    lines = CLOUD.splitlines()
-    swapped = [*lines[:3], *lines[8:10], *lines[3:8], lines[10], lines[14], *lines[11:14]]
-    found = io.read_map(put("scan.ply", "\r\n".join(swapped)))
-    assert found.positions[2].tolist() == [0, 2.5, 1e-3]
-
-
-def test_duplicate_names_are_made_distinct(put: Put, tmp_path: Path) -> None:
+def test_duplicate_names_are_made_distinct(put, tmp_path: Path) -> None:
     twice = [{"name": "a", "position": [1, 2]}, {"name": "a", "position": [3, 4]}]
     np.savez(tmp_path / "truth.npz", names=["a", "a"], positions=[[1, 2], [3, 4]])
     for path in (
