@@ -21,7 +21,7 @@ from anisomap.recording import Recording
 
 _MIN_LINE = 20.0  # power of a line over the median power on either side; noise: p = 1e-6 for each
 _GAP, _BESIDE = 2, 8  # frequencies on each side that a line reaches, and for comparison
-_MIN_COHERENCE = 0.95  # of the phases of a hum over sensors and over quarters; chosen by hand
+_MIN_COHERENCE = 0.95  # of the phases of a hum over sensors; chosen by hand
 _MIN_SENSORS = 0.8  # share of the sensors that hum, or have one period; chosen by hand
 _N_PHASES = 8  # parts of a period, for quantiles
 _LOW_AND_HIGH = (0.25, 0.75)
@@ -54,7 +54,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
 
     The period is that of the clearest line in the median of the sensors' spectra. It is a finding
     if the power of the line is 20 times that on either side, and if its phase is the same in all
-    sensors and in all quarters of the recording. A body that rolls or walks at an even pace has
+    sensors. A body that rolls or walks at an even pace has
     lines, too, but sensors on different places have different phases.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
@@ -79,10 +79,9 @@ def find_hum(recording: Recording) -> Iterator[Found]:
         frequency, width = float(trials[int(np.argmax(strength))]), width / 3
     wave = np.exp(-2j * np.pi * frequency * times)
     of_sensors = rows @ wave.real + 1j * (rows @ wave.imag)
-    quarters = np.array([part.sum() for part in np.array_split(wave * total, 4)])
-    coherence = [abs(a.sum()) / np.abs(a).sum() for a in (of_sensors, quarters)]
+    coherence = abs(of_sensors.sum()) / np.abs(of_sensors).sum()
     phase = float(np.angle(of_sensors.sum()))
-    if not min(coherence) >= _MIN_COHERENCE or not _is_added(rows, frequency, phase):
+    if not coherence >= _MIN_COHERENCE or not _is_added(rows, frequency, phase):
         return
     course = np.cos(2 * np.pi * frequency * times + phase)
     gains = _sine_gains(readings[:, free], course)

@@ -12,20 +12,16 @@ from scipy.special import bdtrc
 
 from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.columns import columns
-from anisomap.numerics.signals import middle_frames, some_sensors
+from anisomap.numerics.signals import middle_frames
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.recording import Recording
 
 _LEVEL = 1e-4  # of the sign test: the probability of a false finding
 _QUANTILES = (0.05, 0.25)  # the lower edge of wide contacts, and of brief ones
-_OTHER_OFFSETS = (2, 3, 5, 7)  # channels between which nothing leaks, for comparison
 _MIN_FRAMES = 20  # of strong contact; chosen by hand
 _MAX_FRAMES = 2000  # of strong contact that are used, for speed
 _MAX_EXCERPT = 16384  # frames
 _MAX_CHANNELS = 256  # the first ones, in which a leak is searched
-# Pairs that are compared first, and the least excess, as a share of them, of those with more signal
-# in the later channel over those with less; chosen by hand. Leaks of 5 % gave .5 and more.
-_MIN_SCREENED, _MIN_FORWARD = 32, 0.2
 _MIN_LEVELS = 8  # distinct values, for a share to be visible
 _MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
 _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
@@ -36,43 +32,34 @@ def find_leak(recording: Recording) -> Iterator[Found]:
 
     Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
     channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in
-    both directions alike, a leak in one: the signs of the differences are tested. They must also
-    exceed those of channels that are further apart in order. Where the order follows the skin, most
+    both directions alike, a leak in one: the signs of the differences are tested. Where the order follows the skin, most
     lowest readings are due to contacts, and a leak is not found. What leaks is the reading of the
     previous channel with or without its own leak, whichever leaves less of earlier channels.
     """
     n_sensors = min(recording.n_sensors, _MAX_CHANNELS)
-    if n_sensors <= max(_OTHER_OFFSETS):
-        return
     excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
     rest = recording.signals.rest
-    last = some_sensors(n_sensors - max(_OTHER_OFFSETS)) + max(_OTHER_OFFSETS)
     depths = _Depths(excerpt, rest)
-    some = last[:: max(1, last.size // _MIN_SCREENED)]
     for quantile in _QUANTILES:
-        if np.mean(np.sign(depths.compare(some, 1, quantile))) < _MIN_FORWARD:
-            continue
-        gains = depths.compare(last, 1, quantile)
+        gains = depths.compare(1, quantile)
         start, n_pairs = float(np.median(gains)), np.count_nonzero(gains)
         n_forward = np.count_nonzero(gains > 0)
         # One-sided binomial test.
         if not 0 < start < _MAX_SHARE or bdtrc(n_forward - 1, n_pairs, 0.5) > _LEVEL:
             continue
-        beyond = [np.median(depths.compare(last, k, quantile)) for k in _OTHER_OFFSETS]
-        if start < 2 * max(map(abs, beyond)):
-            continue
-        shares = [depths.share(last, start, limit) for limit in (2.5 * start, _MAX_SHARE)]
-        trials = [(*one, chained) for one in shares for chained in (False, True) if one[0] > 0]
-        if not trials:
+        share, error = depths.share(start)
+        if not share > 0:
             return
-        left = [_asymmetry(remove_leak(rest, *trial, excerpt), rest, last) for trial in trials]
-        best = trials[int(np.argmin(left))]
+        left = [
+            _asymmetry(remove_leak(rest, share, error, chained, excerpt), rest)
+            for chained in (False, True)
+        ]
         yield Found(
             range(1, recording.n_sensors),
-            best[0],
-            f"{best[0]:.1%} of each channel leaks into the next, in {n_forward} of {n_pairs} pairs "
+            share,
+            f"{share:.1%} of each channel leaks into the next, in {n_forward} of {n_pairs} pairs "
             "and not backwards",
-            in_readings(partial(remove_leak, rest, *best)),
+            in_readings(partial(remove_leak, rest, share, error, left[1] < left[0])),
         )
         return
 
@@ -133,10 +120,10 @@ class _Depths:
         mine = self.depth(i)
         return (mine[deep] - _quantile(mine[quiet], quantile)) / self.depth(source)[deep]
 
-    def compare(self, last: NDArray[np.intp], offset: int, quantile: float) -> NDArray[np.float64]:
+    def compare(self, offset: int, quantile: float) -> NDArray[np.float64]:
         """Return the gain forward minus the gain backward of channels `offset` apart."""
         found = []
-        for i in last.tolist():
+        for i in range(offset, len(self.columns)):
             pair = [self.ratios(i, i - offset, quantile), self.ratios(i - offset, i, quantile)]
             if all(ratios.size for ratios in pair):
                 forward, backward = (_quantile(ratios, quantile) for ratios in pair)
@@ -144,10 +131,11 @@ class _Depths:
         gains = np.array(found or [0.0])
         return np.where(np.abs(gains) < _TOLERANCE, 0, gains)
 
-    def share(self, last: NDArray[np.intp], start: float, limit: float) -> tuple[float, float]:
+    def share(self, start: float) -> tuple[float, float]:
         """Return the most frequent ratio of adjacent channels near a first one, and its error."""
-        pooled = np.sort(np.concatenate([self.ratios(i, i - 1, 0.5) for i in last.tolist()]))
-        near = pooled[(pooled > 0.3 * start) & (pooled < limit)]
+        ratios = [self.ratios(i, i - 1, 0.5) for i in range(1, len(self.columns))]
+        pooled = np.sort(np.concatenate(ratios))
+        near = pooled[(pooled > 0.3 * start) & (pooled < 2.5 * start)]
         share = _densest(near)
         for _ in range(3):
             width = 3 * np.median(np.abs(near - share)) / 0.6745
@@ -161,11 +149,11 @@ class _Depths:
         return share, float(np.std(near) / np.sqrt(max(1, near.size)))
 
 
-def _asymmetry(readings: NDArray[Any], rest: Rest, last: NDArray[np.intp]) -> float:
+def _asymmetry(readings: NDArray[Any], rest: Rest) -> float:
     """Return how much more channels contain of earlier than of later ones."""
     depths = _Depths(readings, rest)
     return sum(
-        abs(float(np.mean(np.sign(depths.compare(last, offset, quantile)))))
+        abs(float(np.mean(np.sign(depths.compare(offset, quantile)))))
         for offset in (1, 2)
         for quantile in _QUANTILES
     )

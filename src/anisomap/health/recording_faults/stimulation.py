@@ -14,9 +14,7 @@ from anisomap.numerics.columns import columns
 from anisomap.recording import Recording
 
 _MIN_CLIPPED = 10  # frames at the limit
-_MIN_LEVELS = 16  # distinct values of a sensor that can be clipped; fewer are quantised
 _LEVELS = 3  # beside the limit, of which none may be half as frequent
-_TOP = 0.05  # share of the range below the limit, for comparison
 _MAX_BRIDGES = 3  # sensors touched with both regions: fewer cannot fix their relative place
 _MIN_REGION = 0.1  # share of the sensors in the smaller region
 _MAX_FRAMES = 8192  # in which regions are searched
@@ -27,9 +25,8 @@ _STRAY = 0.02  # share of a sensor's active frames with the other region
 def find_clipped(recording: Recording) -> Iterator[Found]:
     """Find sensors whose readings are limited by a range that is too small.
 
-    The density of heights of contacts falls towards the highest. A sensor is clipped if its extreme
-    reading occurs more often than all readings in the 5 % of its range beside it, and in at least
-    10 frames. Sensors with fewer than 16 distinct values are not judged.
+    The density of heights of contacts falls towards the highest, so the extreme reading of a sensor
+    should not be twice as frequent as each of those beside it.
     """
     shares = [max(_at_limit(column), _at_limit(-column)) for column in columns(recording.readings)]
     clipped = np.flatnonzero(shares)
@@ -50,11 +47,8 @@ def _at_limit(column: NDArray[Any]) -> float:
     if not _MIN_CLIPPED <= at_limit <= 0.5 * column.size:
         return 0.0
     values, counts = np.unique(column, return_counts=True)
-    # Of readings with few levels, those beside the limit are frequent as well.
     beside = counts[-1 - _LEVELS : -1].max(initial=0)
-    near = counts[values >= limit - _TOP * (float(limit) - float(values[0]))].sum() - at_limit
-    is_rest = values[counts.argmax()] == limit
-    clipped = at_limit > max(2 * beside, near) and values.size >= _MIN_LEVELS and not is_rest
+    clipped = at_limit > 2 * beside and values[counts.argmax()] != limit
     return at_limit / column.size if clipped else 0.0
 
 
