@@ -20,10 +20,9 @@ _LEVEL = 25.0  # percentile that lies at rest even if a sensor is touched in mos
 _MIN_SIZE = 0.1  # standard deviations of the readings; less changes no correlation; by hand
 _MIN_REST = 0.3  # share of the frames at rest, for the level to be known; chosen by hand
 _NOISE = 3.0  # standard deviations of the readings at rest
-_N_ROUNDS, _MIN_NEAR = 3, 0.05  # of the running line, and its share of readings at rest
-_MIN_SPREAD = 0.005  # variance of their times, in windows, for a slope; 1/12 in a full window
-_MIN_WIDTH = 0.03  # of the same, so that a line fits a curve; chosen by hand
-_MAX_WIDTH = 0.5  # of the noise at rest, in standard deviations of the readings; by hand
+_MIN_NEAR = 0.05  # of the running mean: share of readings at rest
+_MIN_WIDTH = 0.03  # of the noise at rest, in standard deviations of the readings; chosen by hand
+_MAX_WIDTH = 0.5  # of the same; chosen by hand
 _WINDOW = 8  # times the time that readings stay alike, over which the level at rest is taken
 _MIN_WINDOW = 41  # frames
 _MAX_CORRELATED = 0.2  # autocorrelation at which readings count as unlike
@@ -82,55 +81,31 @@ def remove_drift(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[A
         level, noise = _level_at_rest(values)
         left = values - level
         at_rest = np.abs(left) <= noise
-        if np.mean(at_rest) >= _MIN_REST and np.median(noise) <= _MAX_WIDTH * left.std():
+        if np.mean(at_rest) >= _MIN_REST and noise <= _MAX_WIDTH * left.std():
             mended[:, i] = sign * (np.where(at_rest, 0, left) + np.median(level))
     return mended
 
 
-def _level_at_rest(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the level at rest of a sensor and the width of its noise over time, shape (T,).
+def _level_at_rest(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the level at rest of a sensor, shape (T,), and the width of its noise.
 
-    Contact raises readings. The level is a running quartile, then a running line through the
-    readings near it.
+    Contact raises readings. The level is a running quartile, then the running mean of the readings
+    near it.
     """
     from scipy.ndimage import percentile_filter  # noqa: PLC0415, slow to import
 
     window = _window(values)
     level = percentile_filter(values, _LEVEL, size=window, mode="nearest")
-    for _ in range(_N_ROUNDS):
-        left = values - level
-        level = _local_line(values, np.abs(left) <= _width_at_rest(left), window // 4 | 1, level)
+    near = (np.abs(values - level) <= _width_at_rest(values - level)).astype(np.float64)
+    share, mean = (_running_mean(one, window // 4 | 1) for one in (near, near * values))
+    level = np.where(share > _MIN_NEAR, mean / np.maximum(share, 1e-12), level)
     return level, _width_at_rest(values - level)
 
 
-def _width_at_rest(left: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the width of the noise at rest over time, from the side that contact does not reach.
-
-    It differs between blocks, since a level follows a fast drift less closely than a slow one.
-    """
-    blocks = np.array_split(left, _N_BLOCKS)
-    below = [np.median(np.abs(block[block <= 0])) if block.min() <= 0 else 0 for block in blocks]
-    widths = np.maximum(_NOISE * np.array(below) / 0.6745, _MIN_WIDTH * left.std())
-    return np.repeat(widths, [block.size for block in blocks])
-
-
-def _local_line(
-    values: NDArray[np.float64], used: NDArray[np.bool_], window: int, instead: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Fit a line to the used values in a window about each frame, and return it at the frame.
-
-    A mean would be biased at the ends of a recording, for all sensors alike.
-    """
-    times = (np.arange(values.size) - values.size / 2) / window
-    products = [used, used * times, used * values, used * times**2, used * times * values]
-    sums = (np.ones(values.size), *products)
-    means = [_running_mean(one.astype(np.float64), window, "constant") for one in sums]
-    full, total = means[:2]
-    middle, level, square, product = means[2:] / np.maximum(total, 1e-12)
-    spread = square - middle**2
-    slope = (product - middle * level) / np.maximum(spread, _MIN_SPREAD)
-    slope[spread <= _MIN_SPREAD] = 0
-    return np.where(total > _MIN_NEAR * full, level + slope * (times - middle), instead)
+def _width_at_rest(left: NDArray[np.float64]) -> float:
+    """Return the width of the noise at rest, from the side that contact does not reach."""
+    below = float(np.median(-left[left <= 0])) if left.min() <= 0 else 0.0
+    return max(_NOISE * below / 0.6745, _MIN_WIDTH * float(left.std()))
 
 
 def _contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:
@@ -141,10 +116,10 @@ def _contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:
     return np.where(np.einsum("ti,ti,ti->i", values, values, values) < 0, -1.0, 1.0)
 
 
-def _running_mean(values: NDArray[Any], window: int, mode: Any = "nearest") -> NDArray[Any]:
+def _running_mean(values: NDArray[Any], window: int) -> NDArray[Any]:
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415, slow to import
 
-    return np.asarray(uniform_filter1d(values, window, axis=0, mode=mode))
+    return np.asarray(uniform_filter1d(values, window, axis=0, mode="nearest"))
 
 
 def _window(values: NDArray[np.float64]) -> int:

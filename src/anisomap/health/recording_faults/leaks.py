@@ -32,9 +32,10 @@ def find_leak(recording: Recording) -> Iterator[Found]:
 
     Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
     channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in
-    both directions alike, a leak in one: the signs of the differences are tested. Where the order follows the skin, most
-    lowest readings are due to contacts, and a leak is not found. What leaks is the reading of the
-    previous channel with or without its own leak, whichever leaves less of earlier channels.
+    both directions alike, a leak in one: the signs of the differences are tested. Where the order
+    follows the skin, most lowest readings are due to contacts, and a leak is not found. What leaks
+    is the reading of the previous channel with or without its own leak, whichever leaves less of
+    earlier channels.
     """
     n_sensors = min(recording.n_sensors, _MAX_CHANNELS)
     excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
