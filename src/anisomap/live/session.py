@@ -20,7 +20,7 @@ from anisomap.health import SensorHealth
 from anisomap.live.batches import Names, Notice, Source
 from anisomap.live.quick_map import QuickMap, confirmed_faults
 from anisomap.live.recorder import Recorder, Segment
-from anisomap.live.saving import command_for
+from anisomap.live.saving import command_for, save_map
 from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task, Worker
 from anisomap.placement import Anchors
 from anisomap.sensor_map import SensorMap
@@ -441,6 +441,17 @@ class LiveSession:
         """Compare checked maps with true positions from now on."""
         self.maps.change(replace(self.maps.options, truth=truth))
         self.notify(f"maps are compared with the {truth.n_sensors} positions that were declared")
+
+    def save(self, path: Path, spacing: str = "") -> Path:
+        """Write the checked map in the frame of the anchors, or what a viewer shows."""
+        return save_map(
+            self.maps.checked,
+            path,
+            recording=self.recorder.segments[-1].path,
+            preset=self.maps.options.preset,
+            spacing=spacing,
+            anchors=self.anchors,
+        )
 
     def stop(self) -> None:
         """End the acquisition; everything that arrived is on disk afterwards."""

@@ -294,24 +294,16 @@ def _finish(
     session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
 ) -> None:
     """Make the final map, write all files, and say what was written."""
-    from anisomap.live.saving import SESSIONS, save_map, save_report
+    from anisomap.live.saving import SESSIONS, save_report
 
     with progress("making the final map"):
         final = session.finish()
     written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"), together():
-            save = partial(
-                save_map,
-                final,
-                recording=session.recorder.segments[-1].path,
-                preset=session.maps.options.preset,
-                spacing=spacing,
-            )
-            written += [
-                ("session" if path.suffix.lower() in SESSIONS else "map", save(path))
-                for path in maps
-            ]
+            for path in maps:
+                kind = "session" if path.suffix.lower() in SESSIONS else "map"
+                written.append((kind, session.save(path, spacing)))
             if report:
                 written.append(("report", save_report(final, report)))
         printer.say(f"Final map of {final.n_frames} frames: {final.verdict}")

@@ -18,7 +18,7 @@ from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.files import together
 from anisomap.live.quick_map import QuickMap, turned_onto
-from anisomap.live.saving import EXPORTS, save_map, save_report
+from anisomap.live.saving import EXPORTS, save_report
 from anisomap.live.session import LiveSession
 from anisomap.live.workers import Examination
 from anisomap.numerics.neighbours import padded
@@ -104,15 +104,8 @@ def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
 
 def _written(session: LiveSession, request: Mapping[str, Any], suffix: str) -> Done:
     """Write the checked map beside the recording."""
-    recording = _recording(session)
-    path = save_map(
-        session.maps.checked,
-        recording.with_suffix(suffix),
-        recording=recording,
-        preset=session.maps.options.preset,
-        spacing=str(request.get("spacing") or ""),
-        anchors=session.anchors,
-    )
+    target = _recording(session).with_suffix(suffix)
+    path = session.save(target, str(request.get("spacing") or ""))
     return Done(f"written: {path.name}", (path,))
 
 
