@@ -8,11 +8,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 from benchmarks.comparison import Row, run
+from benchmarks.harness import columns, write_csv
 from benchmarks.stages import STAGES
-from benchmarks.tables import draw, markdown, significant, write_csv
+from benchmarks.tables import draw, markdown, significant
 
 SIZES = (256, 1000)
 LARGE = (4000, 20_000)
@@ -78,7 +80,8 @@ def write(rows: Sequence[Row], folder: Path, n_frames: int) -> None:
     """Write the results so far."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "bench-table.md").write_text(markdown(rows, n_frames), encoding="utf-8")
-    write_csv(rows, figure_folder(folder) / "bench.csv")
+    cells = ((*astuple(row), row.ratio) for row in rows)
+    write_csv(figure_folder(folder) / "bench.csv", [*columns(Row), "ratio"], cells)
 
 
 def figure_folder(folder: Path) -> Path:

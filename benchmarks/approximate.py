@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap import SensorMap, read, reconstruct_from, score
-from anisomap.evaluation import Score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.harness import files_in, heading, line, quietly
@@ -39,12 +38,16 @@ BLOCK = 500
 
 @dataclass(frozen=True)
 class Skin:
-    """A kind of skin, the dimensions of its map, and the number of simultaneous contacts."""
+    """A kind of skin, the dimensions of its map, and whether many contacts are simultaneous."""
 
     name: str
     spread: Callable[[int, int, np.random.Generator], Matrix]
     dimensions: int
-    contacts: Callable[[int], int]
+    many: bool = False
+
+    def contacts(self, n_sensors: int) -> int:
+        """Return the number of simultaneous contacts."""
+        return max(2, n_sensors // 1000) if self.many else 1
 
 
 def on_a_square(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
@@ -59,20 +62,12 @@ def on_a_sphere(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matr
     return np.asarray(radius * points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
-def _one(_: int) -> int:
-    return 1
-
-
-def _many(n_sensors: int) -> int:
-    return max(2, n_sensors // 1000)
-
-
 SKINS = (
-    Skin("flat, one contact, in 2D", on_a_square, 2, _one),
-    Skin("flat, one contact, in 3D", on_a_square, 3, _one),
-    Skin("sphere, one contact, in 3D", on_a_sphere, 3, _one),
-    Skin("flat, N / 1000 contacts, in 2D", on_a_square, 2, _many),
-    Skin("sphere, N / 1000 contacts, in 3D", on_a_sphere, 3, _many),
+    Skin("flat, one contact, in 2D", on_a_square, 2),
+    Skin("flat, one contact, in 3D", on_a_square, 3),
+    Skin("sphere, one contact, in 3D", on_a_sphere, 3),
+    Skin("flat, N / 1000 contacts, in 2D", on_a_square, 2, many=True),
+    Skin("sphere, N / 1000 contacts, in 3D", on_a_sphere, 3, many=True),
 )
 
 
@@ -135,13 +130,9 @@ def _compare(
         )
     )
     fast, found = _timed(lambda: reconstruct_approximately(readings, dimensions))
-    return (
-        _score(exact, sensors).mantel.r,
-        _score(found, sensors).mantel.r,
-        _score(found, exact.positions).mantel.r,
-        slow,
-        fast,
-    )
+    pairs = ((exact, sensors), (found, sensors), (found, exact.positions))
+    first, second, agreement = (score(*pair, permutations=0).mantel.r for pair in pairs)
+    return first, second, agreement, slow, fast
 
 
 def real_losses(folder: Path) -> None:
@@ -165,10 +156,6 @@ def _print(*cells: object) -> None:
     print(line(cells), flush=True)
 
 
-def _score(found: SensorMap, truth: Matrix) -> Score:
-    return score(found, truth, permutations=0)
-
-
 def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
     begin = time.process_time()
     made = make()
@@ -187,7 +174,7 @@ def costs(sizes: Sequence[int], n_frames: int) -> None:
                 sensors = _written(path, skin, n_sensors, n_frames)
                 mapped = np.load(path, mmap_mode="r")
                 seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
-            result = _score(found, sensors)
+            result = score(found, sensors, permutations=0)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             _print(
                 skin.name, f"{n_sensors} x {n_frames}", f"{seconds:.0f}", f"{peak:.1f}",

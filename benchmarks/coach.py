@@ -31,7 +31,7 @@ from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
 from benchmarks.contacts import contacts_by_frame
-from benchmarks.harness import options, read_rows, write_csv, write_rows
+from benchmarks.harness import frame, options, read_rows, write_csv, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D
@@ -117,20 +117,18 @@ def evenness(readings: NDArray[np.floating], mean: float) -> tuple[float, float]
     return float((contacts > 0).mean()), float(contacts.std() / contacts.mean())
 
 
-def evenness_table(folder: Path, seeds: Sequence[int]) -> list[dict[str, object]]:
+def evenness_table(folder: Path, seeds: Sequence[int]) -> list[list[object]]:
     """Compare the evenness of recordings in a folder and of the uncoached hand."""
     rubbed = [(path.stem, [read_recording(path).readings]) for path in sorted(folder.glob("icub*"))]
     for name, stimulus in itertools.product(BODIES, STIMULI):
         hands = [hand_on(find_body(name), stimulus, seed) for seed in seeds]
         rubbed.append((f"{name}, {stimulus}", [uncoached(hand, max(LENGTHS)) for hand in hands]))
-    found: list[dict[str, object]] = []
+    found: list[list[object]] = []
     for label, runs in rubbed:
-        row: dict[str, object] = {"skin": label}
+        found.append([label])
         for mean in MEAN_CONTACTS:
             values = [evenness(np.asarray(run, dtype=np.float64), mean) for run in runs]
-            share, variation = np.mean(values, axis=0)
-            row |= {f"touched_{mean}": round(share, 2), f"variation_{mean}": round(variation, 2)}
-        found.append(row)
+            found[-1] += [round(value, 2) for value in np.mean(values, axis=0)]
     return found
 
 
@@ -149,17 +147,16 @@ def error_of(positions: NDArray[np.float64], body: Body) -> float:
 
 def frames_to(rows: Sequence[Row], goal: float) -> float:
     """Return the number of frames after which the median error stays at or below a goal."""
-    lengths = sorted({row.n_frames for row in rows})
-    medians = [np.median([row.error for row in rows if row.n_frames == n]) for n in lengths]
-    below = [n for i, n in enumerate(lengths) if max(medians[i:]) <= goal]
-    return below[0] if below else float("nan")
+    medians = frame(rows).groupby("n_frames").error.median()
+    below = medians.index[medians[::-1].cummax()[::-1] <= goal]
+    return int(below[0]) if len(below) else float("nan")
 
 
 def frames_to_all(rows: Sequence[Row]) -> float:
     """Return the number of frames after which half of the runs or more touched every sensor."""
-    lengths = sorted({row.n_frames for row in rows})
-    medians = [np.median([row.touched for row in rows if row.n_frames == n]) for n in lengths]
-    return next((n for n, share in zip(lengths, medians, strict=True) if share == 1), float("nan"))
+    medians = frame(rows).groupby("n_frames").touched.median()
+    whole = medians.index[medians == 1]
+    return int(whole[0]) if len(whole) else float("nan")
 
 
 @dataclass(frozen=True)
@@ -210,8 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows = [row for path in given.read or () for row in read_rows(path, Row)]
     if given.evenness is not None:
         evenly = evenness_table(given.evenness, given.seeds[:3])
-        cells = ([row[name] for name in EVENNESS_COLUMNS] for row in evenly)
-        write_csv(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, cells)
+        write_csv(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, evenly)
         return
     for name in () if rows else given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
@@ -233,13 +229,14 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     figure = Figure(figsize=(3.2 * len(bodies), 5.6), layout="constrained")
     axes = figure.subplots(len(STIMULI), len(bodies), sharex=True, sharey="col", squeeze=False)
     looks = {"coached": ("#0b5394", "-", "o"), "uncoached": ("#b35000", "--", "s")}
-    lengths = sorted({row.n_frames for row in rows})
+    every = frame(rows).groupby(["body", "stimulus", "way", "n_frames"]).error
+    quartiles = every.quantile([0.25, 0.5, 0.75]).unstack()
     for (i, stimulus), (j, body) in itertools.product(enumerate(STIMULI), enumerate(bodies)):
         ax = axes[i, j]
         for way, (colour, line, mark) in looks.items():
-            chosen = [r for r in rows if (r.body, r.stimulus, r.way) == (body, stimulus, way)]
-            errors = np.array([[r.error for r in chosen if r.n_frames == n] for n in lengths])
-            low, middle, high = np.quantile(errors, (0.25, 0.5, 0.75), axis=1)
+            errors = quartiles.loc[body, stimulus, way]
+            low, middle, high = (errors[share] for share in errors)
+            lengths = errors.index
             ax.plot(lengths, middle, line, marker=mark, color=colour, label=way, markersize=4)
             ax.fill_between(lengths, low, high, color=colour, alpha=0.15)
         ax.set(title=f"{body}, {stimulus}", xscale="log", ylim=(0, None))

@@ -6,7 +6,6 @@ import itertools
 import math
 import platform
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,8 +15,7 @@ from matplotlib.figure import Figure
 from threadpoolctl import threadpool_info
 
 from benchmarks.comparison import Row
-from benchmarks.harness import COLOURS, columns, markdown_table
-from benchmarks.harness import write_csv as write_table
+from benchmarks.harness import COLOURS, markdown_table
 from benchmarks.measuring import n_cores
 
 _HEADER = (
@@ -144,11 +142,6 @@ def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
 def growth_exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
     """Fit the exponent of a power law of times."""
     return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
-
-
-def write_csv(rows: Iterable[Row], path: Path) -> None:
-    """Write all rows, unrounded."""
-    write_table(path, [*columns(Row), "ratio"], ((*astuple(row), row.ratio) for row in rows))
 
 
 _MARKS = ("o", "s", "^", "D", "v", "P", "X")
