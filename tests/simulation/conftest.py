@@ -1,6 +1,5 @@
 """Bodies and a bombardment shared by tests."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,7 @@ class Bombarded:
 
 
 @pytest.fixture(scope="session")
-def bombarded() -> Bombarded:
+def bombarded():
     """The default run: 2,000 frames of a sphere with 60 sensors."""
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     body, options = sphere(), BombardmentOptions()
@@ -31,6 +30,6 @@ def bombarded() -> Bombarded:
 
 
 @pytest.fixture(scope="session")
-def bodies() -> Mapping[str, Body]:
+def bodies():
     """All bodies by name, made once."""
     return {name: make() for name, make in BODIES.items()}

@@ -1,7 +1,5 @@
 """Bodies: sensors on the surface, and invalid arguments."""
 
-from collections.abc import Mapping
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,9 +12,7 @@ from anisomap.simulation.bodies import BODIES, CYLINDER_PLACEMENTS, sphere
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_sensors_are_on_the_surface_and_normals_point_outwards(
-    name: str, bodies: Mapping[str, Body]
-) -> None:
+def test_sensors_are_on_the_surface_and_normals_point_outwards(name, bodies):
     body = bodies[name]
     assert body.name == name
     np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
@@ -35,7 +31,7 @@ def test_sensors_are_on_the_surface_and_normals_point_outwards(
 
 @given(st.integers(min_value=12, max_value=800))
 @settings(max_examples=30)
-def test_sensors_are_spread_evenly_over_the_sphere(n_sensors: int) -> None:
+def test_sensors_are_spread_evenly_over_the_sphere(n_sensors):
     positions = sphere(n_sensors).positions
     # Upper bound of the spacing of n points: a triangular lattice, with an area of sqrt(3)/2
     # spacing^2 per point.
@@ -49,14 +45,14 @@ def test_sensors_are_spread_evenly_over_the_sphere(n_sensors: int) -> None:
 
 
 @pytest.mark.parametrize("n_sensors", [0, -3, 2.5, True])
-def test_the_number_of_sensors_must_be_a_positive_integer(n_sensors: int) -> None:
+def test_the_number_of_sensors_must_be_a_positive_integer(n_sensors):
     with pytest.raises(InputError, match="n_sensors"):
         sphere(n_sensors)
     with pytest.raises(ValueError, match="read-only"):
         sphere().positions[0] = 0
 
 
-def test_a_sensor_off_the_surface_raises_an_error_with_its_name_and_distance() -> None:
+def test_a_sensor_off_the_surface_raises_an_error_with_its_name_and_distance():
     positions = np.array([[1.0, 0, 0], [0, 1.25, 0]])
     with pytest.raises(InputError, match=r"sensor s1 is 0\.25 m off"):
         Body(

@@ -4,11 +4,8 @@ The flight of the balls is chaotic: processors differ in the course of a run, bu
 conserved. Statistics have a tolerance of twice their largest deviation over ten seeds, or more.
 """
 
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from anisomap.errors import AnisomapWarning
@@ -16,7 +13,6 @@ from anisomap.simulation import Body, simulate, solids
 from anisomap.simulation.bodies import holed_plate, sphere
 from anisomap.simulation.bombardment import (
     BombardmentOptions,
-    Flight,
     bombardment,
     simulate_flight,
 )
@@ -30,14 +26,14 @@ OPTIONS = BombardmentOptions(n_balls=30, timestep=STEP, frame_interval=STEP)
 
 
 @pytest.fixture(scope="module")
-def stepped() -> Flight:
+def stepped():
     """Every step of four seconds of physics, with 30 balls around the sphere."""
     assert OPTIONS.steps_per_frame == 1
     return simulate_flight(sphere(), 4000, OPTIONS, np.random.default_rng(5))
 
 
 @pytest.fixture(scope="module")
-def assembly() -> Body:
+def assembly():
     """A solid of each kind. The mesh is a plate with a hole in its middle."""
     holed = holed_plate(4).solids[0].scaled(0.5)
     parts = [
@@ -51,24 +47,24 @@ def assembly() -> Body:
     return body.scaled(1 / body.reach)
 
 
-def wall_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
+def wall_gaps(centres, options):
     return options.box_half_width - options.ball_radius - np.abs(centres)
 
 
-def body_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
+def body_gaps(centres, options):
     return np.asarray(np.linalg.norm(centres, axis=-1) - 1 - options.ball_radius)
 
 
-def ball_gaps(centres: NDArray[np.float64], options: BombardmentOptions) -> NDArray[np.float64]:
+def ball_gaps(centres, options):
     return np.array([pdist(balls) for balls in centres]) - 2 * options.ball_radius
 
 
-def lag_correlation(readings: NDArray[np.float32]) -> float:
+def lag_correlation(readings):
     centred = readings - readings.mean(axis=0, dtype=float)
     return float(np.mean((centred[1:] * centred[:-1]).mean(axis=0) / centred.var(axis=0)))
 
 
-def test_energy_is_conserved(bombarded: Any) -> None:
+def test_energy_is_conserved(bombarded):
     flight = bombarded.flight
     start = bombarded.options.n_balls * bombarded.options.speed**2 / 2
     assert flight.energies[0] == pytest.approx(start, rel=1e-12)
@@ -81,7 +77,7 @@ def test_energy_is_conserved(bombarded: Any) -> None:
     assert flight.energy_drift < 0.02 / np.sqrt(10)
 
 
-def test_energy_is_conserved_when_balls_touch_several_objects_at_once() -> None:
+def test_energy_is_conserved_when_balls_touch_several_objects_at_once():
     options = BombardmentOptions(n_balls=60, box_half_width=2.0)
     flight = simulate_flight(sphere(), 200, options, np.random.default_rng(4))
     crowded = (ball_gaps(flight.centres, options) < 0).sum(axis=1) > 1
@@ -89,7 +85,7 @@ def test_energy_is_conserved_when_balls_touch_several_objects_at_once() -> None:
     assert np.abs(flight.energies / flight.energies[0] - 1).max() < 0.02
 
 
-def test_contacts_with_solids_of_all_kinds_conserve_energy(assembly: Body) -> None:
+def test_contacts_with_solids_of_all_kinds_conserve_energy(assembly):
     options = options_for(BombardmentOptions, assembly, {"box_half_width": 2.0})
     flight = simulate_flight(assembly, 250, options, np.random.default_rng(5))
     assert flight.energy_drift < 0.02
@@ -99,7 +95,7 @@ def test_contacts_with_solids_of_all_kinds_conserve_energy(assembly: Body) -> No
     assert clearances.min() > -4 * options.softness
 
 
-def test_mujoco_finds_the_contacts_of_the_exact_distance(assembly: Body) -> None:
+def test_mujoco_finds_the_contacts_of_the_exact_distance(assembly):
     """MuJoCo replaces a mesh geom by its convex hull, which would close the hole."""
     spec, radius = new_model(STEP, 0, "EULER"), 0.1
     for solid in assembly.solids:
@@ -124,7 +120,7 @@ def test_mujoco_finds_the_contacts_of_the_exact_distance(assembly: Body) -> None
     assert (expected > 0).sum() > 20
 
 
-def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(stepped: Flight) -> None:
+def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(stepped):
     # Depth is proportional to the square root of the speed, which is bounded by that of one ball
     # (or two colliding balls) with all the energy.
     deepest = OPTIONS.softness * OPTIONS.n_balls**0.25
@@ -134,7 +130,7 @@ def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(stepped: 
     assert OPTIONS.softness / 2 < stepped.overlaps.max() < deepest * 2**0.25
 
 
-def test_velocities_follow_the_maxwell_distribution(bombarded: Any) -> None:
+def test_velocities_follow_the_maxwell_distribution(bombarded):
     # A ball that bounces within a frame appears slower; quantiles hardly depend on these.
     late = np.diff(bombarded.flight.centres[1000:], axis=0).reshape(-1, 3)
     speeds = np.abs(late) / bombarded.options.frame_interval
@@ -146,7 +142,7 @@ def test_velocities_follow_the_maxwell_distribution(bombarded: Any) -> None:
         assert ratio == pytest.approx(quantile / half, rel=0.15)
 
 
-def test_energy_is_equipartitioned_among_balls_of_different_sizes() -> None:
+def test_energy_is_equipartitioned_among_balls_of_different_sizes():
     options = BombardmentOptions(size_ratio=3.0, n_balls=30)
     assert options.radii.max() / options.radii.min() == pytest.approx(3)
     flight = simulate_flight(sphere(), 1000, options, np.random.default_rng(2))
@@ -160,7 +156,7 @@ def test_energy_is_equipartitioned_among_balls_of_different_sizes() -> None:
     assert (away > 1 + options.radii - 6 * options.softness).all()
 
 
-def test_readings_on_the_sphere_are_isotropic_and_stationary(bombarded: Any) -> None:
+def test_readings_on_the_sphere_are_isotropic_and_stationary(bombarded):
     body, readings = bombarded.body, bombarded.readings
     mean_reading = readings.mean(axis=0)
     # Of a half that is not reached, these would be 0.5, 1 and 0.
@@ -177,7 +173,7 @@ def test_readings_on_the_sphere_are_isotropic_and_stationary(bombarded: Any) -> 
 
 
 @pytest.mark.slow
-def test_energy_and_autocorrelation_are_stationary_over_20_000_frames() -> None:
+def test_energy_and_autocorrelation_are_stationary_over_20_000_frames():
     recording = simulate(n_frames=20_000, seed=11)
     assert float(recording.metadata["energy_drift"]) < 0.02
     early, late = (np.asarray(part) for part in np.array_split(recording.readings, 2))
@@ -188,7 +184,7 @@ def test_energy_and_autocorrelation_are_stationary_over_20_000_frames() -> None:
     assert touched.std() < 0.2 * touched.mean()
 
 
-def test_the_frame_interval_does_not_change_the_physics() -> None:
+def test_the_frame_interval_does_not_change_the_physics():
     coarse, fine = (
         simulate_flight(
             sphere(),
@@ -206,8 +202,8 @@ def test_the_frame_interval_does_not_change_the_physics() -> None:
     [(0.05, 0.001, 50), (0.05, 0.0015, 34), (0.3, 0.1 / 80, 240), (0.0004, 0.001, 1)],
 )
 def test_frames_are_divided_into_equal_steps_no_longer_than_the_timestep(
-    frame_interval: float, timestep: float, steps: int
-) -> None:
+    frame_interval, timestep, steps
+):
     options = BombardmentOptions(frame_interval=frame_interval, timestep=timestep)
     assert options.steps_per_frame == steps
     assert options.step * steps == pytest.approx(frame_interval)
@@ -216,12 +212,12 @@ def test_frames_are_divided_into_equal_steps_no_longer_than_the_timestep(
 
 class DampedOptions(BombardmentOptions):
     @property
-    def contact(self) -> dict[str, Any]:
+    def contact(self):
         """MuJoCo's default contact, a damped spring that starts abruptly."""
         return {"condim": 1, "solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}
 
 
-def test_a_change_of_energy_gives_a_warning() -> None:
+def test_a_change_of_energy_gives_a_warning():
     with pytest.warns(AnisomapWarning, match=r"energy of the balls changed by \d+"):
         run = bombardment(sphere(), 200, DampedOptions(), np.random.default_rng(0))
     assert run.facts["energy_drift"] > 0.02

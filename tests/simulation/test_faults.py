@@ -3,7 +3,6 @@
 from dataclasses import replace
 from inspect import signature
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from anisomap.simulation.injection import (
 seeds = st.integers(0, 2**32 - 1)
 
 
-def random_touches(seed: int, n_frames: int = 400, n_sensors: int = 6) -> Recording:
+def random_touches(seed, n_frames=400, n_sensors=6):
     """Recording with each sensor at rest in three of four frames."""
     rng = np.random.default_rng(seed)
     depth = rng.exponential(size=(n_frames, n_sensors))
@@ -34,13 +33,13 @@ def random_touches(seed: int, n_frames: int = 400, n_sensors: int = 6) -> Record
     return Recording(readings, rate_hz=20, positions=places, metadata={"scenario": "random"})
 
 
-def broken(kind: str, recording: Recording, sensors: Any = (), **parameters: Any) -> Recording:
+def broken(kind, recording, sensors=(), **parameters):
     if kind in FRAME_FAULTS:
         return FRAME_FAULTS[kind](recording, **parameters)
     return FAULTS[kind](recording, sensors, **parameters)
 
 
-def change(kind: str, recording: Recording, sensors: Any, **parameters: Any) -> np.ndarray:
+def change(kind, recording, sensors, **parameters):
     """Readings with a fault, less those without."""
     return broken(kind, recording, sensors, **parameters).readings - recording.readings
 
@@ -48,7 +47,7 @@ def change(kind: str, recording: Recording, sensors: Any, **parameters: Any) -> 
 @pytest.mark.parametrize("kind", FAULTS)
 @given(seed=seeds, chosen=st.sets(st.integers(0, 5), max_size=5))
 @settings(max_examples=20)
-def test_a_fault_changes_only_logged_readings(kind: str, seed: int, chosen: set[int]) -> None:
+def test_a_fault_changes_only_logged_readings(kind, seed, chosen):
     sensors = sorted(chosen)[: len(chosen) // 2 * 2] if kind == "swapped" else sorted(chosen)
     clean = random_touches(seed)
     before = clean.readings.copy()
@@ -78,14 +77,13 @@ def test_a_fault_changes_only_logged_readings(kind: str, seed: int, chosen: set[
 
 @pytest.mark.parametrize("kind", sorted({*FRAME_FAULTS} - {"separate-regions"}))
 @given(seed=seeds, share=st.floats(0.01, 0.9))
-def test_a_frame_fault_changes_only_logged_frames(kind: str, seed: int, share: float) -> None:
+def test_a_frame_fault_changes_only_logged_frames(kind, seed, share):
     strength = {"level" if kind == "clock-jitter" else "share": share}
     times = np.arange(80) / 20 + np.linspace(0, 0.01, 80)
     clean = replace(random_touches(seed, n_frames=80), times=times)
     faulty = broken(kind, clean, rng=seed, **strength)
     (fault,) = injected_faults(faulty)
     assert fault.kind == kind
-    assert faulty.times is not None
     assert (np.diff(faulty.times) > 0).all()
     mask = fault_mask(faulty)
     if kind == "clock-jitter":
@@ -106,12 +104,11 @@ def test_a_frame_fault_changes_only_logged_frames(kind: str, seed: int, share: f
 
 
 @given(seed=seeds, share=st.floats(0.05, 0.8))
-def test_dropping_frames_renumbers_earlier_spans(seed: int, share: float) -> None:
+def test_dropping_frames_renumbers_earlier_spans(seed, share):
     clean = replace(random_touches(seed), times=np.arange(400) / 20)
     lost = broken("nan-bursts", clean, ["s1"], rng=seed, mean_gap=30)
     both = broken("saturating", lost, ["s2"], rng=seed)
     shorter = broken("dropped-frames", both, rng=seed, share=share)
-    assert shorter.times is not None
     frames = np.round(20 * shorter.times).astype(int)
     np.testing.assert_array_equal(fault_mask(shorter), fault_mask(both)[frames])
 
@@ -127,7 +124,7 @@ def test_dropping_frames_renumbers_earlier_spans(seed: int, share: float) -> Non
     ],
     ids=["one frame", "nothing", "missing", "0/1"],
 )
-def test_faults_apply_to_degenerate_recordings(kind: str, readings: Any) -> None:
+def test_faults_apply_to_degenerate_recordings(kind, readings):
     recording = Recording(readings, positions=np.eye(4)[:, :3])
     parameters = {"n_neighbours": 2} if kind == "crosstalk" else {}
     faulty = broken(kind, recording, [0, 2], rng=1, **parameters)
@@ -138,11 +135,11 @@ def test_faults_apply_to_degenerate_recordings(kind: str, readings: Any) -> None
 
 @given(seeds)
 @settings(max_examples=30)
-def test_faults_of_single_sensors_have_the_documented_effect(seed: int) -> None:
+def test_faults_of_single_sensors_have_the_documented_effect(seed):
     clean = random_touches(seed)
     before, top = clean.readings, float(clean.readings.max())
 
-    def column(kind: str, **parameters: Any) -> np.ndarray:
+    def column(kind, **parameters):
         return broken(kind, clean, [1], **parameters).readings[:, 1]
 
     assert (column("dead") == 0).all()
@@ -188,7 +185,7 @@ def test_faults_of_single_sensors_have_the_documented_effect(seed: int) -> None:
     np.testing.assert_allclose(wave[20:], wave[:-20], atol=1e-4)
 
 
-def test_saturated_spans_have_geometric_lengths_with_the_given_means() -> None:
+def test_saturated_spans_have_geometric_lengths_with_the_given_means():
     clean = Recording(np.zeros((200_000, 1)))
     faulty = broken("saturating", clean, [0], rng=1, level=5.0, mean_gap=60, mean_span=15)
     (fault,) = injected_faults(faulty)
@@ -204,7 +201,7 @@ def test_saturated_spans_have_geometric_lengths_with_the_given_means() -> None:
 
 @given(seeds)
 @settings(max_examples=30)
-def test_gaps_are_bridged_by_straight_lines(seed: int) -> None:
+def test_gaps_are_bridged_by_straight_lines(seed):
     bridged = broken("bridged-gaps", random_touches(seed), [2], rng=seed, mean_gap=20, mean_span=10)
     column = bridged.readings[:, 2].astype(float)
     for start, stop in injected_faults(bridged)[0].spans:
@@ -212,7 +209,7 @@ def test_gaps_are_bridged_by_straight_lines(seed: int) -> None:
         assert np.abs(np.diff(column[inner], 2)).max(initial=0) < 1e-5
 
 
-def test_wiring_faults_move_readings_and_keep_names() -> None:
+def test_wiring_faults_move_readings_and_keep_names():
     clean = random_touches(1)
     before = clean.readings
     traded = broken("swapped", clean, ["s4", "s1", "s0", "s5"]).readings
@@ -229,7 +226,7 @@ def test_wiring_faults_move_readings_and_keep_names() -> None:
 
 @given(seeds)
 @settings(max_examples=30)
-def test_copies_have_gains_and_noise_of_their_own(seed: int) -> None:
+def test_copies_have_gains_and_noise_of_their_own(seed):
     clean = random_touches(seed, n_frames=4000)
     copied = broken("duplicated", clean, [1, 2], source=5, rng=seed, factor=4, level=0.5).readings
     source = clean.readings[:, 5]
@@ -242,9 +239,7 @@ def test_copies_have_gains_and_noise_of_their_own(seed: int) -> None:
 
 @given(seeds, st.floats(0.01, 1), st.integers(1, 20), st.floats(2.1, 50))
 @settings(max_examples=30)
-def test_sensors_of_a_board_share_a_fault(
-    seed: int, share: float, frames: int, period: float
-) -> None:
+def test_sensors_of_a_board_share_a_fault(seed, share, frames, period):
     clean = random_touches(seed)
     leak = change("leaking", clean, range(6), share=share)
     assert (leak[:, 0] == 0).all()
@@ -274,7 +269,7 @@ def test_sensors_of_a_board_share_a_fault(
 
 @given(seeds, st.integers(2, 6))
 @settings(max_examples=30)
-def test_regions_are_touched_one_after_the_other(seed: int, regions: int) -> None:
+def test_regions_are_touched_one_after_the_other(seed, regions):
     clean = random_touches(seed)
     active = broken("separate-regions", clean, regions=regions).readings > 0
     edges = np.linspace(0, 400, regions + 1).astype(int)
@@ -283,13 +278,13 @@ def test_regions_are_touched_one_after_the_other(seed: int, regions: int) -> Non
 
 
 @pytest.mark.parametrize("record", ["nonsense", '{"kind": 1}', "[1]", '[{"kind": "dead"}]', "3"])
-def test_a_damaged_log_raises_an_error(record: str) -> None:
+def test_a_damaged_log_raises_an_error(record):
     recording = Recording(np.eye(3), metadata={"faults": record})
     with pytest.raises(InputError, match="is not a valid log of faults"):
         injected_faults(recording)
 
 
-def test_faults_are_parsed_from_text() -> None:
+def test_faults_are_parsed_from_text():
     clean = random_touches(2)
     requests = [
         parse_fault(text)
@@ -337,7 +332,7 @@ def test_faults_are_parsed_from_text() -> None:
         ("clock-jitter", "needs a recording with times or a rate"),
     ],
 )
-def test_an_invalid_request_raises_an_error(text: str, message: str) -> None:
+def test_an_invalid_request_raises_an_error(text, message):
     recording = Recording(np.eye(4)) if "needs a recording" in message else random_touches(0)
     with pytest.raises(InputError, match=message):
         parse_fault(text).inject(recording, 0)
@@ -352,6 +347,6 @@ def test_an_invalid_request_raises_an_error(text: str, message: str) -> None:
         if name not in {"recording", "sensors", "rng", "source"}
     ],
 )
-def test_every_parameter_of_a_fault_refuses_nan(kind: str, name: str) -> None:
+def test_every_parameter_of_a_fault_refuses_nan(kind, name):
     with pytest.raises(InputError, match=f"{name} must be .*, got nan"):
         broken(kind, random_touches(0), ["s0"], **{name: float("nan")})

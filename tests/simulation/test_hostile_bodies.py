@@ -30,8 +30,8 @@ DECLARED = {
 
 
 @pytest.fixture
-def model(tmp_path: Path):
-    def write(assets: str = "", parts: str = "", name: str = "robot.xml") -> Path:
+def model(tmp_path):
+    def write(assets="", parts="", name="robot.xml"):
         path = tmp_path / name
         path.write_text(
             f"<mujoco><!-- a -- b --><asset>{assets}</asset><worldbody>{BODY}{parts}</worldbody>"
@@ -43,20 +43,20 @@ def model(tmp_path: Path):
 
 
 @pytest.mark.parametrize("what", DECLARED)
-def test_models_that_declare_too_much_are_refused(model, what: str) -> None:
+def test_models_that_declare_too_much_are_refused(model, what):
     with pytest.raises(FileError, match=r"robot\.xml.*memory"):
         load_body(model(DECLARED[what]))
 
 
 @needs_limit
-def test_copies_of_elements_take_limited_time(model, monkeypatch) -> None:
+def test_copies_of_elements_take_limited_time(model, monkeypatch):
     monkeypatch.setattr(reader_process, "_SECONDS", 1)
     path = model("", '<replicate count="100000"><geom size=".1"/></replicate>')
     with pytest.raises(FileError, match="takes more than 1 s"):
         load_body(path)
 
 
-def test_copies_of_a_mesh_are_limited_by_their_triangles(model, tmp_path: Path) -> None:
+def test_copies_of_a_mesh_are_limited_by_their_triangles(model, tmp_path):
     trimesh.creation.icosphere(subdivisions=5).export(tmp_path / "ball.stl")  # 20,480 triangles
     asset, copy = '<mesh name="m" file="ball.stl"/>', '<geom type="mesh" mesh="m"/>'
     with pytest.raises(FileError, match="surface of its meshes expands to"):
@@ -64,7 +64,7 @@ def test_copies_of_a_mesh_are_limited_by_their_triangles(model, tmp_path: Path) 
     assert load_body(model(asset, copy), 4).n_sensors == 4
 
 
-def test_models_with_copies_and_comments_are_read(model) -> None:
+def test_models_with_copies_and_comments_are_read(model):
     body = load_body(
         model("", '<replicate count="5" offset="0 0 .1"><geom size=".1"/></replicate>')
     )
@@ -73,7 +73,7 @@ def test_models_with_copies_and_comments_are_read(model) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes need POSIX")
 @pytest.mark.parametrize("name", ["pipe.stl", "pipe.xml"])
-def test_pipes_in_models_are_refused(model, tmp_path: Path, name: str) -> None:
+def test_pipes_in_models_are_refused(model, tmp_path, name):
     os.mkfifo(tmp_path / name)
     assets = '<mesh name="m" file="pipe.stl"/>'
     path = model(*((assets, "") if name == "pipe.stl" else ("", f'<include file="{name}"/>')))
@@ -83,7 +83,7 @@ def test_pipes_in_models_are_refused(model, tmp_path: Path, name: str) -> None:
         load_body(tmp_path / name, 5)
 
 
-def glb(path: Path, faces: np.ndarray, **document) -> Path:
+def glb(path, faces, **document):
     """Write a mesh, with some entries of its description replaced."""
     mesh = trimesh.creation.box()
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="glb")
@@ -102,7 +102,7 @@ def glb(path: Path, faces: np.ndarray, **document) -> Path:
     return path
 
 
-def test_faces_beyond_the_vertices_are_refused(tmp_path: Path) -> None:
+def test_faces_beyond_the_vertices_are_refused(tmp_path):
     faces = np.array(trimesh.creation.box().faces)
     assert load_body(glb(tmp_path / "box.glb", faces), 9).n_sensors == 9
     faces[3, 1] = 70_000
@@ -110,14 +110,14 @@ def test_faces_beyond_the_vertices_are_refused(tmp_path: Path) -> None:
         load_body(glb(tmp_path / "bad.glb", faces), 9)
 
 
-def test_arrays_without_data_are_refused(tmp_path: Path) -> None:
+def test_arrays_without_data_are_refused(tmp_path):
     huge = [{"componentType": 5126, "type": "VEC3", "count": 10**9}] * 2
     path = glb(tmp_path / "huge.glb", np.array(trimesh.creation.box().faces), accessors=huge)
     with pytest.raises(FileError, match="decompression bomb"):
         load_body(path, 9)
 
 
-def test_damage_to_normals_prints_nothing(tmp_path: Path) -> None:
+def test_damage_to_normals_prints_nothing(tmp_path):
     """Normals are not read from files; a handler of pytest would hide the log of trimesh."""
     text = trimesh.creation.box().export(file_type="stl_ascii")
     (tmp_path / "skin.stl").write_text(text.replace("facet normal 0", "facet normal !0", 1))
@@ -133,7 +133,7 @@ def test_damage_to_normals_prints_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("named", ["/dev/zero", "pipe.mtl"])
-def test_materials_are_not_opened(tmp_path: Path, named: str) -> None:
+def test_materials_are_not_opened(tmp_path, named):
     if not (hasattr(os, "mkfifo") and Path("/dev/zero").exists()):
         pytest.skip("named pipes and /dev/zero need POSIX")
     os.mkfifo(tmp_path / "pipe.mtl")
@@ -142,7 +142,7 @@ def test_materials_are_not_opened(tmp_path: Path, named: str) -> None:
     assert load_body(tmp_path / "box.obj", 9).n_sensors == 9
 
 
-def test_groups_of_a_mesh_are_not_divided(tmp_path: Path) -> None:
+def test_groups_of_a_mesh_are_not_divided(tmp_path):
     """The 20,000 groups would take a minute."""
     box = trimesh.creation.box().export(file_type="obj", include_normals=False)
     vertices = [line for line in box.splitlines() if line.startswith("v ")]
@@ -158,7 +158,7 @@ def test_groups_of_a_mesh_are_not_divided(tmp_path: Path) -> None:
 
 
 @needs_limit
-def test_copies_of_parts_of_a_mesh_take_limited_time(tmp_path, monkeypatch) -> None:
+def test_copies_of_parts_of_a_mesh_take_limited_time(tmp_path, monkeypatch):
     """Each node places all parts of a mesh, which takes time and memory for each."""
     corners = np.eye(3, dtype="<f4").tobytes()
     scene = {
@@ -179,7 +179,7 @@ def test_copies_of_parts_of_a_mesh_take_limited_time(tmp_path, monkeypatch) -> N
         read_mesh(tmp_path / "a.glb")
 
 
-def test_a_false_number_of_triangles_is_named(tmp_path) -> None:
+def test_a_false_number_of_triangles_is_named(tmp_path):
     (tmp_path / "a.stl").write_bytes(bytes(80) + struct.pack("<I", 5000) + bytes(500))
     with pytest.raises(FileError, match="announces 5000 triangles"):
         read_mesh(tmp_path / "a.stl")

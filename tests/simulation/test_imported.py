@@ -1,10 +1,7 @@
 """Bodies from meshes, MuJoCo models and positions."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.simulation import body_from_mesh, body_from_points, load_body, simulate, solids
@@ -23,7 +20,7 @@ SITES = """<site name="a" pos="0 0 .1"/><site pos=".2 0 .1"/><site name="c" pos=
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     part = trimesh.creation.annulus(0.5, 1.0, 1.0)
     part.apply_translation([10, 20, 30])
     for suffix in ("stl", "obj", "ply", "off", "glb"):
@@ -42,14 +39,14 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
-def test_sensors_are_spread_over_a_mesh_of_any_format(folder: Path, suffix: str) -> None:
+def test_sensors_are_spread_over_a_mesh_of_any_format(folder, suffix):
     body = load_body(folder / f"part.{suffix}", 40)
     assert (body.name, body.n_sensors) == ("part", 40)
     np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-6)
     np.testing.assert_allclose(body.origin, [10, 20, 30], atol=1e-6)
 
 
-def test_sites_of_a_model_become_sensors(folder: Path) -> None:
+def test_sites_of_a_model_become_sensors(folder):
     body = load_body(folder / "robot.xml")
     assert body.names == ("a", "site1", "c")
     places = body.positions + body.origin
@@ -61,7 +58,7 @@ def test_sites_of_a_model_become_sensors(folder: Path) -> None:
     assert load_body(folder / "bare.xml", 30).n_sensors == 30
 
 
-def test_given_sensors_near_the_surface_are_projected_onto_it() -> None:
+def test_given_sensors_near_the_surface_are_projected_onto_it():
     outline = solids.ball(1.0).outline
     exact = sphere(40).positions
     body = body_from_mesh(
@@ -77,7 +74,7 @@ def test_given_sensors_near_the_surface_are_projected_onto_it() -> None:
         body_from_mesh(outline.vertices, outline.faces, exact[:, :2])
 
 
-def test_a_body_from_points_leaves_all_sensors_exposed() -> None:
+def test_a_body_from_points_leaves_all_sensors_exposed():
     for positions in (part.positions + np.array([3, 2, 1]) for part in (sphere(), hand())):
         body = body_from_points(positions)
         np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
@@ -92,7 +89,7 @@ def test_a_body_from_points_leaves_all_sensors_exposed() -> None:
     np.testing.assert_allclose(recording.positions, far, atol=1e-12)
 
 
-def test_normals_are_used_unless_they_contradict_the_positions() -> None:
+def test_normals_are_used_unless_they_contradict_the_positions():
     ball = sphere(150)
     kept = body_from_points(ball.positions, 2 * ball.normals)
     np.testing.assert_allclose(kept.normals, ball.normals)
@@ -103,7 +100,7 @@ def test_normals_are_used_unless_they_contradict_the_positions() -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_leg_is_simulated_from_positions(recordings_folder: Path) -> None:
+def test_a_robot_leg_is_simulated_from_positions(recordings_folder):
     path = recordings_folder.parent / "geometry" / "icub_left_leg_upper.npz"
     if not path.exists():
         pytest.skip("needs the geometry of the robot")
@@ -132,9 +129,7 @@ def test_a_robot_leg_is_simulated_from_positions(recordings_folder: Path) -> Non
         ("broken.xml", 10, FileError, "MuJoCo cannot read"),
     ],
 )
-def test_an_invalid_file_raises_an_error(
-    folder: Path, name: str, sensors: int | None, error: type[Exception], message: str
-) -> None:
+def test_an_invalid_file_raises_an_error(folder, name, sensors, error, message):
     with pytest.raises((error, InputError), match=message):
         load_body(folder / name, sensors)
 
@@ -147,12 +142,12 @@ def test_an_invalid_file_raises_an_error(
         (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 coincide"),
     ],
 )
-def test_invalid_positions_raise_an_error(positions: NDArray[np.float64], message: str) -> None:
+def test_invalid_positions_raise_an_error(positions, message):
     with pytest.raises(InputError, match=message):
         body_from_points(positions)
 
 
-def test_errors_about_meshes_are_short(tmp_path: Path) -> None:
+def test_errors_about_meshes_are_short(tmp_path):
     path = tmp_path / "long.off"
     path.write_text("OFF\n3 1 0\n" + "0 0 x" * 5000)
     with pytest.raises(FileError, match="damaged or cut short") as error:
@@ -161,9 +156,7 @@ def test_errors_about_meshes_are_short(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", ["nan", "1e308", "-1e30"])
-def test_models_out_of_range_leave_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], value: str
-) -> None:
+def test_models_out_of_range_leave_nothing_behind(tmp_path, monkeypatch, capfd, value):
     """MuJoCo would print warnings and append them to MUJOCO_LOG.TXT in the working folder."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "part.xml").write_text(

@@ -1,7 +1,6 @@
 """Kinematic scenarios: rubbing, roller, pressing, self-touch and pulses."""
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from hypothesis import strategies as st
 
 from anisomap.simulation import SCENARIOS, simulate
 from anisomap.simulation.bodies import cylinder, plane, sphere
-from anisomap.simulation.body import Body
 from anisomap.simulation.kinematic import (
     PressingOptions,
     PulsesOptions,
@@ -22,7 +20,7 @@ from anisomap.simulation.kinematic import (
     read_half_spaces,
     read_pulses,
 )
-from anisomap.simulation.options import ScenarioResult, options_for
+from anisomap.simulation.options import options_for
 from anisomap.simulation.solids import support
 
 KINEMATIC = ("rubbing", "roller", "pressing", "self-touch", "pulses")
@@ -30,16 +28,14 @@ CONTACT = KINEMATIC[:4]
 seeds = st.integers(0, 2**32 - 1)
 
 
-def run(scenario: str, body: Body, n_frames: int, seed: int, **given: Any) -> ScenarioResult:
+def run(scenario, body, n_frames, seed, **given):
     chosen = SCENARIOS[scenario]
     options = options_for(chosen.options, body, given)
     return chosen.run(body, n_frames, options, np.random.default_rng(seed))
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 6))
-def test_readings_of_balls_agree_with_the_closed_form(
-    seed: int, n_sensors: int, n_balls: int
-) -> None:
+def test_readings_of_balls_agree_with_the_closed_form(seed, n_sensors, n_balls):
     rng = np.random.default_rng(seed)
     sensors, centres = rng.uniform(-2, 2, (n_sensors, 3)), rng.uniform(-2, 2, (3, n_balls, 3))
     radii, detection = rng.uniform(0.01, 1.5, n_balls), rng.uniform(0.01, 1.5)
@@ -54,7 +50,7 @@ def test_readings_of_balls_agree_with_the_closed_form(
 
 
 @given(seeds)
-def test_readings_of_capsules_and_half_spaces_agree_with_sampled_distances(seed: int) -> None:
+def test_readings_of_capsules_and_half_spaces_agree_with_sampled_distances(seed):
     rng = np.random.default_rng(seed)
     sensors, radius, detection = rng.uniform(-0.5, 0.5, (4, 3)), 0.3, 0.9
     start, end = rng.uniform(-1, 1, (2, 3))
@@ -72,7 +68,7 @@ def test_readings_of_capsules_and_half_spaces_agree_with_sampled_distances(seed:
 
 
 @given(seeds)
-def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
+def test_pulses_add_up_and_halve_at_the_half_distance(seed):
     rng = np.random.default_rng(seed)
     sensors, places = rng.standard_normal((4, 3)), rng.standard_normal((3, 2, 3))
     strengths = rng.random((3, 2))
@@ -83,7 +79,7 @@ def test_pulses_add_up_and_halve_at_the_half_distance(seed: int) -> None:
 
 
 @pytest.mark.parametrize("scenario", CONTACT)
-def test_a_default_run_touches_all_sensors_with_sparse_readings(scenario: str) -> None:
+def test_a_default_run_touches_all_sensors_with_sparse_readings(scenario):
     touched = run(scenario, cylinder(), 1000, 2).readings > 0
     assert touched.any(axis=0).all()
     assert 0.2 < 1 - touched.mean() < 0.98
@@ -96,16 +92,14 @@ def test_a_default_run_touches_all_sensors_with_sparse_readings(scenario: str) -
     [("rubbing", (0.02, 0.06, 0.1)), ("roller", (0.02, 0.1, 0.18)), ("pressing", (0.05, 0.2, 0.4))],
 )
 @pytest.mark.parametrize("make", [sphere, plane])
-def test_pressing_deeper_never_lowers_a_reading(
-    make: Any, scenario: str, depths: tuple[float, ...]
-) -> None:
+def test_pressing_deeper_never_lowers_a_reading(make, scenario, depths):
     runs = [run(scenario, make(), 100, 4, press_depth=depth).readings for depth in depths]
     for lighter, harder in pairwise(runs):
         assert (harder >= lighter - 1e-6).all()
         assert harder.sum() > lighter.sum()
 
 
-def test_palms_are_rigid_irregular_and_random() -> None:
+def test_palms_are_rigid_irregular_and_random():
     pads, other = (run("rubbing", sphere(), 100, seed).props[-1] for seed in (5, 6))
     radii = np.asarray(pads.scales)
     assert not np.allclose(radii, other.scales)
@@ -117,7 +111,7 @@ def test_palms_are_rigid_irregular_and_random() -> None:
     assert (radii + 1 - np.linalg.norm(pads.centres, axis=2)).max() < 0.1 + 1e-9
 
 
-def test_readings_of_two_hands_are_the_maximum_of_both() -> None:
+def test_readings_of_two_hands_are_the_maximum_of_both():
     body = sphere()
     one, two = (run("rubbing", body, 300, 6, n_hands=n) for n in (1, 2))
     assert (two.readings >= one.readings).all()
@@ -128,7 +122,7 @@ def test_readings_of_two_hands_are_the_maximum_of_both() -> None:
     np.testing.assert_array_equal(two.readings, np.max(alone, axis=0))
 
 
-def test_a_roller_touches_whole_lines_of_sensors() -> None:
+def test_a_roller_touches_whole_lines_of_sensors():
     body = plane()
     elongated = []
     for row in run("roller", body, 400, 7, detection_radius=0.1).readings:
@@ -140,7 +134,7 @@ def test_a_roller_touches_whole_lines_of_sensors() -> None:
     assert np.median(elongated) > 2
 
 
-def test_presses_have_the_given_depth_and_uniform_directions() -> None:
+def test_presses_have_the_given_depth_and_uniform_directions():
     body, options = sphere(), PressingOptions()
     directions, depths = draw_presses(body, 4000, options, np.random.default_rng(8))
     offsets = support(body.solids, directions) - depths
@@ -151,7 +145,7 @@ def test_presses_have_the_given_depth_and_uniform_directions() -> None:
     assert np.abs(np.cov(directions.T) - np.eye(3) / 3).max() < 0.1
 
 
-def test_sources_are_uniform_outside_the_body() -> None:
+def test_sources_are_uniform_outside_the_body():
     body, options = sphere(), PulsesOptions()
     places, strengths = draw_pulses(body, 8000, options, np.random.default_rng(9))
     distance = np.linalg.norm(places, axis=-1)
@@ -164,18 +158,16 @@ def test_sources_are_uniform_outside_the_body() -> None:
     assert 0 <= strengths.min() <= strengths.max() <= options.strength
 
 
-def test_fingertip_and_body_respond_to_the_same_contact() -> None:
+def test_fingertip_and_body_respond_to_the_same_contact():
     body, options = sphere(), SelfTouchOptions()
     recording = simulate(body, "self-touch", n_frames=500, seed=10)
     n = body.n_sensors
     assert recording.names[:n] == body.names
     assert recording.names[n:] == tuple(f"finger{i}" for i in range(options.n_finger_sensors))
-    assert recording.positions is not None
     np.testing.assert_array_equal(recording.positions[:n], body.positions)
     beside = np.linalg.norm(recording.positions[n:], axis=1)
     assert beside.min() > body.reach + options.finger_radius
     apart = recording.surface_distances
-    assert apart is not None
     assert np.isinf(apart[:n, n:]).all()
     assert np.isfinite(apart[:n, :n]).all()
     assert np.isfinite(apart[n:, n:]).all()
@@ -185,7 +177,7 @@ def test_fingertip_and_body_respond_to_the_same_contact() -> None:
     assert body_active[tip_active.any(axis=1)].any(axis=1).all()
 
 
-def test_self_touch_agrees_with_the_closed_form() -> None:
+def test_self_touch_agrees_with_the_closed_form():
     body, options = sphere(), SelfTouchOptions()
     touched = run("self-touch", body, 100, 11)
     finger = touched.props[-1]

@@ -3,14 +3,12 @@
 The motion is chaotic. Tolerances are at least twice the largest deviation over ten seeds.
 """
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation.bodies import BODIES, cylinder, sphere
-from anisomap.simulation.locomotion import Journey, LocomotionOptions, locomotion, simulate_journey
+from anisomap.simulation.locomotion import LocomotionOptions, locomotion, simulate_journey
 from anisomap.simulation.options import options_for
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -20,14 +18,14 @@ short_runs = pytest.mark.filterwarnings("ignore:the body did not roll well")
 
 
 @pytest.fixture(scope="module", params=["sphere", "cylinder"])
-def journey(request: pytest.FixtureRequest) -> tuple[Any, LocomotionOptions, Journey]:
+def journey(request):
     body = BODIES[request.param]()
     body = body.scaled(1 / body.reach)
     options = options_for(LocomotionOptions, body)
     return body, options, simulate_journey(body, FRAMES, options, np.random.default_rng(7))
 
 
-def test_the_body_keeps_moving_and_stays_within_the_ground(journey: Any) -> None:
+def test_the_body_keeps_moving_and_stays_within_the_ground(journey):
     _, options, travelled = journey
     assert np.mean(travelled.speeds > 0.1 * options.speed) > 0.9
     assert np.abs(travelled.centres[:, :2]).max() < options.half_width
@@ -38,7 +36,7 @@ def test_the_body_keeps_moving_and_stays_within_the_ground(journey: Any) -> None
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 5))]
 )
-def test_cylinders_stay_within_the_ground_and_lie_flat(seed: int) -> None:
+def test_cylinders_stay_within_the_ground_and_lie_flat(seed):
     # A small ground: the turning circle exceeds it. A body that starts inside a bump is thrown up.
     body = cylinder()
     body = body.scaled(1 / body.reach)
@@ -52,7 +50,7 @@ def test_cylinders_stay_within_the_ground_and_lie_flat(seed: int) -> None:
     assert np.mean(travelled.speeds > 0.1 * options.speed) > 0.9
 
 
-def test_the_body_rolls_without_sliding(journey: Any) -> None:
+def test_the_body_rolls_without_sliding(journey):
     body, _, travelled = journey
     slips = travelled.slips[np.isfinite(travelled.slips)]
     assert len(slips) > 0.5 * FRAMES
@@ -65,7 +63,7 @@ def test_the_body_rolls_without_sliding(journey: Any) -> None:
     assert angles.sum() * body.solids[0].size[0] == pytest.approx(distance.sum(), rel=0.15)
 
 
-def test_the_body_does_not_sink_into_the_ground(journey: Any) -> None:
+def test_the_body_does_not_sink_into_the_ground(journey):
     body, _, travelled = journey
     assert travelled.overlaps.max() < 0.03
     outline = body.solids[0].outline.vertices
@@ -79,7 +77,7 @@ def test_the_body_does_not_sink_into_the_ground(journey: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [sphere, cylinder])
-def test_all_sensors_touch_the_ground_over_a_run(make: Any) -> None:
+def test_all_sensors_touch_the_ground_over_a_run(make):
     body = make()
     run = locomotion(body, 2000, options_for(LocomotionOptions, body), np.random.default_rng(1))
     assert run.facts["share_touched"] == 1
@@ -88,7 +86,7 @@ def test_all_sensors_touch_the_ground_over_a_run(make: Any) -> None:
 
 
 @short_runs
-def test_readings_agree_with_the_distance_from_the_ground(journey: Any) -> None:
+def test_readings_agree_with_the_distance_from_the_ground(journey):
     body, options, travelled = journey
     run = locomotion(body, 30, options, np.random.default_rng(7))
     sensors = travelled.sensors(body.positions)[:30]
@@ -99,11 +97,11 @@ def test_readings_agree_with_the_distance_from_the_ground(journey: Any) -> None:
     )
 
 
-def test_sliding_gives_a_warning() -> None:
+def test_sliding_gives_a_warning():
     with pytest.warns(AnisomapWarning, match="increase friction"):
         locomotion(sphere(), 200, LocomotionOptions(friction=0.01), np.random.default_rng(0))
 
 
-def test_untouched_sensors_give_a_warning() -> None:
+def test_untouched_sensors_give_a_warning():
     with pytest.warns(AnisomapWarning, match="of the sensors touched the ground"):
         locomotion(sphere(), 5, LocomotionOptions(), np.random.default_rng(0))

@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from anisomap.simulation import Body
 from anisomap.simulation.bodies import BODIES, sphere
 from anisomap.simulation.options import options_for
 from anisomap.simulation.solids import support
 from anisomap.simulation.strokes import (
     Cluster,
     StrokeOptions,
-    StrokePath,
     draw_strokes,
     sample_skin,
     settle,
@@ -27,12 +25,12 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @cache
-def made(name: str) -> Body:
+def made(name):
     return BODIES[name]()
 
 
 @cache
-def path_on(name: str, n_frames: int = 1000, seed: int = 1, **given: float) -> StrokePath:
+def path_on(name, n_frames=1000, seed=1, **given):
     rng = np.random.default_rng(seed)
     options = options_for(StrokeOptions, made(name), given)
     return draw_strokes(sample_skin(made(name), rng), n_frames, options, rng)
@@ -42,7 +40,7 @@ def path_on(name: str, n_frames: int = 1000, seed: int = 1, **given: float) -> S
     "name",
     [pytest.param(b, marks=() if b in ("sphere", "hand") else pytest.mark.slow) for b in BODIES],
 )
-def test_a_path_stays_on_the_skin_and_reaches_all_sensors(name: str) -> None:
+def test_a_path_stays_on_the_skin_and_reaches_all_sensors(name):
     body, path = made(name), path_on(name, n_frames=2000)
     assert len(path.points) == 2000
     assert np.abs(body.distance(path.points)).max() < 1e-3 * body.reach
@@ -57,7 +55,7 @@ def test_a_path_stays_on_the_skin_and_reaches_all_sensors(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["sphere", "plane", "hand"])
-def test_a_path_is_continuous_except_while_lifted(name: str) -> None:
+def test_a_path_is_continuous_except_while_lifted(name):
     path = path_on(name)
     stride = 2.0 * 0.05 * made(name).reach
     moved = np.linalg.norm(np.diff(path.points, axis=0), axis=1)
@@ -69,7 +67,7 @@ def test_a_path_is_continuous_except_while_lifted(name: str) -> None:
     assert np.abs(np.diff(path.presses)).max() < 0.2
 
 
-def test_strokes_are_lines_or_circles_in_all_directions() -> None:
+def test_strokes_are_lines_or_circles_in_all_directions():
     lines = path_on("plane", circle_share=0.0, lift_share=0.0)
     circles = path_on("plane", circle_share=1.0, lift_share=0.0)
     turns = []
@@ -84,14 +82,14 @@ def test_strokes_are_lines_or_circles_in_all_directions() -> None:
     assert lines.n_strokes > 50
 
 
-def test_a_path_over_one_sensor_is_finite() -> None:
+def test_a_path_over_one_sensor_is_finite():
     body, rng = sphere(1), np.random.default_rng(1)
     path = draw_strokes(sample_skin(body, rng), 50, StrokeOptions(), rng)
     assert np.isfinite(path.points).all()
 
 
 @pytest.mark.parametrize("name", ["sphere", "hand", "holed-plate"])
-def test_a_settled_ball_has_the_given_depth(name: str) -> None:
+def test_a_settled_ball_has_the_given_depth(name):
     body = made(name)
     rng = np.random.default_rng(4)
     skin = sample_skin(body, rng)
@@ -106,7 +104,7 @@ def test_a_settled_ball_has_the_given_depth(name: str) -> None:
     assert np.median(np.abs(error)) < 1e-6
 
 
-def test_a_settled_capsule_touches_a_sphere_with_its_middle() -> None:
+def test_a_settled_capsule_touches_a_sphere_with_its_middle():
     rng = np.random.default_rng(5)
     body = sphere()
     skin = sample_skin(body, rng)
@@ -119,7 +117,7 @@ def test_a_settled_capsule_touches_a_sphere_with_its_middle() -> None:
 
 @settings(max_examples=40)
 @given(seeds, st.sampled_from(["sphere", "tube", "hand", "holed-plate"]))
-def test_the_support_is_the_furthest_point_of_the_surface(seed: int, name: str) -> None:
+def test_the_support_is_the_furthest_point_of_the_surface(seed, name):
     rng, body = np.random.default_rng(seed), made(name)
     directions = rng.standard_normal((5, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

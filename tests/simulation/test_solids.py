@@ -34,7 +34,7 @@ VOLUMES = {
 @pytest.mark.parametrize("kind", PRIMITIVES)
 @given(seed=seeds)
 @settings(max_examples=15)
-def test_the_gradient_of_distance_is_one_along_the_normal(kind: str, seed: int) -> None:
+def test_the_gradient_of_distance_is_one_along_the_normal(kind, seed):
     solid = PRIMITIVES[kind]()
     points = np.random.default_rng(seed).uniform(-1.5, 1.5, size=(30, 3))
     outside = points[solid.distance(points) > 0.01]
@@ -52,7 +52,7 @@ def test_the_gradient_of_distance_is_one_along_the_normal(kind: str, seed: int) 
 
 
 @pytest.mark.parametrize("kind", PRIMITIVES)
-def test_outlines_are_closed_oriented_outwards_and_within_reach(kind: str) -> None:
+def test_outlines_are_closed_oriented_outwards_and_within_reach(kind):
     outline = PRIMITIVES[kind]().outline
     corners = outline.vertices[outline.faces]
     volume = np.einsum("fd,fd->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
@@ -67,7 +67,7 @@ def test_outlines_are_closed_oriented_outwards_and_within_reach(kind: str) -> No
 
 @settings(max_examples=20)
 @given(seeds, st.sampled_from([1.0, 30.0, 1000.0]))
-def test_distance_is_exact_with_triangles_of_mixed_size(seed: int, largest: float) -> None:
+def test_distance_is_exact_with_triangles_of_mixed_size(seed, largest):
     rng = np.random.default_rng(seed)
     sizes = np.where(rng.random(30) < 0.2, largest, 1.0)
     corners = rng.uniform(-1, 1, (30, 1, 3)) + sizes[:, None, None] * rng.normal(size=(30, 3, 3))
@@ -81,7 +81,7 @@ def test_distance_is_exact_with_triangles_of_mixed_size(seed: int, largest: floa
     np.testing.assert_allclose(found, brute, rtol=1e-9, atol=1e-9 * largest)
 
 
-def test_distance_from_a_sliver_is_exact() -> None:
+def test_distance_from_a_sliver_is_exact():
     sliver = np.array([[0, 0, 0], [1e6, 0, 0], [0, 1e-6, 0], [0, 0, 1e-6]])
     search = TriangleSearch(Mesh(sliver, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     points = [[5e5, 3, 4], [-3.0, 0, 4], [1e6 + 1, 0, 0]]
@@ -90,7 +90,7 @@ def test_distance_from_a_sliver_is_exact() -> None:
 
 @given(seed=seeds)
 @settings(max_examples=15)
-def test_distance_along_a_normal_of_an_ellipsoid_is_exact(seed: int) -> None:
+def test_distance_along_a_normal_of_an_ellipsoid_is_exact(seed):
     rng = np.random.default_rng(seed)
     axes = rng.uniform(0.01, 3, size=3)
     unit = rng.normal(size=(20, 3))
@@ -105,7 +105,7 @@ def test_distance_along_a_normal_of_an_ellipsoid_is_exact(seed: int) -> None:
 
 @given(seed=seeds)
 @settings(max_examples=5)
-def test_a_union_is_as_near_as_the_nearest_of_its_solids(seed: int) -> None:
+def test_a_union_is_as_near_as_the_nearest_of_its_solids(seed):
     rng = np.random.default_rng(seed)
     cube = solids.mesh(
         solids.box((0.3, 0.2, 0.1)).outline.vertices, solids.box((1, 1, 1)).outline.faces
@@ -121,7 +121,7 @@ def test_a_union_is_as_near_as_the_nearest_of_its_solids(seed: int) -> None:
     )
 
 
-def test_invalid_meshes_raise_an_error() -> None:
+def test_invalid_meshes_raise_an_error():
     pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
     box = solids.box((1, 1, 1)).outline
     assert solids.mesh(box.vertices, box.faces).distance([[2.0, 0, 0]])[0] == pytest.approx(1)

@@ -1,6 +1,5 @@
 """Sensors spread over surfaces, and distances along them."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.simulation import Body, solids
+from anisomap.simulation import solids
 from anisomap.simulation.bodies import (
     MAX_DENSITY,
     covered,
@@ -22,7 +21,7 @@ from anisomap.simulation.body import surface_distances
 from anisomap.simulation.solids import sample_surface, spread
 
 
-def test_points_are_uniform_on_the_exposed_surface() -> None:
+def test_points_are_uniform_on_the_exposed_surface():
     rng = np.random.default_rng(0)
     parts = [solids.box((1, 1, 1)), solids.ball(0.8, (1, 0, 0))]
     points, normals = sample_surface(parts, 40_000, rng)
@@ -37,7 +36,7 @@ def test_points_are_uniform_on_the_exposed_surface() -> None:
     assert upper.mean() == pytest.approx(4 / (ball + box), abs=0.01)
 
 
-def test_spread_sensors_keep_their_distance_and_leave_no_gap() -> None:
+def test_spread_sensors_keep_their_distance_and_leave_no_gap():
     parts = [solids.ball(1.0)]
     points, _ = spread(parts, 150, np.random.default_rng(1))
     nearest = KDTree(points).query(points, k=2)[0][:, 1].min()
@@ -47,7 +46,7 @@ def test_spread_sensors_keep_their_distance_and_leave_no_gap() -> None:
     assert widest <= nearest * 1.1
 
 
-def test_sensors_have_the_given_density() -> None:
+def test_sensors_have_the_given_density():
     body = uneven_sphere(300)
     height = body.positions[:, 2]
     upper, lower = np.sum(height > 0), np.sum(height < 0)
@@ -56,7 +55,7 @@ def test_sensors_have_the_given_density() -> None:
     assert upper / lower == pytest.approx(expected, rel=0.1)
 
 
-def test_there_are_no_sensors_at_zero_density() -> None:
+def test_there_are_no_sensors_at_zero_density():
     body = covered("half", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 0.2)
     assert (body.positions[:, 0] > 0.2).all()
     with pytest.raises(InputError, match="too small for"):
@@ -64,12 +63,9 @@ def test_there_are_no_sensors_at_zero_density() -> None:
 
 
 @pytest.mark.parametrize("name", ["hand", "holed-plate"])
-def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(
-    name: str, bodies: Mapping[str, Body]
-) -> None:
+def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(name, bodies):
     body = bodies[name]
     found = surface_distances(body)
-    assert found is not None
     straight = squareform(pdist(body.positions))
     np.testing.assert_array_equal(found, found.T)
     assert (np.diag(found) == 0).all()
@@ -79,18 +75,16 @@ def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(
     assert (found[:, :, None] + found[None] >= found[:, None] * (1 - 1e-6) - 1e-9).all()
 
 
-def test_shortest_paths_agree_with_closed_forms() -> None:
+def test_shortest_paths_agree_with_closed_forms():
     pairs = np.triu_indices(60, 1)
     ball = sphere()
     found = surface_distances(replace(ball, geodesic=None))
-    assert found is not None
     np.testing.assert_allclose(found[pairs], great_circles(ball.positions)[pairs], rtol=0.02)
     tube = cylinder()
     x, y, z = tube.positions.T
     turn = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x)[:, None] - np.arctan2(y, x)))))
     side = np.hypot(0.5 * turn, z[:, None] - z)
     found = surface_distances(tube)
-    assert found is not None
     # Paths over an end of the cylinder can be shorter, except between the two middle rows.
     middle = np.abs(z) < 0.5
     near = np.ix_(middle, middle)
@@ -98,10 +92,9 @@ def test_shortest_paths_agree_with_closed_forms() -> None:
     assert (found <= side * 1.02 + 1e-12).all()
 
 
-def test_surface_distances_go_around_a_hole(bodies: Mapping[str, Body]) -> None:
+def test_surface_distances_go_around_a_hole(bodies):
     body = bodies["holed-plate"]
     found = surface_distances(body)
-    assert found is not None
     ratio = found / np.maximum(squareform(pdist(body.positions)), 1e-9)
     far = squareform(pdist(body.positions)) > 0.85
     assert ratio.max() > 1.3

@@ -7,7 +7,7 @@ from anisomap.simulation.locomotion import Terrain, bumpy_terrain
 from anisomap.simulation.physics import add_ground, new_model
 
 
-def height(terrain: Terrain, places: np.ndarray) -> np.ndarray:
+def height(terrain, places):
     """Interpolate the height at places (n, 2); constant beyond the edges."""
     scaled = (places[:, :2] + terrain.half_width) / terrain.cell
     last = len(terrain.heights) - 1
@@ -22,11 +22,11 @@ def height(terrain: Terrain, places: np.ndarray) -> np.ndarray:
     return corner + most * (third - corner) + least * (beyond - third)
 
 
-def ground(seed: int = 0, roughness: float = 0.3) -> Terrain:
+def ground(seed=0, roughness=0.3):
     return bumpy_terrain(2.0, 0.25, roughness, 0.6, np.random.default_rng(seed))
 
 
-def test_cells_have_the_diagonal_of_mujoco() -> None:
+def test_cells_have_the_diagonal_of_mujoco():
     mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     terrain = ground(2)
     spec = new_model(0.001, 0, "EULER")
@@ -47,7 +47,7 @@ def test_cells_have_the_diagonal_of_mujoco() -> None:
     assert np.abs(mirrored - seen).max() > 1e-3
 
 
-def test_the_ground_has_the_given_roughness_and_correlation_length() -> None:
+def test_the_ground_has_the_given_roughness_and_correlation_length():
     terrain = bumpy_terrain(20.0, 0.2, 0.1, 0.8, np.random.default_rng(0))
     heights = terrain.heights
     assert np.sqrt(np.mean(heights**2)) == pytest.approx(0.1)
