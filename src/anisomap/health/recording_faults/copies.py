@@ -26,15 +26,13 @@ _N_PARTNERS = 2  # most similar sensors that are tested
 _MIN_CORRELATION = 0.5  # of a copy: with noise as strong as the signal, r is 0.7
 _MIN_CHANGES = 10  # of a sensor's value, 5 contacts: fewer agree by chance; chosen by hand
 _ROUNDING = 1e-5  # share of the range of a sensor, about 100 steps of float32
-# Limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9.
-_MIN_POWER = 2.0
 _SCREENED = 512  # frames of which the agreement of pairs is examined first; chosen by hand
 _PAIRS_AT_ONCE = 64  # whose misfits are computed; arrays of 2,048 frames stay in the cache
 _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
 _MIN_TOLD_APART = 0.85  # share of these whose own channels can be told from others
-_MIN_FAILED = 5  # pairs from which this is estimated
+_MIN_FAILED = 5  # pairs from which the distances of sensors are estimated
 _MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely; chosen by hand
 _EXACT = 1e-3  # share of noise in the variance below which copies are exact
 
@@ -98,8 +96,8 @@ def find_copies(
     correlates with a third sensor. If x_j = g x_i + noise, then the covariances of j with all
     third sensors are g times those of i, and x_j - g x_i is white, independent of third sensors and
     of the height of the contact. Each of these is tested so that 1 % of the recordings with copies
-    fail. In 2,000 frames of simulated skins (seeds 1 and 2), neighbours failed at 4 to 10 times the
-    limits. Recordings in which many pairs fail by little are not judged.
+    fail. Where sensors are placed at random, two of them at nearly one place pass as well: a pair
+    is no copy if one that is so close is to be expected on this skin (`_expected_so_close`).
 
     Readings that agree in every frame are copies if they change often enough. Of the pairs that
     disagree, the most similar one gives the smallest probability p of a disagreement at a change; n
@@ -165,6 +163,16 @@ class _Excerpt:
         product = np.einsum("pk,pk->p", first, second, dtype=np.float64)
         gain = np.divide(product, square, out=np.zeros(len(pairs)), where=square > 0)
         return first, second, gain, np.count_nonzero(third, axis=1)
+
+    def distances(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return how far covariances with third sensors differ, relative to their size, (P,).
+
+        For near sensors proportional to their distance; noise of single sensors does not matter.
+        """
+        first, second, gain, _ = self.related(pairs)
+        size = np.linalg.norm(second, axis=1)
+        apart = np.linalg.norm(second - gain[:, None] * first, axis=1)
+        return np.divide(apart, size, out=np.full(len(pairs), math.inf), where=size > 0)
 
     def misfits(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return by how much j differs from i times a gain plus noise, in units of the limits.
@@ -263,14 +271,34 @@ def _noisy(
     """Mark pairs of which one is the other times a gain, plus white noise."""
     misfits = excerpt.misfits(pairs)
     passed = misfits <= 1
-    failed = misfits[~passed & np.isfinite(misfits)]
-    if failed.size >= _MIN_FAILED and np.quantile(failed, 0.1) < _MIN_POWER:
-        return np.zeros_like(passed)
+    passed &= _expected_so_close(excerpt.distances(pairs), ~passed & np.isfinite(misfits)) <= (
+        _FALSE_ALARMS
+    )
     if passed.any() and excerpt.rows.shape[1] < len(readings):
         used = np.union1d(excerpt.others, pairs[passed])
         longer = _Excerpt(readings, varying[used], _MAX_CONFIRMED)
         passed[passed] = longer.misfits(np.searchsorted(used, pairs[passed])) <= 1
     return np.asarray(passed)
+
+
+def _expected_so_close(
+    distances: NDArray[np.float64], apart: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return how many pairs of different sensors are expected to be as close as each pair, (P,).
+
+    distances (P,); apart (P,) marks pairs of different sensors.
+
+    Small distances follow a power law: of sensors at random places on a surface, d^2 pairs are
+    closer than d, on regular ones fewer. Its exponent is that of the half of the pairs that are
+    closest (Hill 1975, Annals of Statistics 3: 1163-1174).
+    """
+    known = distances[apart]
+    middle = float(np.median(known)) if known.size >= _MIN_FAILED else 0.0
+    closer = known[(known > 0) & (known < middle)]
+    if not closer.size:
+        return np.zeros(len(distances))
+    exponent = 1 / float(np.log(middle / closer).mean())
+    return np.asarray(known.size / 2 * (distances / middle) ** exponent)
 
 
 def _normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
