@@ -34,90 +34,91 @@ def beside(*first: Any) -> np.ndarray:
     return np.column_stack([*first, READINGS])
 
 
+def hold(text: str, **facts: Any) -> tuple[str, dict[str, Any]]:
+    """Return a text with what it holds, options of reading and a warning among it."""
+    return text, facts
+
+
 UNNAMED = ("s0", "s1", "s2", "s3")
 NAMED = ("a", "b", "c", "d")
 AS_NUMBERS = ("0", "1", "2", "3")
 ROWS = '"pad 1" "pad 2"\n1 2\n3 4\n'
-TABLES: list[tuple[str, dict[str, Any]]] = [
-    (
+TABLES = [
+    hold(
         "# one\n\na,b\n# two\n1,2\n\n   \n3,4 # three\n# 5,6\n7,8",
-        {"names": ("a", "b"), "readings": [[1, 2], [3, 4], [7, 8]]},
+        names=("a", "b"),
+        readings=[[1, 2], [3, 4], [7, 8]],
     ),
-    ("5\n6\n", {"names": ("s0",), "readings": [[5], [6]]}),
-    ("5,6", {"names": ("s0", "s1"), "readings": [[5, 6]]}),
-    ("force\n5\n", {"names": ("force",), "readings": [[5]]}),
-    ("5", {"names": ("s0",), "readings": [[5]]}),
-    (
+    hold("5\n6\n", names=("s0",), readings=[[5], [6]]),
+    hold("5,6", names=("s0", "s1"), readings=[[5, 6]]),
+    hold("force\n5\n", names=("force",), readings=[[5]]),
+    hold("5", names=("s0",), readings=[[5]]),
+    hold(
         '"a, b", "say ""hi""","two\nlines",#4\n1,2,3,4\n5,6,7,8\n',
-        {
-            "names": ("a, b", 'say "hi"', "two\nlines", "#4"),
-            "readings": [[1, 2, 3, 4], [5, 6, 7, 8]],
-        },
+        names=("a, b", 'say "hi"', "two\nlines", "#4"),
+        readings=[[1, 2, 3, 4], [5, 6, 7, 8]],
     ),
-    (ROWS, {"names": ("pad 1", "pad 2"), "readings": [[1, 2], [3, 4]]}),
-    ("0,1,2,3\n" + table(READINGS), {"names": AS_NUMBERS, "readings": READINGS}),
-    ("0,1,2,3\n4,5,6,7\n8,9,10,11\n", {"names": UNNAMED, "readings": np.arange(12).reshape(3, 4)}),
+    hold(ROWS, names=("pad 1", "pad 2"), readings=[[1, 2], [3, 4]]),
+    hold("0,1,2,3\n" + table(READINGS), names=AS_NUMBERS, readings=READINGS),
+    hold("0,1,2,3\n4,5,6,7\n8,9,10,11\n", names=UNNAMED, readings=np.arange(12).reshape(3, 4)),
     *(
-        (header + table(READINGS, end=f"{tail}\n"), {"readings": READINGS})
+        hold(header + table(READINGS, end=f"{tail}\n"), readings=READINGS)
         for tail in (",", ",,,", " , ")
         for header in ("", "a,b,c,d\n", f"a,b,c,d{tail}\n")
     ),
     *(
-        (
+        hold(
             table([[1, 2, 3]], mark)
             + "".join(f"{mark.join(row)}\n" for row in (["1", no, "3"], [no] * 3, ["inf", "2", no]))
             + table([[4, 5, 6]], mark),
-            {"readings": [[1, 2, 3], [1, NAN, 3], [NAN] * 3, [math.inf, 2, NAN], [4, 5, 6]]},
+            readings=[[1, 2, 3], [1, NAN, 3], [NAN] * 3, [math.inf, 2, NAN], [4, 5, 6]],
         )
         for mark in ",;\t"
         for no in ("", "  ", "nan", "NAN", "-nan")
     ),
     *(
-        (
+        hold(
             f"{name},a,b,c,d\n" + table(beside(COUNT)),
-            {
-                "readings": READINGS,
-                "metadata": {"counter_column": f"column 1 ({name})"},
-                "times": None,
-            },
+            readings=READINGS,
+            metadata={"counter_column": f"column 1 ({name})"},
+            times=None,
         )
         for name in ("frame", "Frame", "index", "seq", "frame_id", "", "Unnamed: 0")
     ),
-    (
+    hold(
         ",0,1,2,3\n" + table(beside(COUNT)),
-        {"readings": READINGS, "metadata": {"counter_column": "column 1 ()"}},
+        readings=READINGS,
+        metadata={"counter_column": "column 1 ()"},
     ),
     *(
-        (header + table(beside(COUNT, COUNT / 8)), {"readings": READINGS, "times": COUNT / 8})
+        hold(header + table(beside(COUNT, COUNT / 8)), readings=READINGS, times=COUNT / 8)
         for header in ("seq,time,a,b,c,d\n", "")
     ),
-    (
-        table(beside(COUNT / 50 + (COUNT % 3) / 1000)),
-        {
-            "readings": READINGS,
-            "times": COUNT / 50 + (COUNT % 3) / 1000,
-            "metadata": {"time_column": "column 1 (no header)"},
-        },
+    hold(
+        table(beside(COUNT / 50 + COUNT % 3 / 1000)),
+        readings=READINGS,
+        times=COUNT / 50 + COUNT % 3 / 1000,
+        metadata={"time_column": "column 1 (no header)"},
     ),
-    (table(beside(COUNT + 5)), {"readings": READINGS, "times": None}),
+    hold(table(beside(COUNT + 5)), readings=READINGS, times=None),
     *(
-        (
+        hold(
             "timestamp,a\n" + "".join(f"{(1.7e9 + i / 4) * unit:.3f},{i % 3}\n" for i in range(30)),
-            {"rate_hz": 4},
+            rate_hz=4,
         )
         for unit in (1.0, 1e3, 1e6, 1e9)
     ),
     *(
-        (f"{name},b,c,d,e\n" + table(beside(COUNT)), {"readings": beside(COUNT), "times": None})
+        hold(f"{name},b,c,d,e\n" + table(beside(COUNT)), readings=beside(COUNT), times=None)
         for name in ("t1", "s", "us", "tip", "sensor", "mst", "timer", "thumb", "ts0")
     ),
     *(
-        (header + table(beside(COUNT / 50)), {"readings": beside(COUNT / 50), "times": None})
+        hold(header + table(beside(COUNT / 50)), readings=beside(COUNT / 50), times=None)
         for header in ("s0,s1,s2,s3,s4\n", "left,a,b,c,d\n", "thumb,index1,ring2,palm3,palm4\n")
     ),
-    ("index,thumb,middle,ring\n" + table(READINGS), {"readings": READINGS, "times": None}),
+    hold("index,thumb,middle,ring\n" + table(READINGS), readings=READINGS, times=None),
     *(
-        (table(values), {"readings": values, "times": None})
+        hold(table(values), readings=values, times=None)
         for values in (
             beside(COUNT**2),  # rises, but not steadily
             beside(np.minimum(COUNT, 20)),  # saturates
@@ -127,68 +128,64 @@ TABLES: list[tuple[str, dict[str, Any]]] = [
             beside(COUNT / 10)[:5],
         )
     ),
-    (
+    hold(
         "a,b,a,a_2,a\n1,2,3,4,5\n6,7,8,9,10\n",
-        {
-            "names": ("a", "b", "a_3", "a_2", "a_4"),
-            "readings": [[1, 2, 3, 4, 5], [6, 7, 8, 9, 10]],
-            "warns": r"x\.csv: several sensors have the name a; they",
-        },
+        names=("a", "b", "a_3", "a_2", "a_4"),
+        readings=[[1, 2, 3, 4, 5], [6, 7, 8, 9, 10]],
+        warns="x\\.csv: several sensors have the name a; they",
     ),
-    (
+    hold(
         "a,b,c\n1,2,3\n4,5,6\n7,8",
-        {"readings": [[1, 2, 3], [4, 5, 6]], "warns": r"truncated .*\(line 4 has 2 fields"},
+        readings=[[1, 2, 3], [4, 5, 6]],
+        warns="truncated .*\\(line 4 has 2 fields",
     ),
-    (
+    hold(
         "1,2,3\n4,5,6\n7,8,-",
-        {"readings": [[1, 2, 3], [4, 5, 6]], "warns": r"truncated .*\(line 3, column 3"},
+        readings=[[1, 2, 3], [4, 5, 6]],
+        warns="truncated .*\\(line 3, column 3",
     ),
-    (
+    hold(
         "time,a,label\n"
-        + "".join(f"12:00:{i:02d},{i % 3},{'' if i % 7 else 'wet'}\n" for i in range(30)),
-        {"names": ("a",), "times": None, "warns": r"column 1 \(time\), column 3 \(label\)"},
+        + "".join(f"12:00:{i:02d},{i % 3},{('' if i % 7 else 'wet')}\n" for i in range(30)),
+        names=("a",),
+        times=None,
+        warns="column 1 \\(time\\), column 3 \\(label\\)",
     ),
-    (
+    hold(
         "frame,cells\n" + "".join(f'{i},"1,2,3"\n' for i in range(60)) + '60,"1,2',
-        {"n_frames": 60, "warns": "last line is truncated"},
+        n_frames=60,
+        warns="last line is truncated",
     ),
-    ("a\tb\n1,234\t5\n0,5\t6\n", {"readings": [[1.234, 5], [0.5, 6]]}),
-    (
+    hold("a\tb\n1,234\t5\n0,5\t6\n", readings=[[1.234, 5], [0.5, 6]]),
+    hold(
         "a\tb\n1,234\t5\n2,345\t6\n",
-        {
-            "readings": [[1.234, 5], [2.345, 6]],
-            "warns": r"decimal commas \(1,234 as 1\.234\)",
-        },
+        readings=[[1.234, 5], [2.345, 6]],
+        warns="decimal commas \\(1,234 as 1\\.234\\)",
     ),
-    ("frame,a,b\n0,1,2\n1,3,4\n", {"names": ("a", "b")}),
-    (
+    hold("frame,a,b\n0,1,2\n1,3,4\n", names=("a", "b")),
+    hold(
         "mat\n1,2\n".replace("mat", "a,b") + "3,\n,4\n",
-        {"options": {"grid": (1, 2)}, "readings": [[1, 2], [3, NAN], [NAN, 4]]},
+        grid=(1, 2),
+        readings=[[1, 2], [3, NAN], [NAN, 4]],
     ),
-    (
+    hold(
         "a,b,c,d\n1,,3,\n4,,6,\n7,nan,8,1\n",
-        {
-            "options": {"grid": (2, 2)},
-            "readings": [[1, 0, 3, NAN], [4, 0, 6, NAN], [7, 0, 8, 1]],
-            "warns": "1 of 4 cells of the grid have no reading",
-        },
+        grid=(2, 2),
+        readings=[[1, 0, 3, NAN], [4, 0, 6, NAN], [7, 0, 8, 1]],
+        warns="1 of 4 cells of the grid have no reading",
     ),
-    (
+    hold(
         "1,2,3,4,5,6\n7,8,9,1,2,3\n",
-        {
-            "options": {"grid": (2, 3)},
-            "names": ("r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"),
-            "positions": [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]],
-        },
+        grid=(2, 3),
+        names=("r0c0", "r0c1", "r0c2", "r1c0", "r1c1", "r1c2"),
+        positions=[[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]],
     ),
     *(
-        (
+        hold(
             f"{names}\n1,2,3\n4,5,6\n",
-            {
-                "options": {"grid": (2, 3)},
-                "names": tuple(names.split(",")),
-                "positions": [[1, 0], [1, 1], [2, 1]],
-            },
+            grid=(2, 3),
+            names=tuple(names.split(",")),
+            positions=[[1, 0], [1, 1], [2, 1]],
         )
         for names in ("c1,c4,c5", "r0c1,r1c1,r1c2")
     ),
@@ -202,90 +199,64 @@ TOUCHED = {
     "times": [0, 0.25, 0.75, 1.25],
 }
 PADDED = "0,0.1,5,0.2,9\n0,0.1,6,NaN,NaN\n1,0.3,6,0.2,8\n2,NaN,NaN,0.2,9\n"
-SPIKES = {"options": {"bin_s": 1.0}, "readings": [[1, 0, 1], [2, 0, 0], [0, 0, 1]]}
+SPIKES = {"bin_s": 1.0, "readings": [[1, 0, 1], [2, 0, 0], [0, 0, 1]]}
 OBJECTS = [
     '{"t_ms": 500, "sensor": "palm", "pressure": 2.5}',
     '{"t_ms": 250, "sensor": "thumb", "pressure": 1, "where": [1, 2]}',
     '{"t_ms": 500, "sensor": "thumb", "pressure": 4}',
 ]
 PRESSED = {"names": ("palm", "thumb"), "readings": [[0, 1], [2.5, 4]], "times": [0, 0.25]}
-EVENTS: list[tuple[str, dict[str, Any]]] = [
+EVENTS = [
     *(
-        (header + "".join(row(t, ids) + "\n" for t, ids in MOMENTS), TOUCHED)
+        hold(header + "".join((row(t, ids) + "\n" for t, ids in MOMENTS)), **TOUCHED)
         for header, row in (
-            ("time,taxels\n", lambda t, ids: f'{t},"{" ".join(map(str, ids))}"'),
+            ("time,taxels\n", lambda t, ids: f'''{t},"{" ".join(map(str, ids))}"'''),
             ("t;contacts\n", lambda t, ids: f"{t};{ids}"),
             ("Time [s],active taxels\n", lambda t, ids: f'{t},"{ids}"'),
             ("time,ids\n", lambda t, ids: ",".join(map(str, [t, *ids]))),
-            (
-                "time_ms\ttaxel_ids\n",
-                lambda t, ids: f"{1000 * t:g}\t{' '.join(map(str, ids))}",
-            ),
+            ("time_ms\ttaxel_ids\n", lambda t, ids: f"{1000 * t:g}\t{' '.join(map(str, ids))}"),
             *(("", lambda t, ids, d=d: d.join(map(str, [t, *ids]))) for d in " ,\t;"),
         )
     ),
-    ('time,taxels\n0.5,"3 17"\n', {"readings": [[1, 1]]}),
-    (
+    hold('time,taxels\n0.5,"3 17"\n', readings=[[1, 1]]),
+    hold(
         "time,taxel\n1.5,17\n0.25,3\n1.5,3\n0.25,17\n1.0,17\n1.0,\n1.5,4\n",
-        {
-            "names": TOUCHED["names"],
-            "readings": [[1, 0, 1], [0, 0, 1], [1, 1, 1]],
-            "times": [0, 0.75, 1.25],
-        },
+        names=TOUCHED["names"],
+        readings=[[1, 0, 1], [0, 0, 1], [1, 1, 1]],
+        times=[0, 0.75, 1.25],
     ),
-    (
+    hold(
         "event,sensor,pressure\n7,left thumb,2.5\n7,palm,4\n9,palm,1\n",
-        {"names": ("left thumb", "palm"), "readings": [[2.5, 4], [0, 1]], "times": None},
+        names=("left thumb", "palm"),
+        readings=[[2.5, 4], [0, 1]],
+        times=None,
     ),
-    (
-        "event,taxel\n0,3\n0,17\n1,\n2,17\n",
-        {"readings": [[1, 1], [0, 0], [0, 1]], "times": None},
-    ),
+    hold("event,taxel\n0,3\n0,17\n1,\n2,17\n", readings=[[1, 1], [0, 0], [0, 1]], times=None),
     # A published record of self-touch: two skins, padded to equal length.
-    (
-        PADDED,
-        {
-            "options": {"select": "1:3"},
-            "names": ("taxel5", "taxel6"),
-            "readings": [[1, 1], [0, 1], [0, 0]],
-        },
-    ),
-    (
-        PADDED,
-        {
-            "options": {"select": "1:5"},
-            "names": ("taxel8", "taxel9"),
-            "readings": [[0, 1], [1, 0], [0, 1]],
-        },
-    ),
-    (
-        "when,x,pad\n0,1.5,3\n0,2.5,4\n1,3.5,4\n",
-        {"options": {"select": "when:pad"}, "readings": [[1, 1], [0, 1]]},
-    ),
-    (
+    hold(PADDED, select="1:3", names=("taxel5", "taxel6"), readings=[[1, 1], [0, 1], [0, 0]]),
+    hold(PADDED, select="1:5", names=("taxel8", "taxel9"), readings=[[0, 1], [1, 0], [0, 1]]),
+    hold("when,x,pad\n0,1.5,3\n0,2.5,4\n1,3.5,4\n", select="when:pad", readings=[[1, 1], [0, 1]]),
+    hold(
         "taxel,time\n0,0.5\n1,0.5\n2,inf\n1,90\n0,90\n",
-        {"readings": [[1, 1], [1, 1]], "names": ("taxel0", "taxel1")},
+        readings=[[1, 1], [1, 1]],
+        names=("taxel0", "taxel1"),
     ),
-    (
+    hold(
         "taxel,time\n0,0.5\n1,1.5\n2,2.5\n0,2.5\n2",
-        {
-            "readings": [[1, 0, 0], [0, 1, 0], [1, 0, 1]],
-            "warns": r"x\.csv: the last line is truncated and dropped",
-        },
+        readings=[[1, 0, 0], [0, 1, 0], [1, 0, 1]],
+        warns="x\\.csv: the last line is truncated and dropped",
     ),
-    (f"[{', '.join(OBJECTS)}]", PRESSED),
-    ("\n".join(OBJECTS) + "\n", PRESSED),
-    ("a,0.25,1.5,1.75\nb\nc,0.5,2.25\n", {"names": ("a", "b", "c"), **SPIKES}),
-    ("a 0.25 1.5 1.75\nb \nc 0.5 2.25\n", {"names": ("a", "b", "c"), **SPIKES}),
-    ("a,b,c\n0.25,,0.5\n1.5,,2.25\n1.75,,\n", {"names": ("a", "b", "c"), **SPIKES}),
-    ("0.25;;0.5\n1.5;;2.25\n1.75;;\n", {"names": ("channel1", "channel2", "channel3"), **SPIKES}),
-    (
+    hold(f"[{', '.join(OBJECTS)}]", **PRESSED),
+    hold("\n".join(OBJECTS) + "\n", **PRESSED),
+    hold("a,0.25,1.5,1.75\nb\nc,0.5,2.25\n", names=("a", "b", "c"), **SPIKES),
+    hold("a 0.25 1.5 1.75\nb \nc 0.5 2.25\n", names=("a", "b", "c"), **SPIKES),
+    hold("a,b,c\n0.25,,0.5\n1.5,,2.25\n1.75,,\n", names=("a", "b", "c"), **SPIKES),
+    hold("0.25;;0.5\n1.5;;2.25\n1.75;;\n", names=("channel1", "channel2", "channel3"), **SPIKES),
+    hold(
         "time,electrode\n" + "".join(f"{0.1 + i * 0.24:.4f},{i % 3}\n" for i in range(40)),
-        {
-            "metadata": {"bin_s": 1},
-            "n_frames": 10,
-            "warns": r"in bins of 1 s, the default width.*--bin-width",
-        },
+        metadata={"bin_s": 1},
+        n_frames=10,
+        warns="in bins of 1 s, the default width.*--bin-width",
     ),
 ]
 """Lists of contacts and spikes."""
@@ -333,23 +304,22 @@ def insole(between: str) -> str:
     return f"{above}{names}\n{table(rows, between)}"
 
 
-MATS: list[tuple[str, dict[str, Any]]] = [
-    (movie() + "@@\n", {"readings": CELLS, "units": "mm", "rate_hz": 100}),
-    *((movie(mark, ""), {"readings": CELLS, "units": "spacings"}) for mark in ",;\t "),
-    (movie(outside=True), {"readings": CELLS[:, 1:-1], "n_sensors": 10}),
-    (quoted_movie(), {"readings": CELLS + 0.5, "units": "spacings", "times": COUNT / 25}),
-    (
+MATS = [
+    hold(movie() + "@@\n", readings=CELLS, units="mm", rate_hz=100),
+    *(hold(movie(mark, ""), readings=CELLS, units="spacings") for mark in ",;\t "),
+    hold(movie(outside=True), readings=CELLS[:, 1:-1], n_sensors=10),
+    hold(quoted_movie(), readings=CELLS + 0.5, units="spacings", times=COUNT / 25),
+    hold(
         movie()[: movie().rindex("\n", 0, -2) + 1],
-        {"n_frames": 29, "warns": "truncated in row 3 of 4.* 29 frames"},
+        n_frames=29,
+        warns="truncated in row 3 of 4.* 29 frames",
     ),
     *(
-        (
+        hold(
             insole(mark),
-            {
-                "names": ("left 1", "left 2", "right 1", "right 2"),
-                "readings": FRAMES[:, 0, [0, 1, 2, 0]],
-                "rate_hz": 50,
-            },
+            names=("left 1", "left 2", "right 1", "right 2"),
+            readings=FRAMES[:, 0, [0, 1, 2, 0]],
+            rate_hz=50,
         )
         for mark in "\t;,"
     ),
@@ -387,75 +357,75 @@ GRIPPED = "1\n5\n" + "".join(
     f"{i} {26.82 + i / 10:f} 5 " + " ".join(f"{a} {i * k}" for k, a in enumerate(HANDLE)) + "\n"
     for i in range(30)
 )
-LOGS: list[tuple[str, dict[str, Any]]] = [
+LOGS = [
     *(
-        (
+        hold(
             log(*stamps, brackets=brackets, end=end, first=first),
-            {**LOGGED, "metadata": {"stamps": len(stamps)}},
+            **LOGGED,
+            metadata={"stamps": len(stamps)},
         )
         for brackets, first in ((False, 0), (True, 4711))
         for end in ("\n", " \n", "\r\n")
         for stamps in ((SENT,), (SENT, SENT + 0.001), (SENT, SENT - 3e8))
     ),
     *(
-        (log(*stamps), {**LOGGED, "metadata": {"stamps": len(stamps)}})
-        for stamps in ((COUNT / 64,), (COUNT / 64, COUNT / 64 + 0.002))  # of a simulator
+        hold(log(*stamps), **LOGGED, metadata={"stamps": len(stamps)})
+        for stamps in ((COUNT / 64,), (COUNT / 64, COUNT / 64 + 0.002))
     ),
-    (log(np.full(30, SENT[0]), SENT), LOGGED),
+    hold(log(np.full(30, SENT[0]), SENT), **LOGGED),
     # The sender's stamps are valid in the rows that are inspected before reading.
-    (
+    hold(
         "".join(
             f"{i} {1.3e9 + i / 50 - (i == 1500):.2f} {1.3e9 + i / 50 + 0.01:.2f} {i % 9} 2\n"
             for i in range(2000)
         ),
-        {"times": np.arange(2000) / 50},
+        times=np.arange(2000) / 50,
     ),
-    (
+    hold(
         log(np.where(COUNT == 7, SENT[6], SENT)),
-        {"readings": READINGS, "times": None, "warns": r"data\.log.*frame 7 \(line 8\)"},
+        readings=READINGS,
+        times=None,
+        warns="data\\.log.*frame 7 \\(line 8\\)",
     ),
-    ("".join(f"{i} {t:.6f} {1e6 + i} {i}\n" for i, t in enumerate(SENT)), {"n_sensors": 2}),
-    ("".join(f"{i} {t:.6f} {t:.6f}\n" for i, t in enumerate(SENT)), {"n_sensors": 1}),
-    ("time,a,b\n0.1,1,2\n0.2,3,4\n", {"names": ("a", "b")}),
-    (log(SENT).rstrip("\n"), {"readings": READINGS}),
-    (
+    hold("".join((f"{i} {t:.6f} {1e6 + i} {i}\n" for i, t in enumerate(SENT))), n_sensors=2),
+    hold("".join((f"{i} {t:.6f} {t:.6f}\n" for i, t in enumerate(SENT))), n_sensors=1),
+    hold("time,a,b\n0.1,1,2\n0.2,3,4\n", names=("a", "b")),
+    hold(log(SENT).rstrip("\n"), readings=READINGS),
+    hold(
         "".join(f"{i} {1.3e9 + i / 50:.2f} 1 2 3\n" for i in range(3000)) + "3000 13",
-        {"n_frames": 3000, "warns": "truncated and dropped"},
+        n_frames=3000,
+        warns="truncated and dropped",
     ),
-    (
+    hold(
         touches("", "()", contact(5, 97, 4), contact(5, 4), ""),
-        {
-            "names": ("taxel4", "taxel97"),
-            "readings": [[0, 0], [0, 0], [1, 1], [1, 0], [0, 0]],
-            "times": np.arange(5) / 8,
-            "metadata": {"skin_parts": "r_forearm"},
-        },
+        names=("taxel4", "taxel97"),
+        readings=[[0, 0], [0, 0], [1, 1], [1, 0], [0, 0]],
+        times=np.arange(5) / 8,
+        metadata={"skin_parts": "r_forearm"},
     ),
-    (BOTH, {"options": {"select": "l_forearm"}, "names": ("taxel8", "taxel9")}),
-    (
+    hold(BOTH, select="l_forearm", names=("taxel8", "taxel9")),
+    hold(
         BOTH,
-        {
-            "options": {"select": "l_forearm, r_forearm"},
-            "names": ("l_forearm/taxel8", "l_forearm/taxel9", "r_forearm/taxel4"),
-            "readings": [[1, 0, 1], [0, 1, 0]],
-        },
+        select="l_forearm, r_forearm",
+        names=("l_forearm/taxel8", "l_forearm/taxel9", "r_forearm/taxel4"),
+        readings=[[1, 0, 1], [0, 1, 0]],
     ),
-    (
+    hold(
         touches(contact(5, 3, 4), contact(5, 4), contact(5, 8))[:-9],
-        {"readings": [[1, 1], [0, 1]], "warns": "last line is truncated and dropped"},
+        readings=[[1, 1], [0, 1]],
+        warns="last line is truncated and dropped",
     ),
-    (
+    hold(
         "7 8 9 \n0 0.600000 1 43000 2\n1 0.700000 3 4 65535\n",
-        {"names": ("7", "8", "9"), "readings": [[1, NAN, 2], [3, 4, NAN]]},
+        names=("7", "8", "9"),
+        readings=[[1, NAN, 2], [3, 4, NAN]],
     ),
-    (
+    hold(
         GRIPPED,
-        {
-            "names": ("38135", "38136", "38433", "38140", "38433_2"),
-            "readings": COUNT[:, None] * np.arange(5),
-            "times": COUNT / 10,
-            "warns": "several sensors have the name 38433",
-        },
+        names=("38135", "38136", "38433", "38140", "38433_2"),
+        readings=COUNT[:, None] * np.arange(5),
+        times=COUNT / 10,
+        warns="several sensors have the name 38433",
     ),
 ]
 """Logs of YARP and CySkin."""
@@ -469,11 +439,11 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "text", "facts"), CASES, ids=range(len(CASES)))
 def test_what_a_text_holds(put, name: str, text: str, facts: dict[str, Any]) -> None:
-    options = io.ReadOptions(**facts.get("options", {}))
+    given = {key: facts[key] for key in facts.keys() & {"bin_s", "grid", "select"}}
     warned = facts.get("warns")
     with pytest.warns(AnisomapWarning, match=warned) if warned else nullcontext():
-        found = io.read(put(name, text), options=options)
-    for fact in facts.keys() - {"options", "warns"}:
+        found = io.read(put(name, text), options=io.ReadOptions(**given))
+    for fact in facts.keys() - {"warns", *given}:
         value, expected = getattr(found, fact), facts[fact]
         if fact == "metadata":
             assert expected.items() <= value.items()

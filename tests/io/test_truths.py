@@ -29,6 +29,10 @@ def table(k: int, delimiter: str, *, named: bool, headed: bool) -> tuple[str, di
     return header + rows(POINTS[:, :k], delimiter, names), facts
 
 
+def hold(text: str, **facts: Any) -> tuple[str, dict[str, Any]]:
+    return text, facts
+
+
 CLOUD = """ply
 format ascii 1.0
 comment made by a scanner
@@ -49,7 +53,7 @@ SCANNED = {"positions": [[0, 0, 0], [1.5, 0, 0], [0, 2.5, 1e-3]], "names": UNNAM
 _LINES = CLOUD.splitlines()
 FACES_FIRST = [*_LINES[:3], *_LINES[8:10], *_LINES[3:8], _LINES[10], _LINES[14], *_LINES[11:14]]
 NAN = math.nan
-TRUTHS: list[tuple[str, dict[str, Any]]] = [
+TRUTHS = [
     *(
         table(k, delimiter, named=named, headed=headed)
         for k in (2, 3)
@@ -58,37 +62,37 @@ TRUTHS: list[tuple[str, dict[str, Any]]] = [
         for headed in (False, True)
     ),
     *(
-        (f"{header}\n{rows(POINTS)}", {"positions": POINTS, "units": units})
+        hold(f"{header}\n{rows(POINTS)}", positions=POINTS, units=units)
         for header, units in (
             *(("x,y,z", ""), ("X [mm],Y [mm],Z [mm]", "mm")),
             *(("x_m,y_m,z_m", "m"), ("x(cm),y(cm),z(cm)", "cm")),
         )
     ),
-    (
+    hold(
         "id,nx,z,y,x,note\n7,0.1,3,2,1,left\n8,0.2,6,5,4,\n",
-        {"positions": [[1, 2, 3], [4, 5, 6]], "names": ("7", "8")},
+        positions=[[1, 2, 3], [4, 5, 6]],
+        names=("7", "8"),
     ),
-    ("name;x;y\na;0,5;1\nb;2;3,25\n", {"positions": [[0.5, 1], [2, 3.25]]}),
-    (
+    hold("name;x;y\na;0,5;1\nb;2;3,25\n", positions=[[0.5, 1], [2, 3.25]]),
+    hold(
         "# by hand\nname,x,y\na,1,2\nb,,\n# not found\nc,nan,nan\n",
-        {"positions": [[1, 2], [NAN, NAN], [NAN, NAN]], "names": ("a", "b", "c")},
+        positions=[[1, 2], [NAN, NAN], [NAN, NAN]],
+        names=("a", "b", "c"),
     ),
-    (  # a column of older maps is ignored
+    hold(
         "name,x,y,component,health,excluded\na,1,2,0,ok,1\nb,3,4,0,dead,0\n",
-        {"positions": [[1, 2], [3, 4]], "health": ("ok", "dead")},
+        positions=[[1, 2], [3, 4]],
+        health=("ok", "dead"),
     ),
-    ("x,y,\n1,2,\n3,4,\n", {"positions": [[1, 2], [3, 4]]}),
-    (
-        json.dumps({"sensors": [{"position": [1, None]}]}),
-        {"positions": [[1, NAN]], "names": ("s0",)},
-    ),
-    # An object over several lines is no list of contacts.
-    (
+    hold("x,y,\n1,2,\n3,4,\n", positions=[[1, 2], [3, 4]]),
+    hold(json.dumps({"sensors": [{"position": [1, None]}]}), positions=[[1, NAN]], names=("s0",)),
+    hold(
         '{"time": 3, "units": "mm",\n "sensors": [{"position": [1, 2]}]}',
-        {"positions": [[1, 2]], "units": "mm"},
+        positions=[[1, 2]],
+        units="mm",
     ),
-    (CLOUD, SCANNED),
-    ("\r\n".join(FACES_FIRST), SCANNED),
+    hold(CLOUD, **SCANNED),
+    hold("\r\n".join(FACES_FIRST), **SCANNED),
 ]
 
 
