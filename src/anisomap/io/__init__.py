@@ -1,9 +1,8 @@
 """Read recordings and maps from files, and write them.
 
-`registry` lists every format, and reads and writes with it. `stream` holds the blocks in
-which recordings are read. `recordings` and `maps` hold the formats, and `parsing` the code
-they share. A new format is one module with its readers and writers, and one line in
-`registry.FORMATS`.
+`registry` lists every format, and reads and writes with it. `stream` holds the blocks in which
+recordings are read. `recordings` and `maps` hold the formats, and `parsing` the code they share. A
+new format is its reader and writer, and one line in `registry.FORMATS`.
 """
 
 from anisomap.io.dissimilarities import Dissimilarities as Dissimilarities

@@ -1,1 +1,1 @@
-"""Readers and writers of maps, one module per format."""
+"""Readers and writers of maps, one module per kind of file."""

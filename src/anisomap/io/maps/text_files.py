@@ -5,11 +5,9 @@ A map has comments and a table ``name, x, y, z, component, health``, followed by
 with columns x and y (and z) is read, or, without a header, two or three columns of numbers after an
 optional column of names.
 
-
-A map in JSON has its properties, then one object per sensor; NaN is null. A calibration
-of CySkin has the address,
-position and normal of each taxel, in metres; normals become unit vectors, and those of zero length
-are unknown.
+A map in JSON has its properties, then one object per sensor; NaN is null. A calibration of CySkin
+has the address, position and normal of each taxel, in metres; normals become unit vectors, and
+those of zero length are unknown.
 """
 
 from __future__ import annotations

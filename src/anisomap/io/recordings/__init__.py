@@ -1,1 +1,1 @@
-"""Readers of recordings, one module per format."""
+"""Readers of recordings, one module per kind of file."""

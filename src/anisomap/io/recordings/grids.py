@@ -39,6 +39,12 @@ from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
 
+EXTRA = "images"
+
+MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
+_SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
+_GREY_MODES = {"L", "I", "F", "I;16", "I;16B"}
+
 # Possessive quantifiers keep the time linear in the length of a line.
 _FRAME = re.compile(r'\s*+"?frame"?[\s:,;#]*+"?\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)
 _ENTRY = re.compile(
@@ -225,13 +231,6 @@ def _number(text: str) -> float:
         return float(text.rstrip(".,").replace(",", "."))
     except ValueError:
         return 0.0
-
-
-EXTRA = "images"
-
-MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
-_SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
-_GREY_MODES = {"L", "I", "F", "I;16", "I;16B"}
 
 
 def is_folder(path: Path, head: bytes) -> bool:

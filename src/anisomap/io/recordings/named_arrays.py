@@ -46,6 +46,22 @@ from anisomap.io.stream import (
 )
 from anisomap.recording import Scalar
 
+HDF5_EXTRA, _MAGIC = "hdf5", b"\x89HDF\r\n\x1a\n"
+MAT_EXTRA = "mat"
+MAT_MAGICS = (b"MATLAB 5.0 MAT-file", _MAGIC_73 := b"MATLAB 7.3 MAT-file")
+"""First bytes of versions 5 and 7.3; version 4 has only its suffix."""
+
+_KINDS = {
+    "double": "f",
+    "single": "f",
+    "logical": "u",
+    **{f"int{bits}": "i" for bits in (8, 16, 32, 64)},
+    **{f"uint{bits}": "u" for bits in (8, 16, 32, 64)},
+}
+_WITH_POINT = 4  # columns of x y z id
+_MIN_UNITS = 2
+_DIGIT = re.compile(r"\d")
+
 _NUMBERS, _REAL, _TEXT = "biuf", "iuf", "SUO"
 _MICROMETRES = "epos"  # positions in the retinal wave repository, which defines their unit
 _SPAN = "recordingtime"
@@ -85,10 +101,6 @@ class Dataset:
     def whole(self) -> NDArray[Any]:
         """Read the whole array."""
         return self.read(0, self.shape[0])
-
-
-_MIN_UNITS = 2
-_DIGIT = re.compile(r"\d")
 
 
 @dataclass(frozen=True)
@@ -326,11 +338,6 @@ def _rate(near: Sequence[Dataset]) -> float | None:
     return rate if 0 < rate < math.inf else None
 
 
-HDF5_EXTRA = "hdf5"
-
-_MAGIC = b"\x89HDF\r\n\x1a\n"
-
-
 def is_hdf5(path: Path, head: bytes) -> bool:
     """Recognise HDF5 by its signature, which may follow a user block of 512, 1024, ... bytes."""
     offsets = [0, *(512 << i for i in range(7))]
@@ -383,20 +390,6 @@ def _hdf5_dataset(item: Any, frames_last: bool) -> Dataset:
 
     kind = item.dtype.kind
     return Dataset(name, shape or (1,), str(item.dtype), kind, read, chunks[0] if chunks else 1)
-
-
-MAT_EXTRA = "mat"
-MAT_MAGICS = (b"MATLAB 5.0 MAT-file", _MAGIC_73 := b"MATLAB 7.3 MAT-file")
-"""First bytes of versions 5 and 7.3; version 4 has only its suffix."""
-
-_KINDS = {
-    "double": "f",
-    "single": "f",
-    "logical": "u",
-    **{f"int{bits}": "i" for bits in (8, 16, 32, 64)},
-    **{f"uint{bits}": "u" for bits in (8, 16, 32, 64)},
-}
-_WITH_POINT = 4  # columns of x y z id
 
 
 def mat_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
