@@ -20,19 +20,11 @@ from fuzzing.workers import BATCH, Tally, run_cases, warm_up
 
 _LOADED = (
     *("h5py", "pyarrow.parquet", "pyarrow.feather", "rosbags.rosbag1", "rosbags.rosbag2", "mujoco"),
+    *("trimesh", "PIL.Image", "scipy.io", "defusedxml.ElementTree"),
     *(
-        "trimesh",
-        "PIL.Image",
-        "scipy.io",
-        "defusedxml.ElementTree",
-        "anisomap.cli.commands.recording",
+        f"anisomap.cli.commands.{each}"
+        for each in ("recording", "maps", "comparison", "simulation")
     ),
-    *(
-        "anisomap.cli.commands.recording",
-        "anisomap.cli.commands.maps",
-        "anisomap.cli.commands.comparison",
-    ),
-    "anisomap.cli.commands.simulation",
 )
 """Modules that are loaded once, before processes are forked."""
 
