@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.special import pdtrc
 
 from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
@@ -32,6 +33,8 @@ _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
 _MIN_TOLD_APART = 0.85  # share of these whose own channels can be told from others
+# Limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9.
+_MIN_POWER = 2.0
 _MIN_FAILED = 5  # pairs from which the distances of sensors are estimated
 _MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely; chosen by hand
 _EXACT = 1e-3  # share of noise in the variance below which copies are exact
@@ -97,7 +100,8 @@ def find_copies(
     third sensors are g times those of i, and x_j - g x_i is white, independent of third sensors and
     of the height of the contact. Each of these is tested so that 1 % of the recordings with copies
     fail. Where sensors are placed at random, two of them at nearly one place pass as well: a pair
-    is no copy if one that is so close is to be expected on this skin (`_expected_so_close`).
+    is no copy if one that is so close is to be expected on this skin (`_closer_than_chance`).
+    Recordings in which many pairs fail by little are not judged.
 
     Readings that agree in every frame are copies if they change often enough. Of the pairs that
     disagree, the most similar one gives the smallest probability p of a disagreement at a change; n
@@ -172,7 +176,7 @@ class _Excerpt:
         first, second, gain, _ = self.related(pairs)
         size = np.linalg.norm(second, axis=1)
         apart = np.linalg.norm(second - gain[:, None] * first, axis=1)
-        return np.divide(apart, size, out=np.full(len(pairs), math.inf), where=size > 0)
+        return np.asarray(np.divide(apart, size, out=np.full(len(pairs), np.inf), where=size > 0))
 
     def misfits(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return by how much j differs from i times a gain plus noise, in units of the limits.
@@ -271,9 +275,13 @@ def _noisy(
     """Mark pairs of which one is the other times a gain, plus white noise."""
     misfits = excerpt.misfits(pairs)
     passed = misfits <= 1
-    passed &= _expected_so_close(excerpt.distances(pairs), ~passed & np.isfinite(misfits)) <= (
-        _FALSE_ALARMS
-    )
+    failed = ~passed & np.isfinite(misfits)
+    enough = np.count_nonzero(failed) >= _MIN_FAILED
+    if enough and np.quantile(misfits[failed], 0.1) < _MIN_POWER:
+        return np.zeros_like(passed)
+    distances = excerpt.distances(pairs)
+    if enough:
+        passed[passed] = _closer_than_chance(distances[passed], distances[failed])
     if passed.any() and excerpt.rows.shape[1] < len(readings):
         used = np.union1d(excerpt.others, pairs[passed])
         longer = _Excerpt(readings, varying[used], _MAX_CONFIRMED)
@@ -281,24 +289,27 @@ def _noisy(
     return np.asarray(passed)
 
 
-def _expected_so_close(
-    distances: NDArray[np.float64], apart: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return how many pairs of different sensors are expected to be as close as each pair, (P,).
+def _closer_than_chance(
+    distances: NDArray[np.float64], apart: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Mark pairs that are closer than the closest pairs of different sensors are by chance, (P,).
 
-    distances (P,); apart (P,) marks pairs of different sensors.
+    distances (P,), apart (Q,): Of possible copies, and of different sensors.
 
     Small distances follow a power law: of sensors at random places on a surface, d^2 pairs are
-    closer than d, on regular ones fewer. Its exponent is that of the half of the pairs that are
-    closest (Hill 1975, Annals of Statistics 3: 1163-1174).
+    closer than d, on regular ones fewer. Its exponent is that of the closer half of the pairs (Hill
+    1975, Annals of Statistics 3: 1163-1174). The pairs that are closer than d are a Poisson number;
+    the m closest pairs are marked, for the largest m that chance reaches with probability .01.
     """
-    known = distances[apart]
-    middle = float(np.median(known)) if known.size >= _MIN_FAILED else 0.0
-    closer = known[(known > 0) & (known < middle)]
+    middle = float(np.median(apart))
+    closer = apart[(apart > 0) & (apart < middle)]
     if not closer.size:
-        return np.zeros(len(distances))
+        return np.ones(len(distances), dtype=bool)
     exponent = 1 / float(np.log(middle / closer).mean())
-    return np.asarray(known.size / 2 * (distances / middle) ** exponent)
+    expected = apart.size / 2 * (distances / middle) ** exponent
+    rank = np.searchsorted(np.sort(expected), expected, side="right")
+    unlikely = pdtrc(rank - 1, expected) <= _FALSE_ALARMS
+    return np.asarray(rank <= np.max(rank[unlikely], initial=0))
 
 
 def _normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
