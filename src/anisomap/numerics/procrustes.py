@@ -134,7 +134,7 @@ def fit_similarity_robustly(
     return min(fits, key=lambda found: found[:2])[2]
 
 
-def turns(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return rotations by angles in the plane, (B, 1), or rotation vectors, (B, 3): (B, k, k)."""
     if angles.shape[1] == 3:
         return Rotation.from_rotvec(angles).as_matrix()

@@ -24,8 +24,8 @@ from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import (
     extent,
     fit_similarity,
+    rotations,
     similarity_freedom,
-    turns,
 )
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import METRES, mirrored
@@ -466,7 +466,7 @@ def _refined(
 
     def points(steps: NDArray[np.float64]) -> Points:
         by_body = steps.reshape(n_bodies, width)
-        frames = turns(by_body[:, :-k]) @ rotation
+        frames = rotations(by_body[:, :-k]) @ rotation
         found = np.full_like(positions, np.nan)
         found[known] = np.einsum("nij,nj->ni", frames[bodies[known]], arms[known])
         found[known] += (translation + by_body[:, -k:])[bodies[known]]

@@ -7,12 +7,13 @@ sensors; see `anisomap.numerics.signals`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from anisomap.recording import Recording
 
@@ -43,3 +44,12 @@ def in_readings(
 ) -> Callable[[Recording], Recording]:
     """Return a repair that changes the readings alone, shape (T, N)."""
     return lambda recording: replace(recording, readings=change(recording.readings))
+
+
+def linked_groups(
+    rows: NDArray[np.float32], least: float, size: int
+) -> Iterator[NDArray[np.bool_]]:
+    """Mark each group of `size` rows or more, of norm 1, that correlations above `least` link."""
+    _, group = connected_components(rows @ rows.T > least, directed=False)
+    for number in np.flatnonzero(np.bincount(group) >= size):
+        yield group == number

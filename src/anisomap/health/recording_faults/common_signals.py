@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
-from anisomap.health.recording_faults import Found, in_readings
+from anisomap.health.recording_faults import Found, in_readings, linked_groups
 from anisomap.numerics.signals import (
     deviation_from_median,
     medians,
@@ -54,8 +53,8 @@ def find_hum(recording: Recording) -> Iterator[Found]:
 
     The period is that of the clearest line in the median of the sensors' spectra. It is a finding
     if the power of the line is 20 times that on either side, and if its phase is the same in all
-    sensors. A body that rolls or walks at an even pace has
-    lines, too, but sensors on different places have different phases.
+    sensors. A body that rolls or walks at an even pace has lines, too, but sensors on different
+    places have different phases.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = readings.shape
@@ -219,9 +218,8 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
     if free.size < _MIN_GROUP:
         return
     rows = unit_rows(np.clip(fast[:, noisy] / scale[noisy], -_CLIP, _CLIP))
-    _, group = connected_components(rows @ rows.T > _MIN_LINK, directed=False)
-    for number in np.flatnonzero(np.bincount(group) >= _MIN_GROUP).tolist():
-        yield free[group == number]
+    for group in linked_groups(rows, _MIN_LINK, _MIN_GROUP):
+        yield free[group]
 
 
 def _noise_of(

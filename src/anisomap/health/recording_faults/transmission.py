@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.sparse.csgraph import connected_components
 
-from anisomap.health.recording_faults import Found, in_readings
+from anisomap.health.recording_faults import Found, in_readings, linked_groups
 from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.signals import medians, middle_frames, some_sensors, standardised, unit_rows
@@ -211,12 +210,9 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
     if np.count_nonzero(jumping) < _MIN_GROUP:
         return
     chosen, jumps = chosen[jumping], jumps[jumping]
-    rows = unit_rows(jumps.T)
-    _, group = connected_components(rows @ rows.T > _MIN_LINK, directed=False)
-    for number in np.flatnonzero(np.bincount(group) >= _MIN_GROUP).tolist():
-        members = chosen[group == number]
-        if _may_be_equal(jumps[group == number]):
-            yield from _shared(recording, members)
+    for group in linked_groups(unit_rows(jumps.T), _MIN_LINK, _MIN_GROUP):
+        if _may_be_equal(jumps[group]):
+            yield from _shared(recording, chosen[group])
 
 
 def _jumps(readings: NDArray[Any], sensors: NDArray[np.intp], frames: slice) -> NDArray[np.float32]:

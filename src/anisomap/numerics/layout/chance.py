@@ -17,6 +17,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import split_blocks
+from anisomap.numerics.signals import unit_rows
 from anisomap.numerics.similarity.correlation import scale_extremes
 from anisomap.numerics.similarity.rest import ranks_of_depths
 
@@ -86,11 +87,11 @@ def reading_statistics(
     if n_frames < MIN_FRAMES:
         raise InputError(f"a check needs at least {MIN_FRAMES} frames, got {n_frames}")
     ranks = ranks_of_depths(values)
-    whole = _standardised(ranks)
+    whole = unit_rows(ranks).T
     similarity = _symmetric(whole.T @ whole)
     halves = []
     for frames in split_blocks(n_frames):
-        half = _standardised(ranks[frames])
+        half = unit_rows(ranks[frames]).T
         halves.append(_symmetric(half.T @ half))
     least = max(1, int(_MIN_SHIFT * n_frames))
     lags = rng.integers(least, n_frames - least, size=n_shifts, endpoint=True)
@@ -99,14 +100,6 @@ def reading_statistics(
     chance = np.stack([_strength(one) for one in shifted])
     tested = (strength > chance.max(axis=0)) & (strength > 0)
     return ReadingStatistics(similarity, np.stack(halves), shifted, tested)
-
-
-def _standardised(ranks: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Centre columns and scale them to unit length; constant columns are 0."""
-    centred = ranks - ranks.mean(axis=0)
-    length = np.sqrt(np.einsum("tn,tn->n", centred, centred))
-    scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
-    return np.asarray(centred * scale, dtype=np.float32)
 
 
 def _symmetric(product: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from anisomap.numerics.neighbours import nearest_distances
+
 TOLERANCE = 0.25
 """Largest error of places that count as equal, as a share of the spacing in a group.
 
@@ -50,7 +52,7 @@ def symmetries(points: NDArray[np.float64]) -> tuple[Symmetry, ...]:
     centred = points - points.mean(axis=0)
     basis = np.linalg.svd(centred, full_matrices=False)[2][:2]
     flat = centred @ basis.T
-    allowed = TOLERANCE * _spacing(flat)
+    allowed = TOLERANCE * float(np.median(nearest_distances(flat)))
     angles = [2 * math.pi * k / n for n in range(2, _MAX_FOLD + 1) for k in range(1, n)]
     known, found = {tuple(range(n_points))}, []
     radius = np.linalg.norm(flat, axis=1)
@@ -156,9 +158,3 @@ def _congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
     """Return whether two matrices of distances are equal."""
     others = first + np.diag(np.full(len(first), np.inf))
     return float(np.abs(first - second).max()) <= TOLERANCE * float(np.median(others.min(axis=0)))
-
-
-def _spacing(points: NDArray[np.float64]) -> float:
-    distances = cdist(points, points)
-    np.fill_diagonal(distances, np.inf)
-    return float(np.median(distances.min(axis=0)))

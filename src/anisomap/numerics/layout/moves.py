@@ -19,10 +19,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import Rotation
 
 from anisomap.numerics.layout.congruence import Symmetry, congruent, symmetries
 from anisomap.numerics.layout.evidence import MIN_GAIN, Evidence, Move, PlaceFits, Proposal
+from anisomap.numerics.procrustes import rotations
 
 _N_SLOTS = 6  # modules whose place another module may have; chosen by hand
 _MIN_VOTES = 0.8  # for the place of another module, relative to its own; chosen by hand
@@ -417,11 +417,7 @@ def _refined(evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.flo
         if len(parameters) > dimensions:
             # A step of 1 in every parameter moves the outermost sensor by about a spacing.
             angles = parameters[dimensions:] * spacing / radius
-            if dimensions == 2:
-                turn = Rotation.from_rotvec([0, 0, angles[0]]).as_matrix()[:2, :2]
-            else:
-                turn = Rotation.from_rotvec(angles).as_matrix()
-            moved = moved @ turn.T
+            moved = moved @ rotations(angles[None])[0].T
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
     def loss(parameters: Any) -> float:
