@@ -160,7 +160,7 @@ def leverage(
 
     Sums over coordinates, for independent errors of variance 1 of a coordinate.
     """
-    centre, size = fitted.mean(axis=0), float(np.sqrt(np.sum(np.var(fitted, axis=0))))
+    centre, size = fitted.mean(axis=0), extent(fitted)
     here, there = (
         similarity_derivatives((one - centre) / size)[:, :, : None if scaling else -1]
         for one in (fitted, points)
