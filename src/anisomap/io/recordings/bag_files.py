@@ -180,7 +180,7 @@ def _records(file: BinaryIO, start: int, size: int) -> Iterator[_Record]:
             fields = library.Header.read(file)
             length = library.read_uint32(file)
             record = _Record(start, fields, file.tell(), file.tell() + length)
-            if record.end > size:
+            if not fields or record.end > size:
                 return
             yield record
             start = record.end
