@@ -137,7 +137,8 @@ def find_change(recording: Recording) -> Iterator[Found]:
         return
     chosen = some_sensors(recording.n_sensors)
     step = -(-n_frames // _MAX_COMPARED)
-    ranks = ranks_of_depths(recording.readings[::step][:, chosen], single=True)
+    rest = recording.signals.rest.select(chosen)
+    ranks = ranks_of_depths(recording.readings[::step][:, chosen], rest, single=True)
     # A column of ones turns products into sums and counts as well.
     values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])
     moments = np.array([block.T @ block for block in np.array_split(values, _N_BLOCKS)])
