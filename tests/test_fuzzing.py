@@ -24,6 +24,8 @@ from fuzzing.workers import Tally, run_case, run_cases
 CORPUS = Path(__file__).parent / "corpus"
 USES = 8
 """Random generators per file, each of which chooses one of the ways to read it."""
+LASTING = ("mne-22",)
+"""Files that are refused only after seconds, at the limit of memory."""
 HANG_S = 60
 """CPU time, and a tenth of the time by the clock: enough for any machine, however busy."""
 
@@ -63,7 +65,13 @@ def problems(subject, tree, folder, capfd):
     return found
 
 
-@pytest.mark.parametrize("case", sorted(path.name for path in CORPUS.iterdir()))
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in LASTING else name
+        for name in sorted(path.name for path in CORPUS.iterdir())
+    ],
+)
 def test_what_once_failed(formats, in_empty_folder, capfd, case):
     named = {name.replace(" ", "-"): subject for name, subject in formats.items()}
     subject = named[case.rpartition("-")[0]]
