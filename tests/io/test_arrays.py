@@ -290,18 +290,6 @@ class TestSpikeTrains:
     TRAINS = ([0.25, 1.5, 1.75], [], [0.5, 2.25])
     COUNTS = ([1, 0, 1], [2, 0, 0], [0, 0, 1])
 
-    @pytest.fixture
-    def saved(self, tmp_path: Path) -> Callable[..., Path]:
-        h5py = pytest.importorskip("h5py")
-
-        def save(**arrays: object) -> Path:
-            with h5py.File(tmp_path / "spikes.h5", "w") as file:
-                for name, values in arrays.items():
-                    file[name.replace("__", "/")] = values
-            return tmp_path / "spikes.h5"
-
-        return save
-
     @pytest.mark.parametrize(
         ("arrays", "names"),
         [
@@ -323,8 +311,8 @@ class TestSpikeTrains:
             ),
         ],
     )
-    def test_layouts(self, saved, arrays: dict[str, object], names: tuple[str, ...]) -> None:
-        path = saved(**arrays)
+    def test_layouts(self, h5, arrays: dict[str, object], names: tuple[str, ...]) -> None:
+        path = h5(**arrays)
         found = io.read(path, options=OPTIONS(bin_s=1.0))
         assert found.names == names
         # The first bin begins with the first spike, at 0.25 s.
@@ -334,9 +322,9 @@ class TestSpikeTrains:
             io.read(path)
 
     @pytest.mark.parametrize("transposed", [False, True])
-    def test_positions_and_span(self, saved, transposed: bool) -> None:
+    def test_positions_and_span(self, h5, transposed: bool) -> None:
         positions = np.array([[0.0, 42], [42, 42], [84, 0]])
-        path = saved(
+        path = h5(
             spikes=np.concatenate(self.TRAINS),
             sCount=[3, 0, 2],
             epos=positions.T if transposed else positions,
@@ -352,15 +340,16 @@ class TestSpikeTrains:
         assert found.units == "um"
 
     @pytest.mark.parametrize("counts", [[3, 0, 1], [3, -1, 3], [2.5, 0, 2.5], [np.nan, 1, 1]])
-    def test_counts_that_do_not_agree(self, saved, counts: list[float]) -> None:
-        path = saved(spikes=np.concatenate(self.TRAINS), sCount=counts)
+    def test_counts_that_do_not_agree(self, h5, tmp_path: Path, counts: list[float]) -> None:
+        made = h5(spikes=np.concatenate(self.TRAINS), sCount=counts)
+        path = made.rename(tmp_path / "spikes.h5")
         with pytest.raises(
             FileError, match=r"spikes\.h5: sCount must divide the 5 times of spikes"
         ):
             io.read(path, options=OPTIONS(bin_s=1.0))
 
-    def test_readings_beside_vectors_are_preferred(self, saved) -> None:
-        path = saved(
+    def test_readings_beside_vectors_are_preferred(self, h5) -> None:
+        path = h5(
             skin__readings=np.eye(4), events__ch1=np.array([0.5]), events__ch2=np.array([0.5, 1.5])
         )
         assert io.read(path).n_sensors == 4

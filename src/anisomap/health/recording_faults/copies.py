@@ -276,11 +276,10 @@ def _noisy(
     misfits = excerpt.misfits(pairs)
     passed = misfits <= 1
     failed = ~passed & np.isfinite(misfits)
-    enough = np.count_nonzero(failed) >= _MIN_FAILED
-    if enough and np.quantile(misfits[failed], 0.1) < _MIN_POWER:
-        return np.zeros_like(passed)
-    distances = excerpt.distances(pairs)
-    if enough:
+    if passed.any() and np.count_nonzero(failed) >= _MIN_FAILED:
+        if np.quantile(misfits[failed], 0.1) < _MIN_POWER:
+            return np.zeros_like(passed)
+        distances = excerpt.distances(pairs)
         passed[passed] = _closer_than_chance(distances[passed], distances[failed])
     if passed.any() and excerpt.rows.shape[1] < len(readings):
         used = np.union1d(excerpt.others, pairs[passed])
