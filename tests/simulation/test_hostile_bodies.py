@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from anisomap import reader_process
-from anisomap.errors import FileError
+from anisomap.errors import FileError, InputError
 from anisomap.mesh_files import read_mesh
 from anisomap.simulation import load_body
 
@@ -62,6 +62,16 @@ def test_copies_of_a_mesh_are_limited_by_their_triangles(model, tmp_path):
     with pytest.raises(FileError, match="surface of its meshes expands to"):
         load_body(model(asset, copy * 100), 4)
     assert load_body(model(asset, copy), 4).n_sensors == 4
+
+
+def test_models_of_too_many_geoms_are_refused(model):
+    with pytest.raises(FileError, match=r"robot\.xml has 1,002 geoms, more than 1,000"):
+        load_body(model("", '<replicate count="1001"><geom size=".1"/></replicate>'))
+
+
+def test_solids_with_a_length_of_almost_0_are_refused(model):
+    with pytest.raises(InputError, match="lengths of a cylinder differ too much"):
+        load_body(model("", '<geom type="cylinder" size="1e-320 .2"/>'))
 
 
 def test_models_with_copies_and_comments_are_read(model):

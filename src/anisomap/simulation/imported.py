@@ -42,6 +42,7 @@ _MAX_BYTES = 1 << 26  # of a file that is searched for names of others
 _NAMED = re.compile(rb"""\b(file|filename|meshdir|texturedir|assetdir)\s*=\s*(["'])(.+?)\2""")
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}  # of geoms of MuJoCo
 _TRIANGLE_BYTES = 72  # of its corners
+_MAX_GEOMS = 1000  # each is sampled and measured by itself: about 5 ms each
 _MIN_LENGTH = 1e-100  # its cube is within the range of float64
 _MIN_SHARE = 1e-9  # of a part in the extent of the body; `TriangleSearch` rounds distances to it
 _MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
@@ -50,13 +51,13 @@ _MAX_CONTRADICTIONS = 0.1  # share of the sensors; not 0, since estimates can be
 
 
 def load_body(
-    path: Path, sensors: int | ArrayLike | None = None, names: Sequence[str] = ()
+    path: str | Path, sensors: int | ArrayLike | None = None, names: Sequence[str] = ()
 ) -> Body:
     """Load a body from a mesh or a MuJoCo model.
 
     Parameters
     ----------
-    path : pathlib.Path
+    path : str or pathlib.Path
         A closed mesh (`MESH_SUFFIXES`) or a model (`MODEL_SUFFIXES`).
     sensors : int or array_like of shape (N, 3), optional
         Number of sensors to spread evenly over the surface, or their positions. Defaults to the
@@ -76,6 +77,7 @@ def load_body(
     InputError
         If a sensor is not on the surface.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     check_regular(path)
     if suffix in MESH_SUFFIXES:
@@ -157,6 +159,12 @@ def body_from_mjcf(
     """
     with opened(_read_model, path) as answers:
         found = next(answers)
+    if len(found["kinds"]) > _MAX_GEOMS:
+        raise FileError(
+            f"{path} has {len(found['kinds']):,} geoms, more than {_MAX_GEOMS:,}: give the surface "
+            "as a mesh, or turn off collisions of geoms that are not the skin (contype and "
+            "conaffinity 0)"
+        )
     lengths = [found[name] for name in ("sizes", "centres", "rotations")]
     for values in (*lengths, *(vertices for vertices, _ in found["meshes"])):
         if not np.abs(values.astype(np.float64)).max(initial=0) < solids.MAX_LENGTH:

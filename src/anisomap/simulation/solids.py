@@ -27,7 +27,7 @@ _CIRCLE_VERTICES = 48
 _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
 _N_PROJECTIONS = 4
-_MIN_RATIO = 1e-9  # of the half axes of an ellipsoid
+_MIN_RATIO = 1e-9  # of the lengths of a solid
 _CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
 _MAX_ROUNDS = 50  # of rejection sampling
 _ROUNDING = 1e-9  # x reach
@@ -59,9 +59,9 @@ class Solid:
                 f"a {self.kind} must have a size and centre of at most {MAX_LENGTH:g}, "
                 f"got up to {lengths.max():g}"
             )
-
-        if self.kind == "ellipsoid" and min(self.size) < _MIN_RATIO * max(self.size):
-            raise InputError(f"the half axes of an ellipsoid differ too much: {self.size}")
+        least = self.size[0] if self.kind == "capsule" else min(self.size, default=0.0)
+        if least < _MIN_RATIO * max(self.size, default=0.0):
+            raise InputError(f"the lengths of a {self.kind} differ too much: {self.size}")
 
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact signed distance of points from the surface. points (n, 3) -> (n,)."""

@@ -44,6 +44,7 @@ from anisomap.io.stream import (
     choose,
     increasing_times,
 )
+from anisomap.memory import Budget, bytes_kept
 from anisomap.recording import Scalar
 
 HDF5_EXTRA, _MAGIC = "hdf5", b"\x89HDF\r\n\x1a\n"
@@ -219,6 +220,8 @@ def stream_of(
         choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
     near = [each for each in datasets if each.group == chosen.group and each is not chosen]
     n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
+    least = bytes_kept(np.dtype(np.float32))
+    Budget(path).check_readings(n_frames, n_sensors, least, "its table of readings")
     return Stream(
         path,
         n_sensors,
@@ -368,12 +371,17 @@ def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Itera
         yield [
             _hdf5_dataset(each, frames_last)
             for each in found
-            if isinstance(each, h5py.Dataset) and not each.name.startswith("/#")
+            if isinstance(each, h5py.Dataset) and not _name_of(each).startswith("/#")
         ]
 
 
+def _name_of(item: Any) -> str:
+    """Return the name of a dataset; h5py returns bytes where it is not UTF-8."""
+    return item.name if isinstance(item.name, str) else item.name.decode(errors="replace")
+
+
 def _hdf5_dataset(item: Any, frames_last: bool) -> Dataset:
-    name = item.name.lstrip("/")
+    name = _name_of(item).lstrip("/")
     shape = tuple(item.shape or ())
     chunks = tuple(item.chunks or ())
     if frames_last:
