@@ -19,56 +19,67 @@ pytest.importorskip("jinja2")
 
 QUICK = Settings(quick=True)
 CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3", "figure-s10")
-
-
-@pytest.fixture(
-    scope="module", params=[CHEAP, pytest.param((), marks=pytest.mark.slow)], ids=["cheap", "all"]
+LIKE_MU = tuple(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins"))
+"""Experiments that differ from ``sensitivity-mu`` by a parameter alone."""
+MOST = tuple(
+    name
+    for name, one in EXPERIMENTS.items()
+    if not one.files and (not name.startswith(LIKE_MU) or name.endswith("sphere-bombardment"))
 )
-def quick(tmp_path_factory, request):
-    """Return the folder of a run of ``anisomap paper --quick``."""
-    folder = tmp_path_factory.mktemp("paper") / "out"
-    chosen = [word for name in request.param for word in ("--only", name)]
-    workers = "1" if chosen else "2"
-    words = ["paper", "-o", str(folder), "--quick", "--workers", workers, *chosen]
-    assert run(words) == 0
+
+
+def quick_run(folder, names):
+    """Run experiments by ``anisomap paper --quick``; return the folder of the results."""
+    chosen = [word for name in names for word in ("--only", name)]
+    assert run(["paper", "-o", str(folder), "--quick", "--workers", "1", *chosen]) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """Give the results of the cheap experiments."""
+    return quick_run(tmp_path_factory.mktemp("paper") / "out", CHEAP)
 
 
 def computed_in(folder):
     return {path.parent.name for path in folder.glob(f"*/{runner.RECORD}")}
 
 
-def test_every_experiment_writes_the_files_in_its_record(quick, request):
-    chosen = request.node.callspec.params["quick"]
-    assert computed_in(quick) == set(
-        chosen or (one.name for one in EXPERIMENTS.values() if not one.files)
-    )
-    for name in computed_in(quick):
-        record = json.loads((quick / name / runner.RECORD).read_text())
+def check_results(folder, names):
+    """Check the files of each experiment, and the page, which shows all without a network."""
+    assert computed_in(folder) == set(names)
+    for name in names:
+        record = json.loads((folder / name / runner.RECORD).read_text())
         assert record["pictures"] or record["tables"] or record["documents"]
         for table in record["tables"]:
-            with (quick / name / f"{table['name']}.csv").open(newline="") as file:
+            with (folder / name / f"{table['name']}.csv").open(newline="") as file:
                 header, *rows = csv.reader(file)
             assert header == list(table["columns"])
             assert rows
             assert all(table["columns"].values()), "every column has a description"
         for picture in record["pictures"]:
             for kind in runner.FIGURE_FORMATS:
-                assert (quick / name / f"{picture['name']}.{kind}").stat().st_size > 5000
-
-
-def test_the_page_shows_all_results_without_a_network(quick):
-    page = (quick / "index.html").read_text()
+                assert (folder / name / f"{picture['name']}.{kind}").stat().st_size > 5000
+    page = (folder / "index.html").read_text()
     links = re.findall(r'(?:href|src)="([^"]+)"', page)
     assert not [link for link in links if "//" in link]
     for link in links:
-        assert link.startswith("#") or (quick / link).is_file(), link
+        assert link.startswith("#") or (folder / link).is_file(), link
     for name, experiment in EXPERIMENTS.items():
-        shown = bool(experiment.title) and (name in computed_in(quick) or bool(experiment.files))
+        shown = bool(experiment.title) and (name in names or bool(experiment.files))
         assert (f'id="{name}"' in page) == shown
     assert "matejhof/robotic-homunculus-supporting-materials" in page, "source of real recordings"
-    pictures = {path.relative_to(quick).as_posix() for path in quick.glob("*/*.png")}
+    pictures = {path.relative_to(folder).as_posix() for path in folder.glob("*/*.png")}
     assert pictures <= set(links)
+
+
+def test_cheap_experiments_write_files_and_a_page(quick):
+    check_results(quick, CHEAP)
+
+
+@pytest.mark.slow
+def test_most_experiments_write_files_and_a_page(tmp_path):
+    check_results(quick_run(tmp_path / "out", MOST), MOST)
 
 
 def test_finished_experiments_are_not_repeated(quick):

@@ -6,7 +6,6 @@ import pytest
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.simulation import body_from_mesh, body_from_points, load_body, simulate, solids
 from anisomap.simulation.bodies import hand, sphere
-from anisomap.simulation.body import surface_distances
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -82,7 +81,7 @@ def test_a_body_from_points_leaves_all_sensors_exposed():
     ball = sphere(200)
     estimated = body_from_points(ball.positions).normals
     assert (np.einsum("nd,nd->n", estimated, ball.normals) > np.cos(np.radians(12))).all()
-    assert surface_distances(body_from_points(ball.positions)) is None
+    assert body_from_points(ball.positions).surface_distances is None
     far = ball.positions + np.array([10, 20, 30])
     recording = simulate(body_from_points(far), "pressing", n_frames=1500)
     assert recording.varying().all()

@@ -17,7 +17,6 @@ from anisomap.simulation.bodies import (
     sphere,
     uneven_sphere,
 )
-from anisomap.simulation.body import surface_distances
 from anisomap.simulation.solids import sample_surface, spread
 
 
@@ -65,7 +64,7 @@ def test_there_are_no_sensors_at_zero_density():
 @pytest.mark.parametrize("name", ["hand", "holed-plate"])
 def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(name, bodies):
     body = bodies[name]
-    found = surface_distances(body)
+    found = body.surface_distances
     straight = squareform(pdist(body.positions))
     np.testing.assert_array_equal(found, found.T)
     assert (np.diag(found) == 0).all()
@@ -78,13 +77,13 @@ def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(name, bod
 def test_shortest_paths_agree_with_closed_forms():
     pairs = np.triu_indices(60, 1)
     ball = sphere()
-    found = surface_distances(replace(ball, geodesic=None))
+    found = replace(ball, geodesic=None).surface_distances
     np.testing.assert_allclose(found[pairs], great_circles(ball.positions)[pairs], rtol=0.02)
     tube = cylinder()
     x, y, z = tube.positions.T
     turn = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x)[:, None] - np.arctan2(y, x)))))
     side = np.hypot(0.5 * turn, z[:, None] - z)
-    found = surface_distances(tube)
+    found = tube.surface_distances
     # Paths over an end of the cylinder can be shorter, except between the two middle rows.
     middle = np.abs(z) < 0.5
     near = np.ix_(middle, middle)
@@ -94,7 +93,7 @@ def test_shortest_paths_agree_with_closed_forms():
 
 def test_surface_distances_go_around_a_hole(bodies):
     body = bodies["holed-plate"]
-    found = surface_distances(body)
+    found = body.surface_distances
     ratio = found / np.maximum(squareform(pdist(body.positions)), 1e-9)
     far = squareform(pdist(body.positions)) > 0.85
     assert ratio.max() > 1.3

@@ -28,7 +28,7 @@ from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.options import MethodOptions
 from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row, Settings
-from anisomap.reconstruction import reconstruct
+from anisomap.reconstruction import reconstruct, reconstruct_from
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
@@ -120,6 +120,16 @@ def isolation(positions: ArrayLike, sensor: int) -> float:
     return float(nearest[sensor] / np.median(np.delete(nearest, sensor)))
 
 
+def published_similarity(recording: Recording, method: str, bins: int = DEFAULT_BINS) -> Reals:
+    """Compute the similarity of all sensors by a method of the paper, (N, N); constant ones: 0."""
+    varying = recording.varying()
+    used = find_method(method).similarity
+    found = compare([recording.select(varying)], used, bins=bins, with_noise=False)
+    similarity = np.eye(recording.n_sensors, dtype=found.similarity.dtype)
+    similarity[np.ix_(varying, varying)] = found.similarity
+    return similarity
+
+
 def published_metric(recording: Recording, method: str) -> Reals:
     """Compute the metric of the sensors that vary by a method of the paper. Returns (n, n)."""
     recipe, options = find_method(method), MethodOptions()
@@ -165,14 +175,26 @@ def map_and_score(
     permutations: int = 0,
     exclude: Iterable[str] = (),
     options: MethodOptions | None = None,
+    similarity: Reals | None = None,
 ) -> ScoredMap:
     """Reconstruct a map and score it against the true positions of the recording.
 
     Positions are scaled by majorization, as in the paper. Maps in 2D are compared with the first
-    two coordinates of the true positions.
+    two coordinates of the true positions. The similarity of all pairs is computed if not given.
     """
     published = replace(options or MethodOptions(), smacof=SMACOF)
-    sensor_map = reconstruct(recording, method, dimensions, options=published)
+    if similarity is None:
+        sensor_map = reconstruct(recording, method, dimensions, options=published)
+    else:
+        constant = [recording.names[i] for i in np.flatnonzero(~recording.varying())]
+        sensor_map = reconstruct_from(
+            similarity=similarity,
+            method=method,
+            dimensions=dimensions,
+            options=published,
+            names=recording.names,
+            drop=constant,
+        )
     truth, units = true_positions(recording, dimensions), recording.units
     return ScoredMap(
         sensor_map,
@@ -265,9 +287,13 @@ def score_rows(
     """
     excluded, more = list(exclude), tuple(more_bins)
     is_cylinder = recording.metadata.get("body") == "cylinder"
+    compared: dict[tuple[str, int], Reals] = {}
     for k in dimensions:
         for method in METHODS:
             for bins in (DEFAULT_BINS, *(() if method == "r-anisomap" else more)):
+                key = find_method(method).similarity, bins
+                if key not in compared:
+                    compared[key] = published_similarity(recording, method, bins)
                 scored = map_and_score(
                     recording,
                     method,
@@ -275,6 +301,7 @@ def score_rows(
                     permutations=settings.permutations if bins == DEFAULT_BINS else 0,
                     exclude=excluded,
                     options=MethodOptions(bins=bins),
+                    similarity=compared[key],
                 )
                 result, found = scored.score, scored.sensor_map
                 mapped = found.positions[result.sensors]

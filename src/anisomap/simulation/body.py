@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,8 +52,7 @@ class Body:
         Whether the solids also represent the surface between the sensors.
     geodesic : callable, optional
         Function of positions (N, 3) that returns their distances along the surface (N, N), if
-        there is a closed form. Otherwise, see
-        `anisomap.simulation.body.surface_distances`.
+        there is a closed form. Otherwise, see `surface_distances`.
 
     Raises
     ------
@@ -124,6 +122,22 @@ class Body:
             return self.reach
         return float(np.median(nearest_distances(self.positions)))
 
+    @cached_property
+    def surface_distances(self) -> NDArray[np.float64] | None:
+        """Geodesic distances between the sensors, shape (N, N).
+
+        None if the surface between the sensors is unknown (`body_from_points`). Symmetric; inf
+        between disconnected parts. Exact where the body has a closed form. Otherwise, lengths of
+        shortest paths on a graph of surface points, joined to their neighbours unless the straight
+        line leaves the surface; within 4 % of the truth on spheres, cylinders and plates, and
+        mostly within 1 %. Reproducible.
+        """
+        if not self.is_whole:
+            return None
+        if self.geodesic is not None:
+            return frozen(self.geodesic(self.positions))
+        return frozen(_shortest_paths(self))
+
     def distance(self, points: ArrayLike) -> Points:
         """Compute the distance of points from the surface, shape (n,); negative inside."""
         return union_distance(self.solids, points)
@@ -157,35 +171,6 @@ _N_SAMPLES = 6000
 _N_NEIGHBOURS = 100  # with fewer, zigzag paths are a few per cent longer
 _MAX_SAG = 0.15  # x chord: largest distance of the middle of an edge from the surface
 _MIN_FACING = -0.5  # cosine between the normals at the ends of an edge
-
-# Cached, since runs of one body with many seeds share its distances.
-_computed: WeakKeyDictionary[Body, NDArray[np.float64]] = WeakKeyDictionary()
-
-
-def surface_distances(body: Body) -> NDArray[np.float64] | None:
-    """Compute geodesic distances between the sensors of a body.
-
-    Parameters
-    ----------
-    body : Body
-
-    Returns
-    -------
-    ndarray of shape (N, N), or None
-        None if the surface between the sensors is unknown (`body_from_points`). Symmetric; inf
-        between disconnected parts. Exact where the body has a closed form. Otherwise, lengths of
-        shortest paths on a graph of surface points, joined to their neighbours unless the straight
-        line leaves the surface; within 4 % of the truth on spheres, cylinders and plates, and
-        mostly within 1 %. Reproducible.
-    """
-    if not body.is_whole:
-        return None
-    if body.geodesic is not None:
-        return body.geodesic(body.positions)
-    if body not in _computed:
-        _computed[body] = _shortest_paths(body)
-        _computed[body].setflags(write=False)
-    return _computed[body]
 
 
 def _shortest_paths(body: Body) -> NDArray[np.float64]:

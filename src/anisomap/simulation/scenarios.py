@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from inspect import signature
 from multiprocessing import get_context
 from types import MappingProxyType
@@ -20,7 +21,7 @@ from anisomap.errors import InputError
 from anisomap.recording import Recording
 from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.body import Body, surface_distances
+from anisomap.simulation.body import Body
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import COUNT
 from anisomap.simulation.kinematic import (
@@ -222,7 +223,7 @@ def run_simulation(
         rate_hz=rate_hz,
         positions=read.positions + read.origin,
         normals=read.normals,
-        surface_distances=surface_distances(read),
+        surface_distances=read.surface_distances,
         units=given.units,
         source=f"simulated {scenario} of {given.name}, seed {number}",
         metadata=metadata,
@@ -311,4 +312,12 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
         raise InputError(
             f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
         )
-    return make(**options) if n_sensors is None else make(n_sensors, **options)
+    if options:
+        return make(**options) if n_sensors is None else make(n_sensors, **options)
+    return _named_body(body, n_sensors)
+
+
+@lru_cache(maxsize=16, typed=True)  # runs of one body with many seeds share its distances
+def _named_body(name: str, n_sensors: int | None) -> Body:
+    make = BODIES[name]
+    return make() if n_sensors is None else make(n_sensors)
