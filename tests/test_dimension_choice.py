@@ -84,6 +84,17 @@ def test_half_a_cylinder_spans_the_dimensions_of_the_sheet_it_is_bent_from():
     assert choose_dimensions(chords).dimensions == 3
 
 
+def test_a_third_dimension_needs_more_evidence_where_the_signal_is_common():
+    rng = np.random.default_rng(0)
+    flat, round_body = (distances(make(rng, 60), rng, 0.03) for make in (plane, sphere))
+    for share in (0.0, 0.5, 0.99):
+        found = choose_dimensions(metricise(flat), common_share=share)
+        assert (found.dimensions, found.clear) == (2, True)
+    assert choose_dimensions(metricise(round_body), common_share=0.5).clear
+    unclear = choose_dimensions(metricise(round_body), common_share=0.99)
+    assert (unclear.dimensions, unclear.clear) == (3, False)
+
+
 def test_the_elbow_is_the_ratio_of_the_gains_of_two_dimensions():
     rng = np.random.default_rng(0)
     found = choose_dimensions(distances(rng.normal(size=(60, 6))))

@@ -95,10 +95,13 @@ class DimensionChoice:
         return float(s[dimensions - 1] * s[dimensions + 1] / s[dimensions] ** 2)
 
 
-def choose_dimensions(metric: ArrayLike, weights: Reals | None = None) -> DimensionChoice:
+def choose_dimensions(
+    metric: ArrayLike, weights: Reals | None = None, *, common_share: float = 0.0
+) -> DimensionChoice:
     """Choose between 2 and 3 dimensions by the elbow of the stress.
 
-    metric (N, N), weights (N, N).
+    metric (N, N), weights (N, N). common_share is the share of the signal that all sensors have in
+    common, which was subtracted; only the rest counts as evidence for the third dimension.
 
     More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
     doi:10.1007/BF02289565). The fourth fits only errors, as skins lie in space, and the third is
@@ -130,7 +133,7 @@ def choose_dimensions(metric: ArrayLike, weights: Reals | None = None) -> Dimens
     elongated = found.elbow(1) >= DISTINCT > found.elbow(2)
     if elongated and _is_curve(two.positions, one.positions[:, 0]):
         return DimensionChoice(2, clear=True, line=True, stress=stress)
-    if found.elbow(3) >= SPATIAL_ELBOW:
+    if (found.elbow(3) - 1) * (1 - common_share) >= SPATIAL_ELBOW - 1:
         return DimensionChoice(3, clear=True, stress=stress)
     distinct = max(found.elbow(1), found.elbow(2)) >= DISTINCT
     limit = FLAT_ELBOW if distinct else WEAK_FLAT_ELBOW
@@ -212,6 +215,7 @@ def plan_dimensions(
     metric: Reals | None,
     weights: Reals | None = None,
     *,
+    common_share: float = 0.0,
     examine: bool = True,
 ) -> DimensionPlan:
     """Choose the number of dimensions of a map, or examine the given number.
@@ -219,12 +223,14 @@ def plan_dimensions(
     metric (n, n), weights (n, n).
     """
     if dimensions == AUTO:
-        choice = DimensionChoice() if metric is None else choose_dimensions(metric, weights)
+        choice = DimensionChoice()
+        if metric is not None:
+            choice = choose_dimensions(metric, weights, common_share=common_share)
         return DimensionPlan(choice.dimensions, AUTO, choice)
     given = DimensionPlan(int(dimensions), int(dimensions))
     if not examine or dimensions != SPATIAL or metric is None:
         return given
-    return replace(given, choice=choose_dimensions(metric, weights))
+    return replace(given, choice=choose_dimensions(metric, weights, common_share=common_share))
 
 
 def check_dimensions(dimensions: Dimensions) -> None:

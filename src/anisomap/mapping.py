@@ -34,7 +34,6 @@ from anisomap.refinements.chain import RefinedMap, Step, refine
 
 logger = logging.getLogger(__name__)
 
-_MOSTLY = 0.5  # least share of a common signal that hides how many dimensions a skin has
 
 _START_TOLERANCE = 1e-5
 """Least tolerance of a scaling that is refined, and only starts the covariogram fit.
@@ -170,9 +169,10 @@ def _dissimilarity_of(pairs: PairStatistics, recipe: Method, options: MethodOpti
 def _plan(
     dimensions: Dimensions, pairs: PairStatistics, metric: Reals, *, examine: bool = True
 ) -> DimensionPlan:
-    """Plan the dimensions, which are not clear if the mean over sensors is mostly common."""
-    examined = None if pairs.common_share > _MOSTLY else metric
-    return plan_dimensions(dimensions, examined, pairs.weights, examine=examine)
+    """Plan the dimensions by the metric."""
+    return plan_dimensions(
+        dimensions, metric, pairs.weights, common_share=pairs.common_share, examine=examine
+    )
 
 
 def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
