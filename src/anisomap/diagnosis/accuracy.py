@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.evidence import PairStatistics
-from anisomap.numerics.geodesic.neighbours import neighbour_graph
+from anisomap.numerics.geodesic.adjacency import adjacency_graph
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
 
@@ -89,7 +89,7 @@ def differences_from_steps(
     if median_spacing(positions) == 0:
         return np.full(positions.shape, math.inf)
     readings = np.asarray(pairs.readings)
-    graph = neighbour_graph(
+    graph = adjacency_graph(
         readings, positions, similarity=pairs.correlation, changes=pairs.changes
     )
     steps = shortest_path(graph.astype(np.float64), unweighted=True)

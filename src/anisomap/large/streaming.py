@@ -34,7 +34,7 @@ from anisomap.large.map_reduce import SERIAL, Mapper, WorkerPool, map_reduce
 from anisomap.memory import check_memory, check_pair_memory, check_worker_memory
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.columns import ranks_from_counts
-from anisomap.numerics.geodesic.neighbours import neighbour_graph, unevenness
+from anisomap.numerics.geodesic.adjacency import adjacency_graph, unevenness
 from anisomap.numerics.geodesic.path_lengths import MAX_UNEVENNESS
 from anisomap.numerics.precision import MAX_SQUARED, Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
@@ -355,7 +355,7 @@ def _is_uneven(
     if len(positions) < MIN_SENSORS or positions.shape[1] < 2:
         return False
     similarity = found.similarity[np.ix_(sensors, sensors)]
-    graph = neighbour_graph(found.excerpt.readings[:, sensors], positions, similarity=similarity)
+    graph = adjacency_graph(found.excerpt.readings[:, sensors], positions, similarity=similarity)
     return unevenness(positions, graph) > MAX_UNEVENNESS
 
 

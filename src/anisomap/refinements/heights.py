@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from anisomap.dimensions import SPATIAL
 from anisomap.evidence import PairStatistics
+from anisomap.numerics.geodesic.adjacency import adjacency_graph, local_dimension
 from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
     explained_share,
@@ -14,7 +15,6 @@ from anisomap.numerics.geodesic.contact_heights import (
     linear_share,
     peak_lengths,
 )
-from anisomap.numerics.geodesic.neighbours import local_dimension, neighbour_graph
 from anisomap.numerics.geodesic.path_lengths import fit_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
@@ -93,7 +93,7 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
         return None
     if len(some) < n_sensors:
         heights, sharing = _heights(pairs, np.arange(n_sensors))
-    by_readings = neighbour_graph(
+    by_readings = adjacency_graph(
         np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.changes
     )
     # Readings tell neighbours on regular columns, heights elsewhere: see the documentation.

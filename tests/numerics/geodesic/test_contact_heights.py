@@ -10,6 +10,7 @@ from scipy.stats import rankdata
 
 from anisomap import Recording
 from anisomap.evidence import compare
+from anisomap.numerics.geodesic.adjacency import local_dimension
 from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
     HeightSimilarity,
@@ -17,7 +18,6 @@ from anisomap.numerics.geodesic.contact_heights import (
     height_links,
     linear_share,
 )
-from anisomap.numerics.geodesic.neighbours import local_dimension
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.options import MethodOptions
 from anisomap.refinements.heights import by_heights

@@ -13,9 +13,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
-from anisomap.numerics.geodesic.neighbours import (
+from anisomap.numerics.geodesic.adjacency import (
+    adjacency_graph,
     edge_distances,
-    neighbour_graph,
     split_half_agreement,
     unevenness,
 )
@@ -93,7 +93,7 @@ def refine_by_even_spacing(
     the halves of the recording disagree about which sensors are neighbours.
     """
     given = np.asarray(positions, dtype=np.float64)
-    adjacency = neighbour_graph(readings, given, similarity=similarity)
+    adjacency = adjacency_graph(readings, given, similarity=similarity)
     uneven = unevenness(given, adjacency) > MAX_UNEVENNESS
     if uneven and split_half_agreement(readings, given) < _MIN_AGREEMENT:
         return None

@@ -8,9 +8,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.neighbours import (
+from anisomap.numerics.geodesic.adjacency import (
+    adjacency_graph,
     edge_distances,
-    neighbour_graph,
     split_half_agreement,
     unevenness,
 )
@@ -30,7 +30,7 @@ def smooth_noise(n_frames: int, n_sensors: int, seed: int) -> np.ndarray:
 @given(st.integers(3, 200), st.integers(2, 12), st.integers(0, 99))
 def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors, seed):
     readings = smooth_noise(n_frames, n_sensors, seed)
-    joined = neighbour_graph(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
+    joined = adjacency_graph(readings, np.random.default_rng(seed).normal(size=(n_sensors, 2)))
     assert np.array_equal(joined, joined.T)
     assert not np.diag(joined).any()
     assert connected_components(joined, directed=False)[0] == 1
@@ -40,9 +40,9 @@ def test_the_graph_is_symmetric_connected_and_without_loops(n_frames, n_sensors,
 def test_the_graph_is_equivariant_to_labels(seed):
     readings, rng = smooth_noise(120, 10, seed), np.random.default_rng(seed)
     positions, order = rng.normal(size=(10, 3)), rng.permutation(10)
-    joined = neighbour_graph(readings, positions)
+    joined = adjacency_graph(readings, positions)
     np.testing.assert_array_equal(
-        neighbour_graph(readings[:, order], positions[order]), joined[np.ix_(order, order)]
+        adjacency_graph(readings[:, order], positions[order]), joined[np.ix_(order, order)]
     )
 
 
@@ -50,7 +50,7 @@ def test_the_graph_is_equivariant_to_labels(seed):
 def test_the_graph_does_not_depend_on_gain_and_offset(seed):
     readings, rng = smooth_noise(120, 8, seed), np.random.default_rng(seed)
     other = readings * rng.uniform(0.1, 10, 8) + rng.normal(size=8)
-    np.testing.assert_array_equal(neighbour_graph(other), neighbour_graph(readings))
+    np.testing.assert_array_equal(adjacency_graph(other), adjacency_graph(readings))
 
 
 def test_a_rubbed_lattice_is_recovered():
@@ -58,7 +58,7 @@ def test_a_rubbed_lattice_is_recovered():
     readings = rubbed(positions, 3000)
     near = cdist(positions, positions) < 1.01
     np.fill_diagonal(near, val=False)
-    joined = neighbour_graph(readings, positions)
+    joined = adjacency_graph(readings, positions)
     assert (joined & near).sum() > 0.98 * joined.sum(), "hardly a shortcut"
     assert unevenness(positions, joined) < 0.1
     assert split_half_agreement(readings, positions) > 0.95
@@ -67,21 +67,21 @@ def test_a_rubbed_lattice_is_recovered():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_two_sensors_are_linked_even_if_they_are_opposites(sign):
     first = np.random.default_rng(0).standard_normal((300, 1))
-    links = neighbour_graph(np.hstack([first, sign * first + 0.1 * first[::-1]]))
+    links = adjacency_graph(np.hstack([first, sign * first + 0.1 * first[::-1]]))
     assert links.tolist() == [[False, True], [True, False]]
 
 
 def test_a_given_similarity_replaces_that_of_the_readings():
     readings = flat_skin().readings
     np.testing.assert_array_equal(
-        neighbour_graph(readings, similarity=blended_correlation(readings)),
-        neighbour_graph(readings),
+        adjacency_graph(readings, similarity=blended_correlation(readings)),
+        adjacency_graph(readings),
     )
 
 
 def test_only_edges_of_the_tree_have_much_stronger_detours():
     readings = smooth_noise(400, 14, 3)
-    joined = neighbour_graph(readings)
+    joined = adjacency_graph(readings)
     partial = partial_correlation(blended_correlation(readings), 0.1)
     weak = [
         (i, j)
@@ -118,4 +118,4 @@ def test_halves_of_noise_or_of_few_frames_do_not_agree():
 )
 def test_mismatched_shapes_are_refused(readings, positions):
     with pytest.raises(InputError, match="shape"):
-        neighbour_graph(readings, positions)
+        adjacency_graph(readings, positions)

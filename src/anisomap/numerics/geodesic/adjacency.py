@@ -27,7 +27,7 @@ _N_NEAREST = 16  # neighbours, of `local_dimension`; 12 gave a smaller margin
 _MIN_SENSORS = 3  # three pairs, the fewest that correlate
 
 
-def neighbour_graph(
+def adjacency_graph(
     readings: ArrayLike,
     positions: ArrayLike | None = None,
     *,
@@ -118,7 +118,7 @@ def split_half_agreement(readings: ArrayLike, positions: ArrayLike | None = None
         return 0.0
     points = None if positions is None else np.asarray(positions)[varying]
     pairs = np.triu_indices(n_compared, 1)
-    graphs = [neighbour_graph(half[:, varying], points) for half in halves]
+    graphs = [adjacency_graph(half[:, varying], points) for half in halves]
     first, second = (shortest_path(graph, unweighted=True)[pairs] for graph in graphs)
     if np.ptp(first) == 0 or np.ptp(second) == 0:
         return 0.0
