@@ -1,6 +1,6 @@
 """Number of dimensions that is chosen for skins of several shapes (``make dimension``).
 
-Skins are simulated on seeds that were not used for tuning (1 to 630 were); each seed stimulates a
+Skins are simulated on seeds that were not used for tuning (1 to 720 were); each seed stimulates a
 shape by another scenario. Real recordings are read from folders. The number of dimensions of a skin
 is that of its true positions, except for skins that can be rolled out: those have 2. The output is
 a table in Markdown and all results as CSV. All methods choose alike; r-ANISOMAP is the fastest.
@@ -24,7 +24,7 @@ from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate
 from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS, covered, midpoints
 from benchmarks.harness import files_in, heading, line, markdown_table, options, stream
 
-FIRST_SEED = 631
+FIRST_SEED = 721
 FRAMES = 1000
 SCENARIOS = ("bombardment", "rubbing", "pressing", "roller", "pulses", "locomotion")
 MIN_TOUCHES = 5

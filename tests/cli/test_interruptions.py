@@ -209,7 +209,8 @@ def test_interruption_of_an_import_of_extensions(folder, module, number):
 @pytest.fixture
 def _as_process(monkeypatch):
     """Restore what `main` changes for the rest of a process."""
-    monkeypatch.setenv("OPENBLAS_THREAD_TIMEOUT", "4")
+    for name, value in {"OPENBLAS_THREAD_TIMEOUT": "4", "MUJOCO_GL": "disable"}.items():
+        monkeypatch.setenv(name, value)
     handlers = {number: signal.getsignal(number) for number in CODES if number != signal.SIGKILL}
     thresholds = gc.get_threshold()
     yield

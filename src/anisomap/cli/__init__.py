@@ -19,6 +19,10 @@ _NEW_OBJECTS = 100_000
 # By default, they take .05 s of a second processor when numpy is loaded, and again with scipy.
 _BUSY_TICKS = "4"
 
+# What libraries read when they are imported. MuJoCo would start a process that looks for a graphics
+# library, which is needed in the process that renders only: it sets its own.
+_ENVIRONMENT = {"OPENBLAS_THREAD_TIMEOUT": _BUSY_TICKS, "MUJOCO_GL": "disable"}
+
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line of this process: see `anisomap.cli.app.run`.
@@ -35,7 +39,8 @@ def main(arguments: list[str] | None = None) -> None:
     import gc
 
     gc.set_threshold(_NEW_OBJECTS)
-    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", _BUSY_TICKS)
+    for name, value in _ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
     from anisomap.cli.app import run_process
 
     run_process(arguments)
