@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import anisomap
-from anisomap import Recording, diagnose, reconstruct, score
+from anisomap import Recording, SensorMap, diagnose, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evidence import SIMILARITIES
 from anisomap.methods import METHODS, PAPER_METHODS
@@ -245,6 +245,7 @@ UNTOUCHED = Recording(-np.eye(50)[:, :4])
         ({"dimensions": 0}, "dimensions must be a whole number of at least 1, or auto, got 0"),
         ({"dimensions": 2.5}, "whole number of at least 1, or auto, got 2.5"),
         ({"recording": "skin.csv"}, r"read the file first: anisomap.read\('skin.csv'\)"),
+        ({"recording": SensorMap(np.eye(9)[:, :3])}, "a recording is required here, got a map"),
         ({"drop": "s99"}, "no sensor 's99'"),
         ({"drop": ["nobody"]}, "no sensor 'nobody'"),
         ({"recording": Recording(np.full((9, 5), np.nan))}, "got 0 of 5"),

@@ -430,6 +430,8 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
         return runs if sensors_differ(runs) else (join_runs(runs),)
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
+    if hasattr(recording, "positions"):  # its coordinates would be read as three sensors
+        raise InputError(f"a recording is required here, got a map ({type(recording).__name__})")
     try:
         readings = np.asarray(_unmasked(recording))
     except ValueError:
