@@ -80,7 +80,7 @@ def test_every_form_holds_the_same_matrix(form, tmp_path):
     np.testing.assert_array_equal(found.values, RECTANGLE)
     assert found.names == names
     recognised = io.find_dissimilarities(path)
-    assert (recognised is None) == form.startswith("list")
+    assert (recognised is None) == (form == "list of numbers")
 
 
 def test_unknown_pairs_are_infinite(tmp_path):
@@ -122,6 +122,9 @@ def test_what_is_wrong_is_named(text, message, tmp_path):
 
 
 def test_recordings_are_not_taken_for_dissimilarities(tmp_path):
+    times = [f"12:00:0{i // 2},s{i % 2},{i}.5\n" for i in range(8)]
+    (tmp_path / "long.csv").write_text("time,sensor,reading\n" + "".join(times))
+    assert io.find_dissimilarities(tmp_path / "long.csv") is None
     readings = np.random.default_rng(0).random((5, 5))
     for name, values in {"random": readings, "tall": np.ones((40, 4))}.items():
         np.savetxt(tmp_path / f"{name}.csv", values, delimiter=",")

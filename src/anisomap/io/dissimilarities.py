@@ -118,12 +118,16 @@ def read_pair_weights(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
 
 
 def find_dissimilarities(path: Path) -> Dissimilarities | None:
-    """Recognise a square matrix, or a triangle, of dissimilarities; None for anything else.
+    """Recognise dissimilarities; None for anything else.
 
-    It is symmetric, its diagonal is 0, and all other values are positive. Raises InputError if the
-    diagonal is only constant, or a value 0, so that it may be a recording as well.
+    They are a list of two names and a value per line; or a square matrix, or a triangle, that is
+    symmetric, with a diagonal of 0 and positive values elsewhere. Raises InputError if the diagonal
+    is only constant, or a value 0, so that it may be a recording as well.
     """
-    if not _may_be_square(path):
+    rows = _sampled(path)
+    if _names_pairs(rows):
+        return read_dissimilarities(path)
+    if not _may_be_square(path, rows):
         return None
     try:
         with warnings.catch_warnings():
@@ -144,25 +148,42 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
     )
 
 
-def _may_be_square(file: Path) -> bool:
-    """Return whether a file has about as many rows as columns, without reading all of it."""
+def _sampled(file: Path) -> Rows:
+    """Return the first rows of a delimited text file; none of other files."""
     if file.is_dir():
-        return False
+        return []
     with suppress(FileError), file_errors(file):
         head = read_head(file)
-        if head.startswith(npz.ARRAY_MAGIC):
+        if delimited_text.recognises(file, head) and not head.startswith(delimited_text.SIGNATURE):
+            sample = read_sample(file)
+            return [
+                [cell.strip() for cell in row] for _, row in records(sample, _delimiter(sample))
+            ]
+    return []
+
+
+def _names_pairs(rows: Rows) -> bool:
+    """Return whether each row holds two names and a value, of names that take either place.
+
+    Rows of a recording may hold a time, a sensor and its reading.
+    """
+    pairs = _pairs_of(rows) if rows else []
+    first, second = ({row[place] for row in pairs} for place in (0, 1))
+    return bool(first & second) and _number(pairs[0][0]) is None
+
+
+def _may_be_square(file: Path, rows: Rows) -> bool:
+    """Return whether a file has about as many rows as columns, by the shape or the first rows."""
+    with suppress(FileError), file_errors(file):
+        if rows:
+            n_columns = max(map(len, rows))
+            with open_text(file) as text:
+                n_rows = sum(1 for _ in itertools.islice(records(text, None), n_columns + 2))
+            return n_columns > 2 and n_columns - 1 <= n_rows <= n_columns + 1
+        if not file.is_dir() and read_head(file).startswith(npz.ARRAY_MAGIC):
             with open_regular(file) as stream:
                 shape = npz.read_header(stream, "the array").shape
             return len(shape) == 2 and shape[0] == shape[1]
-        if head.startswith(delimited_text.SIGNATURE) or not delimited_text.recognises(file, head):
-            return False
-        sample = read_sample(file)
-        rows = list(records(sample, _delimiter(sample)))
-        n_columns = max((len(fields) for _, fields in rows), default=0)
-        with open_text(file) as text:
-            more = itertools.islice(text, len(sample), len(sample) + n_columns)
-            n_rows = len(rows) + sum(1 for _ in more)
-        return n_columns > 2 and n_columns - 1 <= n_rows <= n_columns + 1
     return False
 
 
