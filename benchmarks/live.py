@@ -2,7 +2,8 @@
 
 Another process sends frames of a simulated skin over TCP, at a rate in Hz or as fast as they are
 taken (``--rate 0``). Printed are the frames that were recorded, the states of the readings that a
-page receives per second, the age of the map, and the memory of all processes of the session.
+page receives per second, the age of the map, the seconds from the first frame to the first verdict,
+and the memory of all processes of the session.
 ``--memory live-memory`` writes the memory of each process over time as CSV and as a figure.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import http.client
 import json
+import math
 import os
 import signal
 import socket
@@ -68,6 +70,7 @@ class Watcher:
 
     readings: When the states of the readings came.
     ages: Time, and age of the map in seconds.
+    first_frame, first_verdict: When they were known to the page; NaN before.
     """
 
     url: str
@@ -75,6 +78,8 @@ class Watcher:
     ages: list[tuple[float, float]] = field(default_factory=list)
     frames: list[int] = field(default_factory=lambda: [0])
     lagged: bool = False
+    first_frame: float = math.nan
+    first_verdict: float = math.nan
 
     def watch(self) -> None:
         """Read events until the session ends."""
@@ -88,11 +93,15 @@ class Watcher:
             if kind == "event: readings":
                 self.readings.append(time.monotonic())
             elif kind == "event: status":
-                status = json.loads(data.removeprefix("data: "))
+                status, now = json.loads(data.removeprefix("data: ")), time.monotonic()
+                if status["frames"] and math.isnan(self.first_frame):
+                    self.first_frame = now
+                if status["expected_error"] is not None and math.isnan(self.first_verdict):
+                    self.first_verdict = now
                 self.frames.append(status["frames"])
                 self.lagged |= status["lags"]
                 if status["share_touched"] > 0:
-                    self.ages.append((time.monotonic(), status["map_age"]))
+                    self.ages.append((now, status["map_age"]))
 
 
 def memory_mib(pid: int) -> float:
@@ -190,6 +199,7 @@ def measured(
         "map_age_median_s": round(float(np.median(ages)), 2),
         "map_age_95_s": round(float(np.quantile(ages, 0.95)), 2),
         "map_age_max_s": round(max(ages), 2),
+        "first_verdict_s": round(watcher.first_verdict - watcher.first_frame, 1),
         "lags": watcher.lagged,
         **{
             f"memory_mib_quarter_{i + 1}": round(float(np.median(part)))
