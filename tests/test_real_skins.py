@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.inputs import tiled_places, tiled_torso
 
-from anisomap import io, reconstruct, reconstruct_from
+from anisomap import Recording, io, reconstruct, reconstruct_from
 from anisomap.comparison import compare_methods
 from anisomap.evaluation import mantel
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
@@ -53,6 +53,14 @@ def test_default_is_not_behind_plain_methods_on_flat_skins(recordings_folder, na
     r = compared(recordings_folder / f"{name}.npz")
     assert r["covariogram"] > max(0.93, plain(r) - 0.02)
     assert all(r[rival] < r["covariogram"] - 0.01 for rival in RIVALS if rival in r)
+
+
+def test_heights_of_contacts_do_not_replace_the_map_of_a_sole(recordings_folder):
+    """Heights contradict its map, but maps by the heights of parts of a recording differ."""
+    whole = io.read(recordings_folder / "plantar.npz")
+    for frames in np.array_split(np.arange(whole.n_frames), 2):
+        part = Recording(np.asarray(whole.readings)[frames], positions=whole.positions)
+        assert mantel_r(quietly(reconstruct, part, dimensions=2), part) > 0.9
 
 
 def test_flat_skins_are_mapped(recordings_folder):

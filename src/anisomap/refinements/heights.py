@@ -17,6 +17,7 @@ from anisomap.numerics.geodesic.contact_heights import (
 )
 from anisomap.numerics.geodesic.path_lengths import fit_path_lengths
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
@@ -33,8 +34,7 @@ insoles, whose heights they do not explain either, by at most .33.
 
 _MAX_UNEXPLAINED = 0.45
 """Share of the heights that a map left unexplained which remains in a better one: at most .42 on
-rolling cylinders and swept skins, at least .54 on soles and retinas. Where it is exceeded, the map
-stays as it is; where a wrong map replaces it, maps of halves differ and it is not usable."""
+rolling cylinders and swept skins, at least .48 on most parts of recordings of soles and retinas."""
 
 _MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
 _CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
@@ -112,8 +112,35 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
     explains = left <= _MAX_UNEXPLAINED * (1 - explained.share)
     if not (explains and linear_share(maps[best], given) >= _HALF):
         return None
+    if not _exceeds_chance(heights, candidates[best] > 0, maps[best], given):
+        return None
     k = given.shape[1]
     return _scaled(maps[best] if k == SPATIAL else fit_path_lengths(candidates[best], k), given)
+
+
+def _exceeds_chance(
+    heights: ContactHeights, links: NDArray[np.bool_], found: Reals, given: Reals
+) -> bool:
+    """Return whether two maps differ by more than maps by the heights of both halves do.
+
+    links (n, n), found (n, 3), given (n, k).
+    """
+    frame = np.asarray(found, dtype=np.float64)
+    halves = []
+    for half in heights.in_halves():
+        lengths = _relative_lengths(half, links)
+        if lengths is None:
+            return False
+        halves.append(_placed(fit_path_lengths(lengths, SPATIAL), frame))
+    by_chance = np.square(halves[0] - halves[1]).sum()
+    return bool(np.square(frame - _placed(given, frame)).sum() > by_chance)
+
+
+def _placed(positions: Reals, frame: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Move, turn and scale a map onto another one. positions (n, k), frame (n, 3) -> (n, 3)."""
+    spatial = np.zeros_like(frame)
+    spatial[:, : positions.shape[1]] = positions
+    return fit_similarity(spatial, frame).apply(spatial)
 
 
 def _relative_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Reals | None:

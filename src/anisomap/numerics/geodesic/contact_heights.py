@@ -9,7 +9,7 @@ other object that touches the skin, differs over the distance of the sensors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -124,6 +124,16 @@ class ContactHeights:
     def halves(self) -> list[HeightSimilarity]:
         """Similarity in the halves of the recording (`split_blocks`), without partial ones."""
         return [self.compare(frames, partial=False) for frames in split_blocks(len(self.ranks))]
+
+    def in_halves(self) -> list[ContactHeights]:
+        """Return the contacts in the halves of the recording."""
+        inside = np.zeros((2, len(self.ranks)), dtype=bool)
+        for half, frames in zip(inside, split_blocks(len(self.ranks)), strict=True):
+            half[frames] = True
+        return [
+            replace(self, contacts=tuple((at[half[at]], h[half[at]]) for at, h in self.contacts))
+            for half in inside
+        ]
 
     @property
     def usable(self) -> bool:
