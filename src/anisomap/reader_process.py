@@ -68,6 +68,7 @@ _ENVIRONMENT = {
 }
 _ARRAY = "\0array"
 _OF_VALUES = (ValueError, ArithmeticError, OSError, EOFError)
+_OF_CODE = (TypeError, AttributeError, IndexError)  # their messages are about a library
 
 
 @contextmanager
@@ -311,8 +312,9 @@ def _parts(request: dict[str, Any]) -> Generator[Any, None, None]:
             raise FileError(_too_large(request)) from cause
         if known or not _is_damage(error):
             raise
-        problem = f"is damaged or cut short: {error_reason(error)}"
-        raise DamagedError(f"{request['path']} {problem}") from error
+        missing = isinstance(error, _OF_CODE)
+        reason = "a value is missing or of another type" if missing else error_reason(error)
+        raise DamagedError(f"{request['path']} is damaged or cut short: {reason}") from error
 
 
 def _is_damage(error: Exception) -> bool:
