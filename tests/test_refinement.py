@@ -51,6 +51,13 @@ def test_a_rolling_cylinder_keeps_its_length(seed):
     assert any("declared, not measured" in note for note in declared.notes)
 
 
+def test_a_rolling_cylinder_is_mapped_in_more_dimensions_than_space_has():
+    recording, _ = rolled()
+    made = mapped(recording, dimensions=4)
+    assert made.provenance["contact_heights"] is True
+    assert mantel_r(made, recording) > 0.8
+
+
 def test_rolling_cylinders_without_columns_keep_their_length():
     found, published = [], []
     for seed in (301, 302, 303):

@@ -122,11 +122,11 @@ class ContactHeights:
 
     @cached_property
     def halves(self) -> list[HeightSimilarity]:
-        """Similarity in the halves of the recording (`split_blocks`), without partial ones."""
-        return [self.compare(frames, partial=False) for frames in split_blocks(len(self.ranks))]
+        """Similarity in the halves of the recording, without partial ones."""
+        return [half.compare(partial=False) for half in self.in_halves()]
 
     def in_halves(self) -> list[ContactHeights]:
-        """Return the contacts in the halves of the recording."""
+        """Return the contacts in the halves of the recording (`split_blocks`)."""
         inside = np.zeros((2, len(self.ranks)), dtype=bool)
         for half, frames in zip(inside, split_blocks(len(self.ranks)), strict=True):
             half[frames] = True
@@ -140,22 +140,17 @@ class ContactHeights:
         """Whether most sensors have contacts of different heights."""
         return bool(np.mean(self.graded) > _MIN_TOUCHED)
 
-    def compare(self, frames: ArrayLike | None = None, *, partial: bool = True) -> HeightSimilarity:
+    def compare(self, *, partial: bool = True) -> HeightSimilarity:
         """Compare the heights of the contacts of all pairs of sensors.
 
         The contacts of a pair are those of either sensor. The other sensor's height is that of its
         highest reading around the peak. Ranks are taken over the recording.
         """
-        used = np.ones(len(self.ranks), dtype=bool)
-        if frames is not None:
-            used[:] = False
-            used[np.asarray(frames)] = True
         n = self.ranks.shape[1]
         sums, squares, products = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
         partials, counts = np.zeros((n, n)), np.zeros(n)
         lowest = self.ranks.min(axis=0) if partial else np.zeros(n)
-        for i, (peaks, _) in enumerate(self.contacts):
-            at = peaks[used[peaks]]
+        for i, (at, _) in enumerate(self.contacts):
             ranks = self.ranks[at].astype(np.float64)
             counts[i] = len(at)
             sums[i], products[i] = np.stack([np.ones(len(at)), ranks[:, i]]) @ ranks
