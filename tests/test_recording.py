@@ -51,6 +51,7 @@ def test_recordings_are_immutable():
         ({"readings": np.zeros((0, 3))}, "must not be empty"),
         ({"readings": np.array([["a"]])}, "real numbers"),
         ({"readings": [[1, 2], [3]]}, "rows of different lengths"),
+        ({"readings": SensorMap(np.eye(4)[:, :3])}, "got a map"),
         ({"readings": np.zeros((2, 2), complex)}, "complex"),
         ({"readings": np.zeros((2, 2), object)}, "object"),
         ({"names": ["a"]}, "2 sensors need 2 names, got 1"),

@@ -312,8 +312,8 @@ def _parts(request: dict[str, Any]) -> Generator[Any, None, None]:
             raise FileError(_too_large(request)) from cause
         if known or not _is_damage(error):
             raise
-        missing = isinstance(error, _OF_CODE)
-        reason = "a value is missing or of another type" if missing else error_reason(error)
+        of_code = isinstance(error, _OF_CODE)
+        reason = "a value is missing or of another type" if of_code else error_reason(error)
         raise DamagedError(f"{request['path']} is damaged or cut short: {reason}") from error
 
 

@@ -357,6 +357,8 @@ def sensor_mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[n
 
 
 def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
+    if hasattr(values, "positions"):  # its coordinates would be read as three sensors
+        raise InputError(f"a recording is required here, got a map ({type(values).__name__})")
     values = _unmasked(values)
     try:
         array = np.asarray(values)
@@ -430,8 +432,6 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
         return runs if sensors_differ(runs) else (join_runs(runs),)
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
-    if hasattr(recording, "positions"):  # its coordinates would be read as three sensors
-        raise InputError(f"a recording is required here, got a map ({type(recording).__name__})")
     try:
         readings = np.asarray(_unmasked(recording))
     except ValueError:

@@ -10,6 +10,7 @@ import time
 from contextlib import suppress
 from functools import partial
 from itertools import cycle
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -207,13 +208,12 @@ def test_interruption_of_an_import_of_extensions(folder, module, number):
 
 
 @pytest.fixture
-def _as_process(monkeypatch):
+def _as_process():
     """Restore what `main` changes for the rest of a process."""
-    for name, value in {"OPENBLAS_THREAD_TIMEOUT": "4", "MUJOCO_GL": "disable"}.items():
-        monkeypatch.setenv(name, value)
     handlers = {number: signal.getsignal(number) for number in CODES if number != signal.SIGKILL}
     thresholds = gc.get_threshold()
-    yield
+    with patch.dict(os.environ):
+        yield
     gc.unfreeze()
     gc.set_threshold(*thresholds)
     for number, handler in handlers.items():

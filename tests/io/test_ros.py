@@ -264,8 +264,9 @@ def test_stamps_of_any_type_in_a_database_are_refused(tmp_path: Path, stamp: obj
     with sqlite3.connect(path) as database:
         database.execute("UPDATE messages SET timestamp = ?", (stamp,))
     database.close()
-    with pytest.raises(FileError, match=r"run\.db3"):
+    with pytest.raises(FileError, match=r"run\.db3") as refused:
         io.read(path, options=select("/tactile"))
+    assert "operand" not in str(refused.value), "the message of an operation of the library"
 
 
 def forget_definitions(path: Path) -> None:

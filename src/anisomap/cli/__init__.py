@@ -15,13 +15,15 @@ INTERRUPTION = "interrupted; no file was left half-written"
 # objects that stay: with Python's default of 700, the searches take a tenth of the time of imports.
 _NEW_OBJECTS = 100_000
 
-# Binary logarithm of the clock ticks for which threads of OpenBLAS wait busily for work: its least.
-# By default, they take .05 s of a second processor when numpy is loaded, and again with scipy.
-_BUSY_TICKS = "4"
-
-# What libraries read when they are imported. MuJoCo would start a process that looks for a graphics
-# library, which is needed in the process that renders only: it sets its own.
-_ENVIRONMENT = {"OPENBLAS_THREAD_TIMEOUT": _BUSY_TICKS, "MUJOCO_GL": "disable"}
+# What libraries read when they are imported.
+_ENVIRONMENT = {
+    # Binary logarithm of the clock ticks for which threads wait busily for work: its least. By
+    # default, they take .05 s of a second processor when numpy is loaded, and again with scipy.
+    "OPENBLAS_THREAD_TIMEOUT": "4",
+    # MuJoCo would start a process that looks for a graphics library, which is needed in the process
+    # that renders only: it sets its own.
+    "MUJOCO_GL": "disable",
+}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -124,10 +124,10 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
     symmetric, with a diagonal of 0 and positive values elsewhere. Raises InputError if the diagonal
     is only constant, or a value 0, so that it may be a recording as well.
     """
-    rows = _sampled(path)
+    rows, n_lines = _sampled(path)
     if _names_pairs(rows):
         return read_dissimilarities(path)
-    if not _may_be_square(path, rows):
+    if not _may_be_square(path, rows, n_lines):
         return None
     try:
         with warnings.catch_warnings():
@@ -148,18 +148,21 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
     )
 
 
-def _sampled(file: Path) -> Rows:
-    """Return the first rows of a delimited text file; none of other files."""
+def _sampled(file: Path) -> tuple[Rows, int]:
+    """Return the rows of the first lines of delimited text, and their number; none of others."""
     if file.is_dir():
-        return []
+        return [], 0
     with suppress(FileError), file_errors(file):
         head = read_head(file)
         if delimited_text.recognises(file, head) and not head.startswith(delimited_text.SIGNATURE):
             sample = read_sample(file)
-            return [
-                [cell.strip() for cell in row] for _, row in records(sample, _delimiter(sample))
-            ]
-    return []
+            return _rows(sample), len(sample)
+    return [], 0
+
+
+def _rows(lines: Sequence[str]) -> Rows:
+    """Split lines into rows of cells."""
+    return [[cell.strip() for cell in row] for _, row in records(lines, _delimiter(lines))]
 
 
 def _names_pairs(rows: Rows) -> bool:
@@ -172,13 +175,17 @@ def _names_pairs(rows: Rows) -> bool:
     return bool(first & second) and _number(pairs[0][0]) is None
 
 
-def _may_be_square(file: Path, rows: Rows) -> bool:
-    """Return whether a file has about as many rows as columns, by the shape or the first rows."""
+def _may_be_square(file: Path, rows: Rows, n_lines: int) -> bool:
+    """Return whether a file has about as many rows as columns, without reading all of it.
+
+    rows: Those of its first `n_lines` lines; none of an array.
+    """
     with suppress(FileError), file_errors(file):
         if rows:
             n_columns = max(map(len, rows))
             with open_text(file) as text:
-                n_rows = sum(1 for _ in itertools.islice(records(text, None), n_columns + 2))
+                more = itertools.islice(text, n_lines, n_lines + n_columns)
+                n_rows = len(rows) + sum(1 for _ in more)
             return n_columns > 2 and n_columns - 1 <= n_rows <= n_columns + 1
         if not file.is_dir() and read_head(file).startswith(npz.ARRAY_MAGIC):
             with open_regular(file) as stream:
@@ -197,8 +204,7 @@ def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64],
             recording = read(file)
             return _symmetric(file, recording.readings.astype(float), recording.names)
         lines = read_lines(file)
-        found = records(lines, _delimiter(lines))
-        rows = [[field.strip() for field in fields] for _, fields in found]
+        rows = _rows(lines)
         if not rows:
             raise FileError(f"{file} is empty")
         Budget(file).check(8 * len(rows) ** 2, "its matrix")
