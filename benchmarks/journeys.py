@@ -52,7 +52,7 @@ _SETTINGS = (
 )
 _WARM_UPS = (30, 600)  # sensors: without compiled loops, and with them
 _WARM_UP_FRAMES = 400
-_RUNS = 3  # of a command, of which the fastest counts
+RUNS = 3  # of a command, of which the fastest counts
 _DIMENSIONS = 3
 _MEGABYTE = 1e6
 
@@ -185,7 +185,7 @@ def _best_of_runs(command: str, arguments: Sequence[str]) -> Command:
     """Time the fastest of some runs; the first may compile the package to byte code."""
     environment = {key: value for key, value in os.environ.items() if key not in _SETTINGS}
     costs = []
-    for _ in range(_RUNS):
+    for _ in range(RUNS):
         before, clock = os.times(), time.perf_counter()
         subprocess.run(  # noqa: S603
             [sys.executable, *arguments],

@@ -189,6 +189,7 @@ def test_contacts_are_counted_where_they_begin():
 @pytest.mark.slow
 def test_accuracy_by_contacts_is_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(contacts, "SKINS", (("hexagon", "rubbing"),))
+    monkeypatch.setattr(contacts, "COMPARED", ("covariogram", "r-anisomap"))
     contacts.main(["--seeds", "1", "--contacts", "3", "5", "--workers", "1", "-o", str(tmp_path)])
     rows = [row for row in rows_of(tmp_path / "contacts.csv") if row["method"] == "covariogram"]
     assert [row["contacts"] for row in rows] == ["3", "5"]

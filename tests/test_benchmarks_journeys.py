@@ -55,8 +55,9 @@ def test_neighbours_end_with_the_block():
 
 
 @pytest.mark.slow
-def test_all_journeys_of_small_skins(tmp_path):
-    members = [*MEMBERS][::4]
+def test_all_journeys_of_small_skins(tmp_path, monkeypatch):
+    monkeypatch.setattr(journeys, "RUNS", 1)
+    members = [*MEMBERS][::7]
     sizes = ["--sizes", "20x400", "30x400", "30x800", "--seed", "3", "--members", *members]
     assert main([*sizes, "-o", str(tmp_path)]) == 0
     with (tmp_path / "journeys.csv").open(encoding="utf-8") as stream:

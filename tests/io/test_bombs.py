@@ -120,9 +120,8 @@ def test_bombs_are_refused_in_little_memory(tmp_path: Path) -> None:
     for kind, make in odd.BOMBS.items():
         if kind == "npz":  # 230 times as large as the file, as zeros of a real recording may be
             continue
-        for seed in range(2):
-            paths.append(tmp_path / f"{kind}-{seed}")
-            paths[-1].write_bytes(make(np.random.default_rng(seed)))
+        paths.append(tmp_path / kind)
+        paths[-1].write_bytes(make(np.random.default_rng(0)))
     for kind, mode in (("MCAP", "FILE"), ("MCAP", "STORAGE"), ("SQLITE3", "MESSAGE")):
         paths.append(tmp_path / f"{kind}-{mode}")
         _bag(paths[-1], kind, mode)
