@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from anisomap.live import ExaminationOptions, LiveSession
-from anisomap.live.batches import Batch
+from anisomap.live.batches import Batch, Source
 from live_processes import LONGEST_S, Given, wait_for_maps
 from skins import flat_skin
 
@@ -71,3 +71,17 @@ def test_a_session_ends_though_its_processes_die_again_and_again(session, others
 
     assert finish_while(session, kill) is None
     assert finish_while(session, lambda: None) is None  # waits for no process that is gone
+
+
+def test_dimensions_are_chosen_though_the_first_checked_map_is_earlier(tmp_path, others):
+    def give(stop):
+        (quick,) = (child for child in workers_beside(others) if child.name == "quick maps")
+        os.kill(quick.pid, signal.SIGSTOP)
+        yield Batch(flat_skin(n_frames=800).readings.astype(float))
+        wait_for_maps(session, lambda maps: maps.checked)
+        os.kill(quick.pid, signal.SIGCONT)
+        stop.wait()
+
+    options = ExaminationOptions(method="r-anisomap")
+    with LiveSession(Source("a test", give), tmp_path / "r.csv", options) as session:
+        wait_for_maps(session, lambda maps: maps.quick and maps.quick.positions.shape[1] == 2)

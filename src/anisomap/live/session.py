@@ -190,7 +190,9 @@ class SessionMaps:
         if answer.problem:
             self._notify(answer.problem)
         if isinstance(answer.found, QuickMap) and self._is_current(answer.number):
-            self.quick = answer.found
+            is_first, self.quick = self.quick is None, answer.found
+            if is_first:  # the first checked map may be earlier
+                self._choose_dimensions()
             self._announce()
 
     def _receive_checked(self, answer: Answer) -> None:
@@ -208,27 +210,27 @@ class SessionMaps:
         self._previous, self.checked = self.checked, found
         errors = Errors(self._clock(), found.verdict.expected_error, found.error_against_truth)
         self.curve = [*_thinned(self.curve), errors]
-        if self.options.dimensions == AUTO and found.sensor_map is not None:
-            self._choose(found.sensor_map.dimensions)
+        self._choose_dimensions()
         self._announce()
         if found.final:
             self._finished.set()
 
-    def _choose(self, dimensions: int) -> None:
+    def _choose_dimensions(self) -> None:
         """Show quick maps in the number of dimensions that checked maps choose.
 
         It is changed when two checked maps in a row agree; the first time, one suffices if nearly
         all sensors were touched.
         """
+        made = None if self.checked is None else self.checked.sensor_map
+        if self.options.dimensions != AUTO or self.quick is None or made is None:
+            return
+        dimensions = made.dimensions
         before = None if self._previous is None else self._previous.sensor_map
         agree = before is not None and before.dimensions == dimensions
         first = not self._has_changed and self.share_touched >= _NEARLY_ALL
-        if self.quick is None or dimensions == self.quick.positions.shape[1]:
-            return
-        if agree or first:
-            self._has_changed = True
+        if dimensions != self._dimensions and (agree or first):
+            self._has_changed, self._dimensions = True, dimensions
             self._notify(f"{_REASONS[dimensions]}: maps have {dimensions} dimensions from now on")
-            self._dimensions = dimensions
             self._map_quickly()
 
     def _is_current(self, number: int) -> bool:

@@ -202,7 +202,9 @@ class Worker:
     def _start(self) -> None:
         ours, theirs = self._context.Pipe()
         self._connection = ours
-        self._process = self._context.Process(target=_run, args=(self._role, theirs), daemon=True)
+        self._process = self._context.Process(
+            name=f"{self._role} maps", target=_run, args=(self._role, theirs), daemon=True
+        )
         self._process.start()
         theirs.close()
         self._listener = threading.Thread(target=self._listen, args=(ours,), daemon=True)
