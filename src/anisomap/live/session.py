@@ -190,9 +190,8 @@ class SessionMaps:
         if answer.problem:
             self._notify(answer.problem)
         if isinstance(answer.found, QuickMap) and self._is_current(answer.number):
-            is_first, self.quick = self.quick is None, answer.found
-            if is_first:  # the first checked map may be earlier
-                self._choose_dimensions()
+            self.quick = answer.found
+            self._choose_dimensions()  # the checked map may be earlier
             self._announce()
 
     def _receive_checked(self, answer: Answer) -> None:
