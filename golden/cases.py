@@ -177,19 +177,3 @@ REAL: Mapping[str, Case] = MappingProxyType(
     }
 )
 """Rows of real recordings whose licences allow to publish figures of them, by name."""
-
-_STEPS = (
-    "the stress of the map by even spacing, which the verdict compares, is flat: rounding decides"
-)
-_HALVES = "maps of halves, which the verdict compares, can end in another local minimum"
-CHAOTIC: Mapping[str, tuple[float, str]] = MappingProxyType(
-    {
-        "lags": (0.1, _STEPS),
-        "inverted": (0.1, _STEPS),
-        "hemisphere-roller": (0.1, _STEPS),
-        "noisy-sphere": (0.1, _HALVES),
-        "recordings/icub_palm": (0.1, _STEPS),
-        "recordings/icub_torso": (0.1, _STEPS),
-    }
-)
-"""Rows whose estimated errors depend on the arithmetic: the limit in spacings, and the reason."""

@@ -27,9 +27,6 @@ EXACT = 1e-9
 SIMILAR = 1e-3
 """Limit for other arithmetic: another processor, another order of operations, other libraries."""
 
-ESTIMATED = ("expected error", "repeatability")
-"""Facts that are errors of a map, estimated without the truth."""
-
 _NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?")
 
 
@@ -120,7 +117,7 @@ def displacement(old: Result, new: Result) -> float:
     return max(found)
 
 
-def differences(old: Result, new: Result, limit: float, of_errors: float = 0.0) -> list[str]:
+def differences(old: Result, new: Result, limit: float) -> list[str]:
     """Describe how a result differs from the record.
 
     Parameters
@@ -129,16 +126,13 @@ def differences(old: Result, new: Result, limit: float, of_errors: float = 0.0) 
     limit : float
         Largest displacement in spacings, and largest difference of a number. Above `EXACT`, numbers
         in texts may differ, and lists may be in another order.
-    of_errors : float
-        Limit for the estimated errors, if it is the larger one.
     """
     moved = displacement(old, new)
     found = [] if moved <= limit else [f"a sensor moved by {moved:.2g} spacings"]
     for name in dict.fromkeys([*old.facts, *new.facts]):
         before, after = old.facts.get(name), new.facts.get(name)
         if isinstance(before, float) and isinstance(after, float):
-            most = max(limit, of_errors) if name in ESTIMATED else limit
-            same = bool(np.isclose(after, before, rtol=0, atol=most, equal_nan=True))
+            same = bool(np.isclose(after, before, rtol=0, atol=limit, equal_nan=True))
         else:
             same = before == after if limit <= EXACT else _rough(before) == _rough(after)
         if not same:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from golden.__main__ import main
-from golden.cases import CASES, CHAOTIC, FOLDER, REAL, SOURCES
+from golden.cases import CASES, FOLDER, REAL, SOURCES
 from golden.results import (
     EXACT,
     SIMILAR,
@@ -54,7 +54,6 @@ def test_maps_are_those_of_the_record(record, name):
 def test_all_rows_are_recorded(record):
     assert list(record) == [*CASES, *REAL]
     assert {path.stem for path in (FOLDER / "readings").iterdir()} == set(SOURCES)
-    assert set(CHAOTIC) <= set(record)
 
 
 def test_no_reading_position_or_name_of_a_real_recording_is_recorded(record):
@@ -113,9 +112,6 @@ def test_rounding_may_change_digits_and_order_but_not_the_map(result):
     notes = ["s3 is dead", "a map differs by 0.39 spacings"]
     other = replace(result, facts=result.facts | {"r": 0.9001, "notes": notes})
     assert not differences(result, other, SIMILAR)
-    chaotic = replace(result, facts=result.facts | {"repeatability": 0.52})
-    assert not differences(result, chaotic, SIMILAR, of_errors=0.1)
-    assert differences(result, replace(result, facts=result.facts | {"r": 0.92}), SIMILAR, 0.1)
 
 
 def test_the_record_holds_results_exactly(result, tmp_path):

@@ -8,14 +8,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.footprints import FOOTPRINTS
+from golden.cases import FOLDER
 from hypothesis import given
 from hypothesis import strategies as st
 
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.diagnosis import LEVELS, UNKNOWN, Evidence, Verdict, judge
-from anisomap.diagnosis.accuracy import expected_error, neighbours_kept, region_error
-from anisomap.diagnosis.chance import covariances, deviations_of_halves, error_in_spacings
+from anisomap.diagnosis.accuracy import (
+    differences_from_steps,
+    expected_error,
+    neighbours_kept,
+    region_error,
+    rms_in_spacings,
+)
+from anisomap.diagnosis.chance import (
+    covariances,
+    deviations_of_halves,
+    error_in_spacings,
+    part_of,
+)
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import Finding
 from anisomap.large import reconstruct_chunks
@@ -165,6 +177,22 @@ def test_expected_errors_are_near_the_true_ones_and_larger_for_short_recordings(
 
 
 @quiet
+@quiet
+@pytest.mark.parametrize("name", ["leak", "one-period", "holed-plate-pulses"])
+def test_expected_errors_do_not_depend_on_the_order_of_sensors(name):
+    # Another order rounds otherwise, as another processor does.
+    plain = anisomap.read(FOLDER / "readings" / f"{name}.npz")
+    found = []
+    for seed in (None, 0, 1):
+        order = np.random.default_rng(seed).permutation(plain.n_sensors)
+        recording = plain if seed is None else plain.select(order)
+        made, stages = reconstruct_with_stages(recording, dimensions=2)
+        part = part_of(made, 0, recording, MethodOptions(), stages)
+        differences = differences_from_steps(part.pairs, part.positions)
+        found.append(rms_in_spacings(differences, part.positions))
+    assert np.ptp(found) < 1e-3
+
+
 def test_noise_and_large_contacts_in_one_place_are_worse_than_a_plain_skin():
     """Both are wrong in ways that maps of the same recording share, or do not."""
     places = lattice(8, 9)

@@ -16,16 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 from scipy.special import expit
 
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.geodesic.adjacency import adjacency_graph
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.scaling.multidimensional_scaling import smacof
+from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 
 _N_POOLED = 9  # a sensor and its nearest 8, over which squared differences are averaged
 _LEAST = 0.01  # spacings: smaller errors are not calibrated
+_PARTING = 1e-3  # share of the distances on the map; far above rounding, far below a step
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,12 @@ def differences_from_steps(
         readings, positions, similarity=pairs.correlation, changes=pairs.changes
     )
     steps = shortest_path(graph.astype(np.float64), unweighted=True)
-    # Classical scaling as start: this map must not inherit a fold of the given one.
-    found = smacof(steps, dimensions=positions.shape[1]).positions
+    # Classical scaling as start: this map must not inherit a fold of the given one. Sensors with
+    # equal numbers of steps to all others would coincide there, and rounding would part them.
+    distances = cdist(positions, positions)
+    parted = steps + _PARTING * (steps.sum() / distances.sum()) * distances
+    k = positions.shape[1]
+    found = smacof(steps, dimensions=k, start=torgerson(parted, k)).positions
     return np.asarray(fit_similarity(found, positions).apply(found) - positions)
 
 
