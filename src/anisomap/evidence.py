@@ -16,9 +16,14 @@ from anisomap.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
+from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.sampling_noise import sampling_variance, thinning
+from anisomap.numerics.reliability.sampling_noise import (
+    sampling_variance,
+    thinning,
+    typical_variance,
+)
 from anisomap.numerics.reliability.split_half import Blend, blend, blended_correlation
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
@@ -198,6 +203,11 @@ class PairStatistics:
         if self.blended is not None:
             return self.blended.ranks
         return ranks_of_depths(np.asarray(self.readings), self.rest)
+
+    def unexplained(self, positions: Reals) -> float:
+        """Return the share of the variance of S that distances on a map, (n, k), do not explain."""
+        noise = typical_variance(self.noise)
+        return unexplained_share(self.similarity, positions, noise, known=self.known)
 
     def of_frames(self, frames: NDArray[np.intp]) -> PairStatistics:
         """Compare the sensors in some frames, which increase; requires readings."""

@@ -12,30 +12,20 @@ from anisomap.numerics.geodesic.contact_heights import (
     ContactHeights,
     explained_share,
     height_links,
-    linear_share,
     peak_lengths,
 )
 from anisomap.numerics.geodesic.path_lengths import fit_path_lengths
-from anisomap.numerics.neighbours import padded
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
-from anisomap.refinements.chain import EXACT, MIN_FRAMES, MIN_SENSORS, Proposal
+from anisomap.refinements.chain import DIFFERENT, EXACT, MIN_FRAMES, MIN_SENSORS, Proposal
 
 _HALF = 0.5
-"""Reliability of the heights, share of them that a map explains, and share of a map that is a
-linear image of another, from which each is taken to hold.
-
-Maps explained at most .40 of the heights on rolling cylinders, and at least .89 on other simulated
-skins. Maps of rolling cylinders were linear images of the maps by heights by at least .59, those of
-insoles, whose heights they do not explain either, by at most .33.
+"""Reliability of the heights, and share of them that a map explains, from which each is taken to
+hold. Maps explained at most .40 of the heights on rolling cylinders, and at least .89 on other
+simulated skins.
 """
-
-_MAX_UNEXPLAINED = 0.45
-"""Share of the heights that a map left unexplained which remains in a better one: at most .36 on 43
-of 44 rolling cylinders, .34 to .54 on parts of a recording of a sole, .15 to 1.3 on insoles."""
 
 _MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
 _CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
@@ -58,10 +48,10 @@ def by_heights(
 ) -> Proposal | None:
     """Replace the map by one with lengths from the heights of contacts, where these contradict it.
 
-    They do if their similarity is the same in both halves of the recording and distances on the
-    map do not explain it. The map is replaced if a map with lengths from heights explains it, and
-    the given map is a compressed image of that one: long contacts compress a map, and do not
-    rearrange it.
+    They do if contacts are alike everywhere, so that one function of distance explains all
+    correlations, and the similarity of heights is the same in both halves of the recording, but
+    not explained by distances on the map: then contacts are long in one direction, and the map is
+    compressed.
     """
     readings = pairs.readings
     if readings is None or len(readings) < MIN_FRAMES or len(positions) < MIN_SENSORS:
@@ -84,13 +74,15 @@ def by_heights(
 
 
 def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
-    """Map the heights of contacts; None if they do not show a compressed map. given (n, k)."""
+    """Map the heights of contacts; None if they do not contradict the map. given (n, k)."""
     n_sensors = len(given)
     some = np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_EXAMINED)).astype(np.intp)
+    # Heights of contacts that differ between places, as under a foot, do not show distances.
+    if pairs.unexplained(given) > DIFFERENT:
+        return None
     heights, sharing = _heights(pairs, some)
     explained = explained_share(heights.halves, given[some], sharing)
-    contradicted = explained.reliability > _HALF > explained.share
-    if not (heights.usable and contradicted):
+    if not (heights.usable and explained.reliability > _HALF > explained.share):
         return None
     if len(some) < n_sensors:
         heights, sharing = _heights(pairs, np.arange(n_sensors))
@@ -109,35 +101,10 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
     if not shares:
         return None
     best = int(np.argmax(np.nan_to_num(shares, nan=-np.inf)))
-    left = 1 - shares[best]
-    explains = left <= _MAX_UNEXPLAINED * (1 - explained.share)
-    compressed = explains and linear_share(maps[best], given) >= _HALF
-    if not (compressed and _exceeds_chance(heights, candidates[best] > 0, maps[best], given)):
+    if not shares[best] > explained.share:
         return None
     k = given.shape[1]
     return _scaled(maps[best] if k == SPATIAL else fit_path_lengths(candidates[best], k), given)
-
-
-def _exceeds_chance(
-    heights: ContactHeights, links: NDArray[np.bool_], found: Reals, given: Reals
-) -> bool:
-    """Return whether two maps differ by more than maps by the heights of both halves do.
-
-    links (n, n), found (n, 3), given (n, k).
-    """
-    n_axes = max(SPATIAL, given.shape[1])
-    frame = padded(np.asarray(found, dtype=np.float64), n_axes)
-
-    def in_frame(positions: Reals) -> NDArray[np.float64]:
-        spatial = padded(np.asarray(positions, dtype=np.float64), n_axes)
-        return fit_similarity(spatial, frame).apply(spatial)
-
-    lengths = [_relative_lengths(half, links) for half in heights.in_halves()]
-    maps = [in_frame(fit_path_lengths(one, SPATIAL)) for one in lengths if one is not None]
-    if len(maps) < len(lengths):
-        return False
-    by_chance = np.square(maps[0] - maps[1]).sum()
-    return bool(np.square(frame - in_frame(given)).sum() > by_chance)
 
 
 def _relative_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Reals | None:

@@ -6,15 +6,13 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.evidence import PairStatistics
-from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.options import MethodOptions
-from anisomap.refinements.chain import MIN_SENSORS, Proposal
+from anisomap.refinements.chain import DIFFERENT, MIN_SENSORS, Proposal
 
 _NEAR = SmacofOptions(tolerance=1e-6)  # from a start near the minimum
 
@@ -22,13 +20,6 @@ _OWN = 0.05
 """Unexplained share that the errors of path lengths themselves, from noise and bends, amount to.
 
 With .02 to .1, errors of maps of real and of simulated skins differ by less than 1 %.
-"""
-
-_MOSTLY_EXPLAINED = 0.04
-"""Unexplained share from which a note says that contacts differ.
-
-It was .045 to .54 on real bodies and arrays with contacts of different sizes, and at most .02 on
-bombarded, rolling and rubbed bodies and on the iCub's skin.
 """
 
 _NOTE = (
@@ -50,8 +41,7 @@ def by_paths(
     """
     if len(positions) < MIN_SENSORS:
         return None
-    noise = typical_variance(pairs.noise)
-    share = unexplained_share(pairs.similarity, positions, noise, known=pairs.known)
+    share = pairs.unexplained(positions)
     if share <= 0:
         return None
     paths = _normalised_paths(pairs.similarity)
@@ -65,9 +55,8 @@ def by_paths(
     for target in ((distances + lengths) / 2, lengths):
         scaled = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR).positions
     proposed = fit_similarity(scaled, given).apply(scaled)
-    other = unexplained_share(pairs.similarity, proposed, noise, known=pairs.known)
-    precision = share / (max(share, other) + _OWN)
-    distorted = share > _MOSTLY_EXPLAINED
+    precision = share / (max(share, pairs.unexplained(proposed)) + _OWN)
+    distorted = share > DIFFERENT
     return Proposal(
         proposed,
         precision,

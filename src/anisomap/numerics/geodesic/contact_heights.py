@@ -219,18 +219,6 @@ def explained_share(
     return Explained(reliability, 1 - unexplained)
 
 
-def linear_share(positions: ArrayLike, of: ArrayLike) -> float:
-    """Return the share of the variance of a map that a linear image of another map explains.
-
-    positions (N, k), of (N, m).
-    """
-    source, target = (np.asarray(x, dtype=np.float64) for x in (positions, of))
-    source, target = source - source.mean(axis=0), target - target.mean(axis=0)
-    residual = target - source @ np.linalg.lstsq(source, target, rcond=None)[0]
-    total = float((target**2).sum())
-    return 1 - float((residual**2).sum()) / total if total > 0 else 0.0
-
-
 def peak_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Matrix:
     """Estimate the lengths of links. links (N, N) -> (N, N), NaN elsewhere.
 
