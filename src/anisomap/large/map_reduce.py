@@ -68,13 +68,12 @@ def map_reduce(
     pool: WorkerPool = SERIAL,
     checkpoint: Checkpoint | None = None,
     stage: str = "total",
-    after: str = "",
 ) -> Any:
-    """Apply a function to every chunk and merge the results."""
+    """Apply a function to every chunk and merge the results; stages share a checkpoint."""
     done, total, remaining = 0, None, chunks()
     if checkpoint is not None:
         done, _, total = checkpoint.stages.get(stage, Stage())
-        remaining = checkpoint.remaining(remaining, stage, after)
+        remaining = checkpoint.remaining(remaining, stage)
     try:
         for result in _results(remaining, mapper, pool):
             total, done = result if total is None else total.merged(result), done + 1
