@@ -170,14 +170,14 @@ class SessionMaps:
         self.examining, self._examined_frames = True, n_frames
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames))
 
-    def finish(self, n_frames: int, timeout_s: float | None) -> Examination | None:
+    def finish(self, n_frames: int) -> Examination | None:
         """Make the map of all frames; see `LiveSession.finish`."""
         if self._segment is None:
             return None
         self._finished.clear()
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames, final=True))
         if not self._examiner.gone:
-            self._finished.wait(timeout_s)
+            self._finished.wait()
         return self.checked if self.checked is not None and self.checked.final else None
 
     def _map_quickly(self) -> None:
@@ -466,12 +466,12 @@ class LiveSession:
             self.failure = self.failure or error
         self._end()
 
-    def finish(self, timeout_s: float | None = None) -> Examination | None:
+    def finish(self) -> Examination | None:
         """End the acquisition and make the final map, of all frames."""
         self.stop()
         self.finishing = True
         try:
-            return self.maps.finish(self.recorder.n_frames, timeout_s)
+            return self.maps.finish(self.recorder.n_frames)
         finally:
             self.finishing = False
             self._announce()

@@ -35,10 +35,6 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
-MAX_READINGS = 1 << 27
-"""Readings of a final map above which they are read in blocks, as ``anisomap map`` does: 512 MiB
-of float32."""
-
 MAX_INTERIM_READINGS = 1 << 22
 """Readings of a checked map while the session runs; of more, evenly spread parts are used."""
 
@@ -114,10 +110,10 @@ def examine(
 def _read(path: Path, n_frames: int, options: ExaminationOptions, final: bool) -> route.Source:
     """Read a recording as `anisomap map` does; parts of it if it is long and still grows."""
     how = io.ReadOptions(preset=options.preset)
+    if final and route.are_large([path], how):
+        return route.read_in_blocks([path], how, "interpolate", method=options.method)
     with io.open_stream(path, frames=1) as stream:
         n_readings = n_frames * stream.n_sensors
-    if final and n_readings > MAX_READINGS:
-        return route.read_in_blocks([path], how, "interpolate", method=options.method)
     if final or n_readings <= MAX_INTERIM_READINGS:
         return route.read_runs([path], how, "interpolate")
     excerpt = Excerpt(MAX_INTERIM_READINGS)

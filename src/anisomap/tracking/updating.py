@@ -16,6 +16,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.health import assess
+from anisomap.numerics.graph.neighbour_graphs import labels_by_size
 from anisomap.numerics.neighbours import Kernel, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
 from anisomap.recording import Recording, as_runs, join_runs, match_names
@@ -41,17 +42,17 @@ _EXPLAINED = 0.5  # share of the variance of a map that its own evidence must ex
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """From the map of new evidence to the frame of an old map.
+    """From a component of the map of new evidence to the frame of an old map.
 
-    rows: Rows of the old map from which the frame is known.
+    shared: Mask of the sensors of the component from which the frame is known.
     label: Their component on the old map.
     to_before: From the map of all evidence to that of the old evidence.
     to_old: From the map of the old evidence to the old map.
-    base, field (n, k): Places of `rows` by `to_old`, and the corrections that the old map has
-        there.
+    base, field (n, k): Places of these sensors by `to_old`, and the corrections that the old map
+        has there.
     """
 
-    rows: NDArray[np.intp]
+    shared: NDArray[np.bool_]
     label: int
     to_before: Similarity
     to_old: Similarity
@@ -94,22 +95,21 @@ def carry_over(
             continue
         rows = match_names([after.names[i] for i in members], names)
         carried, corrected, doubt = frame.carry(after.positions[members], spacing_of(old))
-        place = np.full(len(names), -1)
-        place[frame.rows] = np.arange(len(frame.rows))
-        place = place[rows]
-        kept = (place >= 0) & ~measured[rows]
-        positions[rows[kept]] += carried[kept] - frame.base[place[kept]]
-        new, appended = place < 0, rows[place < 0]
+        new, known, appended = ~frame.shared, rows[frame.shared], rows[~frame.shared]
+        change = carried[frame.shared] - frame.base
+        positions[known] += np.where(measured[known, None], 0, change)
         positions[appended], component[appended] = corrected[new], frame.label
-        nearest = range(1, 1 + min(_NEIGHBOURS, len(frame.rows)))
+        nearest = range(1, 1 + min(_NEIGHBOURS, len(known)))
         near = KDTree(frame.base).query(carried[new], k=nearest)[1]
-        errors[appended] = np.hypot(old.errors[frame.rows[near]].max(axis=1), doubt[new])
+        errors[appended] = np.hypot(old.errors[known[near]].max(axis=1), doubt[new])
         if normals is not None:
             normals[appended] = np.nan
+    placed = component != UNPLACED
+    component[placed] = labels_by_size(np.unique(component[placed], return_inverse=True)[1])
     return replace(
         grown,
         positions=positions,
-        component=_renumbered(component),
+        component=component,
         errors=errors,
         normals=normals,
         stress=after.stress,
@@ -159,8 +159,8 @@ def _frame(
     )
     largest = int(counts.argmax())
     label = int(groups[0, largest])
-    chosen = np.flatnonzero(shared)[group.ravel() == largest]
-    new, there, then = members[chosen], there[chosen], then[chosen]
+    shared[shared] = group.ravel() == largest
+    new, there, then = members[shared], there[shared], then[shared]
     if len(new) <= after.dimensions:
         return None
     fit = fit_similarity_robustly if len(new) >= MIN_COMPARED else fit_similarity
@@ -175,14 +175,7 @@ def _frame(
             "the statistics belong to a map of another shape; give the file that was written with "
             "this map"
         )
-    return _Frame(there, label, to_before, to_old, base, field)
-
-
-def _renumbered(component: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Give components new numbers, in order of decreasing size."""
-    labels, sizes = np.unique(component[component != UNPLACED], return_counts=True)
-    order = {int(label): i for i, label in enumerate(labels[np.argsort(-sizes, kind="stable")])}
-    return np.array([order.get(int(label), UNPLACED) for label in component], dtype=np.intp)
+    return _Frame(shared, label, to_before, to_old, base, field)
 
 
 UPDATE_LEVEL = 0.001

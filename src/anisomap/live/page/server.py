@@ -116,9 +116,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(page.read_bytes(), f"{_TYPES[page.suffix]}; charset=utf-8")
         elif address.path == "/events":
             self._send_events()
-        elif address.path == "/state":
-            session = self.server.session
-            self._send_json({"map": map_snapshot(session), "status": status_snapshot(session)})
         elif address.path.startswith("/files/"):
             self._send_file(unquote(address.path.removeprefix("/files/"), **_BYTES))
         else:
