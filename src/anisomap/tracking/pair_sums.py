@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.evidence import SIMILARITIES, PairStatistics, Similarity
+from anisomap.immutable import Immutable
 from anisomap.numerics.contacts.contact_agreement import (
     agreement_of_sums,
     distinct_contacts,
@@ -24,7 +25,7 @@ _MIN_CONTACTS = 2  # for a sampling variance
 
 
 @dataclass(frozen=True, eq=False)
-class PairSums:
+class PairSums(Immutable):
     """Sums over the frames of one or several recordings, for all pairs of n sensors.
 
     Attributes

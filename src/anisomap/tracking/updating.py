@@ -16,6 +16,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.health import assess
+from anisomap.immutable import Immutable
 from anisomap.numerics.graph.neighbour_graphs import labels_by_size
 from anisomap.numerics.neighbours import Kernel, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
@@ -191,7 +192,7 @@ _MAX_PERMUTED = 1000  # sensors; a permutation of more takes long, and so many d
 
 
 @dataclass(frozen=True, eq=False)
-class Update:
+class Update(Immutable):
     """A map to which the evidence of a new recording was added, and what changed.
 
     Attributes
@@ -416,8 +417,6 @@ def _as_difference(
     distance = np.linalg.norm(after.positions - old, axis=1)
     listed = {} if moves is None else dict(zip(moves.names, moves.p_values.tolist(), strict=True))
     p_values = np.array([listed.get(name, np.nan) for name in names])
-    for array in (distance, p_values):
-        array.setflags(write=False)
     return Difference(
         names=names,
         before=old,
