@@ -1,6 +1,5 @@
 """Whole sessions in processes of their own, with real peers, which misbehave."""
 
-import os
 import signal
 import socket
 import sys
@@ -115,32 +114,18 @@ def is_alive(pid):
 
 @pytest.mark.slow
 def test_a_flood_loses_nothing(session, tmp_path):
-    live = session("-", *METHOD, *FILE, stdin=_flood())
-    code, said = live.join()
+    n_frames, skin = 8_000, [line.partition(",")[2] for line in LINES]
+    flood = tmp_path / "flood.txt"
+    flood.write_bytes(text([f"{i % 977},{skin[i % 600]}" for i in range(n_frames)]))
+    with flood.open("rb") as lines:
+        live = session("-", *METHOD, *FILE, stdin=lines)
+        code, said = live.join()
     assert code == 0, said
     readings = anisomap.read(tmp_path / "r.csv").readings
-    assert readings.shape == (8_000, 42)
-    np.testing.assert_array_equal(readings[:, 0], np.arange(8_000) % 977)
+    assert readings.shape == (n_frames, 42)
+    np.testing.assert_array_equal(readings[:, 0], np.arange(n_frames) % 977)
     assert live.result["final"]
     assert "Traceback" not in said
-
-
-def _flood():
-    """Return a pipe into which another process writes 8,000 frames as fast as it can."""
-    reading, writing = os.pipe()
-    if os.fork() == 0:
-        os.close(reading)
-        code = 1
-        try:
-            skin = [line.partition(",")[2] for line in LINES]
-            content = text([f"{i % 977},{skin[i % 600]}" for i in range(8_000)])
-            while content:
-                content = content[os.write(writing, content) :]
-            code = 0
-        finally:
-            os._exit(code)
-    os.close(writing)
-    return reading
 
 
 @pytest.mark.slow
