@@ -314,8 +314,7 @@ class LiveSession:
     levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
     anchors: Known positions of some sensors, by which saved maps are placed.
     ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
-    changed: Notified when `tick`, the number of states of the readings, or `map_number`, that of
-        maps, has grown.
+    changed: Notified of every map, and of every state of the readings, which `tick` counts.
     failure: Why the recording ended, if it could not go on.
     """
 
@@ -340,7 +339,6 @@ class LiveSession:
         self.finishing = False
         self.changed = threading.Condition()
         self.tick = 0
-        self.map_number = 0
         self._told: dict[str, float] = {}
         self._stop = threading.Event()
         self._arrivals = Arrivals()
@@ -527,11 +525,9 @@ class LiveSession:
                 self.levels = read_levels(recent, self._first, self.maps.quick)
             if not self.paused:
                 self.maps.follow(self.recorder.n_frames)
-            with self.changed:
-                self.tick += 1
-                self.changed.notify_all()
+            self.tick += 1
+            self._announce()
 
     def _announce(self) -> None:
         with self.changed:
-            self.map_number += 1
             self.changed.notify_all()
