@@ -152,7 +152,7 @@ def _frame(
     there, then = match_names(names, old.names), match_names(names, before.names)
     labels = np.stack([old.component[there], before.component[then]])
     shared = (np.minimum(there, then) >= 0) & (labels != UNPLACED).all(axis=0)
-    shared &= np.array([name not in moved for name in names])
+    shared &= ~np.isin(names, moved)
     if not shared.any():
         return None
     groups, group, counts = np.unique(
@@ -305,7 +305,7 @@ def update_map(
         _check_agreement(sensor_map, fresh, moved)
         total = evidence.without(moved).merged(fresh)
         before, after = map_evidence(evidence), map_evidence(total)
-    extra = [name for name in joined.names if name not in {*sensor_map.names, *after.names}]
+    extra = _others(joined.names, (*sensor_map.names, *after.names))
     placed = carry_over(sensor_map, before, after, moved, extra)
     healthy = {sensor.name: sensor.status for sensor in assess(runs)}
     notes = tuple(_notes(moves))
@@ -328,19 +328,25 @@ def update_map(
         [name for name, known in zip(one.names, one.placed, strict=True) if known]
         for one in (sensor_map, placed)
     )
-    added = tuple(name for name in now if name not in set(once))
+    added = _others(now, once)
     return Update(
         map=placed,
         evidence=total,
         added=added,
         moved=moved,
-        silent=tuple(name for name in once if name not in set(fresh.names)),
-        unplaced=tuple(name for name in joined.names if name not in set(now)),
+        silent=_others(once, fresh.names),
+        unplaced=_others(joined.names, now),
         agreement=_agreement(evidence, fresh, moved),
         difference=_as_difference(sensor_map, placed, moves, added),
         moves=moves,
         notes=notes,
     )
+
+
+def _others(names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
+    """Return the names that are not among known ones."""
+    left_out = set(known)
+    return tuple(name for name in names if name not in left_out)
 
 
 def _notes(moves: Moves | None) -> Iterator[str]:
@@ -438,7 +444,8 @@ def _as_difference(
 
 def _agreement(old: Evidence, fresh: Evidence, moved: tuple[str, ...]) -> float:
     """Correlate the old and the new similarity, by the statistic that both have."""
-    names = [n for n in old.names if n in set(fresh.names) and n not in moved]
+    shared = set(fresh.names).difference(moved)
+    names = [name for name in old.names if name in shared]
     key = common_similarity(old, fresh)
     (before, known), (after, known_after) = (similarity_of(e, key, names) for e in (old, fresh))
     both = np.triu(known & known_after, 1)
