@@ -182,18 +182,16 @@ def _greet(distributed: Any, address: str) -> None:
     options = distributed.Security().get_connection_args("client")
 
     async def greet() -> None:
-        comm = await distributed.comm.connect(address, timeout=ANSWER_S, **options)
-        await comm.close()
-
-    async def greet_in_time() -> None:
-        try:
-            await asyncio.wait_for(greet(), ANSWER_S)
-        except TimeoutError:
-            raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
+        async with asyncio.timeout(ANSWER_S):
+            comm = await distributed.comm.connect(address, timeout=ANSWER_S, **options)
+            await comm.close()
 
     # In a thread of its own, since the caller may be in an event loop, such as that of Jupyter.
     with ThreadPoolExecutor(1) as thread:
-        thread.submit(asyncio.run, greet_in_time()).result()
+        try:
+            thread.submit(asyncio.run, greet()).result()
+        except TimeoutError:
+            raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
 
 
 def _results_on_cluster(
