@@ -47,7 +47,6 @@ def test_every_format_gives_the_readings_back(rows):
 
 
 @given(content=CONTENT, cuts=st.lists(st.integers(0, 400), max_size=4))
-@settings(max_examples=60)
 def test_any_bytes_give_the_same_frames_however_they_are_cut(content, cuts):
     ends = sorted({min(cut, len(content)) for cut in cuts} | {0, len(content)})
     parts = [content[a:b] for a, b in itertools.pairwise(ends)]
