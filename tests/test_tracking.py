@@ -1,6 +1,5 @@
 """Maps that are kept up to date: pooled evidence, new and moved sensors, and the frame."""
 
-import warnings
 from functools import cache
 
 import numpy as np
@@ -17,7 +16,7 @@ from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.placement import Anchors, place
 from anisomap.tracking import gather_evidence, map_evidence, update_map
 from anisomap.tracking.pair_sums import PairSums
-from skins import flat_skin, lattice, rubbed
+from skins import flat_skin, lattice, quietly, rubbed
 
 seeds = st.integers(0, 10_000)
 SENSORS = 42
@@ -45,12 +44,6 @@ def mapped(recording, method="r-anisomap"):
 def first_day(*without):
     """Return a map of the first day, and the evidence that it was made of."""
     return mapped(day(11, *without))
-
-
-def quiet(function, *arguments, **options):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", anisomap.AnisomapWarning)
-        return function(*arguments, **options)
 
 
 def rows_of(sensor_map):
@@ -132,8 +125,8 @@ def test_a_zero_that_shifts_between_recordings_relates_no_sensors():
 def test_new_sensors_are_placed_as_well_as_by_a_map_of_everything(method):
     fresh = ("s3", "s17", "s25", "s40")
     first, second = day(11, *fresh), day(61)
-    found = quiet(update_map, *quiet(mapped, first, method), second)
-    whole = quiet(anisomap.reconstruct, [first, second], method, 2)
+    found = quietly(update_map, *quietly(mapped, first, method), second)
+    whole = quietly(anisomap.reconstruct, [first, second], method, 2)
     assert set(found.added) == set(fresh)
     assert found.map.method == method
     assert not found.moved
@@ -148,10 +141,10 @@ def test_new_sensors_are_placed_as_well_as_by_a_map_of_everything(method):
 
 def test_an_update_equals_a_map_of_both_recordings_and_the_order_does_not_matter():
     first, second = day(11), day(22)
-    forth = quiet(update_map, *first_day(), second)
-    back = quiet(update_map, *quiet(mapped, second), first)
+    forth = quietly(update_map, *first_day(), second)
+    back = quietly(update_map, *quietly(mapped, second), first)
     same_evidence(forth.evidence, back.evidence)
-    whole = quiet(anisomap.reconstruct, [first, second], "r-anisomap", 2)
+    whole = quietly(anisomap.reconstruct, [first, second], "r-anisomap", 2)
     for one, other in ((forth.map, back.map), (forth.map, whole)):
         found = compare_maps(one, other)
         off = np.linalg.norm(found.after - found.before, axis=1) / found.spacing
@@ -164,7 +157,7 @@ def test_the_frame_the_units_and_the_hand_of_a_placed_map_are_kept():
     sensor_map, evidence = first_day("s20")
     anchors = [0, 6, 21, 38, 15]
     placed = place(sensor_map, Anchors(tuple(f"s{i}" for i in anchors), truth[anchors])).map
-    found = quiet(update_map, placed, evidence, day(32)).map
+    found = quietly(update_map, placed, evidence, day(32)).map
     assert (found.units, found.anchored, found.handed) == ("m", True, True)
     assert found.names == (*placed.names, "s20")
     off = np.linalg.norm(found.positions - truth[[int(name[1:]) for name in found.names]], axis=1)
@@ -185,7 +178,7 @@ def test_corrections_of_an_old_map_are_kept():
         return x + 0.15 * x[:, ::-1] ** 2 / size
 
     old, straight = (SensorMap(p, names=sensor_map.names) for p in (bent(points), points))
-    found, plain = (quiet(update_map, made, evidence, day(32)).map for made in (old, straight))
+    found, plain = (quietly(update_map, made, evidence, day(32)).map for made in (old, straight))
     spacing = compare_maps(old, old).spacing
     off = np.linalg.norm(found.positions - bent(plain.positions), axis=1)
     assert np.median(off) < 0.05 * spacing
@@ -195,7 +188,7 @@ def test_corrections_of_an_old_map_are_kept():
 def test_sensors_that_the_recording_lacks_stay():
     sensor_map, evidence = first_day()
     dead = named(np.where(np.arange(41) == 7, 0, day(32, "s41").readings), day(32, "s41").names)
-    found = quiet(update_map, sensor_map, evidence, dead)
+    found = quietly(update_map, sensor_map, evidence, dead)
     assert set(found.silent) == {"s7", "s41"}
     assert found.map.placed.all()
     rows = found.map.indices(found.silent)
@@ -221,8 +214,8 @@ def test_sensors_that_were_rewired_are_named_and_not_averaged(seed):
 
 
 def test_an_update_can_be_updated():
-    once = quiet(update_map, *first_day("s20"), day(32, "s9"))
-    twice = quiet(update_map, once.map, once.evidence, day(22))
+    once = quietly(update_map, *first_day("s20"), day(32, "s9"))
+    twice = quietly(update_map, once.map, once.evidence, day(22))
     assert twice.map.placed.all()
     assert len(twice.evidence.recordings) == 3
     assert twice.evidence.n_frames == 4500
@@ -253,7 +246,7 @@ def holed(recording):
 )
 def test_recordings_that_say_nothing_or_contradict_the_map_are_refused(change, message):
     with pytest.raises(InputError, match=message) as refused:
-        quiet(update_map, *first_day(), change(day(32)))
+        quietly(update_map, *first_day(), change(day(32)))
     assert len(str(refused.value)) < 300
 
 
@@ -264,7 +257,7 @@ def test_statistics_of_another_map_are_refused():
     strange = SensorMap(sensor_map.positions, names=[f"t{i}" for i in range(SENSORS)])
     for wrong in (other, strange):
         with pytest.raises(InputError, match=r"statistics belong to|contradicts the map"):
-            quiet(update_map, wrong, evidence, day(32))
+            quietly(update_map, wrong, evidence, day(32))
     with pytest.raises(InputError, match="level"):
         update_map(sensor_map, evidence, day(32), level=0)
     with pytest.raises(InputError, match="even spacing"):
@@ -280,7 +273,7 @@ def test_few_shared_sensors_tell_no_moves():
 
 
 def test_evidence_without_a_sensor_places_the_others():
-    made = quiet(map_evidence, first_day()[1].without(["s4"]))
+    made = quietly(map_evidence, first_day()[1].without(["s4"]))
     assert not made.placed[4]
     assert made.placed.sum() == SENSORS - 1
 
@@ -294,7 +287,9 @@ def test_a_real_patch_gets_new_sensors_and_names_exchanged_wires(recordings_fold
     first = Recording(whole.readings[:half], names=whole.names).select(old)
     readings = np.array(whole.readings[half:])
     readings[:, wires] = readings[:, wires[::-1]]
-    found = quiet(update_map, *quiet(mapped, first, "covariogram"), named(readings, whole.names))
+    found = quietly(
+        update_map, *quietly(mapped, first, "covariogram"), named(readings, whole.names)
+    )
     assert set(found.moved) == {whole.names[i] for i in wires}
     assert set(found.added) == {whole.names[i] for i in fresh}
     made = found.map.select([found.map.names.index(name) for name in whole.names])

@@ -30,7 +30,7 @@ from anisomap.health import (
 )
 from anisomap.io.presets import with_grid
 from anisomap.io.stream import assemble
-from anisomap.memory import check_pair_memory
+from anisomap.memory import check_pair_memory, size_on_disk
 from anisomap.methods import check_even_spacing
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
@@ -141,7 +141,7 @@ def _complete(recording: Recording, missing: MissingPolicy) -> Recording:
 
 def are_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
     """Estimate from their first blocks whether recordings are too large for memory."""
-    if sum(map(_bytes_on_disk, paths)) < PROBED_BYTES:
+    if sum(map(size_on_disk, paths)) < PROBED_BYTES:
         return False
     total = 0.0
     with warnings.catch_warnings():
@@ -152,11 +152,6 @@ def are_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
                     total += 4 * block.readings.size / max(block.fraction, 1e-9)
                     break
     return total > LARGE_BYTES
-
-
-def _bytes_on_disk(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def read_in_blocks(
@@ -279,7 +274,7 @@ class _Files:
     def describe(self) -> str:
         """Describe files and options; checkpoints with another description are refused."""
         how = self.how
-        files = " + ".join(f"{path.name} ({_bytes_on_disk(path)} bytes)" for path in self.paths)
+        files = " + ".join(f"{path.name} ({size_on_disk(path)} bytes)" for path in self.paths)
         settings = {
             "select": how.select,
             "preset": how.preset,

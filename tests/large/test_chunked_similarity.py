@@ -12,7 +12,7 @@ from anisomap.large.streaming import CHUNKED, computed_similarity
 from anisomap.numerics.similarity import binning as value_counts
 from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import ValueCounts
-from anisomap.numerics.similarity.correlation import StoredCodes
+from anisomap.numerics.similarity.correlation import Moments, StoredCodes
 
 BINS = 4
 rows = st.lists(st.integers(1, 299), max_size=4, unique=True).map(sorted)
@@ -33,8 +33,10 @@ def merged(mapper, parts):
 
 def in_chunks(name, parts):
     recipe = CHUNKED[name]
-    known = merged(ValueCounts.of, parts) if recipe.recode else None
-    return recipe.finish(merged(recipe.prepare(known, BINS), parts))
+    mapper = Moments.of
+    if recipe.prepare:
+        mapper = recipe.prepare(merged(ValueCounts.of, parts), BINS)
+    return recipe.finish(merged(mapper, parts))
 
 
 def test_every_similarity_can_be_computed_in_chunks():

@@ -146,21 +146,21 @@ def test_buttons(page):
         ("/act", "POST", {}),
         ("/act", "POST", {"X_Anisomap": "1", "Origin": "http://elsewhere"}),
         ("/act", "POST", {"X_Anisomap": "1", "Host": "elsewhere"}),
-        ("/state", "GET", {"Host": "elsewhere:1"}),
+        ("/", "GET", {"Host": "elsewhere:1"}),
         ("/events", "GET", {"Origin": "http://elsewhere"}),
         ("/files/r.csv", "GET", {}),
         ("/../../etc/passwd", "GET", {}),
         ("/files/..%2fr.csv", "GET", {}),
-        ("/state", "GET", {"Host": "[::1"}),
-        ("/state", "GET", {"Origin": "http://["}),
-        ("/state", "GET", {"Host": "[::1].evil.com"}),
-        ("/state", "GET", {"Host": "x@localhost"}),
-        ("/state", "GET", {"Host": "localhost:1:2"}),
-        ("/state", "GET", {"Host": "localhost/"}),
-        ("/state", "GET", {"Host": ""}),
-        ("/state", "GET", {"Host": "localhost", "Origin": "https://localhost"}),
-        ("/state", "GET", {"Host": "localhost:80", "Origin": "http://localhost:80/"}),
-        ("/state", "GET", {"Host": "localhost", "Origin": "null"}),
+        ("/", "GET", {"Host": "[::1"}),
+        ("/", "GET", {"Origin": "http://["}),
+        ("/", "GET", {"Host": "[::1].evil.com"}),
+        ("/", "GET", {"Host": "x@localhost"}),
+        ("/", "GET", {"Host": "localhost:1:2"}),
+        ("/", "GET", {"Host": "localhost/"}),
+        ("/", "GET", {"Host": ""}),
+        ("/", "GET", {"Host": "localhost", "Origin": "https://localhost"}),
+        ("/", "GET", {"Host": "localhost:80", "Origin": "http://localhost:80/"}),
+        ("/", "GET", {"Host": "localhost", "Origin": "null"}),
     ],
 )
 def test_others_are_refused(page, path, method, headers):
@@ -173,7 +173,7 @@ def test_others_are_refused(page, path, method, headers):
 
 @pytest.mark.parametrize("host", ["localhost", "LOCALHOST:8765", "127.0.0.1:1", "[::1]:8765"])
 def test_the_page_answers_on_every_name_of_this_computer(page, host):
-    assert ask(page.server, "/state", Host=host, Origin=f"http://{host}")[0].status == 200
+    assert ask(page.server, "/", Host=host, Origin=f"http://{host}")[0].status == 200
 
 
 @pytest.mark.parametrize("length", ["-1", "8388609", "9" * 5000, "\xb2", "x"])

@@ -39,9 +39,9 @@ def element(name):
     return f"document.getElementById('{name}')"
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_a_session_in_the_browser(tmp_path, dimensions):
-    options = ExaminationOptions(method="r-anisomap", dimensions=dimensions)
+def test_a_session_in_the_browser(tmp_path):
+    """The first maps have 3 dimensions, those after a checked map of the flat skin 2."""
+    options = ExaminationOptions(method="r-anisomap")
     with browser(CHROMIUM) as page:
         with (
             LiveSession(Rubbed(), tmp_path / "r.csv", options) as session,
@@ -71,6 +71,7 @@ def test_a_session_in_the_browser(tmp_path, dimensions):
             page.press("p")
             page.wait_for(f"{element('state')}.textContent === 'running'")
             page.wait_for(f"+{element('frames')}.textContent > {before}")
+            page.wait_for(f"{element('notices')}.textContent.includes('have 2 dimensions')")
             page.wait_for(f"!{element('show')}.disabled")
             page.press("m")
             page.wait_for(f"{element('which')}.textContent.startsWith('checked map')")

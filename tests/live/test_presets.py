@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import io
+from anisomap import io, route
 from anisomap.live import ExaminationOptions, LiveSession, workers
 from anisomap.live.batches import Batch
 from anisomap.live.recorder import JournalWriter
@@ -48,16 +48,18 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     np.testing.assert_allclose(final.sensor_map.positions, again.positions, atol=1e-6)
 
 
-@pytest.mark.parametrize("limit", [None, "MAX_READINGS", "MAX_INTERIM_READINGS"])
+@pytest.mark.parametrize("limit", ["none", "of a map", "of a map in between"])
 def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit):
     """Above some limits, recordings are read in blocks, or in parts."""
     writer = JournalWriter(tmp_path / "r.csv", [f"s{i}" for i in range(192)], PORT)
     writer.add(np.arange(len(hand)) / 50, hand)
     writer.close()
-    if limit:
-        monkeypatch.setattr(workers, limit, 192 * 300)
+    if limit == "of a map":
+        monkeypatch.setattr(route, "LARGE_BYTES", 0)
+        monkeypatch.setattr(route, "PROBED_BYTES", 0)
+    monkeypatch.setattr(workers, "MAX_INTERIM_READINGS", 192 * 300)
     options = ExaminationOptions(**OPTIONS, drop=("palm.0",))
-    final = limit != "MAX_INTERIM_READINGS"
+    final = limit != "of a map in between"
     found = examine(tmp_path / "r.csv", len(hand), options, final=final)
     assert found.sensor_map is not None, found.verdict
     assert list(found.sensor_map.names) == NAMES

@@ -1,4 +1,4 @@
-"""Accumulated statistics, quick maps and advice."""
+"""Quick maps of samples of frames, and advice."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def mapper_of(readings, *sizes, names=(), dimensions=2):
 
 
 @given(sizes=st.lists(st.integers(1, 60), max_size=4), offset=st.floats(-1e3, 1e3))
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_maps_do_not_depend_on_the_batches(sizes, offset):
     readings = (rubbed(lattice(4, 4), 300, seed=3) + offset).astype(np.float32)
     found = mapper_of(readings, *sizes)

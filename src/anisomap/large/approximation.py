@@ -25,7 +25,6 @@ from anisomap.large.chunks import (
 from anisomap.large.landmark_mds import PlacedComponent, place_component
 from anisomap.large.sensor_graph import (
     ApproximateOptions,
-    SensorGraph,
     SensorPairs,
     Sketch,
     adjacency_matrix,
@@ -61,12 +60,14 @@ class SimilarityGraph(ReadInChunks):
     """Graph of the most similar sensors, and other data of an approximate map.
 
     links: All pairs for which r was computed.
-    graph: The pairs that are edges.
+    edges: Those that link sensors.
+    component: Connected component of each sensor, by decreasing size, (N,).
     dropped: Mask of the dropped sensors, which do not vary.
     """
 
     links: SensorPairs
-    graph: SensorGraph
+    edges: SensorPairs
+    component: NDArray[np.intp]
     dropped: NDArray[np.bool_]
     options: ApproximateOptions
 
@@ -162,7 +163,7 @@ def build_similarity_graph(
     sketch = replace(sketch, varying=sketch.varying & ~dropped, projections=projections)
     logger.info("searching for the most similar sensors")
     links = correlations(small_chunks(), sketch, _candidates(sketch, chosen))
-    graph, bridging = bridge_components(
+    edges, component, bridging = bridge_components(
         build_graph(links, sketch, chosen.n_neighbours), sketch, small_chunks
     )
     links = links.concatenate(bridging)
@@ -172,9 +173,10 @@ def build_similarity_graph(
         n_frames=sketch.n_frames,
         varying=sketch.varying,
         links=links,
-        graph=graph,
+        edges=edges,
+        component=component,
         excerpt=excerpt,
-        health=tuple(_extrapolated(health, sketch, graph, excerpt.n_frames)),
+        health=tuple(_extrapolated(health, sketch, component, excerpt.n_frames)),
         dropped=dropped,
         options=chosen,
     )
@@ -192,7 +194,7 @@ def map_similarity_graph(
     n_dimensions = given_dimensions(dimensions)
     n_sensors = len(found.varying)
     component = np.full(n_sensors, UNPLACED)
-    _, numbers = np.unique(found.graph.component[found.varying], return_inverse=True)
+    _, numbers = np.unique(found.component[found.varying], return_inverse=True)
     component[found.varying] = numbers
     if np.count_nonzero(component == 0) < chosen.min_sensors:
         raise InputError(
@@ -200,8 +202,8 @@ def map_similarity_graph(
             f"links, but the largest group has {np.count_nonzero(component == 0)}; check that the "
             "skin was touched during the recording"
         )
-    lengths = edge_lengths(found.links, found.graph.edges, chosen.mu)
-    graph = adjacency_matrix(found.graph.edges, lengths, n_sensors)
+    lengths = edge_lengths(found.links, found.edges, chosen.mu)
+    graph = adjacency_matrix(found.edges, lengths, n_sensors)
     positions = np.full((n_sensors, n_dimensions), np.nan)
     rng = np.random.default_rng(found.options.seed)
     placed: list[PlacedComponent] = []
@@ -259,10 +261,13 @@ def _candidates(
 
 
 def _extrapolated(
-    health: Sequence[SensorHealth], sketch: Sketch, graph: SensorGraph, n_assessed: int
+    health: Sequence[SensorHealth],
+    sketch: Sketch,
+    component: NDArray[np.intp],
+    n_assessed: int,
 ) -> Iterator[SensorHealth]:
     """Extend the assessment of the excerpt to all frames."""
-    alone = np.bincount(graph.component)[graph.component] == 1
+    alone = np.bincount(component)[component] == 1
     for i, sensor in enumerate(health):
         revised = sensor
         if n_assessed < sketch.n_frames:

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from hashlib import blake2b
 from io import BufferedReader
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -56,15 +56,15 @@ class Checkpoint:
         self._digests = [""]
         self._next_write = time.monotonic()
 
-    def remaining(
-        self, chunks: Iterable[NDArray[Any]], stage: str, after: str = ""
-    ) -> Iterator[NDArray[Any]]:
+    def remaining(self, chunks: Iterable[NDArray[Any]], stage: str) -> Iterator[NDArray[Any]]:
         """Skip the chunks that a stage has processed, and return the others.
 
-        Digests cover all chunks up to each, and those of the stage before. Raises `FileError` if
+        Digests cover all chunks up to each, and those of earlier stages. Raises `FileError` if
         other chunks were processed.
         """
-        digest = blake2b(self.stages.get(after, Stage()).digest.encode(), digest_size=16)
+        digest = blake2b(digest_size=16)
+        for before in takewhile(lambda name: name != stage, self.stages):
+            digest.update(self.stages[before].digest.encode())
         self._digests = [""]
 
         def follow() -> Iterator[NDArray[Any]]:
@@ -111,7 +111,7 @@ class Checkpoint:
                     arrays = {name: archive[name] for name in archive}
             intact = str(arrays.pop("checksum")) == _checksum(arrays)
             subject = str(arrays.pop("subject"))
-            stages = {name.split("/")[0] for name in arrays}
+            stages = dict.fromkeys(name.split("/")[0] for name in arrays)  # in their order
             found = {stage: _read_stage(arrays, stage) for stage in stages}
         except FileError:
             raise

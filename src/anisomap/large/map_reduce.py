@@ -68,13 +68,12 @@ def map_reduce(
     pool: WorkerPool = SERIAL,
     checkpoint: Checkpoint | None = None,
     stage: str = "total",
-    after: str = "",
 ) -> Any:
-    """Apply a function to every chunk and merge the results."""
+    """Apply a function to every chunk and merge the results; stages share a checkpoint."""
     done, total, remaining = 0, None, chunks()
     if checkpoint is not None:
         done, _, total = checkpoint.stages.get(stage, Stage())
-        remaining = checkpoint.remaining(remaining, stage, after)
+        remaining = checkpoint.remaining(remaining, stage)
     try:
         for result in _results(remaining, mapper, pool):
             total, done = result if total is None else total.merged(result), done + 1
@@ -183,18 +182,16 @@ def _greet(distributed: Any, address: str) -> None:
     options = distributed.Security().get_connection_args("client")
 
     async def greet() -> None:
-        comm = await distributed.comm.connect(address, timeout=ANSWER_S, **options)
-        await comm.close()
-
-    async def greet_in_time() -> None:
-        try:
-            await asyncio.wait_for(greet(), ANSWER_S)
-        except TimeoutError:
-            raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
+        async with asyncio.timeout(ANSWER_S):
+            comm = await distributed.comm.connect(address, timeout=ANSWER_S, **options)
+            await comm.close()
 
     # In a thread of its own, since the caller may be in an event loop, such as that of Jupyter.
     with ThreadPoolExecutor(1) as thread:
-        thread.submit(asyncio.run, greet_in_time()).result()
+        try:
+            thread.submit(asyncio.run, greet()).result()
+        except TimeoutError:
+            raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
 
 
 def _results_on_cluster(

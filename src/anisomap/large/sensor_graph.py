@@ -224,17 +224,7 @@ MAX_BRIDGE_PASSES = 3  # over the frames, in search of links between components
 _SENSOR_OVER_ALL = 0.75  # expected maximum r of one sensor's pairs over that of all pairs
 
 
-class SensorGraph(NamedTuple):
-    """A graph that links sensors to their most similar sensors.
-
-    component: Connected component of each sensor, by decreasing size, ties by the first sensor.
-    """
-
-    edges: SensorPairs
-    component: NDArray[np.intp]
-
-
-def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> SensorGraph:
+def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> SensorPairs:
     """Link each sensor to those with the highest r, and reject pairs that may be coincidental.
 
     Among the many pairs of thousands of sensors, some are similar by coincidence; as links they
@@ -253,8 +243,7 @@ def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> Sensor
     )
     near = pairs.select(usable)
     near = near.select(_among_best(near, n_sensors, n_neighbours))
-    edges = near.select(_share_neighbours(near, n_sensors))
-    return SensorGraph(edges, component_labels(edges, n_sensors))
+    return near.select(_share_neighbours(near, n_sensors))
 
 
 def _share_neighbours(pairs: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
@@ -268,30 +257,30 @@ def _share_neighbours(pairs: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
 
 
 def bridge_components(
-    graph: SensorGraph, sketch: Sketch, chunks: Callable[[], Iterable[NDArray[Any]]]
-) -> tuple[SensorGraph, SensorPairs]:
+    edges: SensorPairs, sketch: Sketch, chunks: Callable[[], Iterable[NDArray[Any]]]
+) -> tuple[SensorPairs, NDArray[np.intp], SensorPairs]:
     """Link connected components by significant r.
 
     Links between components may be missing from the graph, since the sensors of a rigid plate are
-    more similar to each other than to any sensor beside it.
+    more similar to each other than to any sensor beside it. Returns the edges, the component of
+    each sensor, and the pairs that were compared.
     """
-    compared = graph.edges.select(np.zeros(len(graph.edges.r), dtype=bool))
+    component = component_labels(edges, len(sketch.mean))
+    compared = edges.select(np.zeros(len(edges.r), dtype=bool))
     for _ in range(MAX_BRIDGE_PASSES):
-        outside = np.flatnonzero((graph.component > 0) & sketch.varying)
+        outside = np.flatnonzero((component > 0) & sketch.varying)
         if not outside.size:
             break
         logger.info("searching links of %d sensors to other components", outside.size)
-        found, _ = most_similar(
-            sketch.projections, N_OUTSIDE, groups=graph.component, sensors=outside
-        )
+        found, _ = most_similar(sketch.projections, N_OUTSIDE, groups=component, sensors=outside)
         links = correlations(chunks(), sketch, pairs_of(found, outside))
         compared = compared.concatenate(links)
         bridges = links.select(links.r >= largest_null_r(links, sketch))
         if not bridges.r.size:
             break
-        edges = graph.edges.concatenate(bridges)
-        graph = SensorGraph(edges, component_labels(edges, len(sketch.mean)))
-    return graph, compared
+        edges = edges.concatenate(bridges)
+        component = component_labels(edges, len(sketch.mean))
+    return edges, component, compared
 
 
 def largest_null_r(
@@ -333,7 +322,7 @@ def adjacency_matrix(
 
 
 def component_labels(edges: SensorPairs, n_sensors: int) -> NDArray[np.intp]:
-    """Return the connected component of each sensor; see `SensorGraph.component`."""
+    """Return the component of each sensor, (N,), by decreasing size, ties by the first sensor."""
     graph = adjacency_matrix(edges, np.ones(len(edges.r)), n_sensors)
     return labels_by_size(connected_components(graph, directed=False)[1])
 

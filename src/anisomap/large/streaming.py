@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,73 +63,51 @@ logger = logging.getLogger(__name__)
 _BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
 _MAX_COUNT_BYTES = 1 << 28  # of counts; above, codes are stored if smaller. Chosen by hand
 
-Outcomes: TypeAlias = tuple[list[NDArray[Any]], Layout | None]
-"""What each distinct value of each sensor counts as: codes with a layout, or scores without."""
+
+def _recoded(values: ValueCounts, outcomes: Sequence[NDArray[Any]], make: Mapper) -> Mapper:
+    """Make accumulators of what the readings count as, given the outcome of each distinct value."""
+    recode = Recoding.of(values.values, outcomes, outcomes[0].dtype.type)
+    return partial(_of_recoded, recode, make)
 
 
-@dataclass(frozen=True)
-class Chunked:
-    """A similarity as a map-reduce.
-
-    finish: Converts the accumulator of all chunks to the (N, N) similarity.
-    recode: ``recode(values, bins)`` returns what the distinct values of all frames count as; None
-        if the readings are used as they are.
-    can_store: Whether `finish` accepts `StoredCodes`, which take less memory in few frames.
-    """
-
-    finish: Callable[[Any], Reals]
-    recode: Callable[[ValueCounts, int], Outcomes] | None = None
-    can_store: bool = False
-
-    def prepare(self, values: ValueCounts | None, bins: int) -> Mapper:
-        """Return the mapper, given the counts of distinct values if they are needed."""
-        if self.recode is None or values is None:
-            return Moments.of
-        outcomes, layout = self.recode(values, bins)
-        recoding = Recoding.of(values.values, outcomes, outcomes[0].dtype.type)
-        if layout is None:
-            return partial(_recoded, recoding, Moments.of)
-        if self.can_store:
-            stored, counted = values.n_frames * values.n_sensors, layout.n_series**2
-            counted *= _BYTES_PER_COUNT
-            check_memory(
-                min(stored, counted),
-                f"counting all pairs of {bins} bins of {values.n_sensors} sensors",
-                "use fewer bins, or a method based on Pearson's r",
-            )
-            if stored <= counted and counted > _MAX_COUNT_BYTES:
-                return partial(_recoded, recoding, StoredCodes.of)
-        return partial(_recoded, recoding, partial(CoOccurrences.of, layout=layout))
-
-
-def _recoded(recode: Recoding, make: Mapper, chunk: NDArray[Any]) -> Any:
-    """Recode a chunk, and make an accumulator of it."""
+def _of_recoded(recode: Recoding, make: Mapper, chunk: NDArray[Any]) -> Any:
     return make(recode(chunk))
 
 
-def _ranks(values: ValueCounts, _: int) -> Outcomes:
-    """Return the mean rank of every value, from 1 to T."""
-    return [ranks_from_counts(counts) for counts in values.counts], None
+def _ranks(values: ValueCounts, _: int) -> Mapper:
+    """Return moments of mean ranks, from 1 to T."""
+    return _recoded(values, [ranks_from_counts(counts) for counts in values.counts], Moments.of)
 
 
-def _activity(values: ValueCounts, _: int) -> Outcomes:
-    """Return which values exceed rest."""
+def _activity(values: ValueCounts, _: int) -> Mapper:
+    """Count frames in which both sensors of a pair exceed rest."""
     rest = rest_from_counts(zip(values.values, values.counts, strict=True))
     active = [
         rest.side[i] * (levels - rest.value[i]) - rest.threshold[i] > 0
         for i, levels in enumerate(values.values)
     ]
-    return active, Layout.of_switches(values.n_sensors)
+    layout = Layout.of_switches(values.n_sensors)
+    return _recoded(values, active, partial(CoOccurrences.of, layout=layout))
 
 
-def _bins(values: ValueCounts, bins: int) -> Outcomes:
-    """Return the maximum-entropy bin of every value."""
+def _bins(values: ValueCounts, bins: int) -> Mapper:
+    """Count pairs of maximum-entropy bins, or store the bins if that takes less memory."""
     codes = [maximum_entropy_bins(counts, bins).astype(np.uint16) for counts in values.counts]
     full = [
         np.bincount(code, weights=counts, minlength=bins)
         for code, counts in zip(codes, values.counts, strict=True)
     ]
-    return codes, Layout.of(np.array(full).astype(np.int64))
+    layout = Layout.of(np.array(full).astype(np.int64))
+    stored = values.n_frames * values.n_sensors
+    counted = _BYTES_PER_COUNT * layout.n_series**2
+    check_memory(
+        min(stored, counted),
+        f"counting all pairs of {bins} bins of {values.n_sensors} sensors",
+        "use fewer bins, or a method based on Pearson's r",
+    )
+    if stored <= counted and counted > _MAX_COUNT_BYTES:
+        return _recoded(values, codes, StoredCodes.of)
+    return _recoded(values, codes, partial(CoOccurrences.of, layout=layout))
 
 
 def _information(found: CoOccurrences | StoredCodes) -> Reals:
@@ -139,12 +117,25 @@ def _information(found: CoOccurrences | StoredCodes) -> Reals:
     return information_from_logarithms(joint, found.n_frames)
 
 
+@dataclass(frozen=True)
+class Chunked:
+    """A similarity as a map-reduce.
+
+    finish: Converts the accumulator of all chunks to the (N, N) similarity.
+    prepare: ``prepare(values, bins)`` returns the mapper, given the distinct values of all frames
+        with their counts; None for the moments of the readings as they are.
+    """
+
+    finish: Callable[[Any], Reals]
+    prepare: Callable[[ValueCounts, int], Mapper] | None = None
+
+
 CHUNKED: Mapping[str, Chunked] = MappingProxyType(
     {
         "pearson": Chunked(Moments.correlation),
         "spearman": Chunked(Moments.correlation, _ranks),
         "co-activation": Chunked(lambda it: phi_from_counts(it.counts, it.n_frames), _activity),
-        "mutual-information": Chunked(_information, _bins, can_store=True),
+        "mutual-information": Chunked(_information, _bins),
         # Blending weights r by its reliability, which is nearly 1 in long recordings.
         "blended-correlation": Chunked(Moments.correlation),
     }
@@ -265,20 +256,15 @@ def stream_similarity(
             yield chunk
 
     values: ValueCounts | None = None
-    if chunked.recode is not None:
+    mapper: Mapper = Moments.of
+    if chunked.prepare is not None:
         logger.info("counting distinct values")
         values = map_reduce(
             checked_chunks, ValueCounts.of, pool=pool, checkpoint=saved, stage="values"
         )
+        mapper = chunked.prepare(values, options.bins)
     logger.info("comparing all pairs of sensors (%s)", name)
-    total = map_reduce(
-        checked_chunks,
-        chunked.prepare(values, options.bins),
-        pool=pool,
-        checkpoint=saved,
-        stage="pairs",
-        after="" if values is None else "values",
-    )
+    total = map_reduce(checked_chunks, mapper, pool=pool, checkpoint=saved, stage="pairs")
     varying = total.varying() if values is None else values.varying()
     notes: tuple[str, ...] = ()
     if values is not None and not values.exact:

@@ -12,6 +12,6 @@
 ====================  ============================================================
 """
 
-from anisomap.live.session import LiveSession as LiveSession
-from anisomap.live.sources import open_source as open_source
-from anisomap.live.workers import ExaminationOptions as ExaminationOptions
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

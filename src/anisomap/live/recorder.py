@@ -49,8 +49,7 @@ class JournalWriter:
         text = header_text(names, source=source) if names else ""
         header = text.encode("utf-8", "replace")
         self.path = path
-        self._held: list[str] = []
-        self._held_bytes = 0
+        self._held = bytearray()
         try:
             self._file = path.open("xb", buffering=0)
         except FileExistsError:
@@ -64,18 +63,14 @@ class JournalWriter:
     def add(self, times: NDArray[np.float64], readings: NDArray[np.float64]) -> None:
         """Add frames. times (t,), readings (t, N)."""
         for moment, row in zip(times.tolist(), readings.tolist(), strict=True):
-            line = f"{moment:.6f},{','.join(map(repr, row))}\n"
-            self._held.append(line)
-            self._held_bytes += len(line)
-            if self._held_bytes >= _HELD_BYTES:
+            self._held += f"{moment:.6f},{','.join(map(repr, row))}\n".encode()
+            if len(self._held) >= _HELD_BYTES:
                 self.flush()
 
     def flush(self) -> None:
         """Hand all frames to the operating system."""
-        if self._held:
-            content = "".join(self._held).encode()
-            self._held, self._held_bytes = [], 0
-            self._write(content)
+        content, self._held = bytes(self._held), bytearray()
+        self._write(content)
 
     def close(self) -> None:
         """Write what is held, and close the file."""

@@ -170,14 +170,14 @@ class SessionMaps:
         self.examining, self._examined_frames = True, n_frames
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames))
 
-    def finish(self, n_frames: int, timeout_s: float | None) -> Examination | None:
+    def finish(self, n_frames: int) -> Examination | None:
         """Make the map of all frames; see `LiveSession.finish`."""
         if self._segment is None:
             return None
         self._finished.clear()
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames, final=True))
         if not self._examiner.gone:
-            self._finished.wait(timeout_s)
+            self._finished.wait()
         return self.checked if self.checked is not None and self.checked.final else None
 
     def _map_quickly(self) -> None:
@@ -314,8 +314,7 @@ class LiveSession:
     levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
     anchors: Known positions of some sensors, by which saved maps are placed.
     ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
-    changed: Notified when `tick`, the number of states of the readings, or `map_number`, that of
-        maps, has grown.
+    changed: Notified of every map, and of every state of the readings, which `tick` counts.
     failure: Why the recording ended, if it could not go on.
     """
 
@@ -340,7 +339,6 @@ class LiveSession:
         self.finishing = False
         self.changed = threading.Condition()
         self.tick = 0
-        self.map_number = 0
         self._told: dict[str, float] = {}
         self._stop = threading.Event()
         self._arrivals = Arrivals()
@@ -466,12 +464,12 @@ class LiveSession:
             self.failure = self.failure or error
         self._end()
 
-    def finish(self, timeout_s: float | None = None) -> Examination | None:
+    def finish(self) -> Examination | None:
         """End the acquisition and make the final map, of all frames."""
         self.stop()
         self.finishing = True
         try:
-            return self.maps.finish(self.recorder.n_frames, timeout_s)
+            return self.maps.finish(self.recorder.n_frames)
         finally:
             self.finishing = False
             self._announce()
@@ -527,11 +525,9 @@ class LiveSession:
                 self.levels = read_levels(recent, self._first, self.maps.quick)
             if not self.paused:
                 self.maps.follow(self.recorder.n_frames)
-            with self.changed:
-                self.tick += 1
-                self.changed.notify_all()
+            self.tick += 1
+            self._announce()
 
     def _announce(self) -> None:
         with self.changed:
-            self.map_number += 1
             self.changed.notify_all()

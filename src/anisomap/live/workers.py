@@ -35,10 +35,6 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
-MAX_READINGS = 1 << 27
-"""Readings of a final map above which they are read in blocks, as ``anisomap map`` does: 512 MiB
-of float32."""
-
 MAX_INTERIM_READINGS = 1 << 22
 """Readings of a checked map while the session runs; of more, evenly spread parts are used."""
 
@@ -114,10 +110,10 @@ def examine(
 def _read(path: Path, n_frames: int, options: ExaminationOptions, final: bool) -> route.Source:
     """Read a recording as `anisomap map` does; parts of it if it is long and still grows."""
     how = io.ReadOptions(preset=options.preset)
+    if final and route.are_large([path], how):
+        return route.read_in_blocks([path], how, "interpolate", method=options.method)
     with io.open_stream(path, frames=1) as stream:
         n_readings = n_frames * stream.n_sensors
-    if final and n_readings > MAX_READINGS:
-        return route.read_in_blocks([path], how, "interpolate", method=options.method)
     if final or n_readings <= MAX_INTERIM_READINGS:
         return route.read_runs([path], how, "interpolate")
     excerpt = Excerpt(MAX_INTERIM_READINGS)
@@ -133,6 +129,7 @@ _POLL_S = 0.03  # between two looks at a recording that has not grown
 _READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
 _MAX_BEHIND_S = 1.0  # of reading a backlog without a map
 _IDLE_SHARE = 1.0  # pause after a quick map, as a share of its time: others need the processor too
+_NICENESS = 5  # of the process of checked maps
 _FAILED_S = 1.0  # pause after a map that failed
 _MAX_RESTARTS = 3
 _JOIN_S = 0.5  # for a process to end by itself
@@ -233,30 +230,13 @@ class Worker:
                     self._connection.send(self._task)
 
 
-class _CheckedMaps:
-    """Makes one checked map for each task, or for the latest of several.
-
-    niceness: Of the process.
-    wait_s: Time to wait for another task before the next step; None for any time.
-    """
-
-    niceness = 5
-    wait_s: float | None = None
-
-    def take(self, task: Task) -> None:
-        self._task, self.wait_s = task, 0.0
-
-    def step(self) -> Answer:
-        task, self.wait_s = self._task, None
-        found = examine(task.segment.path, task.n_frames, task.options, final=task.final)
-        return Answer(task.segment.number, found)
+def _checked_map(task: Task) -> Answer:
+    found = examine(task.segment.path, task.n_frames, task.options, final=task.final)
+    return Answer(task.segment.number, found)
 
 
 class _QuickMaps:
-    """Follows the recording of a session and maps it again and again; see `_CheckedMaps`."""
-
-    niceness = 0
-    wait_s: float | None = None
+    """Follows the recording of a session and maps it again and again."""
 
     def __init__(self) -> None:
         self._task: Task | None = None
@@ -265,9 +245,16 @@ class _QuickMaps:
         self._next_map = 0.0
         self._mapped_frames = 0
 
-    def take(self, task: Task) -> None:
-        before, self._task = self._task, task
-        self._mapped_frames, self.wait_s = 0, _POLL_S
+    def __call__(self, task: Task) -> Answer | None:
+        if task is not self._task:
+            self._begin(task)
+        found = None if self._tail is None else self._follow(task, self._tail)
+        problem, self._told = "" if self._problem == self._told else self._problem, self._problem
+        return Answer(task.segment.number, found, problem) if found or problem else None
+
+    def _begin(self, task: Task) -> None:
+        """Map from now on by other options, or another recording."""
+        before, self._task, self._mapped_frames = self._task, task, 0
         if before is not None and before.segment == task.segment:
             return
         if self._tail is not None:
@@ -282,20 +269,12 @@ class _QuickMaps:
         self._tail = JournalTail(segment.path, n_sensors, segment.header_bytes)
         self._mapper = QuickMapper(segment.names, task.dimensions)
 
-    def step(self) -> Answer | None:
-        if self._task is None:
-            return None
-        found = None if self._tail is None else self._follow(self._task, self._tail)
-        problem, self._told = "" if self._problem == self._told else self._problem, self._problem
-        return Answer(self._task.segment.number, found, problem) if found or problem else None
-
     def _follow(self, task: Task, tail: JournalTail) -> QuickMap | None:
         """Read what is new, and return a map if it is time for one."""
         begun, more = time.monotonic(), True
         while more and time.monotonic() - begun < _MAX_BEHIND_S:
             readings, more = tail.read(_READ_BYTES)
             self._mapper.add(readings)
-        self.wait_s = 0.0 if more else _POLL_S
         if self._mapper.sample.n_frames <= self._mapped_frames or time.monotonic() < self._next_map:
             return None
         given = task.options.dimensions
@@ -330,25 +309,25 @@ class _QuickMaps:
 def _run(role: str, connection: Connection) -> None:
     """Work until the session closes the connection, or its process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers itself
-    maker = _QuickMaps() if role == "quick" else _CheckedMaps()
+    is_quick = role == "quick"
+    make: Callable[[Task], Answer | None] = _QuickMaps() if is_quick else _checked_map
     with suppress(OSError, AttributeError):
-        os.nice(maker.niceness)
+        os.nice(0 if is_quick else _NICENESS)
     with suppress(EOFError, OSError, KeyboardInterrupt):
         connection.send(Answer())
-        final = False
+        wait_s = None  # for another task
         while True:
-            if connection.poll(maker.wait_s):
-                task = connection.recv()
+            if connection.poll(wait_s):
+                task, wait_s = connection.recv(), 0.0
                 if task is None:
                     return
-                maker.take(task)
-                final = task.final
                 continue
+            wait_s = _POLL_S if is_quick else None
             try:
-                answer = maker.step()
+                answer = make(task)
             except Exception as error:  # a defect must not end the recording
                 problem = f"a {role} map failed: {type(error).__name__}: {error}"
-                connection.send(Answer(problem=problem, final=final))
+                connection.send(Answer(problem=problem, final=task.final))
                 connection.poll(_FAILED_S)
                 continue
             if answer is not None:

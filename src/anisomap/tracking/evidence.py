@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from hashlib import blake2b
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.evidence import PairStatistics
+from anisomap.immutable import Immutable
 from anisomap.memory import check_pair_memory
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -36,7 +37,7 @@ _DIGEST_BYTES = 16  # of a recording; equal digests of different recordings are 
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(Immutable):
     """Sums over all frames of one or several recordings, from which a map can be made.
 
     Attributes
@@ -66,9 +67,6 @@ class Evidence:
     n_frames: int
     recordings: tuple[str, ...]
     single_contacts: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sums", MappingProxyType(dict(self.sums)))
 
     def merged(self, other: Evidence) -> Evidence:
         """Add the evidence of other recordings of the same skin.
@@ -154,28 +152,15 @@ def gather_evidence(
         If a reading is missing, fewer than 2 sensors vary, even spacing is declared, or recordings
         repeat.
     """
-    chosen, recipe = options or MethodOptions(), find_method(method)
+    chosen = options or MethodOptions()
     check_even_spacing(method, chosen, readings=False)
-    joined = as_runs(recording)  # checks that the sensors of several recordings can be matched
-    runs = joined
-    if isinstance(recording, Sequence):
-        runs = tuple(run for run in recording if isinstance(run, Recording)) or joined
+    runs = as_runs(recording)
+    if isinstance(recording, Sequence):  # apart, also those of the same sensors
+        runs = tuple(run for run in recording if isinstance(run, Recording)) or runs
     left_out = tuple(drop)
-    total: Evidence | None = None
-    for run in runs:
-        here = [one for one in left_out if not isinstance(one, str) or one in run.names]
-        mapped = run.varying() & ~sensor_mask(run.names, here)
-        if np.count_nonzero(mapped) < _MIN_VARYING:
-            raise InputError(
-                f"{run.source or 'the recording'} holds no evidence of distances: only "
-                f"{np.count_nonzero(mapped)} of its {run.n_sensors} sensors vary"
-            )
-        check_pair_memory(int(np.count_nonzero(mapped)), refined=bool(recipe.refinements))
-        found = _evidence_of(run.select(mapped).complete(), method, dimensions, chosen)
-        total = found if total is None else total.merged(found)
-    if total is None:
-        raise InputError("no recording was given")
-    return total
+    return reduce(
+        Evidence.merged, (_evidence_of(run, left_out, method, dimensions, chosen) for run in runs)
+    )
 
 
 def map_evidence(evidence: Evidence) -> SensorMap:
@@ -212,9 +197,26 @@ def map_evidence(evidence: Evidence) -> SensorMap:
     )
 
 
-def _evidence_of(run: Recording, method: str, dimensions: int, options: MethodOptions) -> Evidence:
-    """Gather the evidence of complete readings that vary."""
-    recipe, readings = find_method(method), run.readings
+def _evidence_of(
+    run: Recording,
+    left_out: Sequence[str | int],
+    method: str,
+    dimensions: int,
+    options: MethodOptions,
+) -> Evidence:
+    """Gather the evidence of one recording; names that it lacks may be left out."""
+    recipe = find_method(method)
+    here = [one for one in left_out if not isinstance(one, str) or one in run.names]
+    mapped = run.varying() & ~sensor_mask(run.names, here)
+    n_sensors = int(np.count_nonzero(mapped))
+    if n_sensors < _MIN_VARYING:
+        raise InputError(
+            f"{run.source or 'the recording'} holds no evidence of distances: only {n_sensors} of "
+            f"its {run.n_sensors} sensors vary"
+        )
+    check_pair_memory(n_sensors, refined=bool(recipe.refinements))
+    run = run.select(mapped).complete()
+    readings = run.readings
     similarities = [recipe.similarity]
     single = False
     if recipe.contact_similarity is not None and is_on_off(readings):
@@ -250,7 +252,7 @@ _TO_SIGMA = 1 / float(ndtri(0.75))
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
+class Moves(Immutable):
     """Sensors that moved.
 
     Attributes
@@ -304,7 +306,6 @@ def find_moves(
     sigma = _TO_SIGMA * float(np.median(np.abs(finite - middle)))
     z = (gain - middle) / max(sigma, np.finfo(float).tiny)
     p_values = np.where(gain > 0, np.minimum(1.0, len(names) * ndtr(-z)), 1.0)
-    p_values.setflags(write=False)
     return Moves(
         names=names,
         p_values=p_values,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.evidence import SIMILARITIES, PairStatistics, Similarity
+from anisomap.immutable import Immutable
 from anisomap.numerics.contacts.contact_agreement import (
     agreement_of_sums,
     distinct_contacts,
@@ -24,7 +25,7 @@ _MIN_CONTACTS = 2  # for a sampling variance
 
 
 @dataclass(frozen=True, eq=False)
-class PairSums:
+class PairSums(Immutable):
     """Sums over the frames of one or several recordings, for all pairs of n sensors.
 
     Attributes
@@ -75,20 +76,21 @@ class PairSums:
 
     def merged(self, other: PairSums) -> PairSums:
         """Add the sums of other frames of the same sensors, in any order."""
-        return PairSums(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        return PairSums(*map(np.add, vars(self).values(), vars(other).values()))
 
     def spread(self, rows: NDArray[np.intp], n_sensors: int) -> PairSums:
         """Return the sums of `n_sensors` sensors, of which these are the given rows."""
         found = np.zeros((len(fields(self)), n_sensors, n_sensors))
-        for matrix, f in zip(found, fields(self), strict=True):
-            matrix[np.ix_(rows, rows)] = getattr(self, f.name)
+        for matrix, sums in zip(found, vars(self).values(), strict=True):
+            matrix[np.ix_(rows, rows)] = sums
         return PairSums(*found)
 
     def without(self, sensors: NDArray[np.intp]) -> PairSums:
         """Return sums in which no pair of the given sensors is known."""
         kept = ~np.isin(np.arange(len(self.products)), sensors)
-        inside = kept[:, None] & kept
-        return PairSums(*(np.where(inside, getattr(self, f.name), 0.0) for f in fields(self)))
+        return PairSums(
+            *(np.where(kept[:, None] & kept, sums, 0.0) for sums in vars(self).values())
+        )
 
     def statistics(self, similarity: str) -> PairStatistics:
         """Return the similarity of all pairs, by the key given to `of`, and its variance."""

@@ -16,6 +16,8 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.health import assess
+from anisomap.immutable import Immutable
+from anisomap.numerics.graph.neighbour_graphs import labels_by_size
 from anisomap.numerics.neighbours import Kernel, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
 from anisomap.recording import Recording, as_runs, join_runs, match_names
@@ -41,17 +43,17 @@ _EXPLAINED = 0.5  # share of the variance of a map that its own evidence must ex
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """From the map of new evidence to the frame of an old map.
+    """From a component of the map of new evidence to the frame of an old map.
 
-    rows: Rows of the old map from which the frame is known.
+    shared: Mask of the sensors of the component from which the frame is known.
     label: Their component on the old map.
     to_before: From the map of all evidence to that of the old evidence.
     to_old: From the map of the old evidence to the old map.
-    base, field (n, k): Places of `rows` by `to_old`, and the corrections that the old map has
-        there.
+    base, field (n, k): Places of these sensors by `to_old`, and the corrections that the old map
+        has there.
     """
 
-    rows: NDArray[np.intp]
+    shared: NDArray[np.bool_]
     label: int
     to_before: Similarity
     to_old: Similarity
@@ -94,22 +96,21 @@ def carry_over(
             continue
         rows = match_names([after.names[i] for i in members], names)
         carried, corrected, doubt = frame.carry(after.positions[members], spacing_of(old))
-        place = np.full(len(names), -1)
-        place[frame.rows] = np.arange(len(frame.rows))
-        place = place[rows]
-        kept = (place >= 0) & ~measured[rows]
-        positions[rows[kept]] += carried[kept] - frame.base[place[kept]]
-        new, appended = place < 0, rows[place < 0]
+        new, known, appended = ~frame.shared, rows[frame.shared], rows[~frame.shared]
+        change = carried[frame.shared] - frame.base
+        positions[known] += np.where(measured[known, None], 0, change)
         positions[appended], component[appended] = corrected[new], frame.label
-        nearest = range(1, 1 + min(_NEIGHBOURS, len(frame.rows)))
+        nearest = range(1, 1 + min(_NEIGHBOURS, len(known)))
         near = KDTree(frame.base).query(carried[new], k=nearest)[1]
-        errors[appended] = np.hypot(old.errors[frame.rows[near]].max(axis=1), doubt[new])
+        errors[appended] = np.hypot(old.errors[known[near]].max(axis=1), doubt[new])
         if normals is not None:
             normals[appended] = np.nan
+    placed = component != UNPLACED
+    component[placed] = labels_by_size(np.unique(component[placed], return_inverse=True)[1])
     return replace(
         grown,
         positions=positions,
-        component=_renumbered(component),
+        component=component,
         errors=errors,
         normals=normals,
         stress=after.stress,
@@ -151,7 +152,7 @@ def _frame(
     there, then = match_names(names, old.names), match_names(names, before.names)
     labels = np.stack([old.component[there], before.component[then]])
     shared = (np.minimum(there, then) >= 0) & (labels != UNPLACED).all(axis=0)
-    shared &= np.array([name not in moved for name in names])
+    shared &= ~np.isin(names, moved)
     if not shared.any():
         return None
     groups, group, counts = np.unique(
@@ -159,8 +160,8 @@ def _frame(
     )
     largest = int(counts.argmax())
     label = int(groups[0, largest])
-    chosen = np.flatnonzero(shared)[group.ravel() == largest]
-    new, there, then = members[chosen], there[chosen], then[chosen]
+    shared[shared] = group.ravel() == largest
+    new, there, then = members[shared], there[shared], then[shared]
     if len(new) <= after.dimensions:
         return None
     fit = fit_similarity_robustly if len(new) >= MIN_COMPARED else fit_similarity
@@ -175,14 +176,7 @@ def _frame(
             "the statistics belong to a map of another shape; give the file that was written with "
             "this map"
         )
-    return _Frame(there, label, to_before, to_old, base, field)
-
-
-def _renumbered(component: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Give components new numbers, in order of decreasing size."""
-    labels, sizes = np.unique(component[component != UNPLACED], return_counts=True)
-    order = {int(label): i for i, label in enumerate(labels[np.argsort(-sizes, kind="stable")])}
-    return np.array([order.get(int(label), UNPLACED) for label in component], dtype=np.intp)
+    return _Frame(shared, label, to_before, to_old, base, field)
 
 
 UPDATE_LEVEL = 0.001
@@ -198,7 +192,7 @@ _MAX_PERMUTED = 1000  # sensors; a permutation of more takes long, and so many d
 
 
 @dataclass(frozen=True, eq=False)
-class Update:
+class Update(Immutable):
     """A map to which the evidence of a new recording was added, and what changed.
 
     Attributes
@@ -311,7 +305,7 @@ def update_map(
         _check_agreement(sensor_map, fresh, moved)
         total = evidence.without(moved).merged(fresh)
         before, after = map_evidence(evidence), map_evidence(total)
-    extra = [name for name in joined.names if name not in {*sensor_map.names, *after.names}]
+    extra = _others(joined.names, (*sensor_map.names, *after.names))
     placed = carry_over(sensor_map, before, after, moved, extra)
     healthy = {sensor.name: sensor.status for sensor in assess(runs)}
     notes = tuple(_notes(moves))
@@ -334,19 +328,25 @@ def update_map(
         [name for name, known in zip(one.names, one.placed, strict=True) if known]
         for one in (sensor_map, placed)
     )
-    added = tuple(name for name in now if name not in set(once))
+    added = _others(now, once)
     return Update(
         map=placed,
         evidence=total,
         added=added,
         moved=moved,
-        silent=tuple(name for name in once if name not in set(fresh.names)),
-        unplaced=tuple(name for name in joined.names if name not in set(now)),
+        silent=_others(once, fresh.names),
+        unplaced=_others(joined.names, now),
         agreement=_agreement(evidence, fresh, moved),
         difference=_as_difference(sensor_map, placed, moves, added),
         moves=moves,
         notes=notes,
     )
+
+
+def _others(names: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
+    """Return the names that are not among known ones."""
+    left_out = set(known)
+    return tuple(name for name in names if name not in left_out)
 
 
 def _notes(moves: Moves | None) -> Iterator[str]:
@@ -423,8 +423,6 @@ def _as_difference(
     distance = np.linalg.norm(after.positions - old, axis=1)
     listed = {} if moves is None else dict(zip(moves.names, moves.p_values.tolist(), strict=True))
     p_values = np.array([listed.get(name, np.nan) for name in names])
-    for array in (distance, p_values):
-        array.setflags(write=False)
     return Difference(
         names=names,
         before=old,
@@ -446,7 +444,8 @@ def _as_difference(
 
 def _agreement(old: Evidence, fresh: Evidence, moved: tuple[str, ...]) -> float:
     """Correlate the old and the new similarity, by the statistic that both have."""
-    names = [n for n in old.names if n in set(fresh.names) and n not in moved]
+    shared = set(fresh.names).difference(moved)
+    names = [name for name in old.names if name in shared]
     key = common_similarity(old, fresh)
     (before, known), (after, known_after) = (similarity_of(e, key, names) for e in (old, fresh))
     both = np.triu(known & known_after, 1)

@@ -157,30 +157,26 @@ def readings_snapshot(session: LiveSession) -> dict[str, Any]:
 
 def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
     """Return the quick map and, turned onto it, the checked map; None before the first one."""
-    quick = session.maps.quick
+    quick, checked = session.maps.quick, session.maps.checked
     if quick is None:
         return None
-    checked = _checked_positions(session.maps.checked, quick)
+    positions = _checked_positions(checked, quick)
     return {
-        "number": session.map_number,
         "names": list(quick.names),
         "dimensions": quick.positions.shape[1],
         "frames": quick.n_frames,
         "positions": _encoded(quick.positions),
-        "checked": None if checked is None else _encoded(checked),
-        "checked_dimensions": None if checked is None else checked.shape[1],
-        "checked_halo": _encoded(_checked_doubt(session.maps.checked, quick)),
-        "final": session.maps.checked is not None and session.maps.checked.final,
-        "stated": _stated(session.maps.options.truth, quick),
+        "checked": _encoded(positions),
+        "checked_dimensions": None if positions is None else positions.shape[1],
+        "checked_halo": _encoded(_checked_doubt(checked, quick)),
+        "final": checked is not None and checked.final,
+        "stated": _encoded(_stated_positions(session.maps.options.truth, quick)),
         "pairs": _encoded(quick.pairs, "<u4"),
         "halo": _encoded(_doubt(quick)),
         "contacts": quick.contacts.tolist(),
         "left_out": list(quick.left_out),
         "untouched": list(quick.advice.untouched),
-        "places": [
-            {"sensors": list(place.sensors), "words": place.in_words(quick.names)}
-            for place in quick.advice.places
-        ],
+        "places": [list(place.sensors) for place in quick.advice.places],
         "reason": quick.reason,
     }
 
@@ -221,7 +217,6 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "examining": session.maps.examining,
         "notices": [[round(note.seconds, 1), note.text] for note in list(session.notices)],
         "recording": "" if session.segment is None else str(session.segment.path),
-        "command": session.command,
     }
 
 
@@ -243,12 +238,9 @@ def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[
     return _aligned(found, quick)
 
 
-def _stated(truth: SensorMap | None, quick: QuickMap) -> str | None:
+def _stated_positions(truth: SensorMap | None, quick: QuickMap) -> NDArray[np.float64] | None:
     """Return the stated layout in the frame of the quick map; None if it cannot be turned."""
-    if truth is None:
-        return None
-    turned = _aligned(_in_order(truth, truth.positions, quick), quick)
-    return None if turned is None else _encoded(turned)
+    return None if truth is None else _aligned(_in_order(truth, truth.positions, quick), quick)
 
 
 def _aligned(found: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64] | None:
@@ -280,7 +272,9 @@ def _checked_doubt(checked: Examination | None, quick: QuickMap) -> NDArray[np.f
     return np.where(np.isfinite(found), np.minimum(found, 1.0), doubt)
 
 
-def _encoded(array: NDArray[Any], kind: str = "<f4") -> str:
+def _encoded(array: NDArray[Any] | None, kind: str = "<f4") -> str | None:
+    if array is None:
+        return None
     return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode("ascii")
 
 

@@ -116,9 +116,6 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(page.read_bytes(), f"{_TYPES[page.suffix]}; charset=utf-8")
         elif address.path == "/events":
             self._send_events()
-        elif address.path == "/state":
-            session = self.server.session
-            self._send_json({"map": map_snapshot(session), "status": status_snapshot(session)})
         elif address.path.startswith("/files/"):
             self._send_file(unquote(address.path.removeprefix("/files/"), **_BYTES))
         else:
@@ -249,15 +246,15 @@ def _stream(
     session: LiveSession, closing: threading.Event, send: Callable[[str, object], None]
 ) -> None:
     """Send the state of a session again and again; a slow reader misses states, not the last."""
-    tick = number = -1
-    told = 0.0
+    shown: tuple[object, object] = (None, None)
+    tick, told = -1, 0.0
     while not closing.is_set():
         with session.changed:
             session.changed.wait(_STATUS_S)
-        if session.map_number != number:
-            number = session.map_number
-            if (found := map_snapshot(session)) is not None:
-                send("map", found)
+        maps = session.maps.quick, session.maps.checked
+        if maps != shown and (found := map_snapshot(session)) is not None:
+            send("map", found)
+            shown = maps
         if session.tick != tick:
             tick = session.tick
             send("readings", readings_snapshot(session))

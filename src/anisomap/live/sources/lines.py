@@ -66,7 +66,6 @@ class LineParser:
     _names: tuple[str, ...] = ()
     _time_column: int | None = None
     _overlong: bool = False
-    _untold: bool = False
     _width: int = 0
 
     def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
@@ -106,20 +105,15 @@ class LineParser:
             if not text or text.startswith("#"):
                 continue
             try:
-                found = self._parse(text)
+                yield from self._parse(text)
             except (ValueError, OverflowError, RecursionError):
                 yield _rejected(repr(text[:_SHOWN]))
-                continue
-            if self._untold:
-                self._untold = False
-                yield Names(self._names)
-            if found is not None:
-                yield found
 
-    def _parse(self, text: str) -> _Frame | None:
-        """Return the time and the readings of a frame; None for a header."""
+    def _parse(self, text: str) -> Iterator[_Frame | Names]:
+        """Yield the names that a line gives, if they are new, and its frame."""
         if text[0] in "[{":
-            return self._parse_json(text)
+            yield from self._parse_json(text)
+            return
         fields = _split(text)
         if len(fields) > 1 and not fields[-1] and len(fields) != self._width:
             fields.pop()  # every line ends with a separator
@@ -130,34 +124,35 @@ class LineParser:
             if self._names or not _are_names(fields):
                 raise
             clock = next((i for i, name in enumerate(fields) if name.lower() in _TIMES), None)
-            self._time_column, self._untold = clock, True
+            self._time_column = clock
             self._names = tuple(name for i, name in enumerate(fields) if i != clock)
-            return None
+            yield Names(self._names)
+            return
         moment = None
         if self._time_column is not None and len(row) == len(self._names) + 1:
             moment = row.pop(self._time_column)
-        return _checked(moment, row)
+        yield _checked(moment, row)
 
-    def _parse_json(self, text: str) -> _Frame:
+    def _parse_json(self, text: str) -> Iterator[_Frame | Names]:
         value: Any = json.loads(text)
         moment: Any = None
         if isinstance(value, dict):
             for key in [key for key in value if key.lower() in _TIMES]:
                 moment = value.pop(key)
             lists = [item for item in value.values() if isinstance(item, list)]
-            value = max(lists, key=len) if lists else self._in_order(value)
+            if lists:
+                value = max(lists, key=len)
+            else:
+                known = {k: item for k, item in value.items() if item is None or _is_real(item)}
+                if not self._names and len(known) >= _MIN_SENSORS:
+                    self._names = tuple(known)
+                    yield Names(self._names)
+                # In the order of the first object.
+                value = [known.pop(name, None) for name in self._names] + list(known.values())
         if not all(item is None or _is_real(item) for item in value):
             raise ValueError("no list of numbers")
         row = [math.nan if item is None else float(item) for item in value]
-        return _checked(float(moment) if _is_real(moment) else None, row)
-
-    def _in_order(self, values: dict[str, Any]) -> list[Any]:
-        """Return the values of an object, in the order of the first object."""
-        known = {key: item for key, item in values.items() if item is None or _is_real(item)}
-        if not self._names and len(known) >= _MIN_SENSORS:
-            self._names, self._untold = tuple(known), True
-        ordered = [known.pop(name, None) for name in self._names]
-        return ordered + list(known.values())
+        yield _checked(float(moment) if _is_real(moment) else None, row)
 
 
 def _rejected(what: str) -> Notice:

@@ -187,7 +187,7 @@ export class MapView {
 
   _marks(context, points, radius) {
     this.places.forEach((place, n) => {
-      const inside = place.sensors.map((i) => points[i]).filter(Boolean);
+      const inside = place.map((i) => points[i]).filter(Boolean);
       if (!inside.length) return;
       const x = inside.reduce((sum, p) => sum + p[0], 0) / inside.length;
       const y = inside.reduce((sum, p) => sum + p[1], 0) / inside.length;
