@@ -46,8 +46,8 @@ app = App(
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="markdown",
-    # "[a].csv" is a file name; nothing is said of switches that are off.
-    default_parameter=Parameter(json_list=False, json_dict=False, show_default=_shown),
+    # "[a].csv" is a file name; switches and lists have no opposite, but those that name one.
+    default_parameter=Parameter(json_list=False, json_dict=False, negative=(), show_default=_shown),
 )
 
 COMMANDS: Mapping[str, str] = MappingProxyType(

@@ -133,8 +133,8 @@ class Printer:
         Print the results, or the error, as one JSON object.
     """
 
-    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"))] = False
+    as_json: Annotated[bool, Parameter(name="--json")] = False
 
     def __post_init__(self) -> None:
         self.values: dict[str, Any] = {}
