@@ -20,7 +20,7 @@ from anisomap.cli import INTERRUPTED, INTERRUPTION, end
 from anisomap.cli.console import (
     Printer,
     console,
-    discard_stdout,
+    discard,
     errors,
     prepare_streams,
     print_error,
@@ -119,7 +119,7 @@ def _report(error: Exception) -> int:
         case MemoryError():
             return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
         case BrokenPipeError():
-            discard_stdout()  # the reader has closed the pipe, which is not an error
+            discard(sys.stdout)  # the reader has closed the pipe, which is not an error
             return 0
     if os.environ.get("ANISOMAP_DEBUG"):
         raise error
