@@ -45,7 +45,7 @@ DRAW = ["simulate", "plane", "-s", "rubbing", "--sensors", "9", "--frames", "3",
         "--picture", "p.png"]  # fmt: skip
 SIMULATE_PHYSICS = ["simulate", "sphere", "-s", "bombardment", "--frames", "9", "-o", "m.npz"]
 CONVERT = ["convert", "map.json", "m.urdf", "--spacing", "5mm"]
-PAPER = ["paper", "--only", "text-s3", "--only", "figure-2", "--quick", "--output-dir", "m"]
+PAPER = ["paper", "--only", "text-s3", "--only", "figure-s10", "--quick", "--output-dir", "m"]
 
 
 @pytest.fixture
