@@ -173,7 +173,9 @@ class Printer:
         if not self._prints_text:
             return
         shown = rows[:max_rows]
-        table = Table(title=_text(title, "bold"), title_justify="left", box=None, header_style="dim")
+        table = Table(
+            title=_text(title, "bold"), title_justify="left", box=None, header_style="dim"
+        )
         for column, *cells in zip(columns, *shown, strict=True):
             table.add_column(
                 _text(column),

@@ -297,8 +297,9 @@ def _policy(scripts: list[str]) -> str:
 
 def _shown(value: object) -> object:
     """Replace what cannot be printed in a value that the page shows; its own markup stays."""
-    is_text = isinstance(value, str) and not hasattr(value, "__html__")
-    return printable(value) if is_text else value
+    if isinstance(value, str) and not hasattr(value, "__html__"):
+        return printable(value)
+    return value
 
 
 @cache
