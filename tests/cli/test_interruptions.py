@@ -19,6 +19,7 @@ import pytest
 
 import anisomap
 import watched
+from anisomap import reader_process
 from anisomap.cli import main
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, FileError
@@ -408,6 +409,7 @@ def read_while_it_changes(path, done):
                 if not number:
                     change(path)
         (done / name).touch()
+    reader_process.stop_all()
 
 
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
