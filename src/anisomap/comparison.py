@@ -405,18 +405,12 @@ def compare_methods(
         if progress is not None:
             progress((number + 1) / len(methods))
     common = np.asarray(np.isfinite(truth[kept]).all(axis=1))
-    for sensor_map, _ in made:
-        if sensor_map is not None and _is_scored(sensor_map):
-            common &= sensor_map.component == 0
-    scores = [
-        MethodScore(method, reason=reason)
-        if sensor_map is None
-        else _scored(method, sensor_map, truth[kept], common)
-        for method, (sensor_map, reason) in zip(methods, made, strict=True)
-    ]
+    for one in made:
+        if one.sensor_map is not None and not one.reason:
+            common &= one.sensor_map.component == 0
+    scores = tuple(_scored(one, truth[kept], common) for one in made)
     shape = recording.n_sensors, recording.n_frames
-    name = name or recording.source
-    return Comparison(name, *shape, dimensions, kept[common], tuple(scores))
+    return Comparison(name or recording.source, *shape, dimensions, kept[common], scores)
 
 
 def touched(recording: Recording, min_touches: int) -> NDArray[np.bool_]:
@@ -433,39 +427,34 @@ def spanned_dimensions(positions: NDArray[np.float64]) -> int:
     return max(1, int(np.count_nonzero(extents > _FLAT * extents[0])))
 
 
-def _made(
-    recording: Recording, method: str, dimensions: int, seed: int
-) -> tuple[SensorMap | None, str]:
-    """Return the map of one method, or the reason why there is none."""
+def _made(recording: Recording, method: str, dimensions: int, seed: int) -> MethodScore:
+    """Make the map of one method; there is no score yet, but a reason if there will be none."""
     try:
         if method in RIVALS:
-            return map_by_rival(recording, method, dimensions, seed=seed), ""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AnisomapWarning)  # the notes remain on the map
-            return reconstruct(recording, method, dimensions), ""
+            sensor_map = map_by_rival(recording, method, dimensions, seed=seed)
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", AnisomapWarning)  # the notes remain on the map
+                sensor_map = reconstruct(recording, method, dimensions)
     except MissingExtraError:
-        return None, f"not installed: {RIVALS[method].command}"
+        return MethodScore(method, reason=f"not installed: {RIVALS[method].command}")
     except InputError as error:
-        return None, str(error)
+        return MethodScore(method, reason=str(error))
+    n_placed, n_sensors = int(np.count_nonzero(sensor_map.component == 0)), recording.n_sensors
+    reason = f"its largest component holds {n_placed} of {n_sensors} sensors"
+    if n_placed > _MIN_SHARE * n_sensors:
+        reason = ""
+    return MethodScore(method, sensor_map=sensor_map, n_placed=n_placed, reason=reason)
 
 
 def _scored(
-    method: str,
-    sensor_map: SensorMap,
-    truth: NDArray[np.float64],
-    common: NDArray[np.bool_],
+    made: MethodScore, truth: NDArray[np.float64], common: NDArray[np.bool_]
 ) -> MethodScore:
-    n_placed = int(np.count_nonzero(sensor_map.component == 0))
-    unscored = MethodScore(method, sensor_map=sensor_map, n_placed=n_placed)
-    if not _is_scored(sensor_map):
-        reason = f"its largest component holds {n_placed} of {len(truth)} sensors"
-        return replace(unscored, reason=reason)
+    """Score a map on the sensors that all maps place. truth (N, k), common (N,)."""
+    if made.sensor_map is None or made.reason:
+        return made
     try:
-        found = score(SensorMap(sensor_map.positions[common]), truth[common], permutations=0)
+        found = score(SensorMap(made.sensor_map.positions[common]), truth[common], permutations=0)
     except InputError as error:
-        return replace(unscored, reason=str(error))
-    return replace(unscored, mantel_r=found.mantel.r, rms_in_spacings=found.rms_in_spacings)
-
-
-def _is_scored(sensor_map: SensorMap) -> bool:
-    return float(np.mean(sensor_map.component == 0)) > _MIN_SHARE
+        return replace(made, reason=str(error))
+    return replace(made, mantel_r=found.mantel.r, rms_in_spacings=found.rms_in_spacings)

@@ -406,7 +406,7 @@ def test_layouts_of_few_places(run, tmp_path):
     ],
 )
 def test_what_is_probably_a_mistake_is_doubted(tmp_path, command, said):
-    skin = flat_skin(n_frames=300)
+    skin = flat_skin(n_frames=100)
     anisomap.write(skin, tmp_path / "skin.npz")
     np.savetxt(tmp_path / "turned.csv", skin.readings.T, delimiter=",")
     quick = "-m r-anisomap --no-verdict --permutations 0 -o m.csv"

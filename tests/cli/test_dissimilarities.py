@@ -44,7 +44,8 @@ def dist_csv(tmp_path, points):
 
 
 def test_a_matrix_is_recognised_mapped_and_examined(run, dist_csv, points, tmp_path):
-    done = run("map", dist_csv, "-d", 2, "--picture", "stress", "--report", "r.html", "--json")
+    done = run("map", dist_csv, "-d", 2, "--picture", "stress", "--report", "r.html",
+               "--permutations", 19, "--json")  # fmt: skip
     assert done.code == 0, done.err
     found = anisomap.read_map(tmp_path / "dist.map.csv")
     assert found.names == tuple(f"p{i}" for i in range(12))
@@ -52,7 +53,7 @@ def test_a_matrix_is_recognised_mapped_and_examined(run, dist_csv, points, tmp_p
     fit = done.values["dissimilarities"]
     assert (fit["objects"], fit["pairs"], fit["unknown"]) == (12, 66, 0)
     assert fit["stress"] < 1e-3
-    assert fit["p_value"] == pytest.approx(0.01)
+    assert fit["p_value"] == pytest.approx(0.05)
     assert sum(fit["stress_per_point"].values()) == pytest.approx(1)
     assert (tmp_path / "dist.stress.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "r.html").exists()

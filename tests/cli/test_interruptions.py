@@ -6,21 +6,26 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import suppress
 from functools import partial
 from itertools import cycle
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 import anisomap
+import watched
+from anisomap import reader_process
 from anisomap.cli import main
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, FileError
 from anisomap.files import together
 from skins import flat_skin
+from watched import COUNT, run_watched
 
 if sys.platform == "win32":
     pytest.skip("signals, limits and permissions are those of Unix", allow_module_level=True)
@@ -41,7 +46,7 @@ DRAW = ["simulate", "plane", "-s", "rubbing", "--sensors", "9", "--frames", "3",
         "--picture", "p.png"]  # fmt: skip
 SIMULATE_PHYSICS = ["simulate", "sphere", "-s", "bombardment", "--frames", "9", "-o", "m.npz"]
 CONVERT = ["convert", "map.json", "m.urdf", "--spacing", "5mm"]
-PAPER = ["paper", "--only", "text-s3", "--only", "figure-2", "--quick", "--output-dir", "m"]
+PAPER = ["paper", "--only", "text-s3", "--only", "figure-s10", "--quick", "--output-dir", "m"]
 
 
 @pytest.fixture
@@ -57,17 +62,6 @@ def restore(folder):
     """Give every output its earlier content."""
     for suffix in ("csv", "npz", "urdf"):
         (folder / f"m.{suffix}").write_text(OLD)
-
-
-def start(folder, command, **options):
-    return subprocess.Popen(
-        [*COMMAND, *command],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
-    )
 
 
 def temporary(folder):
@@ -87,31 +81,6 @@ def errors_in(said):
     return [line for line in said.splitlines() if not line.startswith("warning")]
 
 
-WATCHED = """
-import os, re, sys
-from anisomap.cli import main
-
-number, wanted, command = int(sys.argv[1]), re.compile(sys.argv[2]), sys.argv[3:]
-seen, sent = 0, False
-
-def watch(event, arguments):
-    global seen, sent
-    seen += 1
-    if number and not sent:
-        sent = bool(wanted.fullmatch(f"{seen} {event} {arguments[0] if arguments else None}"))
-        if sent:
-            os.killpg(0, number)
-
-sys.addaudithook(watch)
-try:
-    main(command)
-finally:
-    if not number:
-        print(seen, file=sys.stderr)
-"""
-"""Runs a command, and sends a signal to its processes at the first event that is wanted: a regular
-expression of the number, name and first argument of an event that Python audits."""
-
 CODES = {
     signal.SIGINT: {130},
     signal.SIGTERM: {143, -signal.SIGTERM},
@@ -123,34 +92,68 @@ CODES = {
 CREATED, COMPLETE = r"\d+ open (.*/)?\.m-[^/]*", r"\d+ os\.rename .*"
 """Events of the temporary file of an output."""
 
-COUNT = 0  # no signal
 SHARES = 0.05, 0.3, 0.55, 0.7, 0.8, 0.9, 0.97, 0.999  # of the events of a command
 
 
-def at_event(folder, command, number, event, **options):
-    """Run a command, and send a signal at an event; return the exit code and standard error."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", WATCHED, str(int(number)), event, *command],
+def in_a_child(task):
+    """Run a task in a fork of this process; return its exit code, which is 0 unless it fails."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            task()
+            code = 0
+        except SystemExit as end:
+            code = end.code
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def at_event(folder, command, number, event, before=lambda: None):
+    """Run a command in a fork, with a signal at an event; return exit code and standard error.
+
+    A fork has imported most modules, which takes a new process a second.
+
+    before: Called in the fork first.
+    """
+
+    def task():
+        before()
+        os.setsid()
+        os.chdir(folder)
+        with open(os.devnull, "w") as sys.stdout, open(said, "w", buffering=1) as sys.stderr:  # noqa: PTH123
+            run_watched(number, event, command)
+
+    with tempfile.TemporaryDirectory() as other:
+        said = Path(other) / "stderr.txt"
+        said.touch()
+        return in_a_child(task), said.read_text()
+
+
+def at_event_of_process(folder, command, number, event):
+    """Run a command as `at_event` does, in a new process."""
+    process = subprocess.run(
+        [sys.executable, "-P", watched.__file__, str(int(number)), event, *command],
         cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        **options,
+        check=False,
     )
-    _, said = process.communicate()
-    return process.returncode, said
+    return process.returncode, process.stderr
 
 
 def test_a_command_outlives_its_terminal_if_it_is_started_by_nohup(folder):
     ignore = partial(signal.signal, signal.SIGHUP, signal.SIG_IGN)  # as nohup does
-    code, said = at_event(folder, CONVERT, signal.SIGHUP, CREATED, preexec_fn=ignore)
+    code, said = at_event(folder, CONVERT, signal.SIGHUP, CREATED, ignore)
     assert (code, errors_in(said)) == (0, [])
     assert anisomap.read_map(folder / "m.urdf").n_sensors == 100
 
 
 @pytest.mark.parametrize("number", CODES)
-@pytest.mark.parametrize("event", [pytest.param(CREATED, marks=pytest.mark.slow), COMPLETE])
+@pytest.mark.parametrize("event", [CREATED, COMPLETE])
 def test_a_signal_while_writing_leaves_nothing_half_written(folder, number, event):
     code, said = at_event(folder, CONVERT, number, event)
     assert code in CODES[number]
@@ -189,10 +192,8 @@ print(*sorted(set(sys.modules) - before))
 
 @pytest.mark.parametrize("module", ["anisomap.cli.app", "cyclopts", "numpy", "rich.console"])
 def test_interruption_of_an_import(folder, module):
-    assert at_event(folder, ["formats"], signal.SIGINT, rf"\d+ import {module}") == (
-        130,
-        REPORT + "\n",
-    )
+    ended = at_event_of_process(folder, ["formats"], signal.SIGINT, rf"\d+ import {module}")
+    assert ended == (130, REPORT + "\n")
 
 
 @pytest.mark.slow
@@ -201,7 +202,7 @@ def test_interruption_of_an_import(folder, module):
 def test_interruption_of_an_import_of_extensions(folder, module, number):
     """Extension modules replace exceptions within their import by others."""
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
-    code, said = at_event(folder, SIMULATE_PHYSICS, number, rf"\d+ import {module}")
+    code, said = at_event_of_process(folder, SIMULATE_PHYSICS, number, rf"\d+ import {module}")
     assert code in CODES[number]
     assert errors_in(said) == ([REPORT] if number == signal.SIGINT else [])
     assert whole(folder, SIMULATE_PHYSICS)
@@ -246,20 +247,24 @@ def test_an_error_after_a_signal_is_its_consequence(capsys, number):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [MAP, SIMULATE, CONVERT], ids=lambda words: words[0])
-def test_a_signal_at_any_time_leaves_outputs_whole(folder, command):
-    code, said = at_event(folder, command, COUNT, "none")
+@pytest.mark.parametrize(
+    ("command", "at"),
+    [(MAP, at_event), (SIMULATE, at_event), (CONVERT, at_event), (CONVERT, at_event_of_process)],
+    ids=["map", "simulate", "convert", "import and convert"],
+)
+def test_a_signal_at_any_time_leaves_outputs_whole(folder, command, at):
+    code, said = at(folder, command, COUNT, "none")
     assert code == 0, said
     n_events = int(said.splitlines()[-1])
     for share, number in zip(SHARES, cycle(CODES), strict=False):
         restore(folder)
-        code, said = at_event(folder, command, number, rf"{int(share * n_events)} .*")
+        code, said = at(folder, command, number, rf"{int(share * n_events)} .*")
         assert code in {0, *CODES[number]}, said
         if number != signal.SIGKILL:
             assert errors_in(said) in ([], [REPORT])
             assert not temporary(folder)
         assert whole(folder, command)
-    code, said = at_event(folder, command, COUNT, "none")
+    code, said = at(folder, command, COUNT, "none")
     assert code == 0, "a run after the interrupted ones succeeds"
     assert whole(folder, command)
 
@@ -268,14 +273,14 @@ def test_a_signal_at_any_time_leaves_outputs_whole(folder, command):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_reproduction_of_the_paper_continues(folder, number):
     pytest.importorskip("mujoco", reason="needs the extra 'paper'")
-    process = start(folder, PAPER, start_new_session=True)
+    words = [*COMMAND, *PAPER]
+    process = subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, start_new_session=True)
     while process.poll() is None and not list(folder.glob("m/*")):
         time.sleep(0.02)
     os.killpg(process.pid, number)
     process.communicate()
-    done = start(folder, PAPER)
-    _, said = done.communicate()
-    assert done.returncode == 0, said
+    done = subprocess.run(words, cwd=folder, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 0, done.stderr
     assert (folder / "m" / "index.html").read_text(encoding="utf-8").rstrip().endswith("</html>")
 
 
@@ -291,16 +296,15 @@ def limited():
         pytest.param(SIMULATE, marks=pytest.mark.slow),
         pytest.param([*MAP, "--report", "r.html"], marks=pytest.mark.slow),
         pytest.param([*MAP, "--picture", "p.png"], marks=pytest.mark.slow),
-        pytest.param([*MAP, "--checkpoint", "c.npz"], marks=pytest.mark.slow),
+        [*MAP, "--checkpoint", "c.npz"],
     ],
     ids=lambda words: " ".join([words[0], *words[-2:-1]]),
 )
 def test_a_full_disk_is_an_error_without_a_half_written_file(folder, command):
     before = {path.name for path in folder.iterdir()}
-    process = start(folder, command, preexec_fn=limited)
-    _, said = process.communicate()
+    code, said = at_event(folder, command, COUNT, "none", limited)
     errors = [line for line in said.splitlines() if line.startswith("error:")]
-    assert process.returncode == 2
+    assert code == 2
     assert len(errors) == 1
     assert "cannot write" in errors[0]
     assert "defect" not in said
@@ -333,19 +337,6 @@ def test_every_writer_removes_what_it_could_not_finish(folder, suffix):
     assert {file.name for file in folder.iterdir()} == before
 
 
-def in_a_child(task):
-    """Run a task in a process of its own; return its exit code, which is 0 unless it fails."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            task()
-            code = 0
-        finally:
-            os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
 def without_privileges():
     """Take the right to write anywhere from root, who keeps the rights of an owner."""
     drop_from_bounding_set, override, read_search = 24, 1, 2  # linux/prctl.h, linux/capability.h
@@ -361,16 +352,15 @@ def test_a_folder_without_write_permission_is_an_error(folder):
     closed = folder / "closed"
     closed.mkdir()
     closed.chmod(0o500)
+    words = [*COMMAND, "convert", "map.json", "closed/m.csv"]
+    run_it = partial(subprocess.run, words, cwd=folder, capture_output=True, text=True, check=False)
     try:
-        process = start(
-            folder, ["convert", "map.json", "closed/m.csv"], preexec_fn=without_privileges
-        )
+        done = run_it(preexec_fn=without_privileges)
     except subprocess.SubprocessError:
         pytest.skip("this process may not drop its privileges")
-    _, said = process.communicate()
     closed.chmod(0o700)
-    assert process.returncode == 2
-    assert said == "error: cannot write closed/m.csv: Permission denied\n"
+    assert done.returncode == 2
+    assert done.stderr == "error: cannot write closed/m.csv: Permission denied\n"
     assert not list(closed.iterdir())
 
 
@@ -407,16 +397,19 @@ def large(path):
             pytest.importorskip("pyarrow.feather").write_feather(table, path, chunksize=500)
 
 
-def read_while(change, path):
-    """Change a file after its first block; exit with 0 for a result or an AnisomapError."""
-    with (
-        suppress(AnisomapError),
-        anisomap.io.open_stream(path, frames=100) as stream,
-    ):
-        for number, block in enumerate(stream.blocks):
-            assert block.readings.shape[1] == 8
-            if not number:
-                change(path)
+def read_while_it_changes(path, done):
+    """Change a file after its first block, in each way; every reading ends or is refused."""
+    content = path.read_bytes()
+    for name, change in CHANGES.items():
+        path.unlink(missing_ok=True)  # not overwritten, since it may be the file of another reader
+        path.write_bytes(content)
+        with suppress(AnisomapError), anisomap.io.open_stream(path, frames=100) as stream:
+            for number, block in enumerate(stream.blocks):
+                assert block.readings.shape[1] == 8
+                if not number:
+                    change(path)
+        (done / name).touch()
+    reader_process.stop_all()
 
 
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
@@ -425,14 +418,13 @@ def read_while(change, path):
     ["a.csv", "a.npz", "a.npy", "data.log", "a.h5", "a.parquet", "a.feather"],
 )
 def test_a_file_that_changes_while_it_is_read(tmp_path, name):
-    path = tmp_path / name
-    large(path)
-    content = path.read_bytes()
-    for name_of_change, change in CHANGES.items():
-        path.unlink(missing_ok=True)  # not overwritten, since it may be the file of another reader
-        path.write_bytes(content)
-        # In another process, which a bus error would end.
-        assert in_a_child(partial(read_while, change, path)) == 0, name_of_change
+    large(tmp_path / name)
+    done = tmp_path / "done"
+    done.mkdir()
+    # In another process, which a bus error would end.
+    code = in_a_child(partial(read_while_it_changes, tmp_path / name, done))
+    assert {path.name for path in done.iterdir()} == CHANGES.keys()
+    assert code == 0
 
 
 def test_an_interrupted_verdict_leaves_the_map(folder, monkeypatch, capsys):

@@ -258,7 +258,8 @@ def test_ports_in_use_are_errors_before_anything_is_recorded(run, skin_csv, tmp_
 def test_a_report_states_where_it_comes_from(tmp_path):
     skin = flat_skin(n_frames=300)
     anisomap.write(replace(skin, positions=skin.positions / 1000, units="m"), tmp_path / "skin.npz")
-    words = ("map", "skin.npz", "-d", 2, "--no-verdict", "--permutations", 9, "--report", "r.html")
+    words = ("map", "skin.npz", "-d", 2, "-m", "r-anisomap", "--no-verdict", "--permutations", 9,
+             "--report", "r.html")  # fmt: skip
     assert call(tmp_path, *words).code == 0
     page = (tmp_path / "r.html").read_text()
     digest = hashlib.sha256((tmp_path / "skin.npz").read_bytes()).hexdigest()

@@ -70,7 +70,7 @@ def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
 def test_sensors_on_a_line_are_listed_in_their_order(run_map):
     rng = np.random.default_rng(0)
     places = rng.permutation(np.arange(24.0))
-    touches = rng.uniform(0, 23, (2000, 1))
+    touches = rng.uniform(0, 23, (1000, 1))
     recording = anisomap.Recording(np.maximum(0, 3 - abs(touches - places)))
     anisomap.write(recording, "line.npz")
     chosen = run_map("line.npz", "-d", "auto", "-m", "covariogram")

@@ -20,7 +20,7 @@ from anisomap.cli import INTERRUPTED, INTERRUPTION, end
 from anisomap.cli.console import (
     Printer,
     console,
-    discard_stdout,
+    discard,
     errors,
     prepare_streams,
     print_error,
@@ -46,8 +46,8 @@ app = App(
     help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="markdown",
-    # "[a].csv" is a file name; nothing is said of switches that are off.
-    default_parameter=Parameter(json_list=False, json_dict=False, show_default=_shown),
+    # "[a].csv" is a file name; switches and lists have no opposite, but those that name one.
+    default_parameter=Parameter(json_list=False, json_dict=False, negative=(), show_default=_shown),
 )
 
 COMMANDS: Mapping[str, str] = MappingProxyType(
@@ -119,7 +119,7 @@ def _report(error: Exception) -> int:
         case MemoryError():
             return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
         case BrokenPipeError():
-            discard_stdout()  # the reader has closed the pipe, which is not an error
+            discard(sys.stdout)  # the reader has closed the pipe, which is not an error
             return 0
     if os.environ.get("ANISOMAP_DEBUG"):
         raise error

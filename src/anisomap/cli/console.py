@@ -56,24 +56,19 @@ class _Terminal(Console):
         try:
             super().__exit__(*raised)
         except OSError as error:
-            _discard(self.file)
+            discard(self.file)
             self.begin_capture()
             self.end_capture()  # forgets the text that was not written
             raise FileError(f"cannot write to standard output: {error.strerror}") from error
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
-        _discard(self.file)
+        discard(self.file)
 
 
-def _discard(stream: IO[str]) -> None:
+def discard(stream: IO[str]) -> None:
     """Send the rest of a stream, buffered text included, to the null device."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def discard_stdout() -> None:
-    """Discard the rest of standard output."""
-    _discard(sys.stdout)
 
 
 console = _Terminal(highlight=False, soft_wrap=False)
@@ -133,8 +128,8 @@ class Printer:
         Print the results, or the error, as one JSON object.
     """
 
-    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"), negative=())] = False
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"))] = False
+    as_json: Annotated[bool, Parameter(name="--json")] = False
 
     def __post_init__(self) -> None:
         self.values: dict[str, Any] = {}
@@ -152,7 +147,7 @@ class Printer:
         """Print names and values, one per line."""
         if not self._prints_text:
             return
-        self._emit(console.print, _title(title))
+        self._emit(console.print, _text(title, "bold"))
         left = max((len(name) for name in facts), default=0) + 3
         for name, value in facts.items():
             # Names and paths stay whole, to be copied, however narrow the terminal is.
@@ -178,16 +173,18 @@ class Printer:
         if not self._prints_text:
             return
         shown = rows[:max_rows]
-        table = Table(title=_title(title), title_justify="left", box=None, header_style="dim")
+        table = Table(
+            title=_text(title, "bold"), title_justify="left", box=None, header_style="dim"
+        )
         for column, *cells in zip(columns, *shown, strict=True):
             table.add_column(
-                _cell(column),
+                _text(column),
                 justify="right" if all(map(_is_number, cells)) else "left",
                 overflow="fold",
                 min_width=min(_MIN_WIDTH, max(map(len, (column, *cells)))),
             )
         for row in shown:
-            table.add_row(*map(_cell, row))
+            table.add_row(*map(_text, row))
         self._emit(console.print, table)
         if len(shown) < len(rows):
             self.line(f"  ... and {len(rows) - len(shown)} more")
@@ -264,12 +261,8 @@ def attributes(source: object, names: str) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names.split()}
 
 
-def _cell(text: str) -> Text:
-    return Text(printable(text))
-
-
-def _title(text: str) -> Text:
-    return Text(printable(text), style="bold")
+def _text(text: str, style: str = "") -> Text:
+    return Text(printable(text), style=style)
 
 
 def plain(value: Any) -> Any:

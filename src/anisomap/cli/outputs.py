@@ -245,7 +245,7 @@ def finish(
             print_verdict(printer, shown)
         record_map(printer, shown)
         result = truth.score(printer, shown, "Score against the true positions", examined.recording)
-        files += outputs.write_all(shown, result, examined, coverage)[len(files) :]
+        files = outputs.write_all(shown, result, examined, coverage)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; {paths} is written, without a verdict") from None
     printer.files([*others, *files])

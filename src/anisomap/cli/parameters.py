@@ -51,15 +51,13 @@ method_group = Group("Method", sort_key=2)
 score_group = Group("Score", sort_key=3)
 expert_group = Group("Expert options", sort_key=9, help_formatter=_describe_experts)
 expert = Parameter(group=expert_group)
-expert_flag = Parameter(group=expert_group, negative=())
 
 
 Count: TypeAlias = Annotated[int, Parameter(validator=Number(gte=1))]
 Amount: TypeAlias = Annotated[int, Parameter(validator=Number(gte=0))]
-Words: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
-Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 
 
+@Parameter(name="*", group=reading_group)
 @dataclass(frozen=True)
 class ReadingOptions:
     """Options of readers.
@@ -87,7 +85,7 @@ class ReadingOptions:
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
     grid: str = ""
-    msg: Annotated[list[Path], expert_flag] = field(default_factory=list)
+    msg: Annotated[list[Path], expert] = field(default_factory=list)
     preset: str = ""
     positions: Path | None = None
     bin_width: Annotated[str, expert] = ""
@@ -112,6 +110,7 @@ PRINTER = Printer()
 """Stands for the printer of a command, which `app` makes."""
 
 
+@Parameter(name="*", group=outputs_group)
 @dataclass(frozen=True)
 class PlacingOptions:
     """Scale, handedness and frame of a map.
@@ -131,9 +130,9 @@ class PlacingOptions:
     """
 
     spacing: str = ""
-    mirror: Annotated[bool, expert_flag] = False
+    mirror: Annotated[bool, expert] = False
     frame: Annotated[str, expert] = ""
-    split_components: Annotated[bool, expert_flag] = False
+    split_components: Annotated[bool, expert] = False
 
     def check(self, outputs: Iterable[Path], units: str = "") -> None:
         """Check, before the map is computed, that the outputs can be written."""
@@ -220,9 +219,7 @@ QUALITIES = join_items([level.replace(" ", "-") for level in reversed(list(LEVEL
 
 Quality: TypeAlias = Annotated[str, Parameter(converter=_read_quality)]
 
-Output: TypeAlias = Annotated[
-    list[Path] | None, Parameter(alias="-o", group=outputs_group, negative=())
-]
+Output: TypeAlias = Annotated[list[Path] | None, Parameter(alias="-o", group=outputs_group)]
 Picture: TypeAlias = Annotated[
     Path | None,
     Parameter(group=outputs_group, help="File for a figure: .png, .svg or .pdf."),
@@ -251,7 +248,6 @@ Exclude: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
         group=expert_group,
-        negative=(),
         help="Sensors to leave out of the score, but not of the map: names or indices, separated "
         "by commas; may be repeated.",
     ),
@@ -279,7 +275,6 @@ Drop: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
         group=method_group,
-        negative=(),
         help="Sensors to leave out of the map: names or indices, separated by commas; may be "
         "repeated.",
     ),
@@ -297,9 +292,7 @@ Missing: TypeAlias = Annotated[
 ]
 
 
-Placing: TypeAlias = Annotated[PlacingOptions, Parameter(name="*", group=outputs_group)]
 Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)]
-Reading: TypeAlias = Annotated[ReadingOptions, Parameter(name="*", group=reading_group)]
 
 
 def beside(path: Path, suffix: str) -> Path:

@@ -141,15 +141,15 @@ def compare(
     ],
     /,
     *,
-    method: Annotated[options.Words, Parameter(alias="-m", group=options.method_group)] = None,
+    method: Annotated[list[str] | None, Parameter(alias="-m", group=options.method_group)] = None,
     dimensions: Annotated[
         list[int] | None,
-        Parameter(alias="-d", group=options.method_group, negative=(), validator=Number(gte=1)),
+        Parameter(alias="-d", group=options.method_group, validator=Number(gte=1)),
     ] = None,
     min_touches: Annotated[options.Amount, options.expert] = MIN_TOUCHES,
     missing: options.Missing = "error",
     seed: options.Seed = 0,
-    reading: options.Reading = options.DEFAULT_READING,
+    reading: options.ReadingOptions = options.DEFAULT_READING,
     output: options.Output = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:

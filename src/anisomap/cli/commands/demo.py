@@ -80,11 +80,11 @@ def paper(
     output_dir: Annotated[Path, Parameter(name=("--output-dir", "--output", "-o"))] = Path(
         "paper-out"
     ),
-    quick: options.Flag = False,
+    quick: bool = False,
     first_seed: Annotated[options.Amount, options.expert] = 1,
     workers: options.Count | None = None,
     recordings: Path | None = None,
-    only: options.Words = None,
+    only: list[str] | None = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper, with a page of all results.

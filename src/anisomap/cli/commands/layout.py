@@ -42,7 +42,7 @@ def check(
     time_shifts: Annotated[options.Count, options.expert] = N_SHIFTS,
     seed: options.Seed = 0,
     missing: options.Missing = "error",
-    reading: options.Reading = options.DEFAULT_READING,
+    reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> int:
     """Check sensor positions against a recording: whose readings contradict their positions.

@@ -36,6 +36,7 @@ _LINE_S = 1.0  # between two lines of --headless
 _POLL_S = 0.2  # between two looks at whether the session is over
 
 
+@Parameter(name="*", group=_page)
 @dataclass(frozen=True)
 class PageOptions:
     """The page in the browser.
@@ -60,8 +61,8 @@ class PageOptions:
 
     port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535)), options.expert] = 8765
     host: Annotated[str, options.expert] = "127.0.0.1"
-    browser: Annotated[bool, options.expert] = True
-    headless: options.Flag = False
+    browser: Annotated[bool, Parameter(negative="--no-browser"), options.expert] = True
+    headless: bool = False
     until: options.Quality | None = None
     duration: Annotated[float | None, Parameter(name="--for", validator=Number(gt=0))] = None
 
@@ -78,7 +79,7 @@ def live(
     /,
     *,
     simulate: Annotated[str | None, Parameter(group=_source)] = None,
-    coached: Annotated[bool, options.expert_flag] = False,
+    coached: Annotated[bool, options.expert] = False,
     speed: Annotated[float, Parameter(group=_source, validator=Number(gte=0))] = 1.0,
     seed: options.Seed = 0,
     preset: Annotated[str, Parameter(group=_source)] = "",
@@ -92,7 +93,7 @@ def live(
     ] = "auto",
     drop: options.Drop = None,
     truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
-    page: Annotated[PageOptions, Parameter(name="*", group=_page)] = PageOptions(),
+    page: PageOptions = PageOptions(),
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Map a skin while it is touched, and show where to touch next.

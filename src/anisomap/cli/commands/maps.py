@@ -28,7 +28,7 @@ def convert(
     output: Annotated[Path, Parameter(help="File to write; its suffix chooses the format.")],
     /,
     *,
-    placing: options.Placing = options.DEFAULT_PLACING,
+    placing: options.PlacingOptions = options.DEFAULT_PLACING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Write a map in another format: for robot software, a viewer or a spreadsheet.
@@ -178,7 +178,7 @@ def update(
     statistics: Annotated[Path | None, options.expert] = None,
     drop: options.Drop = None,
     missing: options.Missing = "error",
-    reading: options.Reading = options.DEFAULT_READING,
+    reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Add the evidence of a new recording to a map, and say what changed.

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from anisomap.sensor_map import SensorMap
 
 
+_MM = 1e3  # per metre
+
+
+@Parameter(name="*", group=Group("Self-touch", sort_key=4))
 @dataclass(frozen=True)
 class SelfTouchOptions:
     """Contacts of the patch with another patch of the robot, whose positions are known.
@@ -53,11 +57,11 @@ class SelfTouchOptions:
     self_touch: Path | None = None
     urdf: Annotated[Path | None, options.expert] = None
     joints: Annotated[Path | None, options.expert] = None
-    degrees: Annotated[bool, options.expert_flag] = False
+    degrees: Annotated[bool, options.expert] = False
     link: Annotated[str, options.expert] = ""
     other: Annotated[Path | None, options.expert] = None
     other_link: Annotated[str, options.expert] = ""
-    fixed_shape: Annotated[bool, options.expert_flag] = False
+    fixed_shape: Annotated[bool, options.expert] = False
 
     @property
     def files(self) -> list[Path | None]:
@@ -109,13 +113,7 @@ class SelfTouchOptions:
         return found
 
 
-anchors_group = Group("Anchors", sort_key=2)
-modules_group = Group("Modules", sort_key=3)
-touch_group = Group("Self-touch", sort_key=4)
-
-_MM = 1e3  # per metre
-
-
+@Parameter(name="*", group=Group("Anchors", sort_key=2))
 @dataclass(frozen=True)
 class AnchorOptions:
     """Sensors with a known position.
@@ -131,7 +129,7 @@ class AnchorOptions:
         Unit of the file of --anchors, if it states none.
     """
 
-    anchor: Annotated[list[str], Parameter(negative=())] = field(default_factory=list)
+    anchor: list[str] = field(default_factory=list)
     anchors: Path | None = None
     units: Annotated[str, options.expert] = ""
 
@@ -152,6 +150,7 @@ class AnchorOptions:
         return anchors_at(given, normals) if given else None
 
 
+@Parameter(name="*", group=Group("Modules", sort_key=3))
 @dataclass(frozen=True)
 class ModuleOptions:
     """Rigid modules.
@@ -210,11 +209,9 @@ def place_map(
     output: options.Output = None,
     picture: options.Picture = None,
     frame: Annotated[str, options.expert] = "",
-    known: Annotated[AnchorOptions, Parameter(name="*", group=anchors_group)] = AnchorOptions(),
-    rigid: Annotated[ModuleOptions, Parameter(name="*", group=modules_group)] = ModuleOptions(),
-    touching: Annotated[
-        SelfTouchOptions, Parameter(name="*", group=touch_group)
-    ] = SelfTouchOptions(),
+    known: AnchorOptions = AnchorOptions(),
+    rigid: ModuleOptions = ModuleOptions(),
+    touching: SelfTouchOptions = SelfTouchOptions(),
     mesh: Path | None = None,
     mesh_units: Annotated[str, options.expert] = "m",
     spacing: str = "",

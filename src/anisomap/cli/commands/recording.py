@@ -35,8 +35,8 @@ def info(
     recording: options.RecordingFile,
     /,
     *,
-    all_sensors: Annotated[bool, Parameter(name="--all", negative=())] = False,
-    reading: options.Reading = options.DEFAULT_READING,
+    all_sensors: Annotated[bool, Parameter(name="--all")] = False,
+    reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Summarise a recording, and flag faulty sensors and faults of the read-out.
@@ -85,7 +85,7 @@ def repair(
     /,
     *,
     output: Annotated[Path | None, Parameter(alias="-o")] = None,
-    reading: options.Reading = options.DEFAULT_READING,
+    reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Mend the faults of a recording that can be mended, and write it.
@@ -112,6 +112,7 @@ def repair(
     printer.files([("recording", output)])
 
 
+@Parameter(name="*", group=options.expert_group)
 @dataclass(frozen=True)
 class TuningOptions:
     """Settings of the methods.
@@ -135,7 +136,7 @@ class TuningOptions:
     regularisation: float = DEFAULT_MU
     entropy_bins: int = DEFAULT_BINS
     n_neighbours: int | None = None
-    even_spacing: options.Flag = False
+    even_spacing: bool = False
     tolerance: float = TOLERANCE
     max_iterations: int = MAX_ITERATIONS
 
@@ -153,6 +154,7 @@ class TuningOptions:
         )
 
 
+@Parameter(name="*", group=options.expert_group)
 @dataclass(frozen=True)
 class LargeOptions:
     """Options for large recordings.
@@ -173,7 +175,7 @@ class LargeOptions:
     workers: options.Count = 1
     dask: str = ""
     checkpoint: Path | None = None
-    approximate: options.Flag = False
+    approximate: bool = False
 
     @property
     def given(self) -> bool:
@@ -192,7 +194,9 @@ def map_recording(
     ],
     /,
     *,
-    dissimilarities: Annotated[bool | None, Parameter(group=options.method_group)] = None,
+    dissimilarities: Annotated[
+        bool | None, Parameter(group=options.method_group, negative="--no-dissimilarities")
+    ] = None,
     weights: Annotated[Path | None, options.expert] = None,
     output: options.Output = None,
     picture: options.Picture = None,
@@ -204,15 +208,13 @@ def map_recording(
     dimensions: options.MapDimensions = "auto",
     drop: options.Drop = None,
     missing: options.Missing = "error",
-    repair: Annotated[bool, Parameter(group=options.method_group, negative=())] = False,
-    tuning: Annotated[
-        TuningOptions, Parameter(name="*", group=options.expert_group)
-    ] = TuningOptions(),
-    reading: options.Reading = options.DEFAULT_READING,
-    verdict: Annotated[bool, Parameter(group=options.method_group)] = True,
-    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group, negative=())] = False,
+    repair: Annotated[bool, Parameter(group=options.method_group)] = False,
+    tuning: TuningOptions = TuningOptions(),
+    reading: options.ReadingOptions = options.DEFAULT_READING,
+    verdict: Annotated[bool, Parameter(group=options.method_group, negative="--no-verdict")] = True,
+    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group)] = False,
     min_quality: Annotated[options.Quality | None, options.expert] = None,
-    placing: options.Placing = options.DEFAULT_PLACING,
+    placing: options.PlacingOptions = options.DEFAULT_PLACING,
     truth: options.Truth = None,
     exclude: options.Exclude = None,
     permutations: Annotated[
@@ -227,9 +229,7 @@ def map_recording(
     ] = None,
     seed: options.Seed = 0,
     printer: options.Printing = options.PRINTER,
-    large: Annotated[
-        LargeOptions, Parameter(name="*", group=options.expert_group)
-    ] = LargeOptions(),
+    large: LargeOptions = LargeOptions(),
 ) -> int:
     """Make a map from one or several recordings of a skin.
 

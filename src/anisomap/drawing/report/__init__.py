@@ -38,15 +38,6 @@ _MAX_PRINTED = 8  # rows of the table in print; figures and facts fill the rest 
 
 
 @dataclass(frozen=True)
-class _Fact:
-    """A value with its name and an explanation."""
-
-    name: str
-    value: str
-    meaning: str = ""
-
-
-@dataclass(frozen=True)
 class Touches:
     """How a skin was touched.
 
@@ -70,7 +61,7 @@ class _Cell:
 
 def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     """Tell the verdict and what is known of the errors; the first sentence is the headline."""
-    sentences = [printable(sentence) for sentence in sensor_map.verdict.sentences]
+    sentences = list(sensor_map.verdict.sentences)
     if score is not None:
         null = score.mantel.quantiles().get(0.95)
         if null is not None and score.mantel.r <= null:
@@ -80,7 +71,7 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
             )
         worst = score.worst(_N_WORST)
         farthest = [
-            f"{printable(sensor_map.names[i])} ({number(float(error), 3, score.units)})"
+            f"{sensor_map.names[i]} ({number(float(error), 3, score.units)})"
             for i, error in zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
         ]
         sentences.append(f"Farthest from their true positions: {join_items(farthest)}.")
@@ -108,8 +99,8 @@ def _method_sentences(sensor_map: SensorMap) -> list[str]:
     return [f"{text[:1].upper()}{text[1:]}." for text in told]
 
 
-def _facts(sensor_map: SensorMap, score: Score | None) -> list[_Fact]:
-    """List the figures of merit."""
+def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, str]]:
+    """List the figures of merit: name, value and explanation."""
     found = []
     if score is not None:
         null, mantel = score.mantel.quantiles(), score.mantel
@@ -126,17 +117,17 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[_Fact]:
         )
         kept = "share of the true nearest neighbours that are also nearest on the map"
         found += [
-            _Fact("Mantel r", f"{mantel.r:.3f}", meaning),
-            _Fact("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, null_range),
-            _Fact("RMS error", number(score.rms, unit=score.units), in_spacings),
-            _Fact("Neighbours kept", f"{score.neighbours_kept:.0%}", kept),
+            ("Mantel r", f"{mantel.r:.3f}", meaning),
+            ("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, null_range),
+            ("RMS error", number(score.rms, unit=score.units), in_spacings),
+            ("Neighbours kept", f"{score.neighbours_kept:.0%}", kept),
         ]
     placed = f"{int(sensor_map.placed.sum())} of {sensor_map.n_sensors}"
     misfit = "misfit between the distances on the map and the metric; 0 is a perfect fit"
     return [
         *found,
-        _Fact("Placed", placed, "sensors with a position on the map"),
-        _Fact("Stress-1", number(sensor_map.stress), misfit),
+        ("Placed", placed, "sensors with a position on the map"),
+        ("Stress-1", number(sensor_map.stress), misfit),
     ]
 
 
@@ -159,20 +150,20 @@ def _caveats(
 ) -> list[str]:
     """List the caveats of map, score and recording, without repetition."""
     notes = [*sensor_map.notes, *layout_notes(sensor_map, score)]
-    unplaced = [printable(sensor_map.names[i]) for i in np.flatnonzero(~sensor_map.placed)]
+    unplaced = [sensor_map.names[i] for i in np.flatnonzero(~sensor_map.placed)]
     if unplaced and score is None:
         notes.append(f"sensors without a position: {join_items(unplaced, 12)}")
     if score is not None:
         notes += score.notes
     notes += summary.warnings if summary is not None else ()
-    return list(dict.fromkeys(printable(note[:1].upper() + note[1:]) for note in notes))
+    return list(dict.fromkeys(note[:1].upper() + note[1:] for note in notes))
 
 
 def _sensor_statuses(sensor_map: SensorMap, health: Sequence[SensorHealth]) -> tuple[str, ...]:
     """Return the status of every sensor, from `health` or else from the map."""
     assessed = {sensor.name: sensor.status for sensor in health}
     own = zip(sensor_map.names, sensor_map.health, strict=True)
-    return tuple(printable(assessed.get(name, status)) for name, status in own)
+    return tuple(assessed.get(name, status) for name, status in own)
 
 
 def _sensor_table(
@@ -180,53 +171,55 @@ def _sensor_table(
 ) -> dict[str, Any]:
     """Tabulate the sensors: those with the greatest errors first, else those with problems.
 
-    Returns the columns between name and status and the reason, the rows, at most `MAX_ROWS`, the
-    number of sensors with each status, and the number of sensors, of the map and on paper.
+    Returns the meanings of the columns between status and reason, by title, the rows, at most
+    `MAX_ROWS`, the number of sensors with each status, and of sensors on the map and on paper.
     """
     assessed = {sensor.name: sensor for sensor in health}
     statuses = _sensor_statuses(sensor_map, health)
     errors = {} if score is None else dict(zip(score.sensors, score.alignment.errors, strict=True))
-    columns: list[tuple[_Fact, Callable[[int], _Cell]]] = []
-    if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
-        fact = _Fact("Component", "", "connected component of the map; 1 is the largest")
-        numbers = (sensor_map.component + 1).tolist()
-        columns.append((fact, lambda i: _count(numbers[i]) if numbers[i] else _Cell("not placed")))
-    if score is not None:
-        unit = f" ({score.units})" if score.units else ""
-        fact = _Fact(f"Error{unit}", "", "distance from the true position")
-        columns.append((fact, lambda i: _numeric(errors.get(i))))
-    if sensor_map.covariances is not None:
-        units, scale = sensor_map.units, np.ones(len(statuses))
-        if score is not None:  # in the frame and unit of the errors beside them
-            units = score.units
-            scale = np.where(sensor_map.component == 0, score.alignment.scale, np.nan)
-        unit = "" if units in UNSCALED else f" ({printable(units)})"
-        radii = scale * ellipses(sensor_map.covariances)[0].max(axis=1)
-        fact = _Fact(f"95 %{unit}", "", "longest half axis of the 95 % ellipse")
-        columns.append((fact, lambda i: _numeric(float(radii[i]))))
-    if health:
-        known = [assessed.get(name) for name in sensor_map.names]
-        columns += [
-            (_Fact(title, "", meaning), partial(_measured, known, attribute, cell))
-            for title, meaning, attribute, cell in _MEASURED
-        ]
     listed = sorted(
         range(len(statuses)), key=lambda i: (not is_faulty(statuses[i]), -errors.get(i, 0))
     )
     printed = set(listed[:_MAX_PRINTED])
+    shown = sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0))
+    columns: dict[str, tuple[str, list[_Cell]]] = {}
+    if len(sensor_map.component_sizes) > 1 or not sensor_map.placed.all():
+        numbers = (sensor_map.component[shown] + 1).tolist()
+        columns["Component"] = (
+            "connected component of the map; 1 is the largest",
+            [_count(label) if label else _Cell("not placed") for label in numbers],
+        )
+    if score is not None:
+        unit = f" ({score.units})" if score.units else ""
+        cells = [_numeric(errors.get(i)) for i in shown]
+        columns[f"Error{unit}"] = "distance from the true position", cells
+    if sensor_map.covariances is not None:
+        units, scale = sensor_map.units, np.ones(len(shown))
+        if score is not None:  # in the frame and unit of the errors beside them
+            units = score.units
+            scale = np.where(sensor_map.component[shown] == 0, score.alignment.scale, np.nan)
+        unit = "" if units in UNSCALED else f" ({units})"
+        radii = scale * ellipses(sensor_map.covariances[shown])[0].max(axis=1)
+        cells = [_numeric(radius) for radius in radii.tolist()]
+        columns[f"95 %{unit}"] = "longest half axis of the 95 % ellipse", cells
+    if health:
+        known = [assessed.get(sensor_map.names[i]) for i in shown]
+        for title, (meaning, attribute, cell) in _MEASURED.items():
+            cells = [cell(getattr(one, attribute)) if one else _Cell(UNKNOWN) for one in known]
+            columns[title] = meaning, cells
     rows = [
         {
-            "name": printable(name := sensor_map.names[i]),
+            "name": (name := sensor_map.names[i]),
             "status": statuses[i],
-            "reason": printable(assessed[name].reason) if name in assessed else "",
-            "cells": [cell(i) for _, cell in columns],
+            "reason": assessed[name].reason if name in assessed else "",
+            "cells": [cells[row] for _, cells in columns.values()],
             "printed": i in printed,
         }
-        for i in sorted(listed[:MAX_ROWS], key=lambda i: -errors.get(i, 0))
+        for row, i in enumerate(shown)
     ]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in sorted(set(statuses)))
     return {
-        "columns": [fact for fact, _ in columns],
+        "columns": {title: meaning for title, (meaning, _) in columns.items()},
         "rows": rows,
         "counts": counts,
         "n_sensors": len(statuses),
@@ -236,26 +229,16 @@ def _sensor_table(
 
 def _provenance(
     sensor_map: SensorMap, score: Score | None, origin: Mapping[str, str]
-) -> list[_Fact]:
+) -> list[tuple[str, object]]:
     """List the information needed to reproduce the map."""
-    found = [
-        *(_Fact(printable(name), printable(value)) for name, value in origin.items()),
-        _Fact("method", printable(sensor_map.method or "not recorded")),
-        _Fact("dimensions", str(sensor_map.dimensions)),
-        _Fact("units of the map", printable(sensor_map.units)),
+    return [
+        *origin.items(),
+        ("method", sensor_map.method or "not recorded"),
+        ("dimensions", sensor_map.dimensions),
+        ("units of the map", sensor_map.units),
+        *([("permutations of the null", len(score.mantel.null))] if score is not None else ()),
+        *sensor_map.provenance.items(),
     ]
-    if score is not None:
-        found.append(_Fact("permutations of the null", str(len(score.mantel.null))))
-    return found + [
-        _Fact(printable(name), printable(str(value)))
-        for name, value in sensor_map.provenance.items()
-    ]
-
-
-def _measured(
-    known: Sequence[SensorHealth | None], attribute: str, cell: Callable[[Any], _Cell], i: int
-) -> _Cell:
-    return cell(getattr(known[i], attribute)) if known[i] else _Cell(UNKNOWN)
 
 
 def _count(value: int) -> _Cell:
@@ -273,21 +256,20 @@ def _numeric(value: float | None, digits: int = 3) -> _Cell:
 
 
 _two_digits = partial(_numeric, digits=2)
-_MEASURED: tuple[tuple[str, str, str, Callable[[Any], _Cell]], ...] = (
-    ("Min", "smallest reading", "minimum", _numeric),
-    ("Max", "largest reading", "maximum", _numeric),
-    ("Values", "number of distinct readings", "distinct", _count),
-    ("Active", "share of frames in which the reading is not at rest", "active", _share),
-    ("Contacts", "number of separate contacts", "contacts", _count),
-    (
-        "Lag-1 r",
+_MEASURED: dict[str, tuple[str, str, Callable[[Any], _Cell]]] = {
+    "Min": ("smallest reading", "minimum", _numeric),
+    "Max": ("largest reading", "maximum", _numeric),
+    "Values": ("number of distinct readings", "distinct", _count),
+    "Active": ("share of frames in which the reading is not at rest", "active", _share),
+    "Contacts": ("number of separate contacts", "contacts", _count),
+    "Lag-1 r": (
         "autocorrelation at a lag of one frame; near 0 for noise",
         "lag_correlation",
         _two_digits,
     ),
-    ("Best match", "highest Pearson r with another sensor", "best_match", _two_digits),
-)
-"""Columns of the table of sensors that the health of a sensor fills: title, meaning, attribute."""
+    "Best match": ("highest Pearson r with another sensor", "best_match", _two_digits),
+}
+"""Columns of the table of sensors that the health of a sensor fills: meaning, attribute, format."""
 
 
 def load_libraries() -> tuple[Any, Any]:
@@ -296,30 +278,46 @@ def load_libraries() -> tuple[Any, Any]:
     return jinja2, import_extra("plotly.offline", "a report", "report")
 
 
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")
+
+
 def _policy(scripts: list[str]) -> str:
     """Return a content security policy without network access and without foreign scripts.
 
     plotly compiles its 3D drawing code at run time, which needs 'unsafe-eval'.
     """
-    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()) for text in scripts]
-    allowed = " ".join(f"'sha256-{digest.decode('ascii')}'" for digest in hashes)
+    digests = (hashlib.sha256(text.encode()).digest() for text in scripts)
+    allowed = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
     return (
         f"default-src 'none'; script-src {allowed} 'unsafe-eval'; "
         "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
 
 
+def _shown(value: object) -> object:
+    """Replace what cannot be printed in a value that the page shows; its own markup stays."""
+    if isinstance(value, str) and not hasattr(value, "__html__"):
+        return printable(value)
+    return value
+
+
 @cache
-def templates(package: str) -> Any:
-    """Return the environment of the templates of a package, which escapes all values."""
+def templates(package: str, finalize: Callable[[object], object] | None = None) -> Any:
+    """Return the environment of the templates of a package, which escapes all values.
+
+    finalize: Applied to every value first.
+    """
     jinja = import_extra("jinja2", "a report", "report")
     environment = jinja.Environment(
         loader=jinja.PackageLoader(package),
         autoescape=True,
+        finalize=finalize,
         undefined=jinja.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["base64"] = _base64
     # JSON has no NaN: fail here rather than in the browser.
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     return environment
@@ -385,10 +383,10 @@ def render_report(
     own = _text("report.js")
     scripts = [plotly.get_plotlyjs(), own] if scene else [own]
     page: str = (
-        templates("anisomap.drawing.report")
+        templates("anisomap.drawing.report", _shown)
         .get_template("report.html")
         .render(
-            title=printable(title),
+            title=title,
             verdict=_headlines(sensor_map, score),
             facts=_facts(sensor_map, score),
             caveats=_caveats(sensor_map, score, summary),
@@ -400,22 +398,14 @@ def render_report(
             recording=summary.facts if summary else {},
             method=_method_sentences(sensor_map),
             provenance=_provenance(sensor_map, score, origin or {}),
-            picture=_encoded(figure_png),
-            touches=None
-            if touches is None
-            else {printable(name): printable(value) for name, value in touches.facts.items()},
-            touch_picture=_encoded(None if touches is None else touches.map_png),
-            series_picture=_encoded(None if touches is None else touches.series_png),
+            picture=figure_png,
+            touches=touches,
             style=_text("report.css"),
             scripts=scripts,
             policy=_policy(scripts),
         )
     )
     return page
-
-
-def _encoded(png: bytes | None) -> str | None:
-    return None if png is None else base64.b64encode(png).decode("ascii")
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
