@@ -98,8 +98,8 @@ def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence
     if parts:
         return "; ".join(parts)
     return (
-        f"enough touches: sensors had about {ENOUGH_CONTACTS} contacts or more, "
-        "alone and together with their neighbours"
+        f"all sensors had about {ENOUGH_CONTACTS} contacts or more, alone and together with their "
+        "neighbours"
     )
 
 

@@ -121,18 +121,18 @@ class SessionMaps:
     def guidance(self) -> tuple[str, bool]:
         """What to do next, in words, and whether nothing is left to do.
 
-        Where contacts suffice, the verdict decides: more touches would not mend its reasons.
+        Where contacts suffice, the verdict decides, and its first reason says what to do.
         """
         if self.quick is None:
             return "", False
         advice, checked = self.quick.advice, self.checked
         if not advice.enough or checked is None:
-            return advice.text, advice.enough
-        level = checked.verdict.level
-        if level == UNKNOWN:
-            return f"enough touches: {UNKNOWN} yet how far the map can be used", False
-        words = f"enough touches: the map of {checked.n_frames} frames is {level}"
-        return words, level == list(LEVELS)[-1]
+            return advice.text, False
+        level, reasons = checked.verdict.level, checked.verdict.reasons
+        if level == list(LEVELS)[-1]:
+            return f"enough touches: the map of {checked.n_frames} frames is {level}", True
+        found = f"{UNKNOWN} yet how far the map can be used" if level == UNKNOWN else level
+        return "; ".join([f"the map of {checked.n_frames} frames: {found}", *reasons[:1]]), False
 
     def reached(self, level: str) -> bool:
         """Return whether the last two checked maps have a level, or a better one.
