@@ -204,9 +204,9 @@ def share_inside(
 
 def read_outcomes(path: Path) -> Any:
     """Read the results of an earlier run, a data frame with `COLUMNS`."""
-    texts = {"source": str, "name": str, "group": str, "kind": str}
-    found = pd.read_csv(path, dtype=texts)
-    return found.fillna({"kind": "", "fault": "", "reasons": ""})
+    texts = ["source", "name", "group", "kind", "fault", "level", "reasons"]
+    found = pd.read_csv(path, dtype=dict.fromkeys(texts, str))
+    return found.fillna(dict.fromkeys(texts, ""))
 
 
 def table(outcomes: Any) -> str:

@@ -193,7 +193,7 @@ def test_accuracy_by_contacts_is_measured(tmp_path, monkeypatch):
     contacts.main(["--seeds", "1", "--contacts", "3", "5", "--workers", "1", "-o", str(tmp_path)])
     rows = [row for row in rows_of(tmp_path / "contacts.csv") if row["method"] == "covariogram"]
     assert [row["contacts"] for row in rows] == ["3", "5"]
-    assert int(rows[0]["frames"]) < int(rows[1]["frames"])
+    assert int(rows[0]["n_frames"]) < int(rows[1]["n_frames"])
     assert " of 2 points" in (tmp_path / "contacts-table.md").read_text(encoding="utf-8")
 
 
