@@ -9,7 +9,7 @@ of 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +81,7 @@ def rows_of(skin: tuple[str, str, int, tuple[int, ...]]) -> list[Row]:
         except InputError as error:
             print(f"skipped {name}, {mean} contacts, seed {seed}: {error}")
             continue
-        rows += [Row(*astuple(one), mean) for one in all_scores(found, seed)]
+        rows += [Row(**asdict(one), contacts=mean) for one in all_scores(found, seed)]
     return rows
 
 
