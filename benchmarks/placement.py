@@ -38,6 +38,7 @@ Indices = NDArray[np.intp]
 
 DRAWS = 30
 BODIES = ("sphere", "cylinder", "y-shape", "torus", "cube", "hand", "tube", "hemisphere")
+FLAT = ("plane", "hexagon")
 SEEDS = (401, 402, 403)
 HANDS = (
     ("recordings", "icub_hexagon", 2),
@@ -109,7 +110,7 @@ def _figures(shared: Path | None, draws: int, bodies: Sequence[str]) -> Iterator
             yield from figures(name, _hands([recording], dimensions))
     for body in bodies:
         yield from figures(body, _on_mesh(body, draws))
-    for name, dimensions in (*((body, 3) for body in bodies), ("plane", 2), ("hexagon", 2)):
+    for name, dimensions in (*((body, 3) for body in bodies), *((body, 2) for body in FLAT)):
         made = [simulate(name, "rubbing", n_frames=1200, seed=seed) for seed in SEEDS]
         yield from figures(name, _hands(made, dimensions))
 

@@ -28,17 +28,19 @@ MOST = tuple(
 )
 
 
-def quick_run(folder, names):
-    """Run experiments by ``anisomap paper --quick``; return the folder of the results."""
-    chosen = [word for name in names for word in ("--only", name)]
-    assert run(["paper", "-o", str(folder), "--quick", "--workers", "1", *chosen]) == 0
-    return folder
+class OneRun(Settings):
+    """Settings of a preview with one run of each scenario."""
+
+    seeds = (1,)
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Give the results of the cheap experiments."""
-    return quick_run(tmp_path_factory.mktemp("paper") / "out", CHEAP)
+    """Give the results of the cheap experiments by ``anisomap paper --quick``."""
+    folder = tmp_path_factory.mktemp("paper") / "out"
+    chosen = [word for name in CHEAP for word in ("--only", name)]
+    assert run(["paper", "-o", str(folder), "--quick", "--workers", "1", *chosen]) == 0
+    return folder
 
 
 def computed_in(folder):
@@ -79,7 +81,8 @@ def test_cheap_experiments_write_files_and_a_page(quick):
 
 @pytest.mark.slow
 def test_most_experiments_write_files_and_a_page(tmp_path):
-    check_results(quick_run(tmp_path / "out", MOST), MOST)
+    reproduce(tmp_path, OneRun(quick=True), only=MOST, workers=1)
+    check_results(tmp_path, MOST)
 
 
 def test_finished_experiments_are_not_repeated(quick):
