@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
 QUICK = Settings(quick=True)
-CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3", "figure-s10")
+CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s4", "figure-s10")
 LIKE_MU = tuple(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins"))
 """Experiments that differ from ``sensitivity-mu`` by a parameter alone."""
 MOST = tuple(
