@@ -24,6 +24,7 @@ from anisomap import SensorMap, read, reconstruct_from, score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.harness import files_in, heading, line, quietly
+from benchmarks.inputs import directions
 
 Matrix = NDArray[np.float64]
 
@@ -57,9 +58,7 @@ def on_a_square(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matr
 
 def on_a_sphere(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
     """Draw points on a sphere of the same area."""
-    points = rng.normal(size=(n_points, 3))
-    radius = (n_sensors / (4 * np.pi)) ** 0.5
-    return np.asarray(radius * points / np.linalg.norm(points, axis=1, keepdims=True))
+    return np.asarray((n_sensors / (4 * np.pi)) ** 0.5 * directions(n_points, rng))
 
 
 SKINS = (

@@ -18,6 +18,7 @@ import numpy as np
 
 import anisomap
 from anisomap.comparison import spanned_dimensions, touched
+from anisomap.defaults import MIN_TOUCHES
 from anisomap.errors import InputError
 from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
 from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate, solids
@@ -27,8 +28,6 @@ from benchmarks.harness import files_in, heading, line, markdown_table, options,
 FIRST_SEED = 721
 FRAMES = 1000
 SCENARIOS = ("bombardment", "rubbing", "pressing", "roller", "pulses", "locomotion")
-MIN_TOUCHES = 5
-"""Sensors of real skins that were touched less often have no position on any map."""
 
 OUTCOMES = ("right", "not clear", "wrong")
 ANSWERS = ("line", "2", "3", "not clear")

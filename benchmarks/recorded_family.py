@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
+from benchmarks.inputs import directions
 
 Readings = NDArray[np.float32]
 
@@ -24,12 +25,6 @@ _PARTS = 8  # separate skins
 _MISSING = 0.3
 
 
-def _places(n_points: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    points = rng.normal(size=(n_points, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return points
-
-
 def touched(
     n_sensors: int,
     n_frames: int,
@@ -39,14 +34,14 @@ def touched(
     contacts: int | None = None,
 ) -> Readings:
     """Simulate a sphere touched at random places; readings are 0 at rest, shape (T, N)."""
-    sensors = _places(n_sensors, rng)
+    sensors = directions(n_sensors, rng)
     count = contacts or max(5, n_frames // _FRAMES_PER_CONTACT)
     typical = _SPACINGS * np.sqrt(4 * np.pi / n_sensors) if radius is None else radius
     course = np.cos(np.linspace(-1, 1, 2 * _PULSE + 1) * np.pi / 2) ** 2
     # Frames before and after the recording, so that contacts may begin and end outside.
     readings = np.zeros((n_frames + 2 * _PULSE, n_sensors), np.float32)
     for place, first, height, reach in zip(
-        _places(count, rng),
+        directions(count, rng),
         rng.integers(n_frames, size=count).tolist(),
         rng.uniform(0.5, 1.5, count),
         typical * rng.uniform(0.7, 1.3, count),
