@@ -252,7 +252,7 @@ def table(outcomes: Any) -> str:
             (f"bad: r < {MIN_R} or error > {MAX_ERROR:g}", bad),
         )
     ]
-    lines = markdown_table(("figure", "value", "goal"), rows)
+    lines = [*markdown_table(("figure", "value", "goal"), rows)]
     lines += ["", *markdown_table(("maps", "number", *LEVELS), levels), "", *by_group(mapped)]
     for title, group in (("False reassurance", reassured), ("False alarms", alarms)):
         lines += ["", f"{title}:", ""] if len(group) else ["", f"{title}: none"]
@@ -292,7 +292,7 @@ def by_group(outcomes: Any) -> list[str]:
                 f"{held.mean():.0%}",
                 "-" if math.isnan(inside) else f"{inside:.0%}",
             ))  # fmt: skip
-    return markdown_table(header, rows)
+    return [*markdown_table(header, rows)]
 
 
 def draw(outcomes: Any, path: Path) -> None:
