@@ -6,7 +6,9 @@ Contacts are smooth pulses at random places of a sphere. Each member is drawn fr
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,32 +57,12 @@ def touched(
     return readings[_PULSE : _PULSE + n_frames]
 
 
-def _noise(shape: tuple[int, ...], rng: np.random.Generator) -> Readings:
-    return rng.standard_normal(shape, np.float32) * np.float32(_NOISE)
+def _noise(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return rng.standard_normal((t, n), np.float32) * np.float32(_NOISE)
 
 
-def _noisy(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return touched(n, t, rng) + _noise((t, n), rng)
-
-
-def _dense(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return touched(n, t, rng, radius=_WIDE) + _noise((t, n), rng)
-
-
-def _rare(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return touched(n, t, rng, contacts=max(20, n // 2)) + _noise((t, n), rng)
-
-
-def _quantised(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return np.round(255 / 1.5 * touched(n, t, rng))
-
-
-def _many_levels(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return np.round(1e5 * _noisy(n, t, rng))
-
-
-def _binary(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return (touched(n, t, rng) > 0).astype(np.float32)
+def _noisy(n: int, t: int, rng: np.random.Generator, **contacts: Any) -> Readings:
+    return touched(n, t, rng, **contacts) + _noise(n, t, rng)
 
 
 def _drifting(n: int, t: int, rng: np.random.Generator) -> Readings:
@@ -90,21 +72,13 @@ def _drifting(n: int, t: int, rng: np.random.Generator) -> Readings:
 
 def _components(n: int, t: int, rng: np.random.Generator) -> Readings:
     sizes = [len(part) for part in np.array_split(np.arange(n), _PARTS)]
-    return np.hstack([touched(size, t, rng) for size in sizes]) + _noise((t, n), rng)
+    return np.hstack([touched(size, t, rng) for size in sizes]) + _noise(n, t, rng)
 
 
 def _incomplete(n: int, t: int, rng: np.random.Generator) -> Readings:
     readings = _noisy(n, t, rng)
     readings[rng.uniform(size=readings.shape) < _MISSING] = np.nan
     return Recording(readings).complete("interpolate").readings.astype(np.float32)
-
-
-def _identical(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[:, :n]
-
-
-def _pure_noise(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return _noise((t, n), rng)
 
 
 def _ramps(n: int, t: int, rng: np.random.Generator) -> Readings:
@@ -114,16 +88,18 @@ def _ramps(n: int, t: int, rng: np.random.Generator) -> Readings:
 MEMBERS: Mapping[str, Callable[[int, int, np.random.Generator], Readings]] = MappingProxyType(
     {
         "noise in every reading": _noisy,
-        "8 bits, exact rest": _quantised,
-        "binary": _binary,
-        "100,000 levels": _many_levels,
-        "wide contacts": _dense,
-        "rare contacts": _rare,
+        "8 bits, exact rest": lambda n, t, rng: np.round(255 / 1.5 * touched(n, t, rng)),
+        "binary": lambda n, t, rng: (touched(n, t, rng) > 0).astype(np.float32),
+        "100,000 levels": lambda n, t, rng: np.round(1e5 * _noisy(n, t, rng)),
+        "wide contacts": partial(_noisy, radius=_WIDE),
+        "rare contacts": lambda n, t, rng: _noisy(n, t, rng, contacts=max(20, n // 2)),
         "drifting rest": _drifting,
         "eight skins": _components,
         "30 % missing, interpolated": _incomplete,
-        "every sensor twice": _identical,
-        "pure noise": _pure_noise,
+        "every sensor twice": lambda n, t, rng: np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[
+            :, :n
+        ],
+        "pure noise": _noise,
         "ramps": _ramps,
     }
 )
