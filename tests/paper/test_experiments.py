@@ -19,12 +19,15 @@ pytest.importorskip("jinja2")
 
 QUICK = Settings(quick=True)
 CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s4", "figure-s10")
-LIKE_MU = tuple(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins"))
-"""Experiments that differ from ``sensitivity-mu`` by a parameter alone."""
+ALIKE = (
+    *(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins")),
+    *(f"figure-s{number}" for number in (1, 2, 3, 5, 6, 7, 9)),
+)
+"""Experiments that differ from ``sensitivity-mu``, figures S4 and S8 by a parameter alone."""
 MOST = tuple(
     name
     for name, one in EXPERIMENTS.items()
-    if not one.files and (not name.startswith(LIKE_MU) or name.endswith("sphere-bombardment"))
+    if not one.files and (not name.startswith(ALIKE) or name.endswith("sphere-bombardment"))
 )
 
 
