@@ -11,9 +11,10 @@ import argparse
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,8 @@ from scipy.spatial import KDTree
 from anisomap import SensorMap, read, reconstruct_from, score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
-from benchmarks.harness import files_in, heading, line, quietly
+from benchmarks.harness import files_in, markdown_table, quietly
+from benchmarks.inputs import directions
 
 Matrix = NDArray[np.float64]
 
@@ -57,9 +59,7 @@ def on_a_square(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matr
 
 def on_a_sphere(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
     """Draw points on a sphere of the same area."""
-    points = rng.normal(size=(n_points, 3))
-    radius = (n_sensors / (4 * np.pi)) ** 0.5
-    return np.asarray(radius * points / np.linalg.norm(points, axis=1, keepdims=True))
+    return np.asarray((n_sensors / (4 * np.pi)) ** 0.5 * directions(n_points, rng))
 
 
 SKINS = (
@@ -97,19 +97,21 @@ def touch(
 
 def losses(sizes: Sequence[int], n_frames: int, seeds: int) -> None:
     """Print scores of exact and approximate maps of the same recordings."""
-    _print_heading(
+    header = (
         "skin", "sensors", "exact", "approximate", "lost", "worst", "agreement", "exact (s)",
         "approximate (s)",
     )  # fmt: skip
-    for skin in SKINS:
-        for n_sensors in sizes:
-            rows = np.array([_loss(skin, n_sensors, n_frames, seed) for seed in range(seeds)])
-            exact, approximate, agreement, slow, fast = rows.mean(axis=0)
-            worst = (rows[:, 0] - rows[:, 1]).max()
+
+    def rows() -> Iterator[tuple[object, ...]]:
+        for skin, n_sensors in product(SKINS, sizes):
+            every = np.array([_loss(skin, n_sensors, n_frames, seed) for seed in range(seeds)])
+            exact, approximate, agreement, slow, fast = every.mean(axis=0)
+            worst = (every[:, 0] - every[:, 1]).max()
             scores = (exact, approximate, exact - approximate, worst, agreement)
-            _print(
-                skin.name, n_sensors, *(f"{r:.4f}" for r in scores), f"{slow:.1f}", f"{fast:.1f}"
-            )
+            times = (f"{slow:.1f}", f"{fast:.1f}")
+            yield (skin.name, n_sensors, *(f"{r:.4f}" for r in scores), *times)
+
+    _print(header, rows())
 
 
 def _loss(
@@ -137,23 +139,24 @@ def _compare(
 
 def real_losses(folder: Path) -> None:
     """Print scores of exact and approximate 2D maps of real recordings."""
-    _print_heading("recording", "sensors", "exact", "approximate", "lost", "agreement")
-    for path in files_in([folder]):
-        recording = read(path)
-        if recording.positions is not None:
-            exact, approximate, agreement, _, _ = _compare(
-                recording.readings, recording.positions, 2
-            )
-            scores = (exact, approximate, exact - approximate, agreement)
-            _print(path.stem, recording.n_sensors, *(f"{r:.4f}" for r in scores))
+
+    def rows() -> Iterator[tuple[object, ...]]:
+        for path in files_in([folder]):
+            recording = read(path)
+            if recording.positions is not None:
+                exact, approximate, agreement, *_ = _compare(
+                    recording.readings, recording.positions, 2
+                )
+                scores = (exact, approximate, exact - approximate, agreement)
+                yield (path.stem, recording.n_sensors, *(f"{r:.4f}" for r in scores))
+
+    _print(("recording", "sensors", "exact", "approximate", "lost", "agreement"), rows())
 
 
-def _print_heading(*names: str) -> None:
-    print(*heading(names), sep="\n")
-
-
-def _print(*cells: object) -> None:
-    print(line(cells), flush=True)
+def _print(names: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
+    """Print the lines of a table as they are made."""
+    for line in markdown_table(names, rows):
+        print(line, flush=True)
 
 
 def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
@@ -164,11 +167,12 @@ def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
 
 def costs(sizes: Sequence[int], n_frames: int) -> None:
     """Print time, memory and scores of approximate maps of recordings on disk."""
-    _print_heading(
+    header = (
         "skin", "sensors x frames", "CPU (s)", "peak memory (GB)", "Mantel r", "neighbours kept"
-    )
-    for n_sensors in sizes:
-        for skin in SKINS[3:]:
+    )  # fmt: skip
+
+    def rows() -> Iterator[tuple[object, ...]]:
+        for n_sensors, skin in product(sizes, SKINS[3:]):
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "readings.npy"
                 sensors = _written(path, skin, n_sensors, n_frames)
@@ -176,10 +180,11 @@ def costs(sizes: Sequence[int], n_frames: int) -> None:
                 seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
             result = score(found, sensors, permutations=0)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-            _print(
-                skin.name, f"{n_sensors} x {n_frames}", f"{seconds:.0f}", f"{peak:.1f}",
-                f"{result.mantel.r:.4f}", f"{result.neighbours_kept:.0%}",
-            )  # fmt: skip
+            cost = (f"{seconds:.0f}", f"{peak:.1f}")
+            kept = f"{result.neighbours_kept:.0%}"
+            yield (skin.name, f"{n_sensors} x {n_frames}", *cost, f"{result.mantel.r:.4f}", kept)
+
+    _print(header, rows())
 
 
 def _written(path: Path, skin: Skin, n_sensors: int, n_frames: int) -> Matrix:

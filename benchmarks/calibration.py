@@ -10,15 +10,16 @@ import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from benchmarks.harness import heading, line
-from benchmarks.trust import Outcome, read_outcomes
+from benchmarks.harness import markdown_table
+from benchmarks.trust import read_outcomes
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -35,51 +36,46 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("results", type=Path, nargs="+")
     chosen = parser.parse_args(arguments)
-    used = [one for path in chosen.results for one in read_outcomes(path) if is_used(one)]
+    used = usable(pd.concat(map(read_outcomes, chosen.results), ignore_index=True))
     print(constants(used))
     print(table(used))
 
 
-def is_used(outcome: Outcome) -> bool:
-    """Return whether a map and its evidence are known."""
-    known = (outcome.error, outcome.r, outcome.evidence.get("difference", math.nan))
-    return all(map(math.isfinite, known)) and not outcome.fault.startswith(_UNSAYABLE)
+def usable(outcomes: Any) -> Any:
+    """Keep outcomes with known map and evidence, within the range of the measurements."""
+    known = np.isfinite(outcomes[["error", "r", "difference"]]).all(axis=1)
+    kept = outcomes[known & ~outcomes.fault.str.startswith(_UNSAYABLE)]
+    measured = ["repeatability", "difference"]
+    return kept.assign(**{name: kept[name].clip(0.01, _LARGEST) for name in measured})
 
 
-def columns(outcomes: Sequence[Outcome]) -> tuple[Floats, Floats, Floats]:
-    """Return the two measurements and the error of each map."""
-    chance, difference = (
-        np.array([one.evidence.get(name, math.nan) for one in outcomes]).clip(0.01, _LARGEST)
-        for name in ("repeatability", "difference")
-    )
-    return chance, difference, np.array([one.error for one in outcomes])
+def expected_errors(outcomes: Any, factors: Floats) -> Any:
+    """Return the expected errors, given the factors of the two measurements."""
+    return np.hypot(factors[0] * outcomes.repeatability, factors[1] * outcomes.difference)
 
 
-def fitted(chance: Floats, difference: Floats, error: Floats) -> Floats:
+def fitted(outcomes: Any) -> Floats:
     """Fit the two factors of the expected error, robustly, to the logarithms of errors."""
 
     def loss(factors: Floats) -> float:
-        by_chance, by_difference = np.exp(factors)
-        expected = np.hypot(by_chance * chance, by_difference * difference)
-        apart = np.abs(np.log(expected / error))
+        apart = np.abs(np.log(expected_errors(outcomes, np.exp(factors)) / outcomes.error))
         return float(np.where(apart < _HUBER, apart**2, 2 * _HUBER * apart - _HUBER**2).mean())
 
     return np.exp(minimize(loss, [-0.7, -0.5], method="Nelder-Mead").x)
 
 
-def constants(outcomes: Sequence[Outcome]) -> str:
+def constants(outcomes: Any) -> str:
     """Return the constants that fit all outcomes, and the quantiles of what they miss."""
-    chance, difference, error = columns(outcomes)
-    factors = fitted(chance, difference, error)
-    expected = np.hypot(factors[0] * chance, factors[1] * difference)
-    missed = np.quantile(held_out(outcomes, error), [0.05, 0.95])
-    region = np.array([one.evidence.get("region", math.nan) for one in outcomes])
-    known = np.isfinite(region) & (region > 0)
-    power, scale = np.polyfit(np.log(expected[known]), np.log(region[known]), 1)
-    apart = np.log(region[known]) - power * np.log(expected[known]) - scale
-    kept = logit(np.clip([one.kept for one in outcomes], *_ENDS))
-    slope, odds = np.polyfit(np.log(expected), kept, 1)
-    beyond = np.quantile(kept - slope * np.log(expected) - odds, [0.05, 0.95])
+    factors = fitted(outcomes)
+    expected = np.log(expected_errors(outcomes, factors))
+    missed = np.quantile(held_out(outcomes), [0.05, 0.95])
+    known = outcomes.region > 0
+    region = np.log(outcomes.region[known])
+    power, scale = np.polyfit(expected[known], region, 1)
+    apart = region - power * expected[known] - scale
+    kept = logit(outcomes.kept.clip(*_ENDS))
+    slope, odds = np.polyfit(expected, kept, 1)
+    beyond = np.quantile(kept - slope * expected - odds, [0.05, 0.95])
     at = expit(odds + slope * np.log(0.5))
     return "\n".join(
         [
@@ -93,31 +89,32 @@ def constants(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def held_out(outcomes: Sequence[Outcome], error: Floats) -> Floats:
+def held_out(outcomes: Any) -> Any:
     """Return log true over expected errors, each kind expected by a fit to all others."""
-    chance, difference, _ = columns(outcomes)
-    kinds = np.array([one.kind for one in outcomes])
-    found = np.empty(len(outcomes))
-    for kind in np.unique(kinds):
-        out = kinds == kind
-        factors = fitted(chance[~out], difference[~out], error[~out])
-        expected = np.hypot(factors[0] * chance[out], factors[1] * difference[out])
-        found[out] = np.log(error[out] / expected)
-    return found
+    factors = {kind: fitted(outcomes[outcomes.kind != kind]) for kind in outcomes.kind.unique()}
+    by_row = np.stack(outcomes.kind.map(factors), axis=1)
+    return np.log(outcomes.error / expected_errors(outcomes, by_row))
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes: Any) -> str:
     """Return how well errors are expected for each kind that was left out, in Markdown."""
-    ratios = np.exp(-held_out(outcomes, columns(outcomes)[2]))
-    lines = heading(("kind left out", "maps", "expected / true, median", "within 1.5", "within 2"))
-    groups = {("all", group) for group in {one.group for one in outcomes}}
-    for kind, group in sorted(groups) + sorted({(one.kind, one.group) for one in outcomes}):
-        part = np.array([one.group == group and kind in ("all", one.kind) for one in outcomes])
-        found = ratios[part]
-        within = (float(np.mean(np.abs(np.log(found)) < math.log(limit))) for limit in (1.5, 2))
-        cells = (f"{group}: {kind}", str(part.sum()), f"{np.median(found):.2f}")
-        lines.append(line([*cells, *(f"{share:.0%}" for share in within)]))
-    return "\n".join(lines)
+    missed = held_out(outcomes)
+    groups = [(f"{name}: all", part) for name, part in missed.groupby(outcomes.group)]
+    groups += [
+        (f"{name}: {kind}", part)
+        for (kind, name), part in missed.groupby([outcomes.kind, outcomes.group])
+    ]
+    header = ("kind left out", "maps", "expected / true, median", "within 1.5", "within 2")
+    rows = [
+        (
+            label,
+            len(part),
+            f"{np.exp(-part).median():.2f}",
+            *(f"{(part.abs() < math.log(limit)).mean():.0%}" for limit in (1.5, 2)),
+        )
+        for label, part in groups
+    ]
+    return "\n".join(markdown_table(header, rows))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from anisomap.layout.checking import NOT_TESTED
 from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import congruent, symmetries
 from anisomap.numerics.layout.evidence import neighbour_spacing
-from benchmarks.harness import frame, heading, line, options, quietly, read_rows, write_rows
+from benchmarks.harness import frame, markdown_table, options, quietly, read_rows, write_rows
 
 FIRST_SEED = 1001
 SHARES = (0.01, 0.05, 0.1)
@@ -294,14 +294,11 @@ READING_FAULTS: dict[
 
 def table(results: Sequence[Result]) -> list[str]:
     """Return a table in Markdown: one row per recording, number of frames and kind."""
-    lines = heading(HEADER)
     order = [*LAYOUT_FAULTS, *READING_FAULTS]
     groups = frame(results).groupby(["recording", "n_frames", "kind"])
-    for (name, n_frames, _), rows in sorted(
-        groups, key=lambda group: (group[0][0], -group[0][1], order.index(group[0][2]))
-    ):
-        lines.append(line((name, f"{n_frames:,}", *cells(rows))))
-    return lines
+    ordered = sorted(groups, key=lambda one: (one[0][0], -one[0][1], order.index(one[0][2])))
+    lines = ((name, f"{n_frames:,}", *cells(rows)) for (name, n_frames, _), rows in ordered)
+    return [*markdown_table(HEADER, lines)]
 
 
 def cells(rows: Any) -> tuple[object, ...]:

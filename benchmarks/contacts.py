@@ -9,7 +9,7 @@ of 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
 from benchmarks.harness import frame, markdown_table, measured, options, publish
+from benchmarks.quality import Result, all_scores
 
 SKINS = (
     ("sphere", "bombardment"),
@@ -34,18 +35,10 @@ LONGEST = 32_000  # frames; the first length that is simulated is a sixteenth of
 
 
 @dataclass(frozen=True)
-class Row:
-    """Score of one map; placed and scored are shares of the sensors. See `MethodScore`."""
+class Row(Result):
+    """Score of one map, of a recording with a mean number of contacts per sensor."""
 
-    skin: str
     contacts: int
-    frames: int
-    seed: int
-    method: str
-    r: float
-    error: float
-    placed: float
-    scored: float
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -82,46 +75,43 @@ def rows_of(skin: tuple[str, str, int, tuple[int, ...]]) -> list[Row]:
             continue
         part = anisomap.Recording(whole.readings[:until], positions=whole.positions)
         dimensions = spanned_dimensions(np.asarray(whole.positions))
+        name = f"{body}, {scenario}"
         try:
-            found = compare_methods(part, COMPARED, dimensions, seed=seed)
+            found = compare_methods(part, COMPARED, dimensions, name=name, seed=seed)
         except InputError as error:
-            print(f"skipped {body}, {scenario}, {mean} contacts, seed {seed}: {error}")
+            print(f"skipped {name}, {mean} contacts, seed {seed}: {error}")
             continue
-        n_sensors, scored = whole.n_sensors, len(found.sensors) / whole.n_sensors
-        rows += [
-            Row(f"{body}, {scenario}", mean, until, seed, s.method, s.mantel_r, s.rms_in_spacings,
-                s.n_placed / n_sensors, scored)
-            for s in found.scores
-        ]  # fmt: skip
+        rows += [Row(**asdict(one), contacts=mean) for one in all_scores(found, seed)]
     return rows
 
 
 def tables(rows: Sequence[Row]) -> str:
     """Return one table per skin, and the points at which another method leads."""
-    found = frame(rows)
-    medians = found.fillna({"r": 0, "error": np.inf}).groupby(["skin", "contacts", "method"])
-    points = medians[["r", "error", "frames", "placed", "scored"]].median()
+    found = frame(rows).fillna({"mantel_r": 0, "rms_in_spacings": np.inf})
+    keys, scores = ["recording", "contacts", "method"], ["mantel_r", "rms_in_spacings"]
+    shares = ["n_frames", "share_placed", "share_scored"]
+    points = found.groupby(keys)[[*scores, *shares]].median()
     methods, losses = list(found.method.unique()), []
     lines: list[str] = []
-    for skin, group in found.groupby("skin", sort=False):
+    for skin, group in found.groupby("recording", sort=False):
         cells = []
         for contacts in sorted(group.contacts.unique()):
             point = points.loc[skin, contacts].reindex(methods)
-            own, texts = point.loc[DEFAULT_METHOD], {}
-            best = max(methods, key=lambda m: (round(point.r[m], 3), m == DEFAULT_METHOD))
+            own, r, texts = point.loc[DEFAULT_METHOD], point.mantel_r, {}
+            best = max(methods, key=lambda m: (round(r[m], 3), m == DEFAULT_METHOD))
             if best != DEFAULT_METHOD:
-                scores = f"{own.r:.3f} against {point.r[best]:.3f} of {best}"
-                losses.append(f"{skin}, {contacts} contacts ({scores})")
-            for m, r, error in point[["r", "error"]].itertuples():
-                text = f"{r:.3f} ({error:.2f})" if np.isfinite(error) else "-"
+                both = f"{own.mantel_r:.3f} against {r[best]:.3f} of {best}"
+                losses.append(f"{skin}, {contacts} contacts ({both})")
+            for m, mean, error in point[scores].itertuples():
+                text = f"{mean:.3f} ({error:.2f})" if np.isfinite(error) else "-"
                 texts[m] = f"**{text}**" if m == best else text
-            shares = (f"{own.placed:.0%}", f"{own.scored:.0%}")
-            cells.append([contacts, round(own.frames), *texts.values(), *shares])
+            placed = (f"{own.share_placed:.0%}", f"{own.share_scored:.0%}")
+            cells.append([contacts, round(own.n_frames), *texts.values(), *placed])
         header = ("contacts", "frames", *methods, "placed", "scored")
         title = f"### {skin}, {group.seed.nunique()} seeds"
         lines += [title, "", *markdown_table(header, cells), ""]
     named = f": {'; '.join(losses)}" if losses else ""
-    n_points = len(points.groupby(level=["skin", "contacts"]))
+    n_points = len(points.groupby(level=keys[:2]))
     lines.append(
         f"{DEFAULT_METHOD} does not have the largest r at {len(losses)} of {n_points} "
         f"points{named}."

@@ -18,17 +18,16 @@ import numpy as np
 
 import anisomap
 from anisomap.comparison import spanned_dimensions, touched
+from anisomap.defaults import MIN_TOUCHES
 from anisomap.errors import InputError
 from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
 from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate, solids
 from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS, covered, midpoints
-from benchmarks.harness import files_in, heading, line, markdown_table, options, stream
+from benchmarks.harness import files_in, markdown_table, options, stream
 
 FIRST_SEED = 721
 FRAMES = 1000
 SCENARIOS = ("bombardment", "rubbing", "pressing", "roller", "pulses", "locomotion")
-MIN_TOUCHES = 5
-"""Sensors of real skins that were touched less often have no position on any map."""
 
 OUTCOMES = ("right", "not clear", "wrong")
 ANSWERS = ("line", "2", "3", "not clear")
@@ -110,15 +109,19 @@ def markdown(rows: Sequence[Row]) -> str:
     lines = []
     if simulated:
         seeds = sorted({row.seed for row in simulated})
+        shapes: dict[tuple[str, object], list[Row]] = {}
+        for row in simulated:
+            shapes.setdefault((row.body, row.true), []).append(row)
+        shapes["all", ""] = simulated
         lines = [
             f"Simulated skins, seeds {seeds[0]} to {seeds[-1]}, {simulated[0].n_frames} frames.",
             "",
-            *heading(("shape", "true", "skins", *ANSWERS, *OUTCOMES, "largest drop is right")),
+            *markdown_table(
+                ("shape", "true", "skins", *ANSWERS, *OUTCOMES, "largest drop is right"),
+                ((*shape, *_counts(found)) for shape, found in shapes.items()),
+            ),
+            "",
         ]
-        for group in (*dict.fromkeys((row.body, row.true) for row in simulated), ("all", "")):
-            found = [row for row in simulated if group in ((row.body, row.true), ("all", ""))]
-            lines.append(line((*group, *_counts(found))))
-        lines.append("")
     listed = [*(row for row in simulated if row.outcome == "wrong"), *real]
     if listed:
         lines += [

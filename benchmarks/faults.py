@@ -23,9 +23,8 @@ from anisomap.simulation import inject, parse_fault
 from benchmarks.harness import (
     files_in,
     frame,
-    heading,
     in_parallel,
-    line,
+    markdown_table,
     options,
     write_rows,
 )
@@ -196,15 +195,15 @@ def table(results: Sequence[Result]) -> str:
         "fault", "recordings", "found", "something else found", "r undamaged", "r damaged",
         "r repaired", "worst loss after repair", "sensors mapped",
     ]  # fmt: skip
-    lines = heading(header)
+    lines = []
     for text, group in frame(results).groupby("damage", sort=False):
         found = "-" if text == "none" else group.found.sum()
         medians = group[["undamaged", "damaged", "repaired"]].median()
         lost = (group.undamaged - group.repaired).max()
         cells = (text, len(group), found, (group.falsely_found != "").sum())
         scores = (*(f"{r:.3f}" for r in medians), f"{lost:.3f}")
-        lines.append(line([*cells, *scores, f"{group.share_of_sensors.mean():.0%}"]))
-    return "\n".join(lines) + "\n"
+        lines.append((*cells, *scores, f"{group.share_of_sensors.mean():.0%}"))
+    return "\n".join(markdown_table(header, lines)) + "\n"
 
 
 def false_alarms(seeds: Sequence[int]) -> str:
@@ -221,13 +220,13 @@ def false_alarms(seeds: Sequence[int]) -> str:
                 faulty = sum(is_faulty(sensor.status) for sensor in anisomap.assess(sound))
                 found = bool(anisomap.find_faults(sound))
                 for kind in (scenario, text):
-                    rows.setdefault(kind, []).append((found, faulty, sound.n_sensors))
+                    rows.setdefault(kind, []).append((found, sound.n_sensors, faulty))
     header = ["sound recordings", "number", "with a fault", "sensors", "called faulty"]
-    lines = heading(header)
-    for kind, counted in rows.items():
-        with_fault, accused, sensors = map(sum, zip(*counted, strict=True))
-        lines.append(line([kind, len(counted), with_fault, sensors, accused]))
-    return "\n".join(lines) + "\n"
+    lines = (
+        (kind, len(counted), *map(sum, zip(*counted, strict=True)))
+        for kind, counted in rows.items()
+    )
+    return "\n".join(markdown_table(header, lines)) + "\n"
 
 
 if __name__ == "__main__":

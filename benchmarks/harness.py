@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import astuple, fields
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -175,19 +176,10 @@ def read_rows(path: Path, kind: Callable[..., Row]) -> list[Row]:
         ]
 
 
-def line(cells: Iterable[object]) -> str:
-    """Format a row of a table in Markdown."""
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def heading(names: Sequence[str], texts: Sequence[str] | None = None) -> list[str]:
-    """Return the head of a table in Markdown; columns that are not `texts` are aligned right."""
-    rule = ["---" if texts is None else ":---" if name in texts else "---:" for name in names]
-    return [line(names), line(rule)]
-
-
 def markdown_table(
     names: Sequence[str], rows: Iterable[Iterable[object]], texts: Sequence[str] | None = None
-) -> list[str]:
-    """Return the lines of a table in Markdown."""
-    return [*heading(names, texts), *map(line, rows)]
+) -> Iterator[str]:
+    """Yield the lines of a table in Markdown; columns that are not `texts` are aligned right."""
+    rule = ["---" if texts is None else ":---" if name in texts else "---:" for name in names]
+    for cells in chain([names, rule], rows):
+        yield f"| {' | '.join(map(str, cells))} |"

@@ -75,9 +75,14 @@ def round_skin(n_sensors: int) -> Matrix:
     """Return dissimilarities of a spherical skin, which embeds in 3D with low stress."""
     rng = np.random.default_rng(0)
     radius = (n_sensors / (4 * np.pi)) ** 0.5
-    directions = rng.normal(size=((1 + _TOUCHES_PER_SENSOR) * n_sensors, 3))
-    points = radius * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    points = radius * directions((1 + _TOUCHES_PER_SENSOR) * n_sensors, rng)
     return _touched(points[:n_sensors], points[n_sensors:], rng)
+
+
+def directions(n_directions: int, rng: np.random.Generator) -> Matrix:
+    """Draw unit vectors in space, shape (n, 3)."""
+    drawn = rng.normal(size=(n_directions, 3))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
 def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matrix:

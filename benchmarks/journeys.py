@@ -271,7 +271,7 @@ def _of_sizes(made: Sequence[Journey]) -> list[str]:
             significant(_median([one.memory for one in same]) / needed),
         ]
         rows.append(cells)
-    return markdown_table(names, rows, ("slowest",))
+    return [*markdown_table(names, rows, ("slowest",))]
 
 
 def _judged(ratio: float, goal: float) -> str:
@@ -295,7 +295,7 @@ def _of_members(made: Sequence[Journey]) -> list[str]:
         )
         for member, of_member in exponents(made).items()
     ]
-    return markdown_table([*names, "exponent of N", "of T"], rows, names[:1])
+    return [*markdown_table([*names, "exponent of N", "of T"], rows, names[:1])]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

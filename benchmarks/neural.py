@@ -12,12 +12,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
-
 import anisomap
 from anisomap.comparison import RIVALS, compare_methods
 from anisomap.defaults import DEFAULT_METHOD
-from anisomap.sensor_map import SensorMap
 from benchmarks.harness import files_in, markdown_table, measured, options, publish
 
 NAMES = ("eeg", "retina")
@@ -71,20 +68,13 @@ def rows_of(path: Path) -> list[Row]:
             continue
         mapped = part.select([part.names.index(name) for name in own.sensor_map.names])
         verdict = anisomap.diagnose(own.sensor_map, mapped, rng=0).verdict
-        kept = _neighbours_kept(own.sensor_map, mapped)
+        kept = anisomap.score(own.sensor_map, mapped, permutations=0).neighbours_kept
         rows.append(
             Row(path.stem, n_frames, compared.dimensions, len(compared.sensors), own.mantel_r,
                 own.rms_in_spacings, kept, verdict.level, verdict.expected_error, paper.mantel_r,
                 stock.method, stock.mantel_r)
         )  # fmt: skip
     return rows
-
-
-def _neighbours_kept(made: SensorMap, recording: anisomap.Recording) -> float:
-    largest = np.flatnonzero(made.component == 0)
-    places = np.asarray(recording.positions)[largest]
-    found = anisomap.score(SensorMap(made.positions[largest]), places, permutations=0)
-    return found.neighbours_kept
 
 
 def table(rows: Sequence[Row]) -> str:

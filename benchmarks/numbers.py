@@ -24,6 +24,7 @@ from pathlib import Path
 
 from anisomap.errors import FileError
 from anisomap.files import atomic_write
+from benchmarks.harness import markdown_table
 
 _MARKED = re.compile(
     r"(?P<opening><!-- numbers: (?P<table>[\w-]+)(?:: (?P<columns>[^\n]*?))? -->\n)"
@@ -61,8 +62,8 @@ def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
         if name not in header:
             raise FileError(f"{path} has no column {name!r}; its columns are {', '.join(header)}")
     indices = [header.index(name) for name in chosen]
-    lines = [chosen, ["---"] * len(chosen), *([_rounded(row[i]) for i in indices] for row in rows)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    cells = ([_rounded(row[i]) for i in indices] for row in rows)
+    return "".join(f"{line}\n" for line in markdown_table(chosen, cells))
 
 
 def collect(results: Path, tables: Path, names: Sequence[str]) -> None:

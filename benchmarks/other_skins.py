@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import anisomap
+from anisomap.evaluation import median_spacing
 from benchmarks.trust_recordings import Case
 
 Floats = NDArray[np.float64]
@@ -142,14 +143,9 @@ class Press:
         readings[part] = np.maximum(readings[part], height * course[:, None] * shape[near])
 
 
-def spacing_of(places: Floats) -> float:
-    """Median distance of sensors from the nearest other one."""
-    return float(anisomap.evaluation.median_spacing(places))
-
-
 def touched(places: Floats, touch: str, flat: bool, rng: np.random.Generator) -> Floats:
     """Simulate the readings of sensors at places, shape (N, 3), without noise."""
-    n_sensors, spacing = len(places), spacing_of(places)
+    n_sensors, spacing = len(places), median_spacing(places)
     radius = spacing * rng.uniform(1.4, 3.5)
     growth = rng.uniform(1.1, 2.2) if touch == "growing" else 1.0
     press = Press(
@@ -180,7 +176,7 @@ def touched(places: Floats, touch: str, flat: bool, rng: np.random.Generator) ->
 
 def swept(places: Floats, n_frames: int, radius: float, rng: np.random.Generator) -> Floats:
     """Move one contact from sensor to neighbouring sensor, and sometimes elsewhere."""
-    spacing = spacing_of(places)
+    spacing = median_spacing(places)
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     neighbours = np.argsort(apart, axis=1, kind="stable")[:, 1:7]
     place, target = places[rng.integers(len(places))].copy(), int(rng.integers(len(places)))

@@ -8,10 +8,11 @@ real recordings and simulations of seeds 201 to 203 and 211.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +33,12 @@ from anisomap.scene import Mesh
 from anisomap.simulation import Body, find_body
 from benchmarks.harness import options, stream
 
-Result = TypeVar("Result")
+Points = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 DRAWS = 30
 BODIES = ("sphere", "cylinder", "y-shape", "torus", "cube", "hand", "tube", "hemisphere")
+FLAT = ("plane", "hexagon")
 SEEDS = (401, 402, 403)
 HANDS = (
     ("recordings", "icub_hexagon", 2),
@@ -57,7 +60,7 @@ class Figure:
 
     subject, measure: What was placed or compared, and what was measured.
     median, worst: Over draws of anchors or faults: the median, and the quantile of 90 % (10 % for
-        shares).
+        shares); of what is true or false, the share that is true.
     draws, refused: Number of draws, and of those that were refused.
     """
 
@@ -67,6 +70,25 @@ class Figure:
     worst: float
     draws: int
     refused: int = 0
+
+
+Measured: TypeAlias = tuple[str, float | None]
+"""What was measured in one draw, and its value; None if it was refused."""
+
+
+def figures(subject: str, measured: Iterable[Measured]) -> Iterator[Figure]:
+    """Summarise values over draws, by what was measured."""
+    values: dict[str, list[float | None]] = {}
+    for measure, value in measured:
+        values.setdefault(measure, []).append(value)
+    for measure, drawn in values.items():
+        known = [value for value in drawn if value is not None]
+        numbers = np.array(known or [np.nan], dtype=np.float64)
+        tail = 0.1 if "share" in measure and "accused" not in measure else 0.9
+        middle, worst = float(np.median(numbers)), float(np.quantile(numbers, tail))
+        if all(isinstance(value, bool) for value in known):
+            middle = worst = float(numbers.mean())
+        yield Figure(subject, measure, middle, worst, len(drawn), len(drawn) - len(known))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -85,12 +107,12 @@ def _figures(shared: Path | None, draws: int, bodies: Sequence[str]) -> Iterator
             yield from _real(shared, name, draws)
         for folder, name, dimensions in HANDS:
             recording = anisomap.read(shared / folder / f"{name}.npz")
-            yield from _hands(name, [recording], dimensions)
+            yield from figures(name, _hands([recording], dimensions))
     for body in bodies:
-        yield from _on_mesh(body, draws)
-    for name, dimensions in (*((body, 3) for body in bodies), ("plane", 2), ("hexagon", 2)):
+        yield from figures(body, _on_mesh(body, draws))
+    for name, dimensions in (*((body, 3) for body in bodies), *((body, 2) for body in FLAT)):
         made = [simulate(name, "rubbing", n_frames=1200, seed=seed) for seed in SEEDS]
-        yield from _hands(name, made, dimensions)
+        yield from figures(name, _hands(made, dimensions))
 
 
 def _real(shared: Path, name: str, draws: int) -> Iterator[Figure]:
@@ -104,85 +126,69 @@ def _real(shared: Path, name: str, draws: int) -> Iterator[Figure]:
         reconstruct(Recording(readings, names=recording.names), dimensions=2)
         for readings in (recording.readings[:half], recording.readings[half:])
     )
-    yield from _anchored(name, reconstruct(recording, dimensions=2), truth, modules, draws)
-    yield from _two_days(name, (first, second), truth, modules, draws)
-    yield from _differences(name, first, second, truth, draws)
+    whole = reconstruct(recording, dimensions=2)
+    yield _free(name, whole, truth)
+    yield from figures(name, _anchored(whole, truth, modules, draws))
+    yield from figures(name, _two_days((first, second), truth, modules, draws))
+    yield from figures(name, _differences(first, second, truth, draws))
 
 
-def _anchored(
-    name: str, whole: SensorMap, truth: NDArray[np.float64], modules: Modules, draws: int
-) -> Iterator[Figure]:
+def _free(name: str, whole: SensorMap, truth: Points) -> Figure:
+    """Fit a map to all true positions: the median and the largest error."""
+    errors = align(whole.positions, truth).errors / median_spacing(truth)
+    title = "free map, Procrustes on all sensors: median error (pitches)"
+    return Figure(name, title, float(np.median(errors)), float(errors.max()), 1)
+
+
+def _anchored(whole: SensorMap, truth: Points, modules: Modules, draws: int) -> Iterator[Measured]:
     """Place a map by random anchors and by suggested ones, with and without modules."""
     best, pitch = align(whole.positions, truth), median_spacing(truth)
-    middle = float(np.median(best.errors)) / pitch
-    title = "free map, Procrustes on all sensors: median error (pitches)"
-    yield Figure(name, title, middle, float(best.errors.max()) / pitch, 1)
-
-    def rms(placement: Placement, rest: NDArray[np.intp]) -> float:
-        return float(np.sqrt(np.mean(_off(placement, truth)[rest] ** 2))) / best.rms
-
-    def median(placement: Placement, rest: NDArray[np.intp]) -> float:
-        return float(np.median(_off(placement, truth)[rest])) / pitch
-
-    def within(placement: Placement, rest: NDArray[np.intp]) -> float:
-        return float(np.mean((_off(placement, truth) <= placement.map.errors)[rest]))
-
+    measures: dict[str, Callable[[Points, Points], Any]] = {
+        "RMS error over that of Procrustes on all sensors": lambda off, _: (
+            np.sqrt(np.mean(off**2)) / best.rms
+        ),
+        "median error (pitches)": lambda off, _: np.median(off) / pitch,
+        "share of sensors within their error": lambda off, stated: np.mean(off <= stated),
+    }
     suggested = whole.indices(suggest_anchors(whole, _ANCHORS))
     for count in (0, _ANCHORS, 8, 20):
-        for given, more in ((None, ""), (modules, " and triangles")):
-
-            def placed(rows: NDArray[np.intp], given: Modules | None = given) -> Placement:
-                names = tuple(whole.names[i] for i in rows)
-                return place(whole, Anchors(names, truth[rows]), modules=given)
-
-            if count:
-                results = list(_draws(placed, truth, count, draws))
-            else:
-                rest = np.setdiff1d(np.arange(len(truth)), suggested)
-                results = [(suggested, rest, placed(suggested))]
-            how = f"{count} random anchors" if count else f"{_ANCHORS} suggested anchors"
-            for measure, what in (
-                (rms, "RMS error over that of Procrustes on all sensors"),
-                (median, "median error (pitches)"),
-                (within, "share of sensors within their error"),
-            ):
-                yield _figure(name, f"{how}{more}: {what}", results, measure)
+        chosen = _draws(truth, count, draws) if count else [suggested]
+        how = f"{count} random anchors" if count else f"{_ANCHORS} suggested anchors"
+        for rows, (given, more) in product(chosen, ((None, ""), (modules, " and triangles"))):
+            found = placed(whole, truth, rows, modules=given)
+            for what, measure in measures.items():
+                value = None
+                if found is not None:
+                    off, stated = (
+                        np.delete(x, rows) for x in (_off(found, truth), found.map.errors)
+                    )
+                    value = float(measure(off, stated))
+                yield f"{how}{more}: {what}", value
 
 
 def _two_days(
-    name: str,
-    days: tuple[SensorMap, SensorMap],
-    truth: NDArray[np.float64],
-    modules: Modules,
-    draws: int,
-) -> Iterator[Figure]:
+    days: tuple[SensorMap, SensorMap], truth: Points, modules: Modules, draws: int
+) -> Iterator[Measured]:
     """Place maps of two halves of a recording by the same anchors."""
-
-    def both_days(rows: NDArray[np.intp]) -> tuple[Placement, Placement]:
-        anchors = Anchors(tuple(days[0].names[i] for i in rows), truth[rows])
-        one, other = (place(day, anchors, modules=modules) for day in days)
-        return one, other
-
     for count in (_ANCHORS, 8):
-        shares = []
-        for _, rest, pair in _draws(both_days, truth, count, draws):
-            if pair is not None:
-                apart = np.linalg.norm(pair[0].map.positions - pair[1].map.positions, axis=1)
-                stated = np.hypot(pair[0].map.errors, pair[1].map.errors)
-                shares.append(float(np.mean((apart <= stated)[rest])))
         what = f"{count} random anchors and triangles, two days: share within both errors"
-        worst = float(np.quantile(shares, 0.1))
-        yield Figure(name, what, float(np.median(shares)), worst, draws, draws - len(shares))
+        for rows in _draws(truth, count, draws):
+            one, other = (placed(day, truth, rows, modules=modules) for day in days)
+            if one is None or other is None:
+                yield what, None
+            else:
+                apart = np.linalg.norm(one.map.positions - other.map.positions, axis=1)
+                inside = apart <= np.hypot(one.map.errors, other.map.errors)
+                yield what, float(np.delete(inside, rows).mean())
 
 
 def _differences(
-    name: str, first: SensorMap, second: SensorMap, truth: NDArray[np.float64], draws: int
-) -> Iterator[Figure]:
+    first: SensorMap, second: SensorMap, truth: Points, draws: int
+) -> Iterator[Measured]:
     """Compare maps of two halves, with and without exchanged sensors."""
-    accused = float(np.mean(compare_maps(first, second).moved))
-    yield Figure(name, "diff of two halves: share accused", accused, accused, 1)
+    moved = compare_maps(first, second).moved
+    yield "diff of two halves: share accused", float(np.mean(moved))
     far = 3 * median_spacing(truth)
-    named, false = [], []
     for draw in range(draws):
         rng = np.random.default_rng(draw)
         a = int(rng.integers(len(truth)))
@@ -190,81 +196,48 @@ def _differences(
         positions = second.positions.copy()
         positions[[a, b]] = positions[[b, a]]
         moved = compare_maps(first, SensorMap(positions, names=second.names)).moved
-        named.append(float(moved[[a, b]].mean()))
-        false.append(float(np.delete(moved, [a, b]).mean()))
-    yield Figure(name, "diff, 2 sensors 3 spacings apart or more exchanged: share named",
-                 float(np.mean(named)), float(np.quantile(named, 0.1)), draws)  # fmt: skip
-    yield Figure(name, "diff, 2 sensors exchanged: share of others accused",
-                 float(np.mean(false)), float(np.quantile(false, 0.9)), draws)  # fmt: skip
+        what = "diff, 2 sensors 3 spacings apart or more exchanged: share named"
+        yield what, float(moved[[a, b]].mean())
+        what = "diff, 2 sensors exchanged: share of others accused"
+        yield what, float(np.delete(moved, [a, b]).mean())
 
 
-def _on_mesh(name: str, draws: int) -> Iterator[Figure]:
+def _on_mesh(name: str, draws: int) -> Iterator[Measured]:
     """Place maps of a simulated body on its mesh, by 3 anchors."""
     body = find_body(name)
     mesh = outline(body)
-    results: list[tuple[NDArray[np.intp], NDArray[np.intp], Placement | None]] = []
-    right, count = 0, draws // len(SEEDS) + 1
-    medians = []
     for seed in SEEDS:
         recording = simulate(name, "rubbing", n_frames=1200, seed=seed)
         truth = np.asarray(recording.positions, dtype=np.float64)
         made = reconstruct(Recording(recording.readings, names=recording.names), dimensions=3)
         mirrored = align(made.positions[made.placed], truth[made.placed]).reflected
-
-        def with_mesh(
-            rows: NDArray[np.intp], made: SensorMap = made, truth: NDArray[np.float64] = truth
-        ) -> Placement:
-            anchors = Anchors(tuple(made.names[i] for i in rows), truth[rows])
-            return place(made, anchors, mesh=mesh)
-
-        for rows, rest, placement in _draws(with_mesh, truth, 3, count):
-            results.append((rows, rest, placement))
-            if placement is not None:
-                right += placement.map.mirrored == mirrored
-                medians.append(float(np.nanmedian(_off(placement, truth)[rest])) / body.spacing)
-    refused = sum(placement is None for _, _, placement in results)
-    done = len(results) - refused
-    if done:
-        yield Figure(name, "mesh and 3 anchors: median error (spacings)",
-                     float(np.median(medians)), float(np.quantile(medians, 0.9)),
-                     len(results), refused)  # fmt: skip
-    share = right / done if done else float("nan")
-    yield Figure(name, "mesh and 3 anchors: share of the right hand where placed",
-                 share, share, len(results), refused)  # fmt: skip
+        for rows in _draws(truth, 3, draws // len(SEEDS) + 1):
+            found, off, right = placed(made, truth, rows, mesh=mesh), None, None
+            if found is not None:
+                off = float(np.nanmedian(np.delete(_off(found, truth), rows))) / body.spacing
+                right = bool(found.map.mirrored == mirrored)
+            yield "mesh and 3 anchors: median error (spacings)", off
+            yield "mesh and 3 anchors: share of the right hand where placed", right
 
 
-def _hands(name: str, recordings: Sequence[Recording], dimensions: int) -> Iterator[Figure]:
-    """Count the hands that random anchors decide wrongly, in the plane or in space."""
-    maps = [
-        reconstruct(Recording(r.readings, names=r.names), dimensions=dimensions) for r in recordings
-    ]
-    for count in (3, 4, 5):
-        wrong = refused = 0
-        for whole, recording in zip(maps, recordings, strict=True):
-            here = np.flatnonzero(whole.component == 0)
-            truth = np.asarray(recording.positions, dtype=np.float64)[here] * _MM
-            part = SensorMap(whole.positions[here], uneven=whole.uneven)
-            right = align(part.positions, truth).aligned
-
-            def placed(
-                rows: NDArray[np.intp], part: SensorMap = part, truth: NDArray[np.float64] = truth
-            ) -> Placement:
-                return place(part, Anchors(tuple(part.names[i] for i in rows), truth[rows]))
-
-            for rows, _, placement in _draws(placed, truth, count, HAND_DRAWS):
-                refused += placement is None
-                if placement is not None:
-                    wrong += not _same_hand(placement.map.positions, right, rows)
-        draws = HAND_DRAWS * len(maps)
-        done = draws - refused
-        share = wrong / done if done else 0.0
-        title = f"{count} random anchors: share of wrong hands where placed"
-        yield Figure(name, title, share, share, draws, refused)
+def _hands(recordings: Sequence[Recording], dimensions: int) -> Iterator[Measured]:
+    """Tell whether random anchors decide the hand wrongly, in the plane or in space."""
+    for recording in recordings:
+        whole = reconstruct(
+            Recording(recording.readings, names=recording.names), dimensions=dimensions
+        )
+        here = np.flatnonzero(whole.component == 0)
+        truth = np.asarray(recording.positions, dtype=np.float64)[here] * _MM
+        part = SensorMap(whole.positions[here], uneven=whole.uneven)
+        right = align(part.positions, truth).aligned
+        for count in (3, 4, 5):
+            for rows in _draws(truth, count, HAND_DRAWS):
+                found = placed(part, truth, rows)
+                wrong = None if found is None else not _same_hand(found.map.positions, right, rows)
+                yield f"{count} random anchors: share of wrong hands where placed", wrong
 
 
-def _same_hand(
-    placed: NDArray[np.float64], right: NDArray[np.float64], anchors: NDArray[np.intp]
-) -> bool:
+def _same_hand(placed: Points, right: Points, anchors: Indices) -> bool:
     """Compare the hands of two images of one map, in its plane if it is flat.
 
     Anchors are not on the map, but where they were measured.
@@ -276,38 +249,21 @@ def _same_hand(
     return bool(np.linalg.det((one @ axes.T).T @ (other @ axes.T)) > 0)
 
 
-def _draws(
-    make: Callable[[NDArray[np.intp]], Result], truth: NDArray[np.float64], count: int, draws: int
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], Result | None]]:
-    """Yield random anchors, the other sensors, and what was made of them; None if refused."""
+def _draws(truth: Points, count: int, draws: int) -> Iterator[Indices]:
+    """Draw random anchors, of which there are `count` in each draw."""
     for draw in range(draws):
-        rows = np.random.default_rng(draw).choice(len(truth), count, replace=False)
-        rest = np.setdiff1d(np.arange(len(truth)), rows)
-        try:
-            yield rows, rest, make(rows)
-        except InputError:
-            yield rows, rest, None
+        yield np.random.default_rng(draw).choice(len(truth), count, replace=False)
 
 
-def _figure(
-    subject: str,
-    measure: str,
-    results: Sequence[tuple[NDArray[np.intp], NDArray[np.intp], Placement | None]],
-    compute: Callable[[Placement, NDArray[np.intp]], float],
-) -> Figure:
-    values = [compute(placement, rest) for _, rest, placement in results if placement is not None]
-    tail = 0.1 if "share" in measure else 0.9
-    return Figure(
-        subject,
-        measure,
-        float(np.median(values)) if values else float("nan"),
-        float(np.quantile(values, tail)) if values else float("nan"),
-        len(results),
-        len(results) - len(values),
-    )
+def placed(made: SensorMap, truth: Points, rows: Indices, **options: Any) -> Placement | None:
+    """Place a map by the true positions of some sensors; None if it is refused."""
+    try:
+        return place(made, Anchors(tuple(made.names[i] for i in rows), truth[rows]), **options)
+    except InputError:
+        return None
 
 
-def _off(placement: Placement, truth: NDArray[np.float64]) -> NDArray[np.float64]:
+def _off(placement: Placement, truth: Points) -> Points:
     return np.asarray(np.linalg.norm(placement.map.positions - truth, axis=1))
 
 

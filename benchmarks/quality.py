@@ -25,8 +25,7 @@ from benchmarks.harness import (
     COLOURS,
     files_in,
     frame,
-    heading,
-    line,
+    markdown_table,
     measured,
     options,
     write_rows,
@@ -167,14 +166,14 @@ def tables(results: Sequence[Result]) -> str:
     lines, losses = [], []
     for n_frames, of_length in every.groupby("n_frames"):
         header = ["skin", "seeds", *methods, "error ratio", "scored"]
-        lines += [f"### {n_frames:,} frames", "", *heading(header)]
+        rows = []
         for name, group in of_length.groupby("recording", sort=False):
             r = group.pivot(index="seed", columns="method", values="mantel_r")[methods]
-            lines.append(line([name, len(r), *cells(r), f"{group.share_scored.min():.0%}"]))
+            rows.append((name, len(r), *cells(r), f"{group.share_scored.min():.0%}"))
             lost = loss(r)
             losses += [f"{name}, {n_frames:,} frames ({lost})"] if lost else []
-            n_rows += 1
-        lines.append("")
+        n_rows += len(rows)
+        lines += [f"### {n_frames:,} frames", "", *markdown_table(header, rows), ""]
     if DEFAULT_METHOD in methods and any(method in RIVALS for method in methods):
         named = f": {'; '.join(losses)}" if losses else ""
         lines.append(

@@ -6,12 +6,15 @@ Contacts are smooth pulses at random places of a sphere. Each member is drawn fr
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
+from benchmarks.inputs import directions
 
 Readings = NDArray[np.float32]
 
@@ -24,12 +27,6 @@ _PARTS = 8  # separate skins
 _MISSING = 0.3
 
 
-def _places(n_points: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    points = rng.normal(size=(n_points, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return points
-
-
 def touched(
     n_sensors: int,
     n_frames: int,
@@ -39,14 +36,14 @@ def touched(
     contacts: int | None = None,
 ) -> Readings:
     """Simulate a sphere touched at random places; readings are 0 at rest, shape (T, N)."""
-    sensors = _places(n_sensors, rng)
+    sensors = directions(n_sensors, rng)
     count = contacts or max(5, n_frames // _FRAMES_PER_CONTACT)
     typical = _SPACINGS * np.sqrt(4 * np.pi / n_sensors) if radius is None else radius
     course = np.cos(np.linspace(-1, 1, 2 * _PULSE + 1) * np.pi / 2) ** 2
     # Frames before and after the recording, so that contacts may begin and end outside.
     readings = np.zeros((n_frames + 2 * _PULSE, n_sensors), np.float32)
     for place, first, height, reach in zip(
-        _places(count, rng),
+        directions(count, rng),
         rng.integers(n_frames, size=count).tolist(),
         rng.uniform(0.5, 1.5, count),
         typical * rng.uniform(0.7, 1.3, count),
@@ -60,32 +57,12 @@ def touched(
     return readings[_PULSE : _PULSE + n_frames]
 
 
-def _noise(shape: tuple[int, ...], rng: np.random.Generator) -> Readings:
-    return rng.standard_normal(shape, np.float32) * np.float32(_NOISE)
+def _noise(n: int, t: int, rng: np.random.Generator) -> Readings:
+    return rng.standard_normal((t, n), np.float32) * np.float32(_NOISE)
 
 
-def _noisy(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return touched(n, t, rng) + _noise((t, n), rng)
-
-
-def _dense(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return touched(n, t, rng, radius=_WIDE) + _noise((t, n), rng)
-
-
-def _rare(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return touched(n, t, rng, contacts=max(20, n // 2)) + _noise((t, n), rng)
-
-
-def _quantised(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return np.round(255 / 1.5 * touched(n, t, rng))
-
-
-def _many_levels(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return np.round(1e5 * _noisy(n, t, rng))
-
-
-def _binary(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return (touched(n, t, rng) > 0).astype(np.float32)
+def _noisy(n: int, t: int, rng: np.random.Generator, **contacts: Any) -> Readings:
+    return touched(n, t, rng, **contacts) + _noise(n, t, rng)
 
 
 def _drifting(n: int, t: int, rng: np.random.Generator) -> Readings:
@@ -95,21 +72,13 @@ def _drifting(n: int, t: int, rng: np.random.Generator) -> Readings:
 
 def _components(n: int, t: int, rng: np.random.Generator) -> Readings:
     sizes = [len(part) for part in np.array_split(np.arange(n), _PARTS)]
-    return np.hstack([touched(size, t, rng) for size in sizes]) + _noise((t, n), rng)
+    return np.hstack([touched(size, t, rng) for size in sizes]) + _noise(n, t, rng)
 
 
 def _incomplete(n: int, t: int, rng: np.random.Generator) -> Readings:
     readings = _noisy(n, t, rng)
     readings[rng.uniform(size=readings.shape) < _MISSING] = np.nan
     return Recording(readings).complete("interpolate").readings.astype(np.float32)
-
-
-def _identical(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[:, :n]
-
-
-def _pure_noise(n: int, t: int, rng: np.random.Generator) -> Readings:
-    return _noise((t, n), rng)
 
 
 def _ramps(n: int, t: int, rng: np.random.Generator) -> Readings:
@@ -119,16 +88,18 @@ def _ramps(n: int, t: int, rng: np.random.Generator) -> Readings:
 MEMBERS: Mapping[str, Callable[[int, int, np.random.Generator], Readings]] = MappingProxyType(
     {
         "noise in every reading": _noisy,
-        "8 bits, exact rest": _quantised,
-        "binary": _binary,
-        "100,000 levels": _many_levels,
-        "wide contacts": _dense,
-        "rare contacts": _rare,
+        "8 bits, exact rest": lambda n, t, rng: np.round(255 / 1.5 * touched(n, t, rng)),
+        "binary": lambda n, t, rng: (touched(n, t, rng) > 0).astype(np.float32),
+        "100,000 levels": lambda n, t, rng: np.round(1e5 * _noisy(n, t, rng)),
+        "wide contacts": partial(_noisy, radius=_WIDE),
+        "rare contacts": lambda n, t, rng: _noisy(n, t, rng, contacts=max(20, n // 2)),
         "drifting rest": _drifting,
         "eight skins": _components,
         "30 % missing, interpolated": _incomplete,
-        "every sensor twice": _identical,
-        "pure noise": _pure_noise,
+        "every sensor twice": lambda n, t, rng: np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[
+            :, :n
+        ],
+        "pure noise": _noise,
         "ramps": _ramps,
     }
 )

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
 from anisomap import Recording, SensorMap, reconstruct
@@ -174,11 +175,7 @@ def simulate(robot: KinematicTree, seed: int, n_contacts: int, form: str = "curv
 
 def _mount(rng: np.random.Generator, offset: list[float]) -> NDArray[np.float64]:
     found = np.eye(4)
-    tilt = rng.normal(0, 0.3, 3)
-    angle = np.linalg.norm(tilt)
-    x, y, z = tilt / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    found[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    found[:3, :3] = Rotation.from_rotvec(rng.normal(0, 0.3, 3)).as_matrix()
     found[:3, 3] = np.array(offset) + rng.normal(0, 0.01, 3)
     return found
 

@@ -100,7 +100,7 @@ def _size_table() -> list[str]:
     rows["tests"] = size_of(tests)
     cells = [(name, *(f"{count:,}" for count in astuple(size))) for name, size in rows.items()]
     cells.append(("goal for all", *(f"{GOALS[n]:,}" if n in GOALS else "" for n in names)))
-    return markdown_table(("", *names), cells)
+    return [*markdown_table(("", *names), cells)]
 
 
 def _path_table() -> list[str]:
@@ -112,7 +112,7 @@ def _path_table() -> list[str]:
         warnings.simplefilter("ignore")
         for name, call in _calls(readings, Path(folder)).items():
             rows.append((name, *astuple(path_of(call))))
-    return markdown_table(("map of 60 sensors", "functions", "modules"), rows)
+    return [*markdown_table(("map of 60 sensors", "functions", "modules"), rows)]
 
 
 def _calls(readings: np.ndarray[Any, Any], folder: Path) -> dict[str, Callable[[], Any]]:

@@ -9,18 +9,17 @@ all results with all evidence as CSV. A run that was interrupted continues where
 
 from __future__ import annotations
 
-import csv
 import logging
 import math
 import time
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field
+from collections.abc import Iterable, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from scipy.spatial import KDTree
 from scipy.stats import chi2
@@ -31,16 +30,7 @@ from anisomap.diagnosis.diagnostics import examine
 from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.usability import ACCURACY
-from benchmarks.harness import (
-    columns,
-    heading,
-    in_parallel,
-    line,
-    markdown_table,
-    options,
-    quietly,
-    write_csv,
-)
+from benchmarks.harness import in_parallel, markdown_table, options, quietly, write_csv
 from benchmarks.other_skins import cases_of_other
 from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
 
@@ -48,12 +38,17 @@ FIRST_SEED = 3001
 SEEDS = 130
 """Number of seeds; each gives four recordings."""
 
-FACTS = (
-    "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
+COLUMNS = (
+    "source", "name", "group", "kind", "fault", "level", "expected", "r", "error", "kept",
+    "reasons", "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
     "repeatability", "difference", "region", "inside", "placed",
     *(name for name in ACCURACY if name != "repeatability"),
 )  # fmt: skip
-"""Columns of the evidence, and of what follows from it."""
+"""Columns of the results, one row for each recording: verdict, truth, evidence, and what follows.
+
+source: Seed or file; group, kind: See `Case`; expected: Error in spacings; r, error, kept: Mantel
+r, RMS error in spacings, and share of neighbours kept.
+"""
 
 REGION, MIN_REGION = 5.0, 6
 """Radius of a region in spacings, and sensors of the smallest one."""
@@ -61,66 +56,28 @@ REGION, MIN_REGION = 5.0, 6
 REFUSED = "refused"
 """Level of a recording of which no map is made."""
 
-
 MIN_R, MAX_ERROR = 0.9, 1.0
 """A map with a smaller Mantel r, or a larger error in spacings, must not be called usable."""
 
 GOOD_R, GOOD_ERROR = 0.97, 0.5
 """A map with at least this r, and a smaller error in spacings, should not be called not usable."""
-
-LEVELS = ("usable", "usable for neighbours", "not usable", "cannot tell", "refused")
-
+LEVELS = ("usable", "usable for neighbours", "not usable", "cannot tell")
+"""Of maps, in the order of the table; the first three are in the picture."""
 
 _LOOKS = (("#0072B2", "o"), ("#E69F00", "s"), ("#D55E00", "x"))
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """A verdict, and the truth about the map.
-
-    source: Seed or file; group, kind: See `Case`; expected: Error in spacings.
-    r, error, kept: Mantel r, RMS error in spacings, and share of neighbours kept.
-    evidence: What the verdict follows from, and properties of the recording.
-    """
-
-    NUMBERS: ClassVar = ("expected", "r", "error", "kept")
-
-    source: str
-    name: str
-    group: str
-    kind: str
-    fault: str
-    level: str
-    expected: float
-    r: float
-    error: float
-    kept: float
-    reasons: str
-    evidence: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def is_bad(self) -> bool:
-        """Whether the map is too wrong to be called usable."""
-        return self.r < MIN_R or self.error > MAX_ERROR
-
-    @property
-    def is_good(self) -> bool:
-        """Whether the map is too good to be called not usable."""
-        return self.r >= GOOD_R and self.error < GOOD_ERROR
-
-    @property
-    def is_false_reassurance(self) -> bool:
-        """Whether a bad map is called usable."""
-        return self.is_bad and self.level == "usable"
-
-    @property
-    def is_false_alarm(self) -> bool:
-        """Whether a good map is called not usable."""
-        return self.is_good and self.level == "not usable"
+Outcome: TypeAlias = dict[str, Any]
 
 
-FIXED = columns(Outcome)[:-1]
-"""Columns before those of the evidence."""
+def is_bad(outcomes: Any) -> Any:
+    """Mark maps that are too wrong to be called usable."""
+    return (outcomes.r < MIN_R) | (outcomes.error > MAX_ERROR)
+
+
+def is_good(outcomes: Any) -> Any:
+    """Mark maps that are too good to be called not usable."""
+    return (outcomes.r >= GOOD_R) & (outcomes.error < GOOD_ERROR)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -139,13 +96,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     last = chosen.first_seed + 3 * chosen.seeds
     every += [*seeds, *(f"other-{seed}" for seed in range(chosen.first_seed, last))]
     path = chosen.output / "trust.csv"
-    outcomes = read_outcomes(path) if path.exists() else []
-    done = {outcome.source for outcome in outcomes}
+    rows: list[Outcome] = read_outcomes(path).to_dict("records") if path.exists() else []
+    done = {row["source"] for row in rows}
     todo = [source for source in every[part - 1 :: parts] if str(source_name(source)) not in done]
     judge_all = partial(outcomes_of, folder=chosen.output / "recordings", chosen=chosen.cases)
     for found in in_parallel(judge_all, todo, chosen.workers, ordered=False):
-        outcomes += found
-        write_outcomes(outcomes, path)
+        rows += found
+        write_csv(path, COLUMNS, ([row.get(name, "") for name in COLUMNS] for row in rows))
+    outcomes = pd.DataFrame(rows, columns=COLUMNS)
     text = table(outcomes)
     (chosen.output / "trust-table.md").write_text(text, encoding="utf-8")
     draw(outcomes, chosen.output / "trust.png")
@@ -173,13 +131,17 @@ def outcomes_of(source: int | Path | str, folder: Path, chosen: str | None = Non
 
 
 def judged(case: Case, source: str = "") -> Outcome:
-    """Map a recording, and compare the verdict on the map with its error."""
+    """Map a recording, and compare the verdict on the map with its error; a row of `COLUMNS`."""
     recording = case.recording
-    of_case = (source, case.name, case.group, case.kind, case.fault)
-    facts = {
-        "sensors": float(recording.n_sensors),
-        "frames": float(recording.n_frames),
-        "dimensions": float(case.dimensions),
+    found: Outcome = {
+        "source": source,
+        "name": case.name,
+        "group": case.group,
+        "kind": case.kind,
+        "fault": case.fault,
+        "sensors": recording.n_sensors,
+        "frames": recording.n_frames,
+        "dimensions": case.dimensions,
     }
     with quietly():
         try:
@@ -189,24 +151,27 @@ def judged(case: Case, source: str = "") -> Outcome:
             faults = anisomap.find_faults(recording)
             evidence, covariances = examine(made, [recording], faults=faults, stages=stages)
             verdict = judge(evidence)
-            facts["cpu map"] = mapped - begun
-            facts["cpu verdict"] = time.process_time() - mapped
+            judged = time.process_time()
             truth = np.asarray(recording.positions)
             scored = anisomap.score(made, truth, permutations=0)
         except anisomap.InputError as error:
-            nan = math.nan
-            return Outcome(*of_case, REFUSED, nan, nan, nan, nan, str(error), facts)
-    facts |= {
+            return found | {"level": REFUSED, "reasons": str(error)}
+    return found | {
+        "level": verdict.level,
+        "expected": verdict.expected_error,
+        "r": scored.mantel.r,
+        "error": scored.rms_in_spacings,
+        "kept": scored.neighbours_kept,
+        "reasons": "; ".join(verdict.reasons),
+        "cpu map": mapped - begun,
+        "cpu verdict": judged - mapped,
         "repeatability": evidence.repeatability,
         "difference": evidence.difference,
         "region": region_error(made, truth),
         "inside": share_inside(made, covariances, truth),
         "placed": float(np.mean(made.component == 0)),
+        **{name: getattr(verdict, name) for name in ACCURACY},
     }
-    facts |= {name: getattr(verdict, name) for name in ACCURACY}
-    scores = (scored.mantel.r, scored.rms_in_spacings, scored.neighbours_kept)
-    reasons = "; ".join(verdict.reasons)
-    return Outcome(*of_case, verdict.level, verdict.expected_error, *scores, reasons, facts)
 
 
 def region_error(made: anisomap.SensorMap, truth: np.ndarray) -> float:
@@ -237,47 +202,30 @@ def share_inside(
     return float(np.mean(distances < chi2.ppf(0.95, k)))
 
 
-def write_outcomes(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Write all outcomes; columns of evidence follow the others."""
-    evidence = list(dict.fromkeys([*FACTS, *(name for one in outcomes for name in one.evidence)]))
-    rows = ([*astuple(one)[:-1], *(one.evidence.get(n, "") for n in evidence)] for one in outcomes)
-    write_csv(path, [*FIXED, *evidence], rows)
+def read_outcomes(path: Path) -> Any:
+    """Read the results of an earlier run, a data frame with `COLUMNS`."""
+    texts = ["source", "name", "group", "kind", "fault", "level", "reasons"]
+    found = pd.read_csv(path, dtype=dict.fromkeys(texts, str))
+    return found.fillna(dict.fromkeys(texts, ""))
 
 
-def read_outcomes(path: Path) -> list[Outcome]:
-    """Read the outcomes of an earlier run."""
-    outcomes = []
-    with path.open(newline="", encoding="utf-8") as stream:
-        for row in csv.DictReader(stream):
-            fixed: dict[str, Any] = {name: row.pop(name) for name in FIXED}
-            fixed |= {name: float(fixed[name]) for name in Outcome.NUMBERS}
-            evidence = {name: float(text) for name, text in row.items() if text}
-            outcomes.append(Outcome(**fixed, evidence=evidence))
-    return outcomes
-
-
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes: Any) -> str:
     """Return the results in Markdown: figures, levels by quality, and all failures by name."""
-    mapped = [one for one in outcomes if not math.isnan(one.r)]
-    bad = [one for one in mapped if one.is_bad]
-    good = [one for one in mapped if one.is_good]
-    reassured = [one for one in mapped if one.is_false_reassurance]
-    alarms = [one for one in mapped if one.is_false_alarm]
+    mapped = outcomes[outcomes.r.notna()]
+    bad, good = mapped[is_bad(mapped)], mapped[is_good(mapped)]
+    reassured, alarms = bad[bad.level == "usable"], good[good.level == "not usable"]
     ratios = ratios_of(mapped)
-    cost = [
-        one.evidence["cpu verdict"] / one.evidence["cpu map"]
-        for one in mapped
-        if one.evidence.get("cpu map", 0) > 0
-    ]
-    seeds = [int(one.source) for one in outcomes if one.source.isdecimal()]
-    groups = Counter(one.group for one in outcomes)
+    cost = (mapped["cpu verdict"] / mapped["cpu map"])[mapped["cpu map"] > 0]
+    seeds = outcomes.source[outcomes.source.str.isdecimal()].astype(int)
     rows: list[tuple[object, ...]] = [("recordings", len(outcomes), "at least 500")]
-    if seeds:
-        rows.append((f"of simulated skins, seeds {min(seeds)} to {max(seeds)}", len(seeds), ""))
-    if groups["other"]:
-        rows.append(("of the second simulator", groups["other"], ""))
-    if groups["real"]:
-        rows.append(("of real skins, which were seen during development", groups["real"], ""))
+    if len(seeds):
+        rows.append((f"of simulated skins, seeds {seeds.min()} to {seeds.max()}", len(seeds), ""))
+    for group, what in (
+        ("other", "of the second simulator"),
+        ("real", "of real skins, which were seen during development"),
+    ):
+        if count := int((outcomes.group == group).sum()):
+            rows.append((what, count, ""))
     share = len(alarms) / max(1, len(good))
     rows += [
         ("maps", len(mapped), ""),
@@ -286,95 +234,76 @@ def table(outcomes: Sequence[Outcome]) -> str:
         (f"false alarm: called not usable, but r >= {GOOD_R} and error < {GOOD_ERROR:g} spacing",
          f"{len(alarms)} of {len(good)} ({share:.1%})", "at most 5 %"),
     ]  # fmt: skip
-    if ratios.size:
-        within = np.mean((ratios >= 1 / 2) & (ratios <= 2))
+    if len(ratios):
+        within = ratios.between(1 / 2, 2).mean()
         rows += [
-            ("expected error over true error, median", f"{np.median(ratios):.2f}", "0.67 to 1.5"),
+            ("expected error over true error, median", f"{ratios.median():.2f}", "0.67 to 1.5"),
             ("expected error within a factor of 2 of the true error", f"{within:.0%}", ""),
-            ("true error above the expected", f"{np.mean(ratios < 1):.0%}", ""),
+            ("true error above the expected", f"{(ratios < 1).mean():.0%}", ""),
         ]
-    if cost:
+    if len(cost):
         what = "CPU time of the search for faults and the verdict over that of the map, median"
-        rows.append((what, f"{np.median(cost):.1f}", ""))
-    lines = markdown_table(("figure", "value", "goal"), rows)
-    lines += ["", *heading(("maps", "number", *LEVELS[:-1]))]
-    between = [one for one in mapped if not one.is_bad and not one.is_good]
-    for title, group in (
-        (f"good: r >= {GOOD_R}, error < {GOOD_ERROR:g}", good),
-        ("between", between),
-        (f"bad: r < {MIN_R} or error > {MAX_ERROR:g}", bad),
-    ):
-        counts = Counter(one.level for one in group)
-        cells = [title, str(len(group)), *(str(counts[level]) for level in LEVELS[:-1])]
-        lines.append(line(cells))
-    lines += ["", *by_group(mapped)]
+        rows.append((what, f"{cost.median():.1f}", ""))
+    levels = [
+        (title, len(group), *group.level.value_counts().reindex(LEVELS, fill_value=0))
+        for title, group in (
+            (f"good: r >= {GOOD_R}, error < {GOOD_ERROR:g}", good),
+            ("between", mapped.drop(index=[*bad.index, *good.index])),
+            (f"bad: r < {MIN_R} or error > {MAX_ERROR:g}", bad),
+        )
+    ]
+    lines = [*markdown_table(("figure", "value", "goal"), rows)]
+    lines += ["", *markdown_table(("maps", "number", *LEVELS), levels), "", *by_group(mapped)]
     for title, group in (("False reassurance", reassured), ("False alarms", alarms)):
-        lines += ["", f"{title}: {'none' if not group else ''}".rstrip()]
-        lines += [""] if group else []
+        lines += ["", f"{title}:", ""] if len(group) else ["", f"{title}: none"]
         lines += [
             f"- {one.name}: r {one.r:.3f}, error {one.error:.2f}, expected {one.expected:.2f}"
-            for one in sorted(group, key=lambda one: one.r)
+            for one in group.sort_values("r", kind="stable").itertuples(index=False)
         ]
     return "\n".join(lines) + "\n"
 
 
-def ratios_of(outcomes: Iterable[Outcome]) -> np.ndarray:
+def ratios_of(outcomes: Any) -> Any:
     """Return expected errors over true ones, where both are known."""
-    known = (one for one in outcomes if math.isfinite(one.expected) and one.error > 0)
-    return np.array([one.expected / one.error for one in known])
+    known = outcomes[outcomes.expected.notna() & (outcomes.error > 0)]
+    return known.expected / known.error
 
 
-def by_group(outcomes: Sequence[Outcome]) -> list[str]:
+def by_group(outcomes: Any) -> list[str]:
     """Return the lines of a table of how well errors are expected, by group of recordings."""
-    lines = heading(
-        (
-            "recordings", "maps", "expected / true error, median", "within 1.5", "within 2",
-            "true error in its interval", "true positions in ellipses of 95 %",
-        )
+    header = (
+        "recordings", "maps", "expected / true error, median", "within 1.5", "within 2",
+        "true error in its interval", "true positions in ellipses of 95 %",
     )  # fmt: skip
-    names = {
-        "simulated": "simulated", "other": "second simulator", "real": "real skins",
-    }  # fmt: skip
-    for name, title in names.items():
-        for damaged in (False, True):
-            group = [
-                one
-                for one in outcomes
-                if one.group == name and bool(one.fault) == damaged and math.isfinite(one.expected)
-            ]
-            if not group:
-                continue
+    titles = {"simulated": "simulated", "other": "second simulator", "real": "real skins"}
+    known = outcomes[outcomes.expected.notna()]
+    rows = []
+    for name, damaged in product(titles, (False, True)):
+        group = known[(known.group == name) & ((known.fault != "") == damaged)]
+        if len(group):
             ratios = ratios_of(group)
-            apart = np.abs(np.log(ratios))
-            held = [
-                one.evidence.get("expected_error_low", 0.0)
-                <= one.error
-                <= one.evidence.get("expected_error_high", math.inf)
-                for one in group
-            ]
-            shares = [one.evidence.get("inside", math.nan) for one in group]
-            known = [share for share in shares if math.isfinite(share)]
-            cells = (
-                f"{title}, with a fault" if damaged else title,
+            apart, inside = np.abs(np.log(ratios)), group.inside.mean()
+            held = group.error.between(group.expected_error_low, group.expected_error_high)
+            rows.append((
+                f"{titles[name]}, with a fault" if damaged else titles[name],
                 len(group),
-                f"{np.median(ratios):.2f}",
-                *(f"{np.mean(apart < math.log(limit)):.0%}" for limit in (1.5, 2)),
-                f"{np.mean(held):.0%}",
-                f"{np.mean(known):.0%}" if known else "-",
-            )
-            lines.append(line(cells))
-    return lines
+                f"{ratios.median():.2f}",
+                *(f"{(apart < math.log(limit)).mean():.0%}" for limit in (1.5, 2)),
+                f"{held.mean():.0%}",
+                "-" if math.isnan(inside) else f"{inside:.0%}",
+            ))  # fmt: skip
+    return [*markdown_table(header, rows)]
 
 
-def draw(outcomes: Sequence[Outcome], path: Path) -> None:
+def draw(outcomes: Any, path: Path) -> None:
     """Draw expected against true errors, coloured by level."""
     figure = Figure(figsize=(6, 5.5), layout="constrained")
     axes = figure.subplots()
     for level, (colour, marker) in zip(LEVELS, _LOOKS, strict=False):
-        chosen = [one for one in outcomes if one.level == level and math.isfinite(one.expected)]
+        chosen = outcomes[(outcomes.level == level) & outcomes.expected.notna()]
         axes.scatter(
-            [one.error for one in chosen],
-            [one.expected for one in chosen],
+            chosen.error,
+            chosen.expected,
             s=14,
             color=colour,
             marker=marker,

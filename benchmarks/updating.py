@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 import anisomap
 from anisomap import Recording, SensorMap, align, gather_evidence, reconstruct, simulate, update_map
-from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
-from anisomap.placement import Anchors, place
 from benchmarks.harness import options, stream
-from benchmarks.placement import Figure
+from benchmarks.placement import Figure, Measured, figures, placed
 
 REAL = {"icub_hexagon": 2, "icub_palm": 3, "icub_torso": 2, "plantar": 2}
 SIMULATED = {"plane": 2, "sphere": 3, "cylinder": 3}
@@ -52,20 +50,13 @@ def _updates(name: str, shared: Path | None, draws: int) -> Iterator[Figure]:
     dimensions = {**REAL, **SIMULATED}[name]
     truth = np.asarray(recording.positions, dtype=np.float64)[:, :dimensions]
     whole = reconstruct(Recording(recording.readings, names=recording.names), dimensions=dimensions)
-    values: dict[str, list[float]] = {}
-    for draw in range(draws):
-        for what, value in _update(recording, whole, truth, draw):
-            values.setdefault(what, []).append(value)
-    for what, several in values.items():
-        tail = 0.1 if "share" in what and "accused" not in what else 0.9
-        yield Figure(
-            name, what, float(np.median(several)), float(np.quantile(several, tail)), len(several)
-        )
+    measured = (_update(recording, whole, truth, draw) for draw in range(draws))
+    yield from figures(name, chain.from_iterable(measured))
 
 
 def _update(
     recording: Recording, whole: SensorMap, truth: NDArray[np.float64], draw: int
-) -> Iterator[tuple[str, float]]:
+) -> Iterator[Measured]:
     dimensions, spacing = whole.dimensions, median_spacing(truth)
     rng = np.random.default_rng(draw)
     n_sensors, half = recording.n_sensors, recording.n_frames // 2
@@ -89,14 +80,9 @@ def _update(
         float(np.median(apart[fresh]) / unit),
     )
     yield "share of unchanged sensors accused", len(found.moved) / len(old)
-    known = rng.choice(old, _ANCHORS, replace=False)
-    names = tuple(recording.names[i] for i in known)
-    try:
-        placed = place(made, Anchors(names, truth[known])).map
-    except InputError:
-        pass
-    else:
-        carried = _ordered(update_map(placed, evidence, second).map, recording.names)
+    known = rng.choice(len(old), _ANCHORS, replace=False)
+    if (placement := placed(made, truth[old], known)) is not None:
+        carried = _ordered(update_map(placement.map, evidence, second).map, recording.names)
         inside = np.linalg.norm(carried.positions - truth, axis=1) <= carried.errors
         what = f"{_ANCHORS} random anchors, updated: share of new sensors within their error"
         yield what, float(inside[fresh].mean())

@@ -57,6 +57,8 @@ def test_neighbours_end_with_the_block():
 @pytest.mark.slow
 def test_all_journeys_of_small_skins(tmp_path, monkeypatch):
     monkeypatch.setattr(journeys, "RUNS", 1)
+    commands = {"anisomap --help": ["-m", "anisomap", "--help"]}
+    monkeypatch.setattr(journeys, "shell_commands", lambda *_: commands)
     members = [*MEMBERS][::7]
     sizes = ["--sizes", "20x400", "30x400", "30x800", "--seed", "3", "--members", *members]
     assert main([*sizes, "-o", str(tmp_path)]) == 0

@@ -46,7 +46,7 @@ HEADERS = {
     "recordings": comparison_tables.columns(COMPARED),
     "rivals": accuracy.RIVALS_COLUMNS,
     "self-touch": self_touch.HEADER,
-    "trust": [*trust.FIXED, *trust.FACTS],
+    "trust": trust.COLUMNS,
     "updating": columns(updating.Figure),
 }
 

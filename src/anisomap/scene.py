@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.immutable import Immutable
+
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class Mesh(Immutable):
     """A triangle mesh.
 
     vertices (V, 3)
@@ -20,14 +22,12 @@ class Mesh:
     faces: NDArray[np.intp]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen(self.vertices))
         faces = np.array(self.faces, dtype=np.intp).reshape(-1, 3)
-        faces.setflags(write=False)
-        object.__setattr__(self, "faces", faces)
+        self.set_fields(vertices=frozen(self.vertices), faces=faces)
 
 
 @dataclass(frozen=True, eq=False)
-class Prop:
+class Prop(Immutable):
     """Objects of one shape in a scene, static or moving.
 
     role: Determines the style of drawing; only the edges of a room are drawn.
@@ -44,12 +44,6 @@ class Prop:
     rotations: NDArray[np.float64] | None = None
     scales: NDArray[np.float64] | None = None
 
-    def __post_init__(self) -> None:
-        for name in ("centres", "rotations", "scales"):
-            values = getattr(self, name)
-            if values is not None:
-                object.__setattr__(self, name, frozen(values))
-
     def surfaces(self, frame: int) -> list[NDArray[np.float64]]:
         """Return the vertices of each of the B objects in a frame, each of shape (V, 3)."""
         centres = self.centres[frame % len(self.centres)]
@@ -62,7 +56,7 @@ class Prop:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(Immutable):
     """Objects, sensors and readings of a simulated run.
 
     sensors (T, N, 3): Sensor positions in each frame; T = 1 for static sensors.
@@ -77,10 +71,6 @@ class Scene:
     readings: NDArray[np.floating]
     times: NDArray[np.float64]
     units: str
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sensors", frozen(self.sensors))
-        object.__setattr__(self, "times", frozen(self.times))
 
     @property
     def n_frames(self) -> int:

@@ -18,27 +18,32 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("jinja2")
 
 QUICK = Settings(quick=True)
-CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s3", "figure-s10")
-LIKE_MU = tuple(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins"))
-"""Experiments that differ from ``sensitivity-mu`` by a parameter alone."""
+CHEAP = ("data-s1-s6", "data-s7-s11", "text-s3", "figure-s4", "figure-s10")
+ALIKE = (
+    *(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins")),
+    *(f"figure-s{number}" for number in (1, 2, 3, 5, 6, 7, 9)),
+)
+"""Experiments that differ from ``sensitivity-mu``, figures S4 and S8 by a parameter alone."""
 MOST = tuple(
     name
     for name, one in EXPERIMENTS.items()
-    if not one.files and (not name.startswith(LIKE_MU) or name.endswith("sphere-bombardment"))
+    if not one.files and (not name.startswith(ALIKE) or name.endswith("sphere-bombardment"))
 )
 
 
-def quick_run(folder, names):
-    """Run experiments by ``anisomap paper --quick``; return the folder of the results."""
-    chosen = [word for name in names for word in ("--only", name)]
-    assert run(["paper", "-o", str(folder), "--quick", "--workers", "1", *chosen]) == 0
-    return folder
+class OneRun(Settings):
+    """Settings of a preview with one run of each scenario."""
+
+    seeds = (1,)
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Give the results of the cheap experiments."""
-    return quick_run(tmp_path_factory.mktemp("paper") / "out", CHEAP)
+    """Give the results of the cheap experiments by ``anisomap paper --quick``."""
+    folder = tmp_path_factory.mktemp("paper") / "out"
+    chosen = [word for name in CHEAP for word in ("--only", name)]
+    assert run(["paper", "-o", str(folder), "--quick", "--workers", "1", *chosen]) == 0
+    return folder
 
 
 def computed_in(folder):
@@ -79,7 +84,8 @@ def test_cheap_experiments_write_files_and_a_page(quick):
 
 @pytest.mark.slow
 def test_most_experiments_write_files_and_a_page(tmp_path):
-    check_results(quick_run(tmp_path / "out", MOST), MOST)
+    reproduce(tmp_path, OneRun(quick=True), only=MOST, workers=1)
+    check_results(tmp_path, MOST)
 
 
 def test_finished_experiments_are_not_repeated(quick):

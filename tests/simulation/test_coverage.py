@@ -12,13 +12,13 @@ from anisomap.simulation.coverage import QUANTILES, neighbouring_pairs
 @pytest.fixture(scope="module")
 def curve():
     return coverage_curve(
-        "sphere", "rubbing", (1000, 40, 250, 250), seeds=(1, 2), method="r-anisomap"
+        "sphere", "rubbing", (600, 40, 150, 150), seeds=(1, 2), method="r-anisomap"
     )
 
 
 def test_coverage_and_maps_improve_with_length(curve):
-    assert curve.n_frames.tolist() == [40, 250, 1000]
-    np.testing.assert_allclose(curve.seconds, [2, 12.5, 50])
+    assert curve.n_frames.tolist() == [40, 150, 600]
+    np.testing.assert_allclose(curve.seconds, [2, 7.5, 30])
     assert curve.touched.shape == curve.pairs.shape == curve.mantel_r.shape == (3, 2)
     assert curve.contacts.shape == (3, 2, len(QUANTILES))
     for values in (curve.touched, curve.pairs, curve.contacts):
@@ -33,8 +33,8 @@ def test_coverage_and_maps_improve_with_length(curve):
 
 
 def test_coverage_agrees_with_direct_counts(curve):
-    recording = simulate("sphere", "rubbing", n_frames=1000, seed=2)
-    on = recording.readings[:250] > 0
+    recording = simulate("sphere", "rubbing", n_frames=600, seed=2)
+    on = recording.readings[:150] > 0
     onsets = [sum(now and not was for was, now in zip([False, *s], s, strict=False)) for s in on.T]
     assert curve.touched[1, 1] == on.any(axis=0).mean()
     np.testing.assert_array_equal(curve.contacts[1, 1], np.quantile(onsets, QUANTILES))

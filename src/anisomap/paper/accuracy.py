@@ -15,14 +15,11 @@ from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import mantel
-from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
-from anisomap.methods import find_method
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.graph.neighbour_graphs import smallest_connected_neighbour_graph
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from anisomap.options import MethodOptions
 from anisomap.paper.cases import (
     CASES,
     FAILING,
@@ -47,6 +44,7 @@ from anisomap.paper.experiment import (
 from anisomap.paper.map_scores import (
     SCORE_COLUMNS,
     SMACOF,
+    compared,
     map_and_score,
     n_dimensions,
     null_box,
@@ -235,8 +233,7 @@ def score_rivals(name: str, recording: Recording, seed: int, dimensions: int) ->
     """Score all rivals on a recording; yield rows of `_RIVAL_COLUMNS`."""
     varying = recording.select(recording.varying())
     truth = true_positions(varying, dimensions)
-    similarity, bins = find_method("r-anisomap").similarity, MethodOptions().bins
-    pairs = compare([varying], similarity, bins=bins, with_noise=False)
+    pairs = compared(varying, "r-anisomap")
     direct = dissimilarities(pairs, "r-anisomap")
     for method in RIVALS:
         if method in METHODS:

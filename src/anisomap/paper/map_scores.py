@@ -19,7 +19,7 @@ from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.evaluation import Mantel, Score, align, score
-from anisomap.evidence import compare
+from anisomap.evidence import PairStatistics, compare
 from anisomap.mapping import dissimilarities
 from anisomap.methods import find_method
 from anisomap.numerics.neighbours import nearest_distances, nearest_others
@@ -120,22 +120,23 @@ def isolation(positions: ArrayLike, sensor: int) -> float:
     return float(nearest[sensor] / np.median(np.delete(nearest, sensor)))
 
 
+def compared(recording: Recording, method: str, bins: int = DEFAULT_BINS) -> PairStatistics:
+    """Compare the sensors that vary by the similarity of a method of the paper."""
+    varying = recording.select(recording.varying())
+    return compare([varying], find_method(method).similarity, bins=bins, with_noise=False)
+
+
 def published_similarity(recording: Recording, method: str, bins: int = DEFAULT_BINS) -> Reals:
     """Compute the similarity of all sensors by a method of the paper, (N, N); constant ones: 0."""
-    varying = recording.varying()
-    used = find_method(method).similarity
-    found = compare([recording.select(varying)], used, bins=bins, with_noise=False)
-    similarity = np.eye(recording.n_sensors, dtype=found.similarity.dtype)
-    similarity[np.ix_(varying, varying)] = found.similarity
+    varying, found = recording.varying(), compared(recording, method, bins).similarity
+    similarity = np.eye(recording.n_sensors, dtype=found.dtype)
+    similarity[np.ix_(varying, varying)] = found
     return similarity
 
 
 def published_metric(recording: Recording, method: str) -> Reals:
     """Compute the metric of the sensors that vary by a method of the paper. Returns (n, n)."""
-    recipe, options = find_method(method), MethodOptions()
-    varying = recording.select(recording.varying())
-    pairs = compare([varying], recipe.similarity, bins=options.bins, with_noise=False)
-    return recipe.metric(dissimilarities(pairs, method, options))
+    return find_method(method).metric(dissimilarities(compared(recording, method), method))
 
 
 def spectrum(metric: ArrayLike) -> NDArray[np.float64]:

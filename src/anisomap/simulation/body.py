@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_distances, nearest_others
 from anisomap.recording import default_names
 from anisomap.scene import frozen
@@ -30,7 +31,7 @@ ON_SURFACE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Body(Immutable):
     """A rigid body and the sensors on it.
 
     Parameters
@@ -88,15 +89,13 @@ class Body:
                 f"sensor {finite.argmin()} of the body {self.name} must have a finite position and "
                 "normal"
             )
-        changed = {
-            "positions": positions,
-            "normals": normals,
-            "origin": frozen(self.origin),
-            "solids": tuple(self.solids),
-            "names": tuple(self.names) or default_names(len(positions)),
-        }
-        for name, value in changed.items():
-            object.__setattr__(self, name, value)
+        self.set_fields(
+            positions=positions,
+            normals=normals,
+            origin=frozen(self.origin),
+            solids=tuple(self.solids),
+            names=tuple(self.names) or default_names(len(positions)),
+        )
         off = np.abs(self.distance(positions))
         if off.max() > ON_SURFACE * self.reach:
             worst = int(off.argmax())

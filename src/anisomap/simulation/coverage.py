@@ -19,6 +19,7 @@ from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
 from anisomap.health.touch_coverage import NEIGHBOUR_RADIUS
+from anisomap.immutable import Immutable
 from anisomap.methods import find_method
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -36,7 +37,7 @@ QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class CoverageCurve:
+class CoverageCurve(Immutable):
     """Coverage by recording length, for L lengths and S seeds.
 
     Attributes
@@ -138,8 +139,6 @@ def coverage_curve(
     touched, contacts, pairs, mantel_r = (
         np.array([[cell[i] for cell in row] for row in cells]) for i in range(4)
     )
-    for array in (lengths, touched, contacts, pairs, mantel_r):
-        array.setflags(write=False)
     rate_hz = recordings[0].rate_hz or 1.0
     return CoverageCurve(lengths, rate_hz, touched, contacts, len(neighbours), pairs, mantel_r)
 

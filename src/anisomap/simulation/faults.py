@@ -27,7 +27,6 @@ from anisomap.simulation.injection import (
     Fault,
     Group,
     Readings,
-    Rewritten,
     Spans,
     all_frames,
     finite_range,
@@ -242,13 +241,13 @@ def cycling(channel: Channel, *, period: float = 50.0) -> Readings:
 
 
 @group_fault(share=SHARE, n_neighbours=COUNT)
-def crosstalk(group: Group, *, share: float = 0.2, n_neighbours: int = 4) -> Rewritten:
+def crosstalk(group: Group, *, share: float = 0.2, n_neighbours: int = 4) -> None:
     """Mix the readings of sensors with those of their neighbours.
 
     The mean of the nearest `n_neighbours` has the weight `share`. The recording must have true
     positions, which define the neighbours; 4 are those on a square grid.
     """
-    recording, clean = group.recording, group.readings
+    recording, clean = group.recording, group.recording.readings
     if recording.positions is None:
         raise InputError("crosstalk needs a recording with true positions of its sensors")
     if n_neighbours >= recording.n_sensors:
@@ -258,14 +257,12 @@ def crosstalk(group: Group, *, share: float = 0.2, n_neighbours: int = 4) -> Rew
         )
     chosen = np.array(group.chosen, dtype=np.intp)
     _, nearest = nearest_others(recording.positions, n_neighbours, chosen)
-    readings = np.array(clean)
     for i, others in zip(chosen, nearest, strict=True):
-        readings[:, i] = (1 - share) * clean[:, i] + share * clean[:, others].mean(axis=1)
-    return readings, group.chosen
+        group.readings[:, i] = (1 - share) * clean[:, i] + share * clean[:, others].mean(axis=1)
 
 
 @group_fault()
-def swapped(group: Group) -> Rewritten:
+def swapped(group: Group) -> list[int]:
     """Exchange the readings of two groups of sensors, like swapped connectors.
 
     The first half of the sensors, an even number, is exchanged with the second, in order. Names and
@@ -279,20 +276,19 @@ def swapped(group: Group) -> Rewritten:
 
 
 @group_fault(share=INNER_SHARE)
-def rewired(group: Group, *, share: float = 0.5) -> Rewritten:
+def rewired(group: Group, *, share: float = 0.5) -> None:
     """Exchange the readings of sensors from some frame on, like connectors that are moved.
 
     After a `share` of the recording, each sensor takes the readings of another, in a cycle of
     random order.
     """
     order = group.rng.permutation(np.array(group.chosen, dtype=np.intp))
-    readings, late = np.array(group.readings), slice(int(share * len(group.readings)), None)
-    readings[late, order] = group.readings[late, np.roll(order, 1)]
-    return readings, group.chosen
+    late = slice(int(share * len(group.readings)), None)
+    group.readings[late, order] = group.readings[late, np.roll(order, 1)]
 
 
 @group_fault()
-def mirrored(group: Group) -> Rewritten:
+def mirrored(group: Group) -> list[int]:
     """Reverse the order of the readings of a group of sensors, like a rotated module.
 
     The first sensor takes the readings of the last, and so on. The middle one of an odd number is
@@ -305,7 +301,7 @@ def mirrored(group: Group) -> Rewritten:
 @group_fault(factor=_AT_LEAST_1, level=at_least(0))
 def duplicated(
     group: Group, *, source: str | int | None = None, factor: float = 1.0, level: float = 0.0
-) -> Rewritten:
+) -> list[int]:
     """Replace the readings of sensors by those of another sensor, like one wire read twice.
 
     The name or index of the other sensor is `source`; by default, one is drawn for each copy. Each
@@ -322,96 +318,88 @@ def duplicated(
         sources = [int(i) for i in group.rng.choice(others, size=len(copies))]
     else:
         sources = [int(group.recording.indices([source])[0])] * len(copies)
-    readings, affected = _rewired(group, copies, sources)
+    affected = _rewired(group, copies, sources)
     if factor == 1 and level == 0:
-        return readings, affected
+        return affected
     for i in copies:
-        own = readings[:, i]
+        own = group.readings[:, i]
         known = own[np.isfinite(own)]
         noise = level * (known.std() if known.size else 0) * group.rng.standard_normal(own.size)
-        readings[:, i] = own * factor ** group.rng.uniform(-0.5, 0.5) + noise
-    return readings, affected
+        group.readings[:, i] = own * factor ** group.rng.uniform(-0.5, 0.5) + noise
+    return affected
 
 
 @group_fault(share=SHARE)
-def leaking(group: Group, *, share: float = 0.05) -> Rewritten:
+def leaking(group: Group, *, share: float = 0.05) -> list[int]:
     """Add a share of the previous channel to each sensor, like a multiplexer that settles slowly.
 
     The first sensor of a recording receives nothing.
     """
     chosen = [i for i in group.chosen if i > 0]
-    readings = np.array(group.readings)
     for i in chosen:
-        readings[:, i] += share * group.readings[:, i - 1]
-    return readings, chosen
+        group.readings[:, i] += share * group.recording.readings[:, i - 1]
+    return chosen
 
 
 @group_fault(frames=COUNT, board=_BOARD)
-def lagging(group: Group, *, frames: int = 3, board: int = 0) -> Rewritten:
+def lagging(group: Group, *, frames: int = 3, board: int = 0) -> list[int]:
     """Delay sensors, like boards that are polled late.
 
     All sensors lag by `frames`; the first reading is held meanwhile. With `board` sensors on a
     board, each board of the chosen sensors, in their order, lags `frames` more than the board
     before it; the first does not lag.
     """
-    readings, delayed = np.array(group.readings), []
+    delayed: list[int] = []
     for number, members in enumerate(group.boards(board)):
         if delay := frames * number if board else frames:
             source = np.maximum(np.arange(len(group.readings)) - delay, 0)
-            readings[:, members] = group.readings[source][:, members]
+            group.readings[:, members] = group.readings[source][:, members]
             delayed += members
-    return readings, delayed
+    return delayed
 
 
 @group_fault(level=POSITIVE, board=_BOARD)
-def common_noise(group: Group, *, level: float = 1.0, board: int = 0) -> Rewritten:
+def common_noise(group: Group, *, level: float = 1.0, board: int = 0) -> None:
     """Add the same white noise to all sensors of a board, like a noisy supply.
 
     The noise has a standard deviation of `level`. There are `board` sensors on a board, 0 for all
     on one board; each board has its own noise.
     """
-    readings, scale = np.array(group.readings), level * group.deviation
+    scale, n_frames = level * group.deviation, len(group.readings)
     for members in group.boards(board):
-        readings[:, members] += scale * group.rng.standard_normal((len(readings), 1))
-    return readings, group.chosen
+        group.readings[:, members] += scale * group.rng.standard_normal((n_frames, 1))
 
 
 @group_fault(level=POSITIVE, share=SHARE, board=_BOARD)
-def spiking(group: Group, *, level: float = 5.0, share: float = 0.02, board: int = 0) -> Rewritten:
+def spiking(group: Group, *, level: float = 5.0, share: float = 0.02, board: int = 0) -> None:
     """Add spikes of single frames to all sensors of a board at once.
 
     A frame has a spike with the probability `share`; heights are distributed exponentially, with
     the mean `level`. There are `board` sensors on a board, 0 for all on one board; each board has
     its own spikes.
     """
-    readings, scale = np.array(group.readings), level * group.deviation
+    scale, n_frames = level * group.deviation, len(group.readings)
     for members in group.boards(board):
-        heights = scale * group.rng.exponential(size=len(readings))
-        struck = group.rng.random(len(readings)) < share
-        readings[:, members] += np.where(struck, heights, 0)[:, None]
-    return readings, group.chosen
+        heights = scale * group.rng.exponential(size=n_frames)
+        struck = group.rng.random(n_frames) < share
+        group.readings[:, members] += np.where(struck, heights, 0)[:, None]
 
 
 @group_fault(level=POSITIVE, period=at_least(2), factor=_AT_LEAST_1)
-def humming(
-    group: Group, *, level: float = 1.0, period: float = 7.3, factor: float = 3.0
-) -> Rewritten:
+def humming(group: Group, *, level: float = 1.0, period: float = 7.3, factor: float = 3.0) -> None:
     """Add a sine of one period and phase to sensors, each with a gain of its own.
 
     `level` is the median amplitude, `period` is in frames, by default not a whole number of them,
     and `factor` is the ratio of the largest to the smallest gain, see `gain_spread`.
     """
-    readings, chosen = np.array(group.readings), group.chosen
-    phase = 2 * np.pi * (np.arange(len(readings)) / period + group.rng.random())
-    gains = factor ** group.rng.uniform(-0.5, 0.5, len(chosen))
-    readings[:, chosen] += level * group.deviation * np.outer(np.sin(phase), gains)
-    return readings, chosen
+    phase = 2 * np.pi * (np.arange(len(group.readings)) / period + group.rng.random())
+    gains = factor ** group.rng.uniform(-0.5, 0.5, len(group.chosen))
+    group.readings[:, group.chosen] += level * group.deviation * np.outer(np.sin(phase), gains)
 
 
-def _rewired(group: Group, targets: Sequence[int], sources: Sequence[int]) -> Rewritten:
-    readings = np.array(group.readings)
-    readings[:, targets] = group.readings[:, sources]
-    return readings, [i for i, j in zip(targets, sources, strict=True) if i != j]
+def _rewired(group: Group, targets: Sequence[int], sources: Sequence[int]) -> list[int]:
+    group.readings[:, targets] = group.readings[:, sources]
+    return [i for i, j in zip(targets, sources, strict=True) if i != j]
 
 
 @frame_fault(share=INNER_SHARE)

@@ -24,7 +24,6 @@ from anisomap.simulation.checks import Range
 Readings: TypeAlias = NDArray[np.floating]
 Sensors: TypeAlias = Iterable[str | int]
 Spans: TypeAlias = tuple[tuple[int, int], ...]
-Rewritten: TypeAlias = tuple[Readings, Sequence[int]]
 Injector: TypeAlias = Callable[..., Recording]
 Effect: TypeAlias = Callable[..., Any]
 Given: TypeAlias = dict[str, Any]
@@ -184,10 +183,10 @@ class Group:
     sensors: Sensors
     rng: np.random.Generator
 
-    @property
+    @cached_property
     def readings(self) -> Readings:
-        """Readings of all sensors, shape (T, N)."""
-        return self.recording.readings
+        """Readings of all sensors, shape (T, N), which a fault may overwrite."""
+        return np.array(self.recording.readings)
 
     @cached_property
     def chosen(self) -> list[int]:
@@ -211,7 +210,7 @@ class Group:
     @property
     def deviation(self) -> float:
         """Median standard deviation of the chosen sensors; 1 if none varies."""
-        readings = self.readings[:, self.chosen].astype(np.float64)
+        readings = self.recording.readings[:, self.chosen].astype(np.float64)
         known = np.isfinite(readings)
         counts = np.maximum(known.sum(axis=0), 1)
         centred = np.where(known, readings, 0)
@@ -240,9 +239,9 @@ _RNG = inspect.Parameter("rng", inspect.Parameter.KEYWORD_ONLY, default=0)
 
 
 def _change_channels(effect: Effect, kind: str, group: Group, parameters: Given) -> Recording:
-    recording, limits = group.recording, finite_range(group.readings)
-    readings, faults = np.array(group.readings), []
-    for i in recording.indices(group.sensors):
+    recording, readings = group.recording, group.readings
+    limits, faults = finite_range(readings), []
+    for i in group.chosen:
         found = effect(Channel(readings[:, i].copy(), *limits, group.rng), **parameters)
         changed, spans = found if isinstance(found, tuple) else (found, all_frames(recording))
         readings[:, i] = changed
@@ -251,10 +250,10 @@ def _change_channels(effect: Effect, kind: str, group: Group, parameters: Given)
 
 
 def _change_group(effect: Effect, kind: str, group: Group, parameters: Given) -> Recording:
-    recording = group.recording
-    readings, affected = effect(group, **parameters)
-    faults = [Fault(kind, recording.names[i], all_frames(recording)) for i in affected]
-    return logged(replace(recording, readings=readings), faults)
+    recording, affected = group.recording, effect(group, **parameters)
+    chosen = group.chosen if affected is None else affected
+    faults = [Fault(kind, recording.names[i], all_frames(recording)) for i in chosen]
+    return logged(replace(recording, readings=group.readings), faults)
 
 
 def _change_frames(effect: Effect, _: str, group: Group, parameters: Given) -> Recording:
@@ -302,7 +301,10 @@ Without spans, all frames are affected.
 """
 
 group_fault = _form(_change_group, FAULTS)
-"""Enter a function of a `Group` that returns readings (T, N) and the affected sensors."""
+"""Enter a function that overwrites readings of a `Group`; it returns the affected sensors.
+
+Without sensors, all chosen ones are affected.
+"""
 
 frame_fault = _form(_change_frames, FRAME_FAULTS)
 """Enter a function of a recording and a generator that returns a recording with a log."""

@@ -19,8 +19,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.surfaces import Points, TriangleSearch
-from anisomap.scene import Mesh, Prop, frozen
+from anisomap.scene import Mesh, Prop
 from anisomap.simulation.body import Body
 from anisomap.simulation.options import (
     REACH,
@@ -47,7 +48,7 @@ _MAX_MEDIAN_SLIP, _MIN_SHARE_MOVING = 0.1, 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Terrain:
+class Terrain(Immutable):
     """Solid ground with heights on a square grid.
 
     heights (n, n): Rows go along y, columns along x. The middle of the grid is above the origin.
@@ -56,9 +57,6 @@ class Terrain:
 
     heights: NDArray[np.float64]
     cell: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "heights", frozen(self.heights))
 
     @property
     def half_width(self) -> float:

@@ -306,18 +306,15 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
         return body
     if body not in BODIES:
         raise InputError(f"there is no body {body!r}; choose from {', '.join(BODIES)}")
-    make = BODIES[body]
-    known = [name for name in signature(make).parameters if name != "n_sensors"]
+    known = [name for name in signature(BODIES[body]).parameters if name != "n_sensors"]
     if unknown := [name for name in options if name not in known]:
         raise InputError(
             f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
         )
-    if options:
-        return make(**options) if n_sensors is None else make(n_sensors, **options)
-    return _named_body(body, n_sensors)
+    given = options if n_sensors is None else {"n_sensors": n_sensors, **options}
+    return _named_body(body, **given)
 
 
 @lru_cache(maxsize=16, typed=True)  # runs of one body with many seeds share its distances
-def _named_body(name: str, n_sensors: int | None) -> Body:
-    make = BODIES[name]
-    return make() if n_sensors is None else make(n_sensors)
+def _named_body(name: str, **options: Any) -> Body:
+    return BODIES[name](**options)
