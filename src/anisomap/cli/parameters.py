@@ -110,6 +110,9 @@ PRINTER = Printer()
 """Stands for the printer of a command, which `app` makes."""
 
 
+_GIVE_SPACING = "give the distance between neighbouring sensors, such as --spacing 6.5mm"
+
+
 @Parameter(name="*", group=outputs_group)
 @dataclass(frozen=True)
 class PlacingOptions:
@@ -134,7 +137,7 @@ class PlacingOptions:
     frame: Annotated[str, expert] = ""
     split_components: Annotated[bool, expert] = False
 
-    def check(self, outputs: Iterable[Path], units: str = "") -> None:
+    def check(self, outputs: Iterable[Path], units: str = "", *, hint: str = _GIVE_SPACING) -> None:
         """Check, before the map is computed, that the outputs can be written."""
         from anisomap import io
         from anisomap.placement import METRES, parse_length
@@ -145,8 +148,8 @@ class PlacingOptions:
         for path in outputs:
             if io.needs_scale(path) and units not in METRES:
                 raise InputError(
-                    f"cannot write {path}: its format is in metres, but the map has no scale; give "
-                    "the distance between neighbouring sensors, such as --spacing 6.5mm"
+                    f"cannot write {path}: its format is in metres, but the map has no scale; "
+                    f"{hint}"
                 )
 
     def applied(self, sensor_map: SensorMap) -> SensorMap:

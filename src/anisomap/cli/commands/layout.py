@@ -80,7 +80,8 @@ def check(
     how = reading.checked()
     try:
         layout = io.read_map(layout_file)
-        options.DEFAULT_PLACING.check(outputs.maps, layout.units)
+        scaled = f"scale it first: anisomap convert {layout_file} scaled.csv --spacing 6.5mm"
+        options.DEFAULT_PLACING.check(outputs.maps, layout.units, hint=scaled)
         chosen = io.read_modules(module_table, layout.names) if module_table else module_size
         (recording,) = route.read_runs([recording_file], how, missing, progress=progress)
         with progress("checking the layout"):
