@@ -280,6 +280,22 @@ def rechunk(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
         yield _joined(held)
 
 
+def read_in_blocks(
+    read: Callable[[int, int], NDArray[Any]],
+    n_frames: int,
+    frame_bytes: int,
+    *,
+    times: NDArray[np.float64] | None = None,
+    multiple: int = 1,
+) -> Iterator[Block]:
+    """Read frames in blocks of a multiple of frames; ``read(start, stop)`` returns readings."""
+    step = -(-max(1, BLOCK_BYTES // frame_bytes) // multiple) * multiple
+    for start in range(0, n_frames, step):
+        stop = min(start + step, n_frames)
+        at = None if times is None else times[start:stop]
+        yield Block(read(start, stop), stop / n_frames, at)
+
+
 def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
     """Yield the blocks before the first damage, and warn about the lost rest."""
     n_frames, fraction = 0, 0.0

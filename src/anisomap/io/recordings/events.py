@@ -18,6 +18,7 @@ seconds::
 from __future__ import annotations
 
 import csv
+import functools
 import itertools
 import json
 import math
@@ -46,7 +47,7 @@ from anisomap.io.parsing.tables import (
     read_undamaged,
     records,
 )
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream
+from anisomap.io.stream import ReadOptions, Stream, read_in_blocks
 from anisomap.memory import Budget
 from anisomap.recording import Scalar
 
@@ -183,7 +184,12 @@ def stream_events(
     return Stream(
         path,
         n_sensors,
-        _blocks(events, frames, times, counted=bin_s is not None),
+        read_in_blocks(
+            functools.partial(_frames, events, frames, counted=bin_s is not None),
+            n_frames,
+            4 * n_sensors,
+            times=times if events.timed else None,
+        ),
         names=events.names,
         rate_hz=None if bin_s is None else 1 / bin_s,
         source=path.name,
@@ -226,24 +232,21 @@ def _bins(
     return np.floor(places).astype(np.intp), n_bins
 
 
-def _blocks(
-    events: Events, frames: NDArray[np.intp], times: NDArray[np.float64], *, counted: bool
-) -> Iterator[Block]:
-    n_frames, n_sensors = len(times), len(events.names)
-    step = max(1, BLOCK_BYTES // (4 * n_sensors))
-    for first in range(0, n_frames, step):
-        last = min(first + step, n_frames)
-        inside = slice(*np.searchsorted(frames, [first, last]))
-        rows, columns = frames[inside] - first, events.sensors[inside]
-        active = columns >= 0
-        where = rows[active], columns[active]
-        kind = np.float32 if events.values is None else np.float64
-        readings = np.zeros((last - first, n_sensors), kind)
-        if counted and events.values is None:
-            np.add.at(readings, where, 1)
-        else:
-            readings[where] = 1 if events.values is None else events.values[inside][active]
-        yield Block(readings, last / n_frames, times[first:last] if events.timed else None)
+def _frames(
+    events: Events, frames: NDArray[np.intp], first: int, last: int, *, counted: bool
+) -> NDArray[np.floating]:
+    """Return the readings of a range of frames; `frames` gives the frame of each event."""
+    inside = slice(*np.searchsorted(frames, [first, last]))
+    rows, columns = frames[inside] - first, events.sensors[inside]
+    active = columns >= 0
+    where = rows[active], columns[active]
+    kind = np.float32 if events.values is None else np.float64
+    readings = np.zeros((last - first, len(events.names)), kind)
+    if counted and events.values is None:
+        np.add.at(readings, where, 1)
+    else:
+        readings[where] = 1 if events.values is None else events.values[inside][active]
+    return readings
 
 
 def stream_spike_table(path: Path, bin_s: float) -> Stream:
