@@ -392,8 +392,10 @@ def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:
-    """Join the sensors of several streams, sampled at the times of the first."""
+    """Join the sensors of several streams, sampled at the times of the first; one is unchanged."""
     (_, leader), *followers = streams.items()
+    if not followers:
+        return leader
     names = tuple(
         f"{part}/{name}"
         for part, stream in streams.items()

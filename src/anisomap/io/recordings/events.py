@@ -123,8 +123,8 @@ class EventList(Generic[_Key]):
         self._numbers.extend([seen.setdefault(key, len(seen)) for key in active] or [-1])
 
     def indices(self, index: Mapping[_Key, int]) -> NDArray[np.intp]:
-        """Return the index of the sensor of each event, -1 for none."""
-        places = np.array([*(index[key] for key in self._seen), -1], dtype=np.intp)
+        """Return the index of the sensor of each event, -1 for none or one without an index."""
+        places = np.array([*(index.get(key, -1) for key in self._seen), -1], dtype=np.intp)
         return places[np.asarray(self._numbers, dtype=np.intp)]
 
 
