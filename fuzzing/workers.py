@@ -26,7 +26,7 @@ from numpy.random import Generator
 from fuzzing import checks, odd, uses
 from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, Damage, inside
-from fuzzing.subjects import Subject, Tree, example_recording
+from fuzzing.subjects import Subject, Tree, examples
 
 MAX_CPU_SECONDS, MAX_SECONDS = 10, 600
 """A case that computes longer, or waits longer, is a hang; a busy machine slows the clock only."""
@@ -311,7 +311,7 @@ def _redirected(stream: int, path: Path) -> int:
 def _bag() -> bytes:
     """Write a bag of a type whose definition is not in it."""
     bag = import_module("bags").Bag("bag")
-    for i, row in enumerate(example_recording().readings):
+    for i, row in enumerate(examples.example_recording().readings):
         bag.add("/skin", bag.array(row), i)
     with tempfile.TemporaryDirectory() as name:
         return bytes(bag.write(Path(name) / "run.bag").read_bytes())
