@@ -87,7 +87,7 @@ def _parquet(readings: np.ndarray, path: Path) -> None:
 
 def _mcap(readings: np.ndarray, path: Path) -> None:
     bag = pytest.importorskip("bags").Bag("mcap")
-    for i, row in enumerate(readings[:12_000].astype(np.float64)):  # a slow format
+    for i, row in enumerate(readings.astype(np.float64)):
         bag.add("/skin", bag.array(row), i)
     bag.write(path)
 
@@ -109,9 +109,9 @@ CHEAP = {"skin.npz", "skin.npy", "skin.h5", "skin.parquet"}
 )
 def test_memory(tmp_path: Path, name: str) -> None:
     """Reading keeps one copy of the readings, and streaming none; both need some buffers."""
-    readings = np.random.default_rng(0).integers(0, 10, (48_000, 200)).astype(np.float32)
+    readings = np.random.default_rng(0).integers(0, 10, (24_000, 200)).astype(np.float32)
     path = tmp_path / name
     LARGE[name](readings, path)
-    result = io.read(path).readings.nbytes
+    result = readings.nbytes
     assert peak(lambda: io.read(path)) < 1.3 * result + 8 * MIB
     assert peak(lambda: exhaust(path)) < 0.1 * result + 12 * MIB
