@@ -35,9 +35,7 @@ def increasing_times(
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
         raise FileError(f"{path}: times must have shape (T,), got {values.shape}")
-    valid = np.isfinite(values)
-    with np.errstate(invalid="ignore"):
-        valid[1:] &= np.diff(values) > 0
+    valid = _increase(values)
     if valid.all():
         return values
     frame = int(np.argmin(valid))
@@ -46,6 +44,14 @@ def increasing_times(
     place = f"frame {frame}{where} is at {float(values[frame])!r}{after}"
     warn(path, f"times must strictly increase, but {place}; the times are ignored")
     return None
+
+
+def _increase(times: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which times are finite and follow an earlier one, (T,)."""
+    valid: NDArray[np.bool_] = np.isfinite(times)
+    with np.errstate(invalid="ignore"):
+        valid[1:] &= np.diff(times) > 0
+    return valid
 
 
 def to_float32_if_exact(readings: NDArray[Any]) -> NDArray[Any]:
@@ -385,9 +391,8 @@ def _joined(blocks: list[Block]) -> Block:
 def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
     """Return the first clock that increases strictly, or warn that none does."""
     for times in clocks:
-        with np.errstate(invalid="ignore"):
-            if np.isfinite(times).all() and (np.diff(times) > 0).all():
-                return times - times[0] if stream.from_zero else times
+        if _increase(times).all():
+            return times - times[0] if stream.from_zero else times
     return increasing_times(clocks[0], stream.path, stream.locate) if clocks else None
 
 
