@@ -144,8 +144,7 @@ def stream_events(
     *,
     bin_s: float | None = None,
     span: tuple[float, float] | None = None,
-    spikes: bool = False,
-    contacts: bool = False,
+    spikes: bool | None = None,
     metadata: Mapping[str, Scalar],
     **known: Any,
 ) -> Stream:
@@ -154,6 +153,7 @@ def stream_events(
     Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
     or its value. With bins, a reading is the number of events in the bin, or the last value.
 
+    spikes: Whether the events need bins; None to decide by how many share a moment.
     known: Further fields of the stream.
     """
     if not (events.sensors >= 0).any():
@@ -162,11 +162,10 @@ def stream_events(
         raise FileError(f"{path}: the time of an event is not finite")
     if bin_s is not None and not events.timed:
         raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
-    needs_bins = spikes
-    if events.timed and not (spikes or contacts):
+    if spikes is None and events.timed:
         _, counts = np.unique(events.moments[events.sensors >= 0], return_counts=True)
-        needs_bins = bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
-    if bin_s is None and needs_bins:
+        spikes = bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
+    if bin_s is None and spikes:
         bin_s = DEFAULT_BIN_S
         problem = f"events are counted in bins of {bin_s:g} s, the default width"
         warn(path, f"{problem}; choose another with --bin-width (bin_s in Python)")

@@ -126,7 +126,7 @@ def _stream_contacts(path: Path, wanted: Sequence[str], bin_s: float | None) -> 
         tuple(f"{part}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for part, i in sensors),
     )
     metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}
-    return stream_events(path, events, bin_s=bin_s, contacts=True, metadata=metadata)
+    return stream_events(path, events, bin_s=bin_s, spikes=False, metadata=metadata)
 
 
 def _contacts_of(path: Path, number: int, line: str) -> _Frame:
