@@ -69,7 +69,7 @@ def exhaust(path: Path) -> None:
 def _text(readings: np.ndarray, path: Path) -> None:
     lines = (b" ".join(row) for row in readings.astype("u1").astype("S1").tolist())
     text = b"\n".join(lines) + b"\n"
-    path.write_bytes(gzip.compress(text, 1) if path.suffix == ".gz" else text)
+    path.write_bytes(gzip.compress(text, 1))
 
 
 def _npz(readings: np.ndarray, path: Path) -> None:
@@ -97,7 +97,6 @@ def _mcap(readings: np.ndarray, path: Path) -> None:
 
 
 LARGE = {
-    "skin.csv": _text,
     "skin.csv.gz": _text,
     "skin.npz": _npz,
     "skin.npy": lambda readings, path: np.save(path, readings),

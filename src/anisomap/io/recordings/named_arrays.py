@@ -126,7 +126,7 @@ class Lists:
     length: int
     read: Callable[[], Sequence[NDArray[Any]]]
     members: frozenset[str]
-    group: str | None = None
+    group: str = ""
     names: tuple[str, ...] = ()
     certain: bool = False
     contacts: bool = False
