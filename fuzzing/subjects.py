@@ -5,7 +5,6 @@ Files are kept in memory as trees: paths within a folder, and their content.
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 import sys
 import tempfile
@@ -19,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import AnisomapWarning
 from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.map_reduce import map_reduce
 from anisomap.numerics.similarity.correlation import Moments
@@ -30,8 +29,9 @@ from anisomap.tracking import gather_evidence
 
 Tree: TypeAlias = Mapping[str, bytes]
 
-_TESTS = Path(__file__).parents[1] / "tests"
-_N_FRAMES, _N_SENSORS = 24, 5
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+examples: Any = import_module("example_files")
+
 _MODELS = (
     """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 1" euler="0 0 90">
 <geom type="capsule" fromto="0 0 0 .5 0 0" size=".1"/><geom type="ellipsoid" size=".2 .1 .15"/>
@@ -112,36 +112,6 @@ def subjects() -> list[Subject]:
     return [*found, Subject("message definition", "definition", [definition])]
 
 
-def example_recording() -> Recording:
-    """Make a recording with names that some format must escape, times and metadata."""
-    values = np.random.default_rng(20).random((_N_FRAMES, _N_SENSORS)).round(3)
-    return Recording(
-        np.where(values < 0.4, 0, values),
-        names=("a", "b,c", 'd"e', "=1+1", "#h"),
-        times=np.arange(_N_FRAMES) / 10,
-        units="mm",
-        source="by hand",
-        metadata={"seed": 3, "licence": "BSD-3-Clause"},
-    )
-
-
-def example_map(*, in_metres: bool = False) -> SensorMap:
-    """Make a map with an unplaced sensor, and several components unless it is in metres."""
-    positions = np.random.default_rng(21).standard_normal((_N_SENSORS, 3))
-    positions[3] = np.nan
-    made = SensorMap(
-        positions,
-        names=example_recording().names,
-        component=np.array([0, 0, 1, -1, 0]),
-        health=("ok", "noisy", "ok", "dead", "ok"),
-        method="r-anisomap",
-        stress=0.0625,
-        notes=("one sensor never varies",),
-        provenance={"seed": 3, "mu": 1.0, "weighted": False},
-    )
-    return replace(made, units="m", component=np.minimum(made.component, 0)) if in_metres else made
-
-
 def map_suffixes() -> list[str]:
     """List the suffixes in which maps are written."""
     return [suffix for known in io.FORMATS if known.write_map for suffix in known.suffixes]
@@ -158,35 +128,25 @@ def _written(folder: Path) -> Iterator[tuple[str, Path]]:
         for suffix in known.suffixes:
             path = folder / f"file{suffix}"
             if known.write_map:
-                io.write(example_map(in_metres=known.in_metres), path)
+                io.write(examples.example_map(in_metres=known.in_metres), path)
                 yield known.name, path
             if known.write_recording:
-                io.write(example_recording(), path)
+                io.write(examples.example_recording(), path)
                 yield known.name, path
 
 
 def _exemplary(folder: Path) -> Iterator[tuple[str, Path]]:
     """Write the examples of the tests, which follow the programs that write each format."""
-    sys.path.append(str(_TESTS))  # the examples import other modules of the tests
-    place = importlib.util.spec_from_file_location("examples", _TESTS / "io" / "conftest.py")
-    if place is None or place.loader is None:
-        raise InputError(f"{_TESTS} must hold the examples of formats")
-    examples: Any = importlib.util.module_from_spec(place)
-    place.loader.exec_module(examples)
-    for name, (known, make) in examples.RECORDINGS.items():
-        if make is not None:
+    for name, (known, make) in {**examples.RECORDINGS, **examples.MAPS}.items():
+        if make not in (examples.own_recording, examples.own_map):
             path = folder / name
             make(path)
             yield known, path
-    for name, make in examples.FOREIGN_MAPS.items():
-        path = folder / name
-        make(example_map(in_metres=True), path)
-        yield examples.MAPS[name], path
 
 
 def _folders(folder: Path) -> Iterator[tuple[str, Path]]:
     """Write formats that are folders of files."""
-    values = example_recording().readings
+    values = examples.example_recording().readings
     dump = folder / "port"
     dump.mkdir()
     rows = [" ".join(map(str, row)) for row in values.tolist()]
@@ -199,8 +159,7 @@ def _folders(folder: Path) -> Iterator[tuple[str, Path]]:
     for i, row in enumerate((values * 255).astype(np.uint8)[:6]):
         pillow.fromarray(row[None]).save(film / f"{i:03d}.png")
     yield "images", film
-    bags: Any = import_module("bags")
-    bag = bags.Bag("db3")
+    bag = import_module("bags").Bag("db3")
     for i, row in enumerate(values):
         bag.add("/skin", bag.array(row), i)
     bag.write(folder / "bag.db3")
@@ -238,14 +197,14 @@ def _bodies(folder: Path) -> list[Subject]:
 def _checkpoint(folder: Path) -> Subject:
     path = folder / "counts.npz"
     checkpoint = Checkpoint(path, "a computation")
-    readings = example_recording().readings
+    readings = examples.example_recording().readings
     map_reduce(lambda: iter([readings]), Moments.of, checkpoint=checkpoint)
     return Subject("checkpoint", "checkpoint", [_tree(path)])
 
 
 def _statistics(folder: Path) -> Subject:
     path = folder / "skin.statistics.npz"
-    io.write_statistics(gather_evidence(example_recording(), dimensions=2), path)
+    io.write_statistics(gather_evidence(examples.example_recording(), dimensions=2), path)
     return Subject("statistics", "statistics", [_tree(path)])
 
 

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import os
 import resource
 import signal
 import sys
 import tempfile
-import traceback
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
 from itertools import product
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -26,7 +26,7 @@ from numpy.random import Generator
 from fuzzing import checks, odd, uses
 from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, Damage, inside
-from fuzzing.subjects import Subject, Tree, example_recording
+from fuzzing.subjects import Subject, Tree, examples
 
 MAX_CPU_SECONDS, MAX_SECONDS = 10, 600
 """A case that computes longer, or waits longer, is a hang; a busy machine slows the clock only."""
@@ -219,51 +219,44 @@ def _count(tally: Tally, subject: Subject, seed: int, record: dict[str, Any], ke
 
 def _forked(subject: Subject, seed: int, indices: Sequence[int]) -> Iterator[dict[str, Any]]:
     """Run cases in one forked process; stop after the case in which it dies."""
+    forked, begun = get_context("fork"), dict[str, Any]()
+    receiving, sending = forked.Pipe(duplex=False)
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as folder:  # also if it dies
-        yield from _in_process(subject, seed, indices, Path(folder))
-
-
-def _in_process(
-    subject: Subject, seed: int, indices: Sequence[int], base: Path
-) -> Iterator[dict[str, Any]]:
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reading)
-        terminal = os.fdopen(os.dup(2), "w")
-        code = 1
-        try:
-            with os.fdopen(writing, "w") as pipe:
-                _work(subject, seed, indices, base, pipe)
-            code = 0
-        except BaseException:
-            traceback.print_exc(file=terminal)
-            terminal.flush()
-        finally:
-            os._exit(code)
-    os.close(writing)
-    begun: dict[str, Any] = {}
-    with os.fdopen(reading) as lines:
-        for line in lines:
-            record = json.loads(line)
-            if "problems" in record:
-                yield record
-                begun = {}
-            else:
-                begun = record
-    status = os.waitpid(child, 0)[1]
+        cases = subject, seed, indices, Path(folder), sending
+        worker = forked.Process(target=_work, args=cases)
+        worker.start()
+        sending.close()
+        with suppress(EOFError):
+            while True:
+                begun = receiving.recv()
+                if "problems" in begun:
+                    yield begun
+                    begun = {}
+        worker.join()
+    number = -min(worker.exitcode or 0, 0)
     if begun:
-        number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
         hang = number in (signal.SIGPROF, signal.SIGALRM)
-        name = signal.Signals(number).name if number else f"exit code {status >> 8}"
+        name = signal.Signals(number).name if number else f"exit code {worker.exitcode}"
         problem = "hang" if hang else f"the process died: {name}"
         costs = {"seconds": MAX_CPU_SECONDS, "memory": 0}
         yield {**begun, **costs, "accepted": False, "problems": [problem]}
-    elif status:
-        raise RuntimeError(f"a worker for {subject.name} ended with status {status}")
+    elif worker.exitcode:
+        raise RuntimeError(f"a worker for {subject.name} ended with code {worker.exitcode}")
 
 
-def _work(subject: Subject, seed: int, indices: Sequence[int], base: Path, pipe: TextIO) -> None:
+def _work(
+    subject: Subject, seed: int, indices: Sequence[int], base: Path, sending: Connection
+) -> None:
+    terminal = os.dup(2)
+    try:
+        _run(subject, seed, indices, base, sending)
+    finally:
+        os.dup2(terminal, 2)  # for the traceback of a defect of the fuzzer
+
+
+def _run(
+    subject: Subject, seed: int, indices: Sequence[int], base: Path, sending: Connection
+) -> None:
     os.environ["ANISOMAP_DEBUG"] = "1"  # errors in the commands are raised, not reported as 70
     in_use = checks.status("VmSize")
     resource.setrlimit(resource.RLIMIT_AS, (in_use + ADDRESS_SPACE, in_use + ADDRESS_SPACE))
@@ -276,7 +269,7 @@ def _work(subject: Subject, seed: int, indices: Sequence[int], base: Path, pipe:
     for index in indices:
         damage, tree, by_command, rng = make_case(subject, seed, index)
         begun = {"index": index, "damage": damage}
-        print(json.dumps(begun), file=pipe, flush=True)
+        sending.send(begun)
         for stream in printed:
             os.ftruncate(stream, 0)
         started = checks.processor_time()
@@ -298,7 +291,7 @@ def _work(subject: Subject, seed: int, indices: Sequence[int], base: Path, pipe:
         seconds = checks.processor_time() - started
         costs = {"seconds": seconds, "memory": found.memory}
         result = {"accepted": found.accepted, "problems": found.problems}
-        print(json.dumps({**begun, **costs, **result}), file=pipe, flush=True)
+        sending.send({**begun, **costs, **result})
 
 
 def _redirected(stream: int, path: Path) -> int:
@@ -311,7 +304,7 @@ def _redirected(stream: int, path: Path) -> int:
 def _bag() -> bytes:
     """Write a bag of a type whose definition is not in it."""
     bag = import_module("bags").Bag("bag")
-    for i, row in enumerate(example_recording().readings):
+    for i, row in enumerate(examples.example_recording().readings):
         bag.add("/skin", bag.array(row), i)
     with tempfile.TemporaryDirectory() as name:
         return bytes(bag.write(Path(name) / "run.bag").read_bytes())

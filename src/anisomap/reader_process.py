@@ -53,14 +53,7 @@ _WATCH_S = 0.05
 _OUT_OF_MEMORY = 99  # exit code
 _NO_SPACE = (errno.EFBIG, errno.ENOMEM)
 
-# `anisomap.io` itself imports all formats, which takes longer than to read a file.
-_SERVE = """
-import sys, types, anisomap
-sys.modules["anisomap.io"] = package = types.ModuleType("anisomap.io")
-package.__path__ = [anisomap.__path__[0] + "/io"]
-from anisomap.reader_process import serve
-serve()
-"""
+_SERVE = "from anisomap.reader_process import serve; serve()"
 _ENVIRONMENT = {
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve memory in advance
     "OMP_NUM_THREADS": "1",

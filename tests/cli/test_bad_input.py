@@ -84,7 +84,7 @@ convert pieces-1.csv pieces.csv --split-components        | pieces-1.csv is also
 convert map.csv {"b" * 300}.csv                           | too long
 check missing.csv skin.npz                                | missing.csv
 check layout.csv missing.npz                              | missing.npz
-check map.csv skin.npz -o a.urdf                          | anisomap convert map.csv scaled.csv --spacing
+check map.csv skin.npz -o a.urdf                          | scale it first: anisomap convert
 check bare.npz layout.csv                                 | swap the arguments: anisomap check
 check skin.npz layout.csv                                 | swap the arguments
 check bare.npz strangers.csv                              | no positions

@@ -1,348 +1,18 @@
-"""An example file of every format, in the layout of the programs that write it."""
+"""Fixtures of the tests of files."""
 
 import functools
-import gzip
-import json
-import math
-import shutil
 import tempfile
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import scipy
 
-from anisomap import io
 from anisomap.errors import AnisomapWarning
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
-
-N_FRAMES, N_SENSORS = 24, 5
-NAMES = ("a", "b,c", 'd"e', "f\ng", "#h")
-
-
-def _readings() -> np.ndarray:
-    rng = np.random.default_rng(20)
-    values = rng.random((N_FRAMES, N_SENSORS)).round(3)
-    return np.where(values < 0.4, 0, values)
-
-
-def _recording() -> Recording:
-    return Recording(
-        _readings(),
-        names=NAMES,
-        times=np.arange(N_FRAMES) / 10,
-        units="mm",
-        source="by hand",
-        metadata={"seed": 3, "licence": "BSD-3-Clause"},
-    )
-
-
-@pytest.fixture
-def recording() -> Recording:
-    return _recording()
-
-
-@pytest.fixture
-def sensor_map() -> SensorMap:
-    positions = np.random.default_rng(21).standard_normal((N_SENSORS, 3))
-    positions[3] = np.nan
-    return SensorMap(
-        positions,
-        names=NAMES,
-        component=[0, 0, 1, -1, 0],
-        health=("ok", "noisy", "ok", "dead", "ok"),
-        method="r-anisomap",
-        stress=0.0625,
-        verdict=Verdict(
-            "usable",
-            expected_error=0.5,
-            expected_error_high=math.inf,
-            neighbours_kept=0.9,
-            reasons=("few frames", "# b: c"),
-        ),
-        notes=("one sensor never varies",),
-        provenance={"seed": 3, "mu": 1.0, "weighted": False, "source": "skin.csv"},
-    )
-
-
-def _lines(row: Callable[[int, list[float]], str], end: str = "\n") -> str:
-    return "".join(row(i, values) + end for i, values in enumerate(_readings().tolist()))
-
-
-def _foreign(path: Path) -> None:
-    """Semicolons and decimal commas, as a German spreadsheet writes them."""
-    header = "time [ms];frame;" + ";".join(f"s{i}" for i in range(N_SENSORS)) + ";\r\n"
-    rows = _lines(lambda i, v: f"{10 * i};{i};" + ";".join(map(str, v)) + ";", "\r\n")
-    path.write_text(header + rows.replace(".", ","), encoding="utf-8-sig", newline="")
-
-
-def _gzipped(path: Path) -> None:
-    rows = _lines(lambda i, v: f"{i / 50:.2f} " + " ".join(map(str, v)))
-    path.write_bytes(gzip.compress(rows.encode(), mtime=0))
-
-
-def _one_stamp(path: Path) -> None:
-    path.write_text(
-        _lines(lambda i, v: f"{7 + i} {1.3e9 + i / 50:.6f} (" + " ".join(map(str, v)) + ")")
-    )
-
-
-def _two_stamps(path: Path) -> None:
-    path.write_text(
-        _lines(
-            lambda i, v: (
-                f"{i} {1.3e9 + i / 50:.6f} {1.3e9 + 0.001 + i / 50:.6f} " + " ".join(map(str, v))
-            )
-        )
-    )
-
-
-def _archive(path: Path) -> None:
-    """Written by numpy without compression, so that damage affects the arrays."""
-    with path.open("wb") as stream:
-        np.savez(
-            stream,
-            readings=_readings(),
-            names=np.array(NAMES),
-            times=np.arange(N_FRAMES) / 10,
-            positions=_readings()[:N_SENSORS, :3],
-            units="mm",
-            licence="MIT",
-            triangle=np.arange(N_SENSORS),
-        )
-
-
-def _tables(path: Path, transposed: bool = False) -> None:
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(path, "w", userblock_size=512 if transposed else 0) as file:
-        readings, times = _readings(), np.arange(N_FRAMES) / 50
-        if transposed:
-            readings, times = np.ascontiguousarray(readings.T), times[None]
-        else:
-            file["skin/names"] = np.array(NAMES, dtype="S")
-        file.create_dataset("skin/readings", data=readings, chunks=True, compression="gzip")
-        file["skin/time"] = times
-    if transposed:
-        with path.open("r+b") as stream:
-            stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
-
-
-def _matlab(path: Path) -> None:
-    contents = {"readings": _readings(), "time": np.arange(N_FRAMES) / 50}
-    scipy.io.savemat(path, contents, do_compression=True)
-
-
-def _robot_learning(path: Path, *, feather: bool = False) -> None:
-    arrow = pytest.importorskip("pyarrow")
-    values = arrow.array(_readings().ravel())
-    columns = {
-        "observation.tactile": arrow.FixedSizeListArray.from_arrays(values, N_SENSORS),
-        "timestamp": np.arange(N_FRAMES) / 50,
-        "frame_index": np.arange(N_FRAMES),
-    }
-    if feather:
-        pytest.importorskip("pyarrow.feather").write_feather(arrow.table(columns), path)
-    else:
-        parquet = pytest.importorskip("pyarrow.parquet")
-        parquet.write_table(arrow.table(columns), path, row_group_size=9)
-
-
-def _bag(path: Path) -> None:
-    bags = pytest.importorskip("bags")
-    bag = bags.Bag(path.suffix[1:])
-    for i, row in enumerate(_readings()):
-        bag.add("/skin", bag.array(row), i)
-    bag.messages = [
-        (topic, message, bags.START + 20_000_000 * i)
-        for i, (topic, message, _) in enumerate(bag.messages)
-    ]
-    bag.write(path)
-    shutil.rmtree(path.with_suffix(""), ignore_errors=True)
-
-
-def _mat_export(path: Path) -> None:
-    frames = _lines(lambda i, v: f"Frame {i + 1}\n" + ",".join(map(str, v)) + "\n")
-    path.write_text(
-        "DATA_TYPE MOVIE\nROWS 1\nCOLS 5\nROW_SPACING 8.4 mm\nCOL_SPACING 5.1 mm\n"
-        f"SECONDS_PER_FRAME 0.02\nASCII_DATA @@\n\n{frames}@@\n"
-    )
-
-
-def _contacts(path: Path) -> None:
-    """The sensors that read above 0 in each frame."""
-    lists = _lines(lambda i, v: f'{i / 10},"[{" ".join(map(str, np.flatnonzero(v)))}]"')
-    path.write_text(f"time [s],taxels\n{lists}")
-
-
-def _skin_events(path: Path) -> None:
-    """Two contacts per frame with a skin part, none where nothing is touched."""
-
-    def contacts(frame: int, values: list[float]) -> str:
-        active = [str(taxel) for taxel in np.flatnonzero(values)]
-        vectors = "(0.01 -0.02 0.5) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.01 -0.02 0.5) (0.0 0.0 1.0)"
-        halves = [part for part in (active[:2], active[2:]) if part]
-        lists = [f"((7 4 5 5) {vectors} ({' '.join(part)}) 12.5)" for part in halves]
-        return f"{frame} {1.3e9 + frame / 50:.6f} {' '.join(lists)}".rstrip()
-
-    path.write_text(_lines(contacts))
-
-
-def _contacts_as_json(path: Path) -> None:
-    objects = _lines(
-        lambda i, v: json.dumps(
-            {"time": i / 10, "taxels": np.flatnonzero(v).tolist(), "by": "hand"}
-        )
-    )
-    path.write_text(
-        objects if path.suffix == ".jsonl" else json.dumps([*map(json.loads, objects.splitlines())])
-    )
-
-
-def _archived_contacts(path: Path) -> None:
-    frames, sensors = np.nonzero(_readings())
-    with path.open("wb") as stream:
-        np.savez(stream, times=frames / 10, sensors=sensors, positions=_readings()[:N_SENSORS, :2])
-
-
-def _spike_trains(path: Path) -> None:
-    """The layout of the retinal wave repository: one vector of times, and counts per unit."""
-    h5py = pytest.importorskip("h5py")
-    counts = np.round(10 * _readings()).astype(int)
-    trains = [np.repeat(np.arange(N_FRAMES), counts[:, k]) for k in range(N_SENSORS)]
-    with h5py.File(path, "w") as file:
-        file["spikes"] = np.concatenate(trains) + 0.5
-        file["sCount"] = [float(len(train)) for train in trains]
-        file["epos"] = np.array([np.arange(N_SENSORS), np.zeros(N_SENSORS)])
-        file["names"] = np.array([f"ch_{k}a" for k in range(N_SENSORS)], dtype="S")
-        file["recordingtime"] = [0.0, float(N_FRAMES)]
-        file["summary/frate"] = counts.mean(axis=0)
-
-
-def _contact_structs(path: Path) -> None:
-    """A structure per contact, beside the angles of the joints, as a robot records self-touch."""
-    contacts = np.zeros((N_FRAMES, 1), dtype=[("angles", object), ("activatedTaxels", object)])
-    for i, values in enumerate(_readings()):
-        contacts[i, 0] = (np.array([[0.5]]), np.flatnonzero(values)[None])
-    scipy.io.savemat(path, {"torso": contacts}, do_compression=True)
-
-
-def _cyskin(path: Path) -> None:
-    """Three taxels of five with addresses beside each response, as robotskinlib records them."""
-    rows = _lines(
-        lambda i, v: (
-            f"{i} {26.82 + i / 10:f} 5 " + " ".join(f"{7 * k + 9} {x}" for k, x in enumerate(v))
-        )
-    )
-    path.write_text(f"1\n5\n{rows}")
-
-
-def _cyskin_of_driver(path: Path) -> None:
-    """Addresses in the first line, as the acquisition program writes them."""
-    rows = _lines(lambda i, v: f"{i} {i / 10:f} " + " ".join(map(str, v)))
-    path.write_text(f"16 17 18 32 33 \n{rows}")
-
-
-def _calibration(sensor_map: SensorMap, path: Path) -> None:
-    """One patch in a list of its own and one beside it; address 0 is a taxel without a module."""
-    taxels = [
-        {"id": 7 * k + 9 if placed else 0, "x": x if placed else [0, 0, 0], "n": [0, 0, 1]}
-        for k, (x, placed) in enumerate(
-            zip(sensor_map.positions.tolist(), sensor_map.placed, strict=True)
-        )
-    ]
-    skin = {"n_taxels": 5, "taxels": [taxels[:3], *taxels[3:]]}
-    path.write_text(json.dumps({"info": {"file_version": 2}, "skin": skin}, indent="\t"))
-
-
-def _lists(path: Path) -> None:
-    """All readings of a frame in one cell, beside a column that is no sensor."""
-    rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
-    path.write_text(f"Timestamp,Frame,Matrix_0,foot\n{rows}")
-
-
-def _images(path: Path) -> None:
-    """Floating-point pixels, one page per frame."""
-    pillow = pytest.importorskip("PIL.Image")
-    pages = [pillow.fromarray(row[None].astype(np.float32)) for row in _readings()]
-    pages[0].save(path, save_all=True, append_images=pages[1:], compression=None)
-
-
-def _fif(path: Path) -> None:
-    """Electrodes on a line, beside a trigger channel."""
-    mne = pytest.importorskip("mne")
-    names = [f"E{k}" for k in range(N_SENSORS)]
-    info = mne.create_info([*names, "STI"], 50.0, ["eeg"] * N_SENSORS + ["stim"])
-    raw = mne.io.RawArray(np.vstack([_readings().T, np.zeros(N_FRAMES)]), info, verbose="ERROR")
-    places = {name: np.array([k, 0.0, 0.0]) / 10 for k, name in enumerate(names)}
-    raw.set_montage(mne.channels.make_dig_montage(places, coord_frame="head"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        raw.save(path, fmt="double", overwrite=True, verbose="ERROR")
-
-
-RECORDINGS: dict[str, tuple[str, Callable[[Path], None] | None]] = {
-    "skin.npz": ("npz", None),
-    "numpy.npz": ("npz", _archive),
-    "skin.npy": ("npy", lambda path: np.save(path, _readings())),
-    "skin.csv": ("text", None),
-    "skin.tsv": ("text", None),
-    "foreign.csv": ("text", _foreign),
-    "blanks.txt.gz": ("text", _gzipped),
-    "data.log": ("yarp", _two_stamps),
-    "dumped.log": ("yarp", _one_stamp),
-    "run.bag": ("ros", _bag),
-    "run.mcap": ("ros", _bag),
-    "run.db3": ("ros", _bag),
-    "mat.asf": ("mat-export", _mat_export),
-    "film.tif": ("images", _images),
-    "contacts.csv": ("contacts", _contacts),
-    "events.log": ("yarp", _skin_events),
-    "events.npz": ("npz", _archived_contacts),
-    "contacts.json": ("contacts-json", _contacts_as_json),
-    "contacts.jsonl": ("contacts-json", _contacts_as_json),
-    "spikes.h5": ("hdf5", _spike_trains),
-    "touch.mat": ("mat", _contact_structs),
-    "hand.txt": ("cyskin", _cyskin),
-    "gesture.txt": ("cyskin", _cyskin_of_driver),
-    "lists.csv": ("text", _lists),
-    "skin_raw.fif": ("mne", _fif),
-    "skin.h5": ("hdf5", _tables),
-    "skin.mat": ("mat", _matlab),
-    "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),
-    "skin.parquet": ("parquet", _robot_learning),
-    "skin.feather": ("parquet", lambda path: _robot_learning(path, feather=True)),
-}
-EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "contacts.csv": lambda values: values > 0,
-    "contacts.json": lambda values: values > 0,
-    "contacts.jsonl": lambda values: values > 0,
-    "events.log": lambda values: values > 0,
-    "events.npz": lambda values: (values > 0)[(values > 0).any(axis=1)],
-    "spikes.h5": lambda values: np.round(10 * values),
-    "touch.mat": lambda values: values > 0,
-}
-"""Files that hold events instead of readings, and what they make of readings."""
-
-MAPS = {
-    "map.npz": "npz",
-    "map.csv": "text",
-    "map.tsv": "text",
-    "map.json": "json",
-    "map.ply": "ply",
-    "map.pcd": "pcd",
-    "map.urdf": "urdf",
-    "map.mjcf": "mjcf",
-    "map.icub.txt": "icub",
-    "handle.json": "cyskin-calibration",
-}
-FOREIGN_MAPS = {"handle.json": _calibration}
-"""Examples of maps that anisomap does not write."""
-
+from example_files import EVENTS, MAPS, RECORDINGS, example_map, example_recording
 
 _TOLD = {"spikes.h5": pytest.mark.filterwarnings("ignore:.*in bins of 1 s, the default width")}
 _EXAMPLES = [pytest.param(name, marks=_TOLD.get(name, ())) for name in RECORDINGS]
@@ -353,12 +23,18 @@ def example(name: str) -> bytes:
     """Return the content of an example in `RECORDINGS`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
-        make = RECORDINGS[name][1]
-        if make:
-            make(path)
-        else:
-            io.write(_recording(), path)
+        RECORDINGS[name][1](path)
         return path.read_bytes()
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return example_recording()
+
+
+@pytest.fixture
+def sensor_map() -> SensorMap:
+    return example_map()
 
 
 @pytest.fixture(params=_EXAMPLES)
@@ -376,30 +52,10 @@ def expected_readings(recording_file: Path, recording: Recording) -> np.ndarray:
 
 
 @pytest.fixture(params=MAPS)
-def map_file(request: pytest.FixtureRequest, tmp_path: Path, sensor_map: SensorMap) -> Path:
+def map_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     path = tmp_path / request.param
-    make = FOREIGN_MAPS.get(request.param)
-    if make:
-        make(sensor_map, path)
-    else:
-        io.write(writable(sensor_map, path), path)
+    MAPS[request.param][1](path)
     return path
-
-
-def writable(sensor_map: SensorMap, path: Path) -> SensorMap:
-    """Give a map the scale and single component that a format requires."""
-    if path.name not in FOREIGN_MAPS and not io.needs_scale(path):
-        return sensor_map
-    return replace(sensor_map, units="m", component=np.minimum(sensor_map.component, 0))
-
-
-@pytest.fixture
-def exemplified() -> dict[str, set[str]]:
-    """Names of the formats with an example recording, and with an example map."""
-    return {
-        "recordings": {name for name, _ in RECORDINGS.values()},
-        "maps": set(MAPS.values()),
-    }
 
 
 @pytest.fixture

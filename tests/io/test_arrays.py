@@ -237,7 +237,9 @@ class TestMatlab:
 
     def test_spike_trains(self, saved) -> None:
         trains = [np.array(train).reshape(-1, 1) for train in ([0.25, 1.5], [], [0.5, 2.25])]
-        found = io.read(saved(spikes=self.cells(trains)), options=OPTIONS(bin_s=1.0))
+        path = saved(spikes=self.cells(trains), positions=np.eye(3)[:, :2])
+        found = io.read(path, options=OPTIONS(bin_s=1.0))
+        np.testing.assert_array_equal(found.positions, np.eye(3)[:, :2])
         # The first bin begins with the first spike, at 0.25 s.
         np.testing.assert_array_equal(found.readings, [[1, 0, 1], [1, 0, 0], [0, 0, 1]])
         assert found.names == ("channel1", "channel2", "channel3")

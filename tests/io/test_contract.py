@@ -15,6 +15,7 @@ from anisomap import io
 from anisomap.errors import FileError, InputError
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+from example_files import MAPS, RECORDINGS, example_map
 
 TIMELESS = {
     "mat.asf": 50,
@@ -26,9 +27,10 @@ TIMELESS = {
 """Files without times, and their rates."""
 
 
-def test_every_format_has_an_example(exemplified: dict[str, set[str]]) -> None:
-    assert exemplified["recordings"] == {f.name for f in io.FORMATS if f.open_recording}
-    assert exemplified["maps"] == {f.name for f in io.FORMATS if f.read_map}
+def test_every_format_has_an_example() -> None:
+    recordings, maps = ({form for form, _ in each.values()} for each in (RECORDINGS, MAPS))
+    assert recordings == {f.name for f in io.FORMATS if f.open_recording}
+    assert maps == {f.name for f in io.FORMATS if f.read_map}
 
 
 def test_names_and_suffixes_of_formats_are_unique() -> None:
@@ -67,10 +69,11 @@ def test_recordings_keep_the_contract(
     assert found.rate_hz in [pytest.approx(rate) for rate in (1, 10, 50, 100)]
 
 
-def test_recordings_are_recognised_by_content(recording_file: Path) -> None:
-    expected = io.read(recording_file)
-    disguised = recording_file.rename(recording_file.with_name("data.bin"))
-    np.testing.assert_array_equal(io.read(disguised).readings, expected.readings)
+def test_recordings_are_recognised_by_content(
+    recording_file: Path, expected_readings: np.ndarray
+) -> None:
+    found = io.read(recording_file.rename(recording_file.with_name("data.bin"))).readings
+    np.testing.assert_array_equal(found, expected_readings.astype(found.dtype))
 
 
 def test_maps_are_recognised_by_content(map_file: Path) -> None:
@@ -85,7 +88,7 @@ def test_equal_input_gives_equal_bytes(
     recording: Recording,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scaled = replace(sensor_map, units="m", component=np.minimum(sensor_map.component, 0))
+    scaled = example_map(in_metres=True)
     files = [
         (scaled if form.in_metres else thing, suffix)
         for form in io.FORMATS

@@ -43,13 +43,15 @@ def error(path: Path, reader: Callable[[Path], object] = io.read) -> str:
 
 @pytest.mark.parametrize("dtype", ["f2", "f4", "f8", ">f8", "u1", "i2", "<i8", "?"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_dtypes(saved, dtype: str, order: str) -> None:
+def test_dtypes(saved, tmp_path: Path, dtype: str, order: str) -> None:
     readings = np.array(READINGS, dtype=dtype, order=order)
-    found = io.read(saved(readings=readings)).readings
-    np.testing.assert_array_equal(found, readings)
-    assert found.dtype == (
-        np.float32 if readings.dtype.itemsize <= 2 or dtype == "f4" else np.float64
-    )
+    np.save(tmp_path / "skin.npy", readings)
+    for path in (saved(readings=readings), tmp_path / "skin.npy"):
+        found = io.read(path)
+        np.testing.assert_array_equal(found.readings, readings)
+        exact = readings.dtype.itemsize <= 2 or dtype == "f4"
+        assert found.readings.dtype == (np.float32 if exact else np.float64)
+        assert found.source == path.name
 
 
 def test_all_optional_arrays(saved) -> None:
@@ -242,16 +244,6 @@ def test_reading_positions_skips_the_readings(tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "a") as archive, archive.open("positions.npy", "w") as member:
         np.lib.format.write_array(member, np.eye(3))
     assert io.read_map(path).n_sensors == 3
-
-
-@pytest.mark.parametrize("dtype", ["f4", ">f8", "u1", "?"])
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_single_arrays(tmp_path: Path, dtype: str, order: str) -> None:
-    readings = np.array(READINGS, dtype=dtype, order=order)
-    np.save(tmp_path / "skin.npy", readings)
-    found = io.read(tmp_path / "skin.npy")
-    np.testing.assert_array_equal(found.readings, readings)
-    assert found.source == "skin.npy"
 
 
 def test_wrong_single_arrays(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from anisomap.errors import AnisomapWarning, FileError
 from bags import DEFINITIONS, Bag
 
 READINGS = np.random.default_rng(8).integers(0, 9, (60, 6)).astype(np.float64)
-KINDS = ["bag", "mcap", "db3"]
+KINDS = ["bag", "mcap"]  # a db3 holds the same messages as an mcap
 
 
 def select(name: str, *definitions: Path) -> io.ReadOptions:

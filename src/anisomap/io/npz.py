@@ -318,7 +318,7 @@ def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -
         path,
         Events(moments, sensors.astype(np.intp), names, timed=at in _TIMES),
         bin_s=bin_s,
-        spikes=noun in ("channel", "electrode", "unit", "neuron") and at in _TIMES,
+        spikes=(noun in ("channel", "electrode", "unit", "neuron") and at in _TIMES) or None,
         positions=positions,
         units="" if positions is None else archive.text("units"),
         metadata={"format": "NumPy archive of events"},

@@ -35,9 +35,7 @@ def increasing_times(
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
         raise FileError(f"{path}: times must have shape (T,), got {values.shape}")
-    valid = np.isfinite(values)
-    with np.errstate(invalid="ignore"):
-        valid[1:] &= np.diff(values) > 0
+    valid = _increase(values)
     if valid.all():
         return values
     frame = int(np.argmin(valid))
@@ -46,6 +44,14 @@ def increasing_times(
     place = f"frame {frame}{where} is at {float(values[frame])!r}{after}"
     warn(path, f"times must strictly increase, but {place}; the times are ignored")
     return None
+
+
+def _increase(times: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which times are finite and follow an earlier one, (T,)."""
+    valid: NDArray[np.bool_] = np.isfinite(times)
+    with np.errstate(invalid="ignore"):
+        valid[1:] &= np.diff(times) > 0
+    return valid
 
 
 def to_float32_if_exact(readings: NDArray[Any]) -> NDArray[Any]:
@@ -280,6 +286,22 @@ def rechunk(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
         yield _joined(held)
 
 
+def read_in_blocks(
+    read: Callable[[int, int], NDArray[Any]],
+    n_frames: int,
+    frame_bytes: int,
+    *,
+    times: NDArray[np.float64] | None = None,
+    multiple: int = 1,
+) -> Iterator[Block]:
+    """Read frames in blocks of a multiple of frames; ``read(start, stop)`` returns readings."""
+    step = -(-max(1, BLOCK_BYTES // frame_bytes) // multiple) * multiple
+    for start in range(0, n_frames, step):
+        stop = min(start + step, n_frames)
+        at = None if times is None else times[start:stop]
+        yield Block(read(start, stop), stop / n_frames, at)
+
+
 def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
     """Yield the blocks before the first damage, and warn about the lost rest."""
     n_frames, fraction = 0, 0.0
@@ -369,15 +391,16 @@ def _joined(blocks: list[Block]) -> Block:
 def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
     """Return the first clock that increases strictly, or warn that none does."""
     for times in clocks:
-        with np.errstate(invalid="ignore"):
-            if np.isfinite(times).all() and (np.diff(times) > 0).all():
-                return times - times[0] if stream.from_zero else times
+        if _increase(times).all():
+            return times - times[0] if stream.from_zero else times
     return increasing_times(clocks[0], stream.path, stream.locate) if clocks else None
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:
-    """Join the sensors of several streams, sampled at the times of the first."""
+    """Join the sensors of several streams, sampled at the times of the first; one is unchanged."""
     (_, leader), *followers = streams.items()
+    if not followers:
+        return leader
     names = tuple(
         f"{part}/{name}"
         for part, stream in streams.items()

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import rfft
 
 from anisomap.numerics.columns import centred_rows, columns
 from anisomap.numerics.similarity.rest import MIN_REST_SHARE, Rest, rest_from_counts
@@ -110,6 +109,9 @@ class Signals:
     @cached_property
     def spectra(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
         """Some sensors, and the power of their readings at each frequency, (F, n), Hann window."""
+        # Processes that read files need no spectra, and start in a third of the time without them.
+        from scipy.fft import rfft  # noqa: PLC0415
+
         chosen = some_sensors(self.readings.shape[1], _N_LISTENED)
         rows = unit_rows(self.readings[:, chosen])
         rows *= np.hanning(rows.shape[1]).astype(np.float32)

@@ -14,9 +14,9 @@ import shlex
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from html import escape
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Comment, Element, ElementTree, SubElement, indent
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +44,6 @@ _ROOT = re.compile(
 )
 # Characters that XML 1.0 cannot represent, not even escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
-# Parsers replace these characters in attributes by spaces (XML 1.0, section 3.3.3).
-_SPACE = str.maketrans({"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
 
 
 def has_root(name: str) -> Callable[[Path, bytes], bool]:
@@ -73,53 +71,41 @@ def write_urdf(sensor_map: SensorMap, path: Path) -> None:
         )
     macro = path.suffix.lower() == ".xacro"
     skin = _without_expressions(skin, escaped=macro)
-    parent = "${parent}" if macro else skin.frame
-    frames, taxels = list[str](), list[str]()
+    space = {"xmlns:xacro": "http://www.ros.org/wiki/xacro"}
+    robot = _document("robot", space if macro else {"name": skin.frame}, sensor_map, "frame")
+    if macro:
+        model, parent = SubElement(robot, "xacro:macro", name="skin", params="parent"), "${parent}"
+    else:
+        model, parent = robot, skin.frame
+        SubElement(model, "link", name=parent)
+    sensor = Element("sensor", name=f"{skin.frame}_tactile", update_rate="100")
+    SubElement(sensor, "parent", link=parent)
+    tactile = SubElement(sensor, "tactile", channel=_CHANNEL)
     for index, name, position, turn in zip(
         skin.indices, skin.names, skin.positions, skin.roll_pitch_yaw, strict=True
     ):
         pose = {"xyz": _numbers(position), "rpy": _numbers(turn)}
-        joint = _tag("joint", {"name": f"{name}_fixed", "type": "fixed"}, closed=False)
-        links = _tag("parent", {"link": parent}) + _tag("child", {"link": name})
-        frames += [_tag("link", {"name": name}), f"{joint}{links}{_tag('origin', pose)}</joint>"]
-        taxel = _tag("taxel", {"idx": str(index), **pose}, closed=False)
-        sphere = _tag("sphere", {"radius": _RADIUS})
-        taxels.append(f"{taxel}<geometry>{sphere}</geometry></taxel>")
-    sensor = {"name": f"{skin.frame}_tactile", "update_rate": "100"}
-    body = [
-        *frames,
-        _tag("sensor", sensor, closed=False),
-        _tag("parent", {"link": parent}),
-        _tag("tactile", {"channel": _CHANNEL}, closed=False),
-        *taxels,
-        "</tactile>",
-        "</sensor>",
-    ]
-    comments = _comments(sensor_map, "frame")
-    if macro:
-        robot = _tag("robot", {"xmlns:xacro": "http://www.ros.org/wiki/xacro"}, closed=False)
-        opening = _tag("xacro:macro", {"name": "skin", "params": "parent"}, closed=False)
-        lines = [robot, *comments, opening, *body, "</xacro:macro>", "</robot>"]
-    else:
-        robot = _tag("robot", {"name": skin.frame}, closed=False)
-        lines = [robot, *comments, _tag("link", {"name": skin.frame}), *body, "</robot>"]
-    path.write_text("\n".join(['<?xml version="1.0"?>', *lines, ""]), encoding="utf-8")
+        SubElement(model, "link", name=name)
+        joint = SubElement(model, "joint", name=f"{name}_fixed", type="fixed")
+        SubElement(joint, "parent", link=parent)
+        SubElement(joint, "child", link=name)
+        SubElement(joint, "origin", pose)
+        taxel = SubElement(tactile, "taxel", pose, idx=str(index))
+        SubElement(SubElement(taxel, "geometry"), "sphere", radius=_RADIUS)
+    model.append(sensor)
+    _write(robot, path)
 
 
 def write_mjcf(sensor_map: SensorMap, path: Path) -> None:
     """Write a map with a scale and one component as a model of one body with sites."""
     skin = _named_taxels(sensor_map, "MJCF")
-    lines = [
-        _tag("mujoco", {"model": skin.frame}, closed=False),
-        *_comments(sensor_map, "site"),
-        "<worldbody>",
-        _tag("body", {"name": skin.frame}, closed=False),
-    ]
+    model = _document("mujoco", {"model": skin.frame}, sensor_map, "site")
+    body = SubElement(SubElement(model, "worldbody"), "body", name=skin.frame)
     quaternions = skin.rotations.as_quat(scalar_first=True)
     for name, position, turn in zip(skin.names, skin.positions, quaternions, strict=True):
         pose = {"pos": _numbers(position), "quat": _numbers(turn)}
-        lines.append(_tag("site", {"name": name, **pose, "size": _RADIUS}))
-    path.write_text("\n".join([*lines, "</body>", "</worldbody>", "</mujoco>", ""]), "utf-8")
+        SubElement(body, "site", pose, name=name, size=_RADIUS)
+    _write(model, path)
 
 
 def write_launch(sensor_map: SensorMap, path: Path) -> None:
@@ -129,7 +115,7 @@ def write_launch(sensor_map: SensorMap, path: Path) -> None:
     ``robot_state_publisher``.
     """
     skin = _named_taxels(sensor_map, "a static transform")
-    lines = ["<launch>", *_comments(sensor_map, "frame")]
+    launch = _document("launch", {}, sensor_map, "frame")
     quaternions = skin.rotations.as_quat()
     for index, name, position, turn in zip(
         skin.indices, skin.names, skin.positions, quaternions, strict=True
@@ -138,8 +124,8 @@ def write_launch(sensor_map: SensorMap, path: Path) -> None:
         words = " ".join(f"--{key} {float(value)!r}" for key, value in pose)
         frames = f"--frame-id {_launch_quote(skin.frame)} --child-frame-id {_launch_quote(name)}"
         node = {"pkg": "tf2_ros", "exec": "static_transform_publisher", "name": f"taxel_{index}"}
-        lines.append(_tag("node", {**node, "args": f"{words} {frames}"}))
-    path.write_text("\n".join([*lines, "</launch>", ""]), encoding="utf-8")
+        SubElement(launch, "node", node, args=f"{words} {frames}")
+    _write(launch, path)
 
 
 def _named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
@@ -169,14 +155,14 @@ def _without_expressions(skin: Taxels, *, escaped: bool) -> Taxels:
     return skin
 
 
-def _tag(name: str, attributes: Mapping[str, str], *, closed: bool = True) -> str:
-    """Format a tag with escaped attributes."""
-    pairs = (f' {key}="{escape(value).translate(_SPACE)}"' for key, value in attributes.items())
-    return f"<{name}{''.join(pairs)}{'/' if closed else ''}>"
+def _document(
+    root: str, attributes: dict[str, str], sensor_map: SensorMap, element: str
+) -> Element:
+    """Create a document with comments about a map: its frame, method, verdict and notes.
 
-
-def _comments(sensor_map: SensorMap, element: str) -> list[str]:
-    """Format comments about a map: its frame, method, verdict and notes."""
+    element: What stands for a sensor, in the comments.
+    """
+    document = Element(root, attributes)
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
         f"{element} is the surface normal"
@@ -193,16 +179,23 @@ def _comments(sensor_map: SensorMap, element: str) -> list[str]:
             for name, error in zip(sensor_map.names, sensor_map.errors.tolist(), strict=True)
             if math.isfinite(error)
         ]
-    return [_comment(line) for line in lines]
+    document.extend(map(_comment, lines))
+    return document
 
 
-def _comment(text: str) -> str:
-    """Format a comment; text that would end it, and characters that XML forbids, are replaced."""
+def _write(document: Element, path: Path) -> None:
+    indent(document)
+    document.tail = "\n"
+    ElementTree(document).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _comment(text: str) -> Any:
+    """Make a comment; text that would end it, and characters that XML forbids, are replaced."""
     plain = _FORBIDDEN.sub("?", " ".join(text.split()))
     # XML forbids two hyphens in a row inside a comment, and with "xacro:eval-comments" xacro
     # evaluates the comments after it.
     plain = plain.replace("--", "- -").replace("--", "- -").replace("xacro:", "xacro ")
-    return f"<!-- {plain} -->"
+    return Comment(f" {plain} ")
 
 
 def _launch_quote(name: str) -> str:

@@ -217,9 +217,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         if bag.lost:
             warn(path, f"it was truncated or not closed: read all complete records, {bag.lost}")
         streams = {topic: bag.stream(topic, field) for topic, field in bag.select(options.select)}
-        first = next(iter(streams.values()))
-        stream = join_streams(streams) if len(streams) > 1 else first
-        yield replace(stream, source=f"{path.name}:{', '.join(streams)}")
+        yield replace(join_streams(streams), source=f"{path.name}:{', '.join(streams)}")
 
 
 @contextmanager

@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files import check_regular, read_small
 from anisomap.io.parsing.source import is_gzipped, quote, read_head
 from anisomap.io.stream import (
-    BLOCK_BYTES,
-    Block,
     Content,
     ReadOptions,
     Stream,
     choose,
+    read_in_blocks,
     to_float32_if_exact,
 )
 
@@ -59,10 +59,15 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         picked = [i for i, kind in enumerate(raw.get_channel_types()) if kind == chosen]
         places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
         known = np.isfinite(places).all(axis=1) & places.any(axis=1)
+
+        def read(start: int, stop: int) -> NDArray[Any]:
+            readings = raw.get_data(picks=picked, start=start, stop=stop, verbose="ERROR").T
+            return to_float32_if_exact(np.ascontiguousarray(readings))
+
         yield Stream(
             Path(raw.filenames[0] or path),
             len(picked),
-            _blocks(raw, picked, int(raw.n_times)),
+            read_in_blocks(read, int(raw.n_times), 8 * len(picked)),
             names=tuple(raw.ch_names[i] for i in picked),
             rate_hz=float(raw.info["sfreq"]),
             positions=np.where(known[:, None], places, np.nan) if known.any() else None,
@@ -112,11 +117,3 @@ def _contents(raw: Any) -> tuple[Content, ...]:
         Content(kind, f"{count} channels x {raw.n_times} samples", usable=kind in _SENSORS)
         for kind, count in counts.items()
     )
-
-
-def _blocks(raw: Any, picked: list[int], n_frames: int) -> Iterator[Block]:
-    step = max(1, BLOCK_BYTES // (8 * len(picked)))
-    for start in range(0, n_frames, step):
-        stop = min(start + step, n_frames)
-        readings = raw.get_data(picks=picked, start=start, stop=stop, verbose="ERROR").T
-        yield Block(to_float32_if_exact(np.ascontiguousarray(readings)), stop / n_frames)

@@ -18,6 +18,7 @@ seconds::
 from __future__ import annotations
 
 import csv
+import functools
 import itertools
 import json
 import math
@@ -46,7 +47,7 @@ from anisomap.io.parsing.tables import (
     read_undamaged,
     records,
 )
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream
+from anisomap.io.stream import ReadOptions, Stream, read_in_blocks
 from anisomap.memory import Budget
 from anisomap.recording import Scalar
 
@@ -122,8 +123,8 @@ class EventList(Generic[_Key]):
         self._numbers.extend([seen.setdefault(key, len(seen)) for key in active] or [-1])
 
     def indices(self, index: Mapping[_Key, int]) -> NDArray[np.intp]:
-        """Return the index of the sensor of each event, -1 for none."""
-        places = np.array([*(index[key] for key in self._seen), -1], dtype=np.intp)
+        """Return the index of the sensor of each event, -1 for none or one without an index."""
+        places = np.array([*(index.get(key, -1) for key in self._seen), -1], dtype=np.intp)
         return places[np.asarray(self._numbers, dtype=np.intp)]
 
 
@@ -143,8 +144,7 @@ def stream_events(
     *,
     bin_s: float | None = None,
     span: tuple[float, float] | None = None,
-    spikes: bool = False,
-    contacts: bool = False,
+    spikes: bool | None = None,
     metadata: Mapping[str, Scalar],
     **known: Any,
 ) -> Stream:
@@ -153,6 +153,7 @@ def stream_events(
     Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
     or its value. With bins, a reading is the number of events in the bin, or the last value.
 
+    spikes: Whether the events need bins; None to decide by how many share a moment.
     known: Further fields of the stream.
     """
     if not (events.sensors >= 0).any():
@@ -161,11 +162,10 @@ def stream_events(
         raise FileError(f"{path}: the time of an event is not finite")
     if bin_s is not None and not events.timed:
         raise FileError(f"{path} numbers its events without times, so bins do not apply to it")
-    needs_bins = spikes
-    if events.timed and not (spikes or contacts):
+    if spikes is None and events.timed:
         _, counts = np.unique(events.moments[events.sensors >= 0], return_counts=True)
-        needs_bins = bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
-    if bin_s is None and needs_bins:
+        spikes = bool(np.mean(counts == 1) > _MAX_SHARE_ALONE)
+    if bin_s is None and spikes:
         bin_s = DEFAULT_BIN_S
         problem = f"events are counted in bins of {bin_s:g} s, the default width"
         warn(path, f"{problem}; choose another with --bin-width (bin_s in Python)")
@@ -183,7 +183,12 @@ def stream_events(
     return Stream(
         path,
         n_sensors,
-        _blocks(events, frames, times, counted=bin_s is not None),
+        read_in_blocks(
+            functools.partial(_frames, events, frames, counted=bin_s is not None),
+            n_frames,
+            4 * n_sensors,
+            times=times if events.timed else None,
+        ),
         names=events.names,
         rate_hz=None if bin_s is None else 1 / bin_s,
         source=path.name,
@@ -226,24 +231,21 @@ def _bins(
     return np.floor(places).astype(np.intp), n_bins
 
 
-def _blocks(
-    events: Events, frames: NDArray[np.intp], times: NDArray[np.float64], *, counted: bool
-) -> Iterator[Block]:
-    n_frames, n_sensors = len(times), len(events.names)
-    step = max(1, BLOCK_BYTES // (4 * n_sensors))
-    for first in range(0, n_frames, step):
-        last = min(first + step, n_frames)
-        inside = slice(*np.searchsorted(frames, [first, last]))
-        rows, columns = frames[inside] - first, events.sensors[inside]
-        active = columns >= 0
-        where = rows[active], columns[active]
-        kind = np.float32 if events.values is None else np.float64
-        readings = np.zeros((last - first, n_sensors), kind)
-        if counted and events.values is None:
-            np.add.at(readings, where, 1)
-        else:
-            readings[where] = 1 if events.values is None else events.values[inside][active]
-        yield Block(readings, last / n_frames, times[first:last] if events.timed else None)
+def _frames(
+    events: Events, frames: NDArray[np.intp], first: int, last: int, *, counted: bool
+) -> NDArray[np.floating]:
+    """Return the readings of a range of frames; `frames` gives the frame of each event."""
+    inside = slice(*np.searchsorted(frames, [first, last]))
+    rows, columns = frames[inside] - first, events.sensors[inside]
+    active = columns >= 0
+    where = rows[active], columns[active]
+    kind = np.float32 if events.values is None else np.float64
+    readings = np.zeros((last - first, len(events.names)), kind)
+    if counted and events.values is None:
+        np.add.at(readings, where, 1)
+    else:
+        readings[where] = 1 if events.values is None else events.values[inside][active]
+    return readings
 
 
 def stream_spike_table(path: Path, bin_s: float) -> Stream:

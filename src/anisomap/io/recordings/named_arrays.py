@@ -36,13 +36,12 @@ from anisomap.io.parsing.names import is_time, units_per_second
 from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.events import stream_contacts, stream_trains
 from anisomap.io.stream import (
-    BLOCK_BYTES,
-    Block,
     Content,
     ReadOptions,
     Stream,
     choose,
     increasing_times,
+    read_in_blocks,
 )
 from anisomap.memory import Budget, bytes_kept
 from anisomap.recording import Scalar
@@ -92,7 +91,12 @@ class Dataset:
     @property
     def key(self) -> str:
         """Name without groups, in lower case."""
-        return self.name.rpartition("/")[2].lower()
+        return self.base.lower()
+
+    @property
+    def base(self) -> str:
+        """Name without groups."""
+        return self.name.rpartition("/")[2]
 
     @property
     def group(self) -> str:
@@ -104,53 +108,74 @@ class Dataset:
         return self.read(0, self.shape[0])
 
 
-@dataclass(frozen=True)
-class SpikeTrains:
-    """The arrays that hold the spike times of several units.
+@dataclass(frozen=True, eq=False)
+class Lists:
+    """Lists of numbers of different lengths, one per contact, channel or unit.
 
     name: Name to select them by.
-    times: Times of all units, or one array per unit.
-    index: Divides the times among the units; None for one array per unit.
-    counted: Whether it gives the number of spikes of each unit, or else the end of the unit.
+    length: Number of lists.
+    read: Reads the lists.
+    members: Names of all arrays that they are in.
+    group: Groups in which names and positions of the channels are looked for.
+    names: Default names of the channels.
+    certain: Whether they are a recording also beside arrays that can be one.
+    contacts: Whether the lists are ids of sensors; otherwise they are times.
     """
 
     name: str
-    times: tuple[Dataset, ...]
-    index: Dataset | None = None
-    counted: bool = True
+    length: int
+    read: Callable[[], Sequence[NDArray[Any]]]
+    members: frozenset[str]
+    group: str = ""
+    names: tuple[str, ...] = ()
+    certain: bool = False
+    contacts: bool = False
 
     @property
-    def n_units(self) -> int:
-        """Number of units."""
-        return math.prod(self.index.shape) if self.index else len(self.times)
-
-    @property
-    def members(self) -> set[str]:
-        """Names of all arrays."""
-        return {each.name for each in (*self.times, self.index) if each}
+    def summary(self) -> str:
+        """Description for display."""
+        return f"{self.length} {'lists of sensors' if self.contacts else 'spike trains'}"
 
 
-def find_spike_trains(arrays: Sequence[Dataset]) -> tuple[SpikeTrains, ...]:
+def find_spike_trains(path: Path, arrays: Sequence[Dataset]) -> list[Lists]:
     """Find the spike trains of each group."""
     groups: dict[str, list[Dataset]] = {}
     for each in arrays:
         groups.setdefault(each.group, []).append(each)
-    return tuple(found for group, members in groups.items() if (found := _in_group(group, members)))
+    found = (_trains_in(path, group, members) for group, members in groups.items())
+    return [each for each in found if each]
 
 
-def _in_group(group: str, members: Sequence[Dataset]) -> SpikeTrains | None:
-    vectors = {each.key: each for each in members if _is_vector(each)}
+def _trains_in(path: Path, group: str, arrays: Sequence[Dataset]) -> Lists | None:
+    vectors = {each.key: each for each in arrays if _is_vector(each)}
     for times, index in (("spikes", "scount"), ("spike_times", "spike_times_index")):
         if times in vectors and index in vectors:
-            found = vectors[times]
-            return SpikeTrains(found.name, (found,), vectors[index], index == "scount")
-    one_each = group and len(vectors) == len(members) >= _MIN_UNITS
+            pair = vectors[times], vectors[index]
+            length = math.prod(pair[1].shape)
+            return Lists(
+                pair[0].name,
+                length,
+                functools.partial(_divided, path, *pair, counted=index == "scount"),
+                frozenset(each.name for each in pair),
+                group,
+                tuple(f"e{i}" for i in range(length)),
+                certain=True,
+            )
+    one_each = group and len(vectors) == len(arrays) >= _MIN_UNITS
     numbered = all(each.kind == "f" and _DIGIT.search(key) for key, each in vectors.items())
     lengths = {math.prod(each.shape) for each in vectors.values()}
     # Vectors of equal length are readings or properties of sensors.
-    if one_each and numbered and len(lengths) > 1:
-        return SpikeTrains(group, tuple(members))
-    return None
+    if not (one_each and numbered and len(lengths) > 1):
+        return None
+    members, names = (tuple(getattr(each, of) for each in arrays) for of in ("name", "base"))
+    return Lists(
+        group,
+        len(arrays),
+        lambda: [each.whole().ravel() for each in arrays],
+        frozenset(members),
+        group,
+        names,
+    )
 
 
 def _is_vector(array: Dataset) -> bool:
@@ -158,75 +183,64 @@ def _is_vector(array: Dataset) -> bool:
     return array.kind in _REAL and sum(size != 1 for size in array.shape) <= 1
 
 
-def _spike_times(path: Path, trains: SpikeTrains) -> list[NDArray[Any]]:
-    """Return the times of each unit."""
-    vectors = [each.whole().ravel() for each in trains.times]
-    if trains.index is None:
-        return vectors
-    counts = _counts(path, trains, trains.index, len(vectors[0]))
-    return np.split(vectors[0], np.cumsum(counts)[:-1])
-
-
-def _counts(path: Path, trains: SpikeTrains, index: Dataset, n_spikes: int) -> NDArray[np.intp]:
-    """Return the number of spikes of each unit."""
-    values = index.whole().astype(np.float64).ravel()
-    counts = values if trains.counted else np.diff(values, prepend=0)
+def _divided(path: Path, times: Dataset, index: Dataset, *, counted: bool) -> list[NDArray[Any]]:
+    """Divide times among units, by the number of spikes of each, or else by the ends of units."""
+    spikes, values = times.whole().ravel(), index.whole().astype(np.float64).ravel()
+    counts = values if counted else np.diff(values, prepend=0)
     whole = bool(np.isfinite(counts).all() and (counts == np.floor(counts)).all())
-    if not whole or counts.min(initial=0) < 0 or counts.sum() != n_spikes:
+    if not whole or counts.min(initial=0) < 0 or counts.sum() != len(spikes):
         raise FileError(
-            f"{path}: {index.name} must divide the {n_spikes} times of {trains.name} among the "
+            f"{path}: {index.name} must divide the {len(spikes)} times of {times.name} among the "
             f"units, but it gives {counts.sum():g}"
         )
-    return counts.astype(np.intp)
+    return np.split(spikes, np.cumsum(counts.astype(np.intp))[:-1])
 
 
-def contents_of(datasets: Sequence[Dataset]) -> tuple[Content, ...]:
-    """List datasets, and whether they, or spike trains made of them, can be a recording."""
-    trains = find_spike_trains(datasets)
-    in_trains = {name for each in trains for name in each.members}
-    # Vectors beside readings may be of any kind.
-    readings = any(_usable(each) and each.name not in in_trains for each in datasets)
+def _contents(datasets: Sequence[Dataset], lists: Sequence[Lists]) -> tuple[Content, ...]:
+    """List datasets and what is made of them, and whether they can be a recording."""
+    members = frozenset[str]().union(*(each.members for each in lists))
+    others = [each for each in datasets if each.name not in members]
+    # Vectors and cell arrays beside readings may be of any kind.
+    alone = not any(map(_usable, others))
     return (
+        *(Content(each.name, each.summary, alone or each.certain) for each in lists),
         *(
-            Content(each.name, f"{each.n_units} spike trains", not readings or bool(each.index))
-            for each in trains
-        ),
-        *(
-            Content(
-                each.name,
-                f"{each.dtype}, {' x '.join(map(str, each.shape))}",
-                _usable(each) and each.name not in in_trains,
-            )
-            for each in datasets
-            if each.name not in {train.name for train in trains}
+            Content(each.name, f"{each.dtype}, {' x '.join(map(str, each.shape))}", _usable(each))
+            for each in others
         ),
     )
 
 
-def stream_of(
+def _stream_of(
     path: Path,
     datasets: Sequence[Dataset],
+    lists: Sequence[Lists],
     options: ReadOptions,
     metadata: Mapping[str, Scalar],
 ) -> Stream:
     """Create a stream of the selected or only possible recording."""
-    name = choose(path, contents_of(datasets), options.select, "dataset").name
-    for trains in find_spike_trains(datasets):
-        if trains.name == name:
-            stream = _stream_of_spikes(path, datasets, trains, options)
-            return replace(stream, source=f"{path.name}:{name}")
-    chosen = next(each for each in datasets if each.name == name)
-    if not _usable(chosen):
-        choose(path, contents_of([chosen]), "", "dataset")  # raises FileError
-    near = [each for each in datasets if each.group == chosen.group and each is not chosen]
-    n_frames, n_sensors = chosen.shape[0], math.prod(chosen.shape[1:])
+    chosen = choose(path, _contents(datasets, lists), options.select, "dataset")
+    listed = next((each for each in lists if each.name == chosen.name), None)
+    if listed:
+        stream = _stream_of_lists(path, datasets, listed, options.bin_s)
+        return replace(stream, source=f"{path.name}:{chosen.name}")
+    choose(path, [chosen], "", "dataset")  # raises FileError for one that cannot be a recording
+    dataset = next(each for each in datasets if each.name == chosen.name)
+    near = [each for each in datasets if each.group == dataset.group and each is not dataset]
+    n_frames, n_sensors = dataset.shape[0], math.prod(dataset.shape[1:])
     least = bytes_kept(np.dtype(np.float32))
     Budget(path).check_readings(n_frames, n_sensors, least, "its table of readings")
     return Stream(
         path,
         n_sensors,
-        _blocks(chosen, _times(path, near, n_frames)),
-        names=_names(near, n_sensors) or _grid_names(chosen.shape[1:]),
+        read_in_blocks(
+            lambda start, stop: dataset.read(start, stop).reshape(stop - start, -1),
+            n_frames,
+            8 * n_sensors,
+            times=_times(path, near, n_frames),
+            multiple=dataset.frames_at_once,
+        ),
+        names=_names(near, n_sensors) or _grid_names(dataset.shape[1:]),
         rate_hz=_rate(near),
         positions=_positions(near, n_sensors),
         source=f"{path.name}:{chosen.name}",
@@ -234,23 +248,22 @@ def stream_of(
     )
 
 
-def _stream_of_spikes(
-    path: Path, datasets: Sequence[Dataset], trains: SpikeTrains, options: ReadOptions
+def _stream_of_lists(
+    path: Path, datasets: Sequence[Dataset], lists: Lists, bin_s: float | None
 ) -> Stream:
-    group = trains.times[0].group
-    near = [each for each in datasets if each.group == group and each.name not in trains.members]
-    positions, times = _positions(near, trains.n_units), _spike_times(path, trains)
+    """Create a stream of lists: a frame per contact, or counts of spikes in bins."""
+    if lists.contacts:
+        numbered = enumerate(each.astype(np.int64).tolist() for each in lists.read())
+        contacts = ((("contact", "taxel"), float(i), [*map(str, ids)], None) for i, ids in numbered)
+        return stream_contacts(path, contacts, bin_s, variable=lists.name)
+    near = [e for e in datasets if e.group == lists.group and e.name not in lists.members]
+    positions = _positions(near, lists.length)
     micrometres = positions is not None and any(each.key == _MICROMETRES for each in near)
-    names = (
-        tuple(f"e{i}" for i in range(len(times)))
-        if trains.index
-        else tuple(each.name.rpartition("/")[2] for each in trains.times)
-    )
     return stream_trains(
         path,
-        times,
-        options.bin_s,
-        _names(near, trains.n_units) or names,
+        lists.read(),
+        bin_s,
+        _names(near, lists.length) or lists.names,
         positions=positions,
         span=_span(near),
         units="um" if micrometres else "",
@@ -270,16 +283,6 @@ def _usable(dataset: Dataset) -> bool:
 def _is_time_vector(dataset: Dataset) -> bool:
     """Return whether this is a vector of times, which MATLAB stores as a matrix."""
     return len(dataset.shape) == 2 and 1 in dataset.shape and is_time(dataset.key)
-
-
-def _blocks(dataset: Dataset, times: NDArray[np.float64] | None) -> Iterator[Block]:
-    n_frames, frame = dataset.shape[0], dataset.shape[1:]
-    step = max(1, BLOCK_BYTES // (8 * math.prod(frame)))
-    step = -(-step // dataset.frames_at_once) * dataset.frames_at_once
-    for start in range(0, n_frames, step):
-        stop = min(start + step, n_frames)
-        rows = dataset.read(start, stop).reshape(stop - start, -1)
-        yield Block(rows, stop / n_frames, None if times is None else times[start:stop])
 
 
 def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.float64] | None:
@@ -350,14 +353,15 @@ def is_hdf5(path: Path, head: bytes) -> bool:
 def hdf5_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the datasets of a file."""
     with open_datasets(path, HDF5_EXTRA) as datasets:
-        return contents_of(datasets)
+        return _contents(datasets, find_spike_trains(path, datasets))
 
 
 @contextmanager
 def open_hdf5(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open the dataset `options.select`, given with or without groups, or the only possible one."""
     with open_datasets(path, HDF5_EXTRA) as datasets:
-        yield stream_of(path, datasets, options, {"format": "HDF5"})
+        lists = find_spike_trains(path, datasets)
+        yield _stream_of(path, datasets, lists, options, {"format": "HDF5"})
 
 
 @contextmanager
@@ -402,8 +406,8 @@ def _hdf5_dataset(item: Any, frames_last: bool) -> Dataset:
 
 def mat_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the variables of a file."""
-    with _open_mat(path) as (lists, datasets):
-        return _contents(lists, datasets)
+    with _open_mat(path) as (datasets, lists):
+        return _contents(datasets, lists)
 
 
 @contextmanager
@@ -412,56 +416,24 @@ def open_mat(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
     Contacts and spikes may be in cell arrays, and in fields of structures (``torso/taxels``).
     """
-    with _open_mat(path) as (lists, datasets):
-        if lists:
-            name = choose(path, _contents(lists, datasets), options.select, "variable").name
-            options = replace(options, select=name)
-        listed = next((each for each in lists if each.name == options.select), None)
-        if listed:
-            stream = _stream_of_lists(path, listed, options.bin_s)
-            yield replace(stream, source=f"{path.name}:{listed.name}")
-        else:
-            yield stream_of(path, datasets, options, {"format": "MATLAB"})
-
-
-@dataclass(frozen=True, eq=False)
-class _Lists:
-    """Lists of numbers of different lengths, one per contact or channel.
-
-    name: Name of the variable, with the field.
-    contacts: Whether the lists are ids of sensors; otherwise they are times.
-    """
-
-    name: str
-    lists: tuple[NDArray[np.float64], ...]
-    contacts: bool
-
-    @property
-    def summary(self) -> str:
-        """Description for display."""
-        return f"{len(self.lists)} {'lists of sensors' if self.contacts else 'spike trains'}"
-
-
-def _contents(lists: Sequence[_Lists], datasets: Sequence[Dataset]) -> tuple[Content, ...]:
-    variables = {each.name.partition("/")[0] for each in lists}
-    tables = [each for each in contents_of(datasets) if each.name not in variables]
-    # Cell arrays beside readings may be of any kind.
-    alone = not any(each.usable for each in tables)
-    return (*(Content(each.name, each.summary, alone) for each in lists), *tables)
+    with _open_mat(path) as (datasets, lists):
+        yield _stream_of(path, datasets, lists, options, {"format": "MATLAB"})
 
 
 @contextmanager
-def _open_mat(path: Path) -> Iterator[tuple[list[_Lists], list[Dataset]]]:
+def _open_mat(path: Path) -> Iterator[tuple[list[Dataset], list[Lists]]]:
     with open_regular(path) as stream:
         is_73 = stream.read(len(_MAGIC_73)) == _MAGIC_73
     if is_73:
         with open_datasets(path, MAT_EXTRA, frames_last=True) as datasets:
-            yield [], datasets
+            yield datasets, find_spike_trains(path, datasets)
         return
     listed = scipy.io.whosmat(path)
     datasets = [_dataset(path, *each) for each in listed]
     cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
-    yield _find_lists(_load(path, cells)) if cells else [], datasets
+    variables = _load(path, cells) if cells else {}
+    lists = [found for name, value in variables.items() for found in _lists_in(name, value)]
+    yield datasets, [*lists, *find_spike_trains(path, datasets)]
 
 
 def _dataset(path: Path, name: str, shape: tuple[int, ...], kind: str) -> Dataset:
@@ -486,12 +458,8 @@ def _load(path: Path, names: list[str]) -> dict[str, Any]:
     return {name: found[name] for name in names}
 
 
-def _find_lists(variables: dict[str, NDArray[Any]]) -> list[_Lists]:
-    """Find the contacts and spike trains in cell arrays and structures."""
-    return [found for name, value in variables.items() for found in _lists_in(name, value)]
-
-
-def _lists_in(name: str, value: NDArray[Any]) -> Iterator[_Lists]:
+def _lists_in(name: str, value: NDArray[Any]) -> Iterator[Lists]:
+    """Find the contacts and spike trains in a cell array or structure."""
     items = [*value.ravel()]
     fields = value.dtype.names
     if fields is None and all(_is_struct(item) for item in items):
@@ -511,7 +479,8 @@ def _lists_in(name: str, value: NDArray[Any]) -> Iterator[_Lists]:
         # Ids in float64 are exact up to 2^53, which no numbering of sensors reaches.
         whole = bool(((values >= 0) & (values == np.floor(values)) & (values < 2**53)).all())
         if whole or all((np.diff(vector) >= 0).all() for vector in known):
-            yield _Lists(column, tuple(known), contacts=whole)
+            read = functools.partial(tuple, known)
+            yield Lists(column, len(known), read, frozenset([name]), contacts=whole)
 
 
 def _is_struct(item: Any) -> bool:
@@ -528,12 +497,3 @@ def _vector(item: Any) -> NDArray[np.float64] | None:
         fractions = bool((values[..., :3] % 1 != 0).any())
         return values[0, 3:] if values.shape == (1, _WITH_POINT) and fractions else values.ravel()
     return values[:, 3] if values.shape[1] == _WITH_POINT else None
-
-
-def _stream_of_lists(path: Path, lists: _Lists, bin_s: float | None) -> Stream:
-    """Create a stream of lists: a frame per contact, or counts of spikes in bins."""
-    if not lists.contacts:
-        return stream_trains(path, lists.lists, bin_s)
-    numbered = enumerate(each.astype(np.int64).tolist() for each in lists.lists)
-    contacts = ((("contact", "taxel"), float(i), [*map(str, ids)], None) for i, ids in numbered)
-    return stream_contacts(path, contacts, bin_s, variable=lists.name)

@@ -23,6 +23,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -89,43 +90,43 @@ def _is_contact_log(path: Path) -> bool:
     return False
 
 
-def _skin_parts(path: Path) -> tuple[Content, ...]:
-    """List the skin parts that were touched."""
-    touched: dict[str, set[int]] = {}
-    for _, contacts in _contact_frames(path):
-        for part, taxels in contacts:
-            touched.setdefault(part, set()).update(taxels)
-    return tuple(Content(part, f"contacts of {len(each)} taxels") for part, each in touched.items())
-
-
-def _stream_contacts(path: Path, parts: Sequence[str], bin_s: float | None) -> Stream:
-    """Create a stream of the contacts of some skin parts."""
-    found = EventList[tuple[int, int]](path)
-    order = {part: i for i, part in enumerate(parts)}
-    for stamps, contacts in _contact_frames(path):
-        # A line without contact is a frame too.
-        active = [(order[part], i) for part, taxels in contacts if part in order for i in taxels]
-        found.add(stamps[0], active, stamps[-1])
-    sensors = sorted(found.sensors)
-    sent, received = np.array(found.moments), np.array(found.values)
-    events = Events(
-        sent if (np.diff(sent) >= 0).all() else received,
-        found.indices({sensor: i for i, sensor in enumerate(sensors)}),
-        tuple(f"{parts[k]}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for k, i in sensors),
-    )
-    metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}
-    return stream_events(path, events, bin_s=bin_s, contacts=True, metadata=metadata)
-
-
-def _contact_frames(path: Path) -> Iterator[_Frame]:
-    """Yield the frames of a log, up to damage of a gzipped file or a truncated last line."""
+def _touches(path: Path) -> EventList[tuple[str, int]]:
+    """Read the touched taxels of all skin parts; values are the stamps of the receiver."""
+    found = EventList[tuple[str, int]](path)
 
     def parse(lines: Iterable[str]) -> Iterator[_Frame]:
         for number, line in enumerate(lines, start=1):
             if not is_skipped(line):
                 yield _contacts_of(path, number, line)
 
-    return read_undamaged(path, parse, "frames")
+    for stamps, contacts in read_undamaged(path, parse, "frames"):
+        # A line without contact is a frame too.
+        found.add(stamps[0], [(part, i) for part, ids in contacts for i in ids], stamps[-1])
+    return found
+
+
+def _skin_parts(touches: EventList[tuple[str, int]]) -> tuple[Content, ...]:
+    """List the skin parts that were touched."""
+    counts = Counter(part for part, _ in touches.sensors)
+    return tuple(Content(part, f"contacts of {count} taxels") for part, count in counts.items())
+
+
+def _stream_contacts(path: Path, wanted: Sequence[str], bin_s: float | None) -> Stream:
+    """Create a stream of the contacts of some skin parts, all by default."""
+    found = _touches(path)
+    listed = _skin_parts(found)
+    parts = [choose(path, listed, part, "skin part").name for part in wanted]
+    parts = parts or [each.name for each in listed]
+    sensors = sorted(s for s in found.sensors if s[0] in parts)
+    sensors.sort(key=lambda sensor: parts.index(sensor[0]))
+    sent, received = np.array(found.moments), np.array(found.values)
+    events = Events(
+        sent if (np.diff(sent) >= 0).all() else received,
+        found.indices({sensor: i for i, sensor in enumerate(sensors)}),
+        tuple(f"{part}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for part, i in sensors),
+    )
+    metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}
+    return stream_events(path, events, bin_s=bin_s, spikes=False, metadata=metadata)
 
 
 def _contacts_of(path: Path, number: int, line: str) -> _Frame:
@@ -195,7 +196,7 @@ def is_yarp(path: Path, head: bytes) -> bool:
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the ports of a session, or the skin parts of a log of contacts; empty for readings."""
     if log := _single(path):
-        return _skin_parts(log) if _is_contact_log(log) else ()
+        return _skin_parts(_touches(log)) if _is_contact_log(log) else ()
     logs = _logs(path).items()
     return tuple(Content(folder, _port(log) or "no info.log") for folder, log in logs)
 
@@ -219,8 +220,7 @@ def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
         named = [content for content in ports if content.summary == name]
         chosen = named[0] if len(named) == 1 else choose(path, ports, name, "port")
         streams[chosen.name] = _stream(logs[chosen.name], options.bin_s)
-    stream = join_streams(streams) if len(streams) > 1 else next(iter(streams.values()))
-    yield replace(stream, source=f"{path.name}/{', '.join(streams)}")
+    yield replace(join_streams(streams), source=f"{path.name}/{', '.join(streams)}")
 
 
 def _logs(session: Path) -> dict[str, Path]:
@@ -256,9 +256,7 @@ def _single(path: Path) -> Path | None:
 def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream:
     """Create a stream of a log; `parts` selects the skin parts of contacts, all by default."""
     if _is_contact_log(log):
-        found = _skin_parts(log)
-        names = [choose(log, found, part, "skin part").name for part in parts]
-        return _stream_contacts(log, names or [each.name for each in found], bin_s)
+        return _stream_contacts(log, parts, bin_s)
     table = _table(log)
     n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
     n_sensors = table.n_columns - 1 - n_stamps
