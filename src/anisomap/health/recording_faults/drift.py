@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtr
 
 from anisomap.health.recording_faults import Found, in_readings
@@ -126,8 +127,9 @@ def _window(values: NDArray[np.float64]) -> int:
     """Choose a window that is long compared to a contact and short compared to the recording."""
     longest = max(_MIN_WINDOW, len(values) // 10)
     slow = values - _running_mean(values, longest)
-    spectrum = np.abs(np.fft.rfft(slow, 2 * len(slow))) ** 2
-    correlation = np.fft.irfft(spectrum)[: len(slow)]
+    n_lags = longest // _WINDOW + 1  # after longer times, the window is the longest one
+    spectrum = np.abs(rfft(slow, size := next_fast_len(len(slow) + n_lags, real=True))) ** 2
+    correlation = irfft(spectrum, size)[:n_lags]
     unlike = np.flatnonzero(correlation < _MAX_CORRELATED * correlation[0])
     time = int(unlike[0]) if unlike.size else longest
     return int(np.clip(_WINDOW * time, _MIN_WINDOW, longest)) | 1

@@ -52,12 +52,16 @@ class Falloff:
         steps = distances * (_RESOLUTION / self.spacing)
         return _BIN_OF_STEP[np.minimum(steps, len(_BIN_OF_STEP) - 1).astype(np.int32)]
 
+    @cached_property
+    def _peak(self) -> NDArray[np.float64]:
+        """Log-likelihood of a similarity at the level of each bin, shape (B,)."""
+        return np.asarray(-np.log(self.spread))
+
     def log_likelihood(self, similarity: Reals, bins: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Return the log-likelihood of similarities at distances, up to a constant."""
-        spread = self.spread[bins]
-        deviation = (similarity - self.level[bins]) / spread
+        deviation = (similarity - self.level[bins]) / self.spread[bins]
         tail = (_DEGREES + 1) / 2 * np.log1p(deviation**2 / _DEGREES)
-        return np.asarray(-tail - np.log(spread))
+        return np.asarray(self._peak[bins] - tail)
 
 
 def neighbour_spacing(positions: NDArray[np.float64]) -> float:
