@@ -264,7 +264,7 @@ def folded(positions):
 
 @pytest.mark.parametrize("seed", [301, 302])
 def test_another_posture_is_found_with_its_frame_and_larger_contacts_are_not(seed):
-    positions = np.random.default_rng(seed).permutation(lattice(9, 10))
+    positions = np.random.default_rng(seed).permutation(lattice(7, 8))
     flat = rubbed(positions, 1500, seed=seed)
     bent = rubbed(folded(positions), 1500, seed=seed + 1)
     (finding,) = find_faults(np.vstack([flat, bent]))

@@ -187,20 +187,21 @@ class Evidence:
         values = self.falloff.log_likelihood(self.similarity[sensors], bins)
         return np.where(self.known[sensors], values, 0.0)
 
-    def fit(self, move: Move) -> float:
-        """Return the log-likelihood of all pairs of some sensors after they moved together."""
+    def gain(self, move: Move, before: NDArray[np.float64] | None = None) -> float:
+        """Return the increase of the log-likelihood by a move of some sensors together.
+
+        before (m, n): Log-likelihoods of these sensors, if known from another move of them.
+        """
         sensors = move.sensors
-        found = self.likelihood_at(sensors, move.places)
+        if before is None:
+            before = self.likelihood_at(sensors, self.positions[sensors])
+        change = self.likelihood_at(sensors, move.places) - before
         # Pairs of moved sensors are at the distance of their new places, and in two rows.
         bins = self.falloff.bins(cdist(move.places, move.places))
         inside = np.ix_(sensors, sensors)
         values = self.falloff.log_likelihood(self.similarity[inside], bins)
-        within = np.where(self.known[inside], values, 0.0)
-        return float(found.sum() - found[:, sensors].sum() + within.sum() / 2)
-
-    def gain(self, move: Move) -> float:
-        """Return the increase of the log-likelihood by a move of some sensors together."""
-        return self.fit(move) - self.fit(Move(move.sensors, self.positions[move.sensors]))
+        within = np.where(self.known[inside], values, 0.0) - before[:, sensors]
+        return float(change.sum() - change[:, sensors].sum() + within.sum() / 2)
 
     def similar(self, sensor: int) -> NDArray[np.intp]:
         """Return the usable sensors that are most similar to a sensor."""
