@@ -165,7 +165,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
 
 def _divisions(
     moments: NDArray[np.floating], contacts: NDArray[np.intp]
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float64]]]]:
     """Yield what each sensor loses at each division, and the correlations of the four quarters."""
     products, counts = (
         np.cumsum([one[::2], one[1::2]], axis=1, dtype=np.float64) for one in (moments, contacts)
@@ -174,9 +174,9 @@ def _divisions(
         quarters = np.concatenate([products[:, k], products[:, -1] - products[:, k]])
         least = np.concatenate([counts[:, k], counts[:, -1] - counts[:, k]]).min(axis=0)
         judged = np.flatnonzero(least >= _MIN_CONTACTS)
-        lost, r = np.zeros(least.size), np.empty((0, 0, 0))
+        lost, r = np.zeros(least.size), []
         if judged.size >= _MIN_SENSORS:
-            r = _correlations(quarters, judged)
+            r = [_correlation(one, judged) for one in quarters]
             kept = _kept(r)
             within = np.minimum(kept[0, 1], kept[2, 3])
             across = kept[:2, 2:].mean(axis=(0, 1))
@@ -184,37 +184,32 @@ def _divisions(
         yield lost, r
 
 
-def _correlations(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Correlate sensors with others, given sums of products, (Q, N + 1, N + 1) -> (Q, n, n).
+def _ratio_of_reach(correlations: list[NDArray[np.float64]]) -> float:
+    """Return the ratio of the numbers of similar sensors in two parts, of two quarters each."""
+    sums = [np.maximum(correlations[i] + correlations[i + 1], 0) for i in (0, 2)]
+    similar = [np.median((one**2).sum(axis=1)) for one in sums]
+    return float(max(similar) / max(min(similar), 1e-12))
 
-    It is -1 with themselves.
-    """
-    sums, count = moments[:, -1, judged], moments[:, -1:, -1]
-    products = moments[:, judged[:, None], judged]
-    covariance = products - sums[:, :, None] * sums[:, None] / count[:, :, None]
-    variance = np.diagonal(covariance, axis1=1, axis2=2)
-    deviation = np.sqrt(np.maximum(variance, 1e-9 * count))
-    correlation = np.clip(covariance / (deviation[:, :, None] * deviation[:, None]), -1, 1)
-    correlation[:, np.arange(judged.size), np.arange(judged.size)] = -1
+
+def _correlation(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Correlate sensors with others, given sums of products; -1 with themselves."""
+    sums, count = moments[-1, judged], moments[-1, -1]
+    covariance = moments[np.ix_(judged, judged)] - np.outer(sums, sums) / count
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-9 * count))
+    correlation = np.clip(covariance / np.outer(deviation, deviation), -1, 1)
+    np.fill_diagonal(correlation, -1)
     return np.asarray(correlation)
 
 
-def _ratio_of_reach(correlations: NDArray[np.float64]) -> float:
-    """Return the ratio of the numbers of similar sensors in two parts, of two quarters each."""
-    sums = correlations[::2] + correlations[1::2]
-    similar = np.median((np.maximum(sums, 0) ** 2).sum(axis=2), axis=1)
-    return float(similar.max() / max(similar.min(), 1e-12))
-
-
-def _kept(correlations: NDArray[np.float64]) -> NDArray[np.float64]:
+def _kept(correlations: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return the share of their similarity that the most similar sensors of each keep, at least.
 
-    Of each pair of correlations, (Q, n, n) -> (Q, Q, n).
+    Of each pair of the Q correlations, (n, n) each -> (Q, Q, n).
     """
-    count, n_sensors, _ = correlations.shape
-    partners = np.argpartition(-correlations, _N_PARTNERS, axis=2)[:, None, :, :_N_PARTNERS]
-    which, sensors = np.ogrid[:count, :n_sensors, :1][:2]
-    left = correlations[which, sensors, partners].sum(axis=3)
-    most = left[np.arange(count), None, np.arange(count)]
-    kept = np.where(most > 0, left / np.maximum(most, 1e-12), 0)
+    kept, rows = [], np.arange(len(correlations[0]))[:, None]
+    for one in correlations:
+        partners = np.argpartition(-one, _N_PARTNERS, axis=1)[:, :_N_PARTNERS]
+        most = one[rows, partners].sum(axis=1)
+        left = [r[rows, partners].sum(axis=1) for r in correlations]
+        kept.append(np.where(most > 0, left / np.maximum(most, 1e-12), 0))
     return np.asarray(np.clip(np.minimum(kept, np.swapaxes(kept, 0, 1)), 0, 1))
