@@ -61,7 +61,7 @@ def test_a_patch_of_unknown_positions_is_placed_from_its_map(scenes):
 
 
 def test_touches_tell_the_scale_and_the_hand_of_a_map(scenes):
-    for seed in range(511, 514):
+    for seed in (511, 512):
         scene = scenes(seed, 40, "curved")
         for flip in ([1, 1, 1], [-1, 1, 1]):
             shape = SensorMap(170 * scene.shape.positions * flip, names=scene.shape.names)

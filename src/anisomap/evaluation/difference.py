@@ -234,7 +234,8 @@ class _Chances:
         near = nearest_others(before, _NEIGHBOURS)[1]
         whole = np.linalg.norm(displacement, axis=1)
         tests = 2.0
-        p_values = tests * _Tail.of(whole).p_values(whole)
+        of_whole = _Tail.of(whole).p_values(whole)
+        p_values = tests * of_whole
         for _ in range(_PASSES):
             reference = np.where((p_values < level)[:, None], np.nan, displacement)[near]
             known = np.isfinite(reference[:, :, 0]).sum(axis=1) >= _MIN_REFERENCES
@@ -242,8 +243,7 @@ class _Chances:
             drift[known] = np.nanmedian(reference[known], axis=1)
             local = np.linalg.norm(displacement - drift, axis=1)
             tail = _Tail.of(local)
-            smallest = np.minimum(_Tail.of(whole).p_values(whole), tail.p_values(local))
-            p_values = np.minimum(1.0, tests * smallest)
+            p_values = np.minimum(1.0, tests * np.minimum(of_whole, tail.p_values(local)))
         return cls(local, p_values, tail.quantile(level / tests))
 
 

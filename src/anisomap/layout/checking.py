@@ -295,8 +295,9 @@ def check_layout(
             members=members,
             statistics=known.select(columns),
             rng=generator,
+            notes=notes,
         )
-        return checked.result(notes)
+        return checked.result()
 
 
 @dataclass(eq=False)
@@ -319,6 +320,7 @@ class _Checked:
     members: Sequence[NDArray[np.intp]]
     statistics: ReadingStatistics
     rng: np.random.Generator
+    notes: tuple[str, ...]
 
     def __post_init__(self) -> None:
         self.positions = self.layout.positions[self.rows]
@@ -335,7 +337,7 @@ class _Checked:
         near: Any = KDTree(self.positions).query_ball_point(self.positions, REACH * self.spacing)
         self.neighbours = [[j for j in found if j != i] for i, found in enumerate(near)]
 
-    def result(self, notes: tuple[str, ...]) -> LayoutCheck:
+    def result(self) -> LayoutCheck:
         """Carry out all steps."""
         self._find_dead()
         self._find_doubled()
@@ -345,19 +347,18 @@ class _Checked:
                 f"others beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
             )
         search = Search(self.statistics, self.positions, self.usable, self.spacing, self.modules)
-        stated_agreement = own_agreement(search.evidence)
+        self.agreement = own_agreement(search.evidence)
         self.p, self.explained = agreement_as_a_whole(search.evidence, self.rng)
         if self.p > _MAX_P or self.explained < _HALF_WRONG:
-            return self._as_a_whole(stated_agreement, notes)
+            return self._as_a_whole()
         search.run()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
         if not self.findings and self.explained < _MANY_WRONG:
-            return self._as_a_whole(stated_agreement, notes)
-        verdict = NOT_CONSISTENT if self.findings else CONSISTENT
-        return self._summary(proposed, stated_agreement, verdict, notes)
+            return self._as_a_whole()
+        return self._summary(proposed, NOT_CONSISTENT if self.findings else CONSISTENT)
 
-    def _as_a_whole(self, agreement: NDArray[np.float64], notes: tuple[str, ...]) -> LayoutCheck:
+    def _as_a_whole(self) -> LayoutCheck:
         """Judge a layout that explains too little for accusations of single sensors."""
         told = np.mean(self.usable) >= _MIN_TESTED
         self.findings = []
@@ -369,8 +370,8 @@ class _Checked:
             if told
             else "the recording says too little about the sensors: touch them more, and more evenly"
         )
-        verdict = CONTRADICTED if told else UNKNOWN
-        return self._summary(self.positions, agreement, verdict, (text, *notes))
+        self.notes = (text, *self.notes)
+        return self._summary(self.positions, CONTRADICTED if told else UNKNOWN)
 
     def _find_dead(self) -> None:
         """Find constant sensors that should have been touched, as their neighbours were.
@@ -448,13 +449,7 @@ class _Checked:
             self.findings.append(finding)
         return proposed
 
-    def _summary(
-        self,
-        proposed: NDArray[np.float64],
-        stated_agreement: NDArray[np.float64],
-        verdict: str,
-        notes: tuple[str, ...],
-    ) -> LayoutCheck:
+    def _summary(self, proposed: NDArray[np.float64], verdict: str) -> LayoutCheck:
         n_sensors = self.layout.n_sensors
         status = [NOT_TESTED] * n_sensors
         for column in np.flatnonzero(self.usable):
@@ -466,14 +461,14 @@ class _Checked:
                 status[self.rows[column]] = finding.kind
         untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested and len(untested) < n_sensors:
-            notes += (
+            self.notes += (
                 f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
                 f"nothing about them: {join_items(untested, _MAX_NAMED)}",
             )
         positions = self.layout.positions.copy()
         positions[self.rows] = proposed
         values = np.full(n_sensors, np.nan)
-        values[self.rows] = np.where(self.usable, stated_agreement, np.nan)
+        values[self.rows] = np.where(self.usable, self.agreement, np.nan)
         values.setflags(write=False)
         self.label.setflags(write=False)
         return LayoutCheck(
@@ -487,7 +482,7 @@ class _Checked:
             self.p,
             self.explained,
             verdict,
-            notes,
+            self.notes,
         )
 
 

@@ -219,12 +219,9 @@ def _place_part(
     Returns the fit, positions and normals (n, 3), and how they were found.
     """
     k = anchors.positions.shape[1]
-    points, index = part.map.positions[members], np.searchsorted(members, anchored)
-    tied, evidence, surface = (
-        Tied(padded(points, k), index, anchors.positions),
-        part.evidence,
-        shape.surface,
-    )
+    index = np.searchsorted(members, anchored)
+    tied = Tied(padded(part.map.positions[members], k), index, anchors.positions)
+    evidence, surface = part.evidence, shape.surface
     if surface is not None and len(index) >= k:
         evidence += surface_evidence(tied, surface)
     known = Known.of(part.map, shape.mirrored, part.scale_sigma, evidence)

@@ -57,15 +57,12 @@ class Copies:
 
 def find_copied(recording: Recording) -> Iterator[Found]:
     """Find groups of sensors that read one wire; those with noise must have contacts."""
-    names, groups = (
-        recording.names,
-        [
-            one
-            for one in find_copies(recording.readings, *recording.extremes)
-            if one.noise < _EXACT
-            or recording.signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
-        ],
-    )
+    names = recording.names
+    groups = [
+        one
+        for one in find_copies(recording.readings, *recording.extremes)
+        if one.noise < _EXACT or recording.signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
+    ]
     left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
     some_left = left_out < np.count_nonzero(recording.varying())
     for copies in groups:
@@ -258,7 +255,8 @@ def _identical(
         agree[k] = alike and not count(scaled(i) - scaled(j))
     if not agree.any():  # then it does not matter how rarely others disagree
         return agree
-    changes = np.array([count(np.diff(scaled(i))) for i in pairs[:, 0]])
+    first, pair = np.unique(pairs[:, 0], return_inverse=True)
+    changes = np.array([count(np.diff(scaled(i))) for i in first])[pair]
     often = ~agree & (changes >= _MIN_CHANGES)
     apart = np.array([count(scaled(i) - scaled(j)) for i, j in pairs[often]])
     best = (apart / changes[often]).min(initial=_MAX_BEST_SHARE)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtr
 
 from anisomap.health.recording_faults import Found, in_readings
@@ -41,10 +42,10 @@ def find_drift(recording: Recording) -> Iterator[Found]:
     size = recording.n_frames // _N_BLOCKS
     if size < _MIN_BLOCK or not chosen.size:
         return
-    readings = recording.readings[:, chosen]
-    step = -(-size // _MAX_BLOCK)
-    blocks = readings[: size * _N_BLOCKS].reshape(_N_BLOCKS, size, -1)[:, ::step]
-    values = (blocks * _contact_side(readings)).transpose(2, 0, 1).astype(np.float32)
+    readings, step = recording.readings, -(-size // _MAX_BLOCK)
+    blocks = readings[: size * _N_BLOCKS].reshape(_N_BLOCKS, size, -1)[:, ::step, chosen]
+    side = _contact_side(readings, chosen)
+    values = (blocks * side).transpose(2, 0, 1).astype(np.float32)
     values.sort(axis=2)
     levels = values[:, :, round(_LEVEL / 100 * (values.shape[2] - 1))]
     left = np.sqrt((values - levels[:, :, None]).var(axis=2).mean(axis=1))
@@ -75,7 +76,7 @@ def remove_drift(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[A
     readings (T, N) -> (T, N).
     """
     mended = np.array(readings)
-    signs = _contact_side(readings[:, sensors])
+    signs = _contact_side(readings, sensors)
     for i, sign in zip(sensors.tolist(), signs.tolist(), strict=True):
         values = sign * readings[:, i].astype(np.float64)
         level, noise = _level_at_rest(values)
@@ -108,9 +109,9 @@ def _width_at_rest(left: NDArray[np.float64]) -> float:
     return max(_NOISE * below / 0.6745, _MIN_WIDTH * float(left.std()))
 
 
-def _contact_side(readings: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the sign of the skewness of fast changes from the median: 1 or -1, shape (N,)."""
-    values = readings[:: -(-len(readings) // 4096)].astype(np.float32)
+def _contact_side(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the sign of the skewness of fast changes of some sensors: 1 or -1, shape (n,)."""
+    values = readings[:: -(-len(readings) // 4096), sensors].astype(np.float32)
     window = max(3, len(values) // _N_BLOCKS) | 1
     values = values - _running_mean(values, window)
     return np.where(np.einsum("ti,ti,ti->i", values, values, values) < 0, -1.0, 1.0)
@@ -126,8 +127,9 @@ def _window(values: NDArray[np.float64]) -> int:
     """Choose a window that is long compared to a contact and short compared to the recording."""
     longest = max(_MIN_WINDOW, len(values) // 10)
     slow = values - _running_mean(values, longest)
-    spectrum = np.abs(np.fft.rfft(slow, 2 * len(slow))) ** 2
-    correlation = np.fft.irfft(spectrum)[: len(slow)]
+    n_lags = longest // _WINDOW + 1  # after longer times, the window is the longest one
+    spectrum = np.abs(rfft(slow, size := next_fast_len(len(slow) + n_lags, real=True))) ** 2
+    correlation = irfft(spectrum, size)[:n_lags]
     unlike = np.flatnonzero(correlation < _MAX_CORRELATED * correlation[0])
     time = int(unlike[0]) if unlike.size else longest
     return int(np.clip(_WINDOW * time, _MIN_WINDOW, longest)) | 1

@@ -58,19 +58,15 @@ def find_bridged(readings: NDArray[Any]) -> dict[int, NDArray[np.intp]]:
     n_frames, n_sensors = readings.shape
     if n_frames < 2 * _MIN_LINE:
         return {}
-    lines = {
-        i: found
-        for i, column in enumerate(columns(readings))
-        if _may_have_lines(column) and (found := _lines(column.astype(np.float64), n_sensors))
-    }
-    rising = [[rises for _, _, rises in found] for found in lines.values()]
-    fewer = sum(min(sum(up), len(up) - sum(up)) for up in rising)
-    if fewer < _MIN_MIXED * sum(map(len, rising)):
-        return {}
-    return {
-        i: np.concatenate([np.arange(start, stop) + 1 for start, stop, _ in found])
-        for i, found in lines.items()
-    }
+    found, n_lines, n_fewer = {}, 0, 0
+    for i, column in enumerate(columns(readings)):
+        lines = _lines(column.astype(np.float64), n_sensors) if _may_have_lines(column) else None
+        if lines is not None:
+            found[i], rises = lines
+            n_rising = int(np.count_nonzero(rises > 0))
+            n_lines += rises.size
+            n_fewer += min(n_rising, rises.size - n_rising)
+    return found if n_fewer >= _MIN_MIXED * n_lines else {}
 
 
 def _may_have_lines(column: NDArray[Any]) -> bool:
@@ -92,21 +88,25 @@ def _may_have_lines(column: NDArray[Any]) -> bool:
     return bool(on_line.any())
 
 
-def _lines(column: NDArray[np.float64], n_sensors: int) -> list[tuple[int, int, bool]]:
-    """Return the first and last reading of each long line of a sensor, and whether it rises."""
+def _lines(
+    column: NDArray[np.float64], n_sensors: int
+) -> tuple[NDArray[np.intp], NDArray[np.float64]] | None:
+    """Return the readings on long lines of a sensor, and by how much each line rises, if any."""
     slope = np.diff(column)
     slack = _ROUNDING * np.nanmax(np.abs(column), initial=0)
     with np.errstate(invalid="ignore"):
         on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
     share = float(np.mean(on_line))
     if not 0 < share < 1:
-        return []
+        return None
     enough = math.log(column.size * n_sensors / _FALSE_ALARMS) / -math.log(share)
-    found = [run for run in _runs(on_line) if run[1] - run[0] >= max(_MIN_LINE, enough)]
-    rises = np.array([column[stop] - column[start] for start, stop in found])
-    if not found or np.median(np.abs(rises)) < _MIN_RISE * (np.nanmax(column) - np.nanmin(column)):
-        return []
-    return [(start, stop, rise > 0) for (start, stop), rise in zip(found, rises, strict=True)]
+    start, stop = np.flatnonzero(np.diff(on_line, prepend=False, append=False)).reshape(-1, 2).T
+    long = stop - start >= max(_MIN_LINE, enough)
+    rises = (column[stop] - column[start])[long]
+    least = _MIN_RISE * (np.nanmax(column) - np.nanmin(column))
+    if not rises.size or np.median(np.abs(rises)) < least:
+        return None
+    return np.flatnonzero(on_line)[np.repeat(long, stop - start)] + 1, rises
 
 
 def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
@@ -129,14 +129,6 @@ def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
         noise = rest.threshold[i] * (estimate > 0)
         completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
     return np.asarray(completed)
-
-
-def _runs(marks: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """Yield the first and one past the last index of each run of True."""
-    edges = np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8))
-    yield from zip(
-        np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True
-    )
 
 
 # Times the reach of the typical sensor, and of the other readings of its sensor; chosen by hand.

@@ -144,10 +144,10 @@ def find_change(recording: Recording) -> Iterator[Found]:
     moments = np.array([block.T @ block for block in np.array_split(values, _N_BLOCKS)])
     parts = np.array_split(recording.signals.touched, _N_BLOCKS)
     contacts = np.array([count_contacts(part[:, chosen]) for part in parts])
-    lost, reach = zip(*_divisions(moments, contacts), strict=True)
+    lost, correlations = zip(*_divisions(moments, contacts), strict=True)
     division = int(np.argmax([one.sum() for one in lost]))
     changed, size = np.flatnonzero(lost[division]), lost[division].sum()
-    if changed.size < 2 or reach[division] > _MAX_REACH:
+    if changed.size < 2 or _ratio_of_reach(correlations[division]) > _MAX_REACH:
         return
     rng, exceeded = np.random.default_rng(0), 0
     for _ in range(_N_PERMUTATIONS):
@@ -165,8 +165,8 @@ def find_change(recording: Recording) -> Iterator[Found]:
 
 def _divisions(
     moments: NDArray[np.floating], contacts: NDArray[np.intp]
-) -> Iterator[tuple[NDArray[np.float64], float]]:
-    """Yield what each sensor loses at each division, and the ratio of similar sensors."""
+) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float64]]]]:
+    """Yield what each sensor loses at each division, and the correlations of the four quarters."""
     products, counts = (
         np.cumsum([one[::2], one[1::2]], axis=1, dtype=np.float64) for one in (moments, contacts)
     )
@@ -174,17 +174,21 @@ def _divisions(
         quarters = np.concatenate([products[:, k], products[:, -1] - products[:, k]])
         least = np.concatenate([counts[:, k], counts[:, -1] - counts[:, k]]).min(axis=0)
         judged = np.flatnonzero(least >= _MIN_CONTACTS)
-        lost = np.zeros(least.size)
-        if judged.size < _MIN_SENSORS:
-            yield lost, 1.0
-            continue
-        r = [_correlation(one, judged) for one in quarters]
-        kept = _kept(r)
-        within = np.minimum(kept[0, 1], kept[2, 3])
-        across = np.mean([kept[a, b] for a in (0, 1) for b in (2, 3)], axis=0)
-        lost[judged] = np.maximum(_MIN_KEPT * within - across, 0)
-        similar = [np.median((np.maximum(r[i] + r[i + 1], 0) ** 2).sum(axis=1)) for i in (0, 2)]
-        yield lost, float(max(similar) / max(min(similar), 1e-12))
+        lost, r = np.zeros(least.size), []
+        if judged.size >= _MIN_SENSORS:
+            r = [_correlation(one, judged) for one in quarters]
+            kept = _kept(r)
+            within = np.minimum(kept[0, 1], kept[2, 3])
+            across = kept[:2, 2:].mean(axis=(0, 1))
+            lost[judged] = np.maximum(_MIN_KEPT * within - across, 0)
+        yield lost, r
+
+
+def _ratio_of_reach(correlations: list[NDArray[np.float64]]) -> float:
+    """Return the ratio of the numbers of similar sensors in two parts, of two quarters each."""
+    sums = [np.maximum(correlations[i] + correlations[i + 1], 0) for i in (0, 2)]
+    similar = [np.median((one**2).sum(axis=1)) for one in sums]
+    return float(max(similar) / max(min(similar), 1e-12))
 
 
 def _correlation(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDArray[np.float64]:
@@ -202,10 +206,10 @@ def _kept(correlations: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
     Of each pair of the Q correlations, (n, n) each -> (Q, Q, n).
     """
-    kept = []
+    kept, rows = [], np.arange(len(correlations[0]))[:, None]
     for one in correlations:
         partners = np.argpartition(-one, _N_PARTNERS, axis=1)[:, :_N_PARTNERS]
-        most = np.take_along_axis(one, partners, axis=1).sum(axis=1)
-        left = [np.take_along_axis(r, partners, axis=1).sum(axis=1) for r in correlations]
+        most = one[rows, partners].sum(axis=1)
+        left = [r[rows, partners].sum(axis=1) for r in correlations]
         kept.append(np.where(most > 0, left / np.maximum(most, 1e-12), 0))
     return np.asarray(np.clip(np.minimum(kept, np.swapaxes(kept, 0, 1)), 0, 1))

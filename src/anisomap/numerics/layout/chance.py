@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from anisomap.defaults import N_SHIFTS
@@ -158,12 +157,7 @@ class Chance:
 
     def of_moves(self, evidence: Evidence, moves: Iterable[Move]) -> float:
         """Return the largest gain of alternative moves of the same sensors."""
-        alternatives = list(moves)
-        return max(
-            agreement_gain(evidence.with_similarity(one), move)
-            for one in self.shifted
-            for move in alternatives
-        )
+        return max(agreement_gain(evidence, move, self.shifted) for move in moves)
 
 
 def agreement(
@@ -173,26 +167,32 @@ def agreement(
 
     places (m, k) -> (m,).
     """
-    sums, weights = _weighted_sums(evidence, sensors, places)
-    enough = weights > _MIN_WEIGHT
-    unknown = np.full(len(sensors), np.nan)
-    return np.asarray(np.divide(sums, weights, out=unknown, where=enough))
+    others, weights = _weights_around(evidence, sensors, places)
+    return _means((weights * evidence.similarity[sensors][:, others]).sum(axis=1), weights)
 
 
-def agreement_gain(evidence: Evidence, move: Move) -> float:
+def agreement_gain(
+    evidence: Evidence, move: Move, similarities: Iterable[Reals] | None = None
+) -> float:
     """Return the increase of the mean `agreement` of sensors by a move.
 
     It is 0 if no place has neighbours after the move; without neighbours before it, agreement is
     0 before.
+
+    similarities: Several, of which the largest increase counts; that of the evidence by default.
     """
-    here = evidence.positions[move.sensors]
-    before, after = (
-        _weighted_sums(evidence, move.sensors, places) for places in (here, move.places)
-    )
-    if after[1].sum() <= _MIN_WEIGHT:
+    sensors = move.sensors
+    others, before = _weights_around(evidence, sensors, evidence.positions[sensors])
+    _, after = _weights_around(evidence, sensors, move.places)
+    if after.sum() <= _MIN_WEIGHT:
         return 0.0
-    stated = before[0].sum() / before[1].sum() if before[1].sum() > _MIN_WEIGHT else 0.0
-    return float(after[0].sum() / after[1].sum() - stated)
+    gains = []
+    for one in [evidence.similarity] if similarities is None else similarities:
+        similarity = one[sensors][:, others]
+        stated, there = ((weights * similarity).sum(axis=1).sum() for weights in (before, after))
+        stated = stated / before.sum() if before.sum() > _MIN_WEIGHT else 0.0
+        gains.append(float(there / after.sum() - stated))
+    return max(gains)
 
 
 def median_gain(evidence: Evidence, move: Move) -> float:
@@ -212,9 +212,7 @@ def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
     """Return the `agreement` of each sensor alone at its position, shape (n,)."""
     weights: Any = _neighbour_weights(evidence)
     sums = weights.multiply(np.asarray(evidence.similarity, dtype=np.float64)).sum(axis=1)
-    total = np.asarray(weights.sum(axis=1))
-    unknown = np.full(len(total), np.nan)
-    return np.asarray(np.divide(np.asarray(sums), total, out=unknown, where=total > _MIN_WEIGHT))
+    return _means(np.asarray(sums), weights)
 
 
 def agreement_as_a_whole(
@@ -250,35 +248,35 @@ def agreement_as_a_whole(
     return p, (stated - expected) / max(best - expected, 1e-12)
 
 
-def _weighted_sums(
+def _weights_around(
     evidence: Evidence, sensors: NDArray[np.intp], places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Mark the usable sensors but some, and return their weights around places of these."""
     others = evidence.usable.copy()
     others[sensors] = False
-    weights = _weights(cdist(places, evidence.positions[others]) / evidence.falloff.spacing)
+    weights = _weights(evidence, cdist(places, evidence.positions[others]))
     weights *= evidence.usable[sensors][:, None]
-    similarity = evidence.similarity[sensors][:, others]
-    return (weights * similarity).sum(axis=1), weights.sum(axis=1)
-
-
-def _weights(distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.where(distances <= REACH, np.exp(-((distances / _WIDTH) ** 2) / 2), 0.0)
+    return others, weights
 
 
 def _neighbour_weights(evidence: Evidence) -> Any:
     """Return the weights of the usable sensors around each position, without its own sensor."""
-    n_sensors = len(evidence.positions)
-    usable = np.flatnonzero(evidence.usable)
-    pairs: Any = KDTree(evidence.positions[usable]).query_ball_point(
-        evidence.positions, evidence.reach
-    )
-    rows = np.repeat(np.arange(n_sensors), [len(found) for found in pairs])
-    columns = usable[np.concatenate([np.asarray(found, dtype=np.intp) for found in pairs])]
-    other = rows != columns
-    rows, columns = rows[other], columns[other]
-    offsets = evidence.positions[rows] - evidence.positions[columns]
-    weights = _weights(np.linalg.norm(offsets, axis=1) / evidence.falloff.spacing)
-    return csr_array((weights, (rows, columns)), shape=(n_sensors, n_sensors))
+    weights = _weights(evidence, cdist(evidence.positions, evidence.positions))
+    weights *= evidence.usable
+    np.fill_diagonal(weights, 0)
+    return csr_array(weights)
+
+
+def _weights(evidence: Evidence, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    spacings = distances / evidence.falloff.spacing
+    return np.where(spacings <= REACH, np.exp(-((spacings / _WIDTH) ** 2) / 2), 0.0)
+
+
+def _means(sums: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
+    """Divide sums by those of their weights; NaN where these are small."""
+    total = np.asarray(weights.sum(axis=1))
+    unknown = np.full(sums.shape, np.nan)
+    return np.asarray(np.divide(sums, total, out=unknown, where=total > _MIN_WEIGHT))
 
 
 def _free_gains(shifted: Reals, weights: Any, evidence: Evidence) -> NDArray[np.float64]:

@@ -52,12 +52,16 @@ class Falloff:
         steps = distances * (_RESOLUTION / self.spacing)
         return _BIN_OF_STEP[np.minimum(steps, len(_BIN_OF_STEP) - 1).astype(np.int32)]
 
+    @cached_property
+    def _peak(self) -> NDArray[np.float64]:
+        """Log-likelihood of a similarity at the level of each bin, shape (B,)."""
+        return np.asarray(-np.log(self.spread))
+
     def log_likelihood(self, similarity: Reals, bins: NDArray[np.uint8]) -> NDArray[np.float64]:
         """Return the log-likelihood of similarities at distances, up to a constant."""
-        spread = self.spread[bins]
-        deviation = (similarity - self.level[bins]) / spread
+        deviation = (similarity - self.level[bins]) / self.spread[bins]
         tail = (_DEGREES + 1) / 2 * np.log1p(deviation**2 / _DEGREES)
-        return np.asarray(-tail - np.log(spread))
+        return np.asarray(self._peak[bins] - tail)
 
 
 def neighbour_spacing(positions: NDArray[np.float64]) -> float:
@@ -183,15 +187,20 @@ class Evidence:
         values = self.falloff.log_likelihood(self.similarity[sensors], bins)
         return np.where(self.known[sensors], values, 0.0)
 
-    def gain(self, move: Move) -> float:
-        """Return the increase of the log-likelihood by a move of some sensors together."""
+    def gain(self, move: Move, before: NDArray[np.float64] | None = None) -> float:
+        """Return the increase of the log-likelihood by a move of some sensors together.
+
+        before (m, n): Log-likelihoods of these sensors, if known from another move of them.
+        """
         sensors = move.sensors
-        change = self.likelihood_at(sensors, move.places) - self.likelihood[sensors]
+        if before is None:
+            before = self.likelihood_at(sensors, self.positions[sensors])
+        change = self.likelihood_at(sensors, move.places) - before
         # Pairs of moved sensors are at the distance of their new places, and in two rows.
         bins = self.falloff.bins(cdist(move.places, move.places))
         inside = np.ix_(sensors, sensors)
         values = self.falloff.log_likelihood(self.similarity[inside], bins)
-        within = np.where(self.known[inside], values, 0.0) - self.likelihood[inside]
+        within = np.where(self.known[inside], values, 0.0) - before[:, sensors]
         return float(change.sum() - change[:, sensors].sum() + within.sum() / 2)
 
     def similar(self, sensor: int) -> NDArray[np.intp]:

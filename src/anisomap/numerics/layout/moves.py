@@ -398,7 +398,8 @@ def _best_place(evidence: Evidence, patch: NDArray[np.intp]) -> Proposal | None:
         middle = np.average(evidence.positions[outside], axis=0, weights=weights)
         offsets.append(middle - evidence.positions[i])
         starts += offsets
-    tried = [(evidence.gain(Move(patch, here + offset)), offset) for offset in starts]
+    before = evidence.likelihood_at(patch, here)
+    tried = [(evidence.gain(Move(patch, here + offset), before), offset) for offset in starts]
     tried.sort(key=lambda pair: -pair[0])
     refined = [_refined(evidence, patch, offset) for _, offset in tried[:_N_STARTS]]
     return max(refined, key=lambda proposal: proposal.gain) if refined else None
@@ -412,6 +413,8 @@ def _refined(evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.flo
     radius = max(float(np.linalg.norm(here - centre, axis=1).max()), spacing)
     n_angles = 0 if len(patch) < _MIN_PATCH else 1 if dimensions == 2 else 3
 
+    before = evidence.likelihood_at(patch, here)
+
     def placed(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
         moved = here - centre
         if len(parameters) > dimensions:
@@ -421,7 +424,7 @@ def _refined(evidence: Evidence, patch: NDArray[np.intp], offset: NDArray[np.flo
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
     def loss(parameters: Any) -> float:
-        return -evidence.gain(Move(patch, placed(parameters)))
+        return -evidence.gain(Move(patch, placed(parameters)), before)
 
     def fit(start: NDArray[np.float64]) -> Proposal:
         options: Any = {
