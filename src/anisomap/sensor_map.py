@@ -233,8 +233,13 @@ class SensorMap(Immutable):
         """Return the positions, shape (N, k)."""
         return np.array(self.positions, dtype=dtype, copy=copy)
 
+    @property
+    def kind(self) -> str:
+        """What the map places: "object" if it was made from dissimilarities, else "sensor"."""
+        return "object" if self.provenance.get("precomputed") == "dissimilarity" else "sensor"
+
     def __repr__(self) -> str:
-        details = [f"{np.count_nonzero(self.placed)} of {self.n_sensors} sensors placed"]
+        details = [f"{np.count_nonzero(self.placed)} of {self.n_sensors} {self.kind}s placed"]
         details.append(f"{self.dimensions}D")
         if len(self.component_sizes) > 1:
             details.append(f"{len(self.component_sizes)} components")
@@ -246,7 +251,7 @@ class SensorMap(Immutable):
 
     def _repr_html_(self) -> str:
         rows = {
-            "sensors placed": f"{np.count_nonzero(self.placed)} of {self.n_sensors}",
+            f"{self.kind}s placed": f"{np.count_nonzero(self.placed)} of {self.n_sensors}",
             "dimensions": self.dimensions,
             "components": len(self.component_sizes),
             "method": self.method,

@@ -62,6 +62,7 @@ def test_a_matrix_is_recognised_mapped_and_examined(run, dist_csv, points, tmp_p
     told = run("info", dist_csv).out
     assert "66 known" in told
     assert "Sensor health" not in told
+    assert "objects placed  12 of 12" in run("map", dist_csv, "-o", "again.csv").out
 
 
 def test_a_doubtful_matrix_is_refused_with_both_readings(run, tmp_path):

@@ -349,14 +349,18 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     printer.facts(
         f"Map by {sensor_map.method}{approximate}",
         {
-            "sensors placed": f"{n_placed} of {sensor_map.n_sensors}, "
+            f"{sensor_map.kind}s placed": f"{n_placed} of {sensor_map.n_sensors}, "
             f"in {sensor_map.dimensions} dimensions"
             + (f", of which {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
             **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
             **({"order along the line": join_items(order, len(order))} if order else {}),
             **({"refined by": join_items(steps)} if steps else {}),
             "components": f"{len(sizes)}"
-            + (f"; sensors in each: {join_items(sizes, max_items=12)}" if len(sizes) > 1 else ""),
+            + (
+                f"; {sensor_map.kind}s in each: {join_items(sizes, max_items=12)}"
+                if len(sizes) > 1
+                else ""
+            ),
             "Stress-1": f"{number(sensor_map.stress)} "
             + (
                 "(within components; small components always fit)"

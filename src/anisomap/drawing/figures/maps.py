@@ -252,7 +252,8 @@ def _draw_comparison(
 
 
 def _title(sensor_map: SensorMap, score: Score | None) -> str:
-    parts = [printable(sensor_map.method, 60) or "map", f"{int(sensor_map.placed.sum())} sensors"]
+    placed = f"{int(sensor_map.placed.sum())} {sensor_map.kind}s"
+    parts = [printable(sensor_map.method, 60) or "map", placed]
     if sensor_map.approximate:
         parts.insert(1, "approximate")
     if score is not None:
@@ -273,9 +274,10 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
     kind = "nearest neighbours on the map" if score is None else "true neighbours"
     lines = f"Lines join {kind}. " if joined else ""
     pose = f"The map is {sensor_map.pose}"
-    notes = [f"{pose}. {lines}A sensor has the same colour in every view."]
+    colours = f"{lines}Each {sensor_map.kind} has the same colour in"
+    notes = [f"{pose}. {colours} every view."]
     if score is not None:
-        same = f"{lines}A sensor has the same colour in both panels."
+        same = f"{colours} both panels."
         notes = [f"{same} {pose}, and was fitted to the truth."]
     if sensor_map.covariances is not None and joined:
         notes.append(
