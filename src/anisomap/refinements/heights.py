@@ -48,10 +48,10 @@ def by_heights(
 ) -> Proposal | None:
     """Replace the map by one with lengths from the heights of contacts, where these contradict it.
 
-    They do if contacts are alike everywhere, so that one function of distance explains all
-    correlations, and the similarity of heights is the same in both halves of the recording, but
-    not explained by distances on the map: then contacts are long in one direction, and the map is
-    compressed.
+    The map is replaced if contacts are alike everywhere, so that one function of distance explains
+    the correlations, and the similarity of heights is the same in both halves of the recording, but
+    distances on the map do not explain it: contacts are long in one direction, and compress the
+    map.
     """
     readings = pairs.readings
     if readings is None or len(readings) < MIN_FRAMES or len(positions) < MIN_SENSORS:
@@ -75,11 +75,11 @@ def by_heights(
 
 def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
     """Map the heights of contacts; None if they do not contradict the map. given (n, k)."""
-    n_sensors = len(given)
-    some = np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_EXAMINED)).astype(np.intp)
     # Heights of contacts that differ between places, as under a foot, do not show distances.
     if pairs.unexplained(given) > DIFFERENT:
         return None
+    n_sensors = len(given)
+    some = np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_EXAMINED)).astype(np.intp)
     heights, sharing = _heights(pairs, some)
     explained = explained_share(heights.halves, given[some], sharing)
     if not (heights.usable and explained.reliability > _HALF > explained.share):

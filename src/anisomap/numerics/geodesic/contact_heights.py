@@ -122,18 +122,12 @@ class ContactHeights:
 
     @cached_property
     def halves(self) -> list[HeightSimilarity]:
-        """Similarity in the halves of the recording, without partial ones."""
-        return [half.compare(partial=False) for half in self.in_halves()]
-
-    def in_halves(self) -> list[ContactHeights]:
-        """Return the contacts in the halves of the recording (`split_blocks`)."""
+        """Similarity in the halves of the recording (`split_blocks`), without partial ones."""
         inside = np.zeros((2, len(self.ranks)), dtype=bool)
         for half, frames in zip(inside, split_blocks(len(self.ranks)), strict=True):
             half[frames] = True
-        return [
-            replace(self, contacts=tuple((at[half[at]], h[half[at]]) for at, h in self.contacts))
-            for half in inside
-        ]
+        parts = [tuple((at[half[at]], h[half[at]]) for at, h in self.contacts) for half in inside]
+        return [replace(self, contacts=part).compare(partial=False) for part in parts]
 
     @property
     def usable(self) -> bool:
