@@ -277,8 +277,7 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
     colours = f"{lines}Each {sensor_map.kind} has the same colour in"
     notes = [f"{pose}. {colours} every view."]
     if score is not None:
-        same = f"{colours} both panels."
-        notes = [f"{same} {pose}, and was fitted to the truth."]
+        notes = [f"{colours} both panels. {pose}, and was fitted to the truth."]
     if sensor_map.covariances is not None and joined:
         notes.append(
             "Ellipses hold 95 % of the true positions, on average over maps of known skins."
