@@ -110,5 +110,5 @@ class LiveProcess:
     @property
     def result(self):
         """The object that is printed at the end."""
-        text = "".join(self.lines)
+        text = "\n" + "".join(self.lines)
         return json.loads(text[text.rindex("\n{\n") :])

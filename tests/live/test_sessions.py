@@ -128,6 +128,18 @@ def test_a_flood_loses_nothing(session, tmp_path):
     assert "Traceback" not in said
 
 
+def test_a_short_session_says_what_happened(session, tmp_path):
+    short = tmp_path / "short.txt"
+    short.write_bytes(text(["xx", *(f"{i},{i * i}" for i in range(9))]))
+    with short.open("rb") as lines:
+        live = session("-", *METHOD, *FILE, stdin=lines)
+        code, said = live.join()
+    assert code == 0, said
+    (*_, last) = iter(live.events.get, None)
+    assert last["frames"] == live.result["frames"] == 9
+    assert any("holds no frame of numbers" in notice for notice in last["notices"])
+
+
 @pytest.mark.slow
 def test_a_session_ends_when_the_map_is_usable(session, tmp_path):
     skin = flat_skin(n_frames=6000)

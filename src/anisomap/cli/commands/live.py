@@ -247,8 +247,10 @@ def _until_interrupted(printer: Printer | None = None) -> Iterator[None]:
 
 
 def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool]) -> None:
-    told = 0.0
-    while not session.ended.wait(_LINE_S) and not over():
+    """Print the state every second and, however soon that is, at the end."""
+    told, ended = 0.0, False
+    while not ended:
+        ended = session.ended.wait(_LINE_S) or over()
         for note in list(session.notices):
             if note.seconds > told:
                 printer.say(f"  {number(note.seconds, 3)} s: {note.text}")
