@@ -32,9 +32,9 @@ MOST = tuple(
 
 
 class OneRun(Settings):
-    """Settings of a preview with one run of each scenario."""
+    """Settings of a preview with one short run of each scenario."""
 
-    seeds = (1,)
+    seeds, n_frames, permutations = (1,), 100, 20
 
 
 @pytest.fixture(scope="module")
