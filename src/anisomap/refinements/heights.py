@@ -29,7 +29,7 @@ simulated skins.
 
 _MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
 _CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
-_MAX_EXAMINED = 250  # evenly chosen sensors; their 31,000 pairs tell whether heights contradict
+_MAX_EXAMINED = 100  # evenly chosen sensors; their 4,950 pairs tell whether heights contradict
 _MAX_FRAMES = 10_000  # of blocks at even intervals, in which heights are examined
 
 _LONG_CONTACTS = "contacts appear to be long in one direction"
