@@ -67,7 +67,7 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
         if null is not None and score.mantel.r <= null:
             sentences.append(
                 "The map agrees with the true positions no better than random permutations of the "
-                "sensors."
+                f"{sensor_map.kind}s."
             )
         worst = score.worst(_N_WORST)
         farthest = [
@@ -78,11 +78,13 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     sizes = sensor_map.component_sizes
     if len(sizes) > 1:
         sentences.append(
-            f"Only {sizes[0]} sensors are placed relative to one another: the others are in "
-            f"{len(sizes) - 1} separate components."
+            f"Only {sizes[0]} {sensor_map.kind}s are placed relative to one another: the others "
+            f"are in {len(sizes) - 1} separate components."
         )
     if sensor_map.approximate:
-        sentences.append("This map is approximate: only some pairs of sensors were compared.")
+        sentences.append(
+            f"This map is approximate: only some pairs of {sensor_map.kind}s were compared."
+        )
     fitted = "" if score is None else ", and was fitted to the true positions"
     return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
 
@@ -126,7 +128,7 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
     misfit = "misfit between the distances on the map and the metric; 0 is a perfect fit"
     return [
         *found,
-        ("Placed", placed, "sensors with a position on the map"),
+        ("Placed", placed, f"{sensor_map.kind}s with a position on the map"),
         ("Stress-1", number(sensor_map.stress), misfit),
     ]
 
@@ -136,11 +138,11 @@ def _alternative_text(sensor_map: SensorMap, score: Score | None) -> str:
     placed = int(sensor_map.placed.sum())
     if score is None:
         lines = ", neighbours joined by lines" if placed <= MAX_JOINED else ""
-        return f"The map of {placed} sensors{lines}."
+        return f"The map of {placed} {sensor_map.kind}s{lines}."
     lines = ", true neighbours joined by lines in both" if placed <= MAX_JOINED else ""
     return (
-        f"Left: the true positions of {len(score.sensors)} sensors. Middle: the map aligned with "
-        f"them{lines}. Right: distances on the map against true distances, Mantel r "
+        f"Left: the true positions of {len(score.sensors)} {sensor_map.kind}s. Middle: the map "
+        f"aligned with them{lines}. Right: distances on the map against true distances, Mantel r "
         f"{score.mantel.r:.3f}."
     )
 
@@ -152,7 +154,7 @@ def _caveats(
     notes = [*sensor_map.notes, *layout_notes(sensor_map, score)]
     unplaced = [sensor_map.names[i] for i in np.flatnonzero(~sensor_map.placed)]
     if unplaced and score is None:
-        notes.append(f"sensors without a position: {join_items(unplaced, 12)}")
+        notes.append(f"{sensor_map.kind}s without a position: {join_items(unplaced, 12)}")
     if score is not None:
         notes += score.notes
     notes += summary.warnings if summary is not None else ()
@@ -394,6 +396,7 @@ def render_report(
             statuses=status_colours(statuses),
             alt=_alternative_text(sensor_map, score),
             compared=score is not None,
+            kind=sensor_map.kind,
             table=_sensor_table(sensor_map, score, health),
             recording=summary.facts if summary else {},
             method=_method_sentences(sensor_map),

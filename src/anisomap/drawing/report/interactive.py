@@ -82,7 +82,7 @@ def interactive_views(
             statuses=[statuses[i] for i in part.sensors],
             errors=errors,
         )
-        label = f"Component {component.number}: {len(component.points)} sensors"
+        label = f"Component {component.number}: {len(component.points)} {sensor_map.kind}s"
         left_out = len(component.points) - len(part.points)
         views.append(view | {"label": label, "left_out": left_out, "layout": _layout(component)})
     return views
