@@ -325,7 +325,7 @@ def test_the_triangles_of_the_leg_that_were_corrected(recordings_folder):
     names = tuple(f"taxel{i}" for i in right["taxel_index"])
     body = anisomap.simulation.body_from_points(right["positions"], names=names, units="m")
     recording = anisomap.simulate(
-        body, "rubbing", n_frames=3000, seed=1007, hand_size=0.03, detection_radius=0.006,
+        body, "rubbing", n_frames=1500, seed=1007, hand_size=0.03, detection_radius=0.006,
         press_depth=0.004,
     )  # fmt: skip
     statistics = reading_statistics(recording.readings, np.random.default_rng(0))
