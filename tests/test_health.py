@@ -260,16 +260,15 @@ def folded(positions):
     return np.column_stack([np.minimum(x, 2 * middle - x), positions[:, 1], height])
 
 
-@pytest.mark.parametrize("seed", [301, 302])
-def test_another_posture_is_found_with_its_frame_and_larger_contacts_are_not(seed):
-    positions = np.random.default_rng(seed).permutation(lattice(7, 8))
-    flat = rubbed(positions, 1500, seed=seed)
-    bent = rubbed(folded(positions), 1500, seed=seed + 1)
+def test_another_posture_is_found_with_its_frame_and_larger_contacts_are_not():
+    positions = np.random.default_rng(301).permutation(lattice(7, 8))
+    flat = rubbed(positions, 1500, seed=301)
+    bent = rubbed(folded(positions), 1500, seed=302)
     (finding,) = find_faults(np.vstack([flat, bent]))
     assert finding.kind == "changed"
     assert "from about frame 1500 of 3000 on" in finding.what
     for reach in (2.0, 4.0):
-        other = rubbed(positions, 1500, seed=seed + 2, reach=reach)
+        other = rubbed(positions, 1500, seed=303, reach=reach)
         assert find_faults(np.vstack([flat, other])) == ()
 
 
@@ -278,7 +277,7 @@ def test_noise_has_no_faults():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["insole_L", "nao_torso", "retina_stacy", "retina_macc2"])
+@pytest.mark.parametrize("name", ["insole_L", "nao_torso", "retina_stacy"])
 def test_real_bodies_have_no_faults_of_the_read_out(recordings_folder, name):
     path = recordings_folder.parent / "recordings-hard" / f"{name}.npz"
     if not path.is_file():
