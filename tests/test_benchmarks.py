@@ -212,7 +212,7 @@ def test_placed_maps_are_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "SEEDS", placement.SEEDS[:1])
     monkeypatch.setattr(placement, "HAND_DRAWS", 5)
     monkeypatch.setattr(placement, "FLAT", ("hexagon",))
-    found = measured(placement, tmp_path, "measure", "--bodies", "sphere", "--draws", "2")
+    found = measured(placement, tmp_path, "measure", "--bodies", "sphere", "--draws", "6")
     assert 0 < float(found["mesh and 3 anchors: median error (spacings)"]["median"]) < 1
     right = found["mesh and 3 anchors: share of the right hand where placed"]
     assert float(right["median"]) > 0.5
