@@ -24,13 +24,13 @@ def test_tables(capsys, tmp_path):
     places = skin.spread(60, 60, rng)
     readings = np.concatenate(list(approximate.touch(skin, places, 800, rng)))
     np.savez(tmp_path / "skin.npz", readings=readings, positions=places)
-    approximate.losses([120], 800, 1)
+    approximate.losses([80], 600, 1)
     approximate.real_losses(tmp_path)
-    approximate.costs([90], 800)
+    approximate.costs([60], 600)
     rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()]
     first, second, third = (i for i, row in enumerate(rows) if set(row) == {" --- "})
     assert second - first == 2 + len(approximate.SKINS)
-    assert rows[third + 1][1].strip() == "90 x 800"
+    assert rows[third + 1][1].strip() == "60 x 600"
     for row in (*rows[first + 1 : second - 1], *rows[second + 1 : third - 1]):
         exact, found, lost = map(float, row[2:5])
         assert lost == pytest.approx(exact - found, abs=2e-4)

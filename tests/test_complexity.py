@@ -12,7 +12,7 @@ from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 
-SIZES = (400, 700, 1000)
+SIZES = (200, 400, 700)
 
 
 @pytest.fixture(scope="module")

@@ -40,10 +40,8 @@ def test_a_sphere_is_mapped_as_with_3_dimensions():
     assert chosen.provenance["chosen_dimensions"] == 3
 
 
-@pytest.mark.slow
-def test_bodies_with_curved_skins_are_not_flat():
-    for name in ("hemisphere", "y-shape"):
-        assert quietly(reconstruct, body(name), "r-anisomap").dimensions == 3, name
+def test_half_a_sphere_is_not_flat():
+    assert quietly(reconstruct, body("hemisphere"), "r-anisomap").dimensions == 3
 
 
 def test_a_given_number_is_kept_and_a_flat_skin_in_3_dimensions_is_noted():

@@ -10,7 +10,6 @@ from sklearn.datasets import make_swiss_roll
 from sklearn.decomposition import PCA
 from sklearn.manifold import smacof
 from sklearn.model_selection import GridSearchCV, KFold
-from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from anisomap import Anisomap, SensorMapper, mantel, reconstruct
@@ -120,12 +119,6 @@ def test_columns_name_the_sensors():
     for fit in (SensorMapper.fit, SensorMapper.partial_fit):
         mapper = fit(SensorMapper(2, method="r-anisomap"), frame)
         assert mapper.map_.names == tuple(frame.columns)
-
-
-def test_a_mapper_works_in_a_pipeline():
-    pipeline = make_pipeline(SensorMapper(method="r-anisomap"), PCA(2))
-    touched = SKIN.readings[SKIN.readings.sum(axis=1) > 0]
-    assert pipeline.fit_transform(touched).shape == (len(touched), 2)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -376,13 +376,6 @@ def test_partial_mantel_removes_what_a_third_configuration_explains():
         partial_mantel(*maps, layout[1:])
 
 
-def test_mantel_of_a_published_example():
-    """The example in the documentation of the Python package mantel (J. W. Carr)."""
-    first = squareform([0.2, 0.4, 0.3, 0.6, 0.9, 0.4])
-    second = squareform([0.5, 0.3, 0.3, 0.7, 0.3, 0.6])
-    assert mantel(first, second, permutations=0).r == pytest.approx(-0.090752, abs=1e-6)
-
-
 def test_shifts_leave_unrelated_sensors_alike_and_related_ones_apart():
     def strongest(readings):
         return np.abs(np.corrcoef(readings.T) - np.eye(readings.shape[1])).max()

@@ -93,7 +93,7 @@ def test_modules_are_rigid_and_better_than_sensors_alone(k):
 
 
 @given(seeds)
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_labelled_pads_in_the_plane_tell_the_hand(seed):
     truth, pads = skin(seed)
     noisy = truth + np.random.default_rng(seed).normal(0, 0.8, truth.shape)

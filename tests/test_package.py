@@ -117,9 +117,3 @@ def test_the_demo_names_all_extras_it_needs(monkeypatch, tmp_path):
     with pytest.raises(anisomap.AnisomapError, match=r"anisomap\[report,simulation\]"):
         demo(output_dir=tmp_path / "demo")
     assert not (tmp_path / "demo").exists()
-
-
-def test_simulation_names_the_extra_it_needs(monkeypatch):
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(anisomap.AnisomapError, match=r"anisomap\[simulation\]"):
-        anisomap.simulate(n_frames=10)

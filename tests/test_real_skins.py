@@ -35,9 +35,7 @@ def plain(r):
     return max(r["r-anisomap"], r["isomap-on-r"])
 
 
-@pytest.mark.parametrize(
-    "name", [*UNLIKE, "insole_L", pytest.param("retina_macc2", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", [*UNLIKE, "insole_L"])
 def test_default_is_not_behind_plain_methods_on_hard_recordings(hard_recordings_folder, name):
     r = compared(hard_recordings_folder / f"{name}.npz")
     assert r["covariogram"] > plain(r) - 0.02

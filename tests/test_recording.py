@@ -286,7 +286,7 @@ def test_sensors_are_assessed_in_the_run_with_most_contacts():
 
 def test_columns_of_a_data_frame_name_the_sensors():
     frame = pd.DataFrame([[0.0, 1], [2, 3]], columns=["left", "right"])
-    assert Recording(frame).names == ("left", "right")
+    assert Recording(frame).names == as_runs(frame)[0].names == ("left", "right")
     assert Recording(frame, names=("a", "b")).names == ("a", "b")
     assert Recording(frame).select([1]).names == ("right",)
 

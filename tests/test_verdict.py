@@ -177,7 +177,6 @@ def test_expected_errors_are_near_the_true_ones_and_larger_for_short_recordings(
 
 
 @quiet
-@quiet
 @pytest.mark.parametrize("name", ["leak", "one-period", "holed-plate-pulses"])
 def test_expected_errors_do_not_depend_on_the_order_of_sensors(name):
     # Another order rounds otherwise, as another processor does.

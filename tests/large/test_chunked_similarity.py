@@ -47,7 +47,7 @@ def test_every_similarity_can_be_computed_in_chunks():
 @pytest.mark.parametrize("many", [1, 10**6], ids=["compiled", "numpy"])
 @pytest.mark.parametrize("name", CHUNKED)
 @given(seed=st.integers(0, 20), cuts=rows, data=st.data())
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_chunks_give_the_similarity_of_the_whole(name, many, seed, cuts, data):
     readings = readings_of(seed)
     expected = SIMILARITIES[computed_similarity(name)].compute(readings, BINS)

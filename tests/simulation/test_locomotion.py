@@ -79,7 +79,7 @@ def test_the_body_does_not_sink_into_the_ground(journey):
 @pytest.mark.parametrize("make", [sphere, cylinder])
 def test_all_sensors_touch_the_ground_over_a_run(make):
     body = make()
-    run = locomotion(body, 2000, options_for(LocomotionOptions, body), np.random.default_rng(1))
+    run = locomotion(body, 1000, options_for(LocomotionOptions, body), np.random.default_rng(1))
     assert run.facts["share_touched"] == 1
     assert (run.readings > 0).any(axis=0).all()
     assert 0.3 < (run.readings == 0).mean() < 0.95

@@ -262,11 +262,19 @@ def radial_basis(readings: ArrayLike, quantile: float) -> NDArray[np.float64]:
     readings (T, N) -> (T, N).
     """
     values = np.asarray(readings, dtype=np.float64)
-    touched = np.where(values > 0, values, np.nan)
-    silent = np.isnan(touched).all(axis=0)
-    optimum = np.ones(values.shape[1])
-    optimum[~silent] = np.nanquantile(touched[:, ~silent], quantile, axis=0)
+    optimum = _in_contact(values, quantile, untouched=1.0)
     return np.exp(-(((values / optimum - 1) / _WIDTH) ** 2) / 2)
+
+
+def _in_contact(
+    readings: NDArray[np.float64], quantile: float, *, untouched: float
+) -> NDArray[np.float64]:
+    """Return a quantile of the readings of each sensor in contact, (T, N) -> (N,)."""
+    found = np.full(readings.shape[1], untouched)
+    touched = (readings > 0).any(axis=0)
+    inside = np.where(readings > 0, readings, np.nan)[:, touched]
+    found[touched] = np.nanquantile(inside, quantile, axis=0)
+    return found
 
 
 def _responses(case: Case, settings: Settings) -> Iterator[Row]:
@@ -278,7 +286,7 @@ def _responses(case: Case, settings: Settings) -> Iterator[Row]:
         for quantile, noise in _TRIALS:
             linear = np.asarray(recording.readings, dtype=np.float64)
             unlike = radial_basis(linear, quantile)
-            medians = np.nanmedian(np.where(linear > 0, linear, np.nan), axis=0)
+            medians = _in_contact(linear, 0.5, untouched=0.0)
             linear = linear + noise * medians * rng.standard_normal(linear.shape)
             unlike = unlike + noise * rng.standard_normal(unlike.shape)
             mixed = replace(recording, readings=np.where(chosen, unlike, linear))
