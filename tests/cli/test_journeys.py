@@ -251,6 +251,7 @@ def test_ports_in_use_are_errors_before_anything_is_recorded(run, skin_csv, tmp_
         source = run("live", f"tcp-listen://127.0.0.1:{port}", "--headless")
     assert (page.code, source.code) == (2, 2)
     assert f"cannot show the page on 127.0.0.1:{port}" in page.err
+    assert "choose another --port" in page.err
     assert f"cannot listen on 127.0.0.1:{port}" in source.err
     assert [path.name for path in tmp_path.iterdir()] == ["skin.csv"]
 

@@ -105,14 +105,11 @@ def test_file_names_that_are_not_utf_8(run_map, skin_npz: Path) -> None:
     assert not unsafe(missing.err)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply"])
-def test_lone_surrogates_are_refused_before_anything_is_written(
-    run, tmp_path: Path, suffix: str
-) -> None:
+def test_lone_surrogates_are_refused_before_anything_is_written(run, tmp_path: Path) -> None:
     path = tmp_path / "map.json"
     anisomap.io.write(anisomap.SensorMap(np.eye(3), names=["a", "b", "c"], units="m"), path)
     path.write_text(path.read_text().replace('"b"', r'"b\ud800"'))
-    target = tmp_path / f"out{suffix}"
+    target = tmp_path / "out.csv"
     done = run("convert", path, target)
     assert done.code == 2
     assert "\\ud800" in done.err
