@@ -58,14 +58,10 @@ def test_a_damaged_matlab_file_that_ends_a_library(tmp_path, tolerantly) -> None
     """scipy looks up the types of numbers, in every eighth byte, without a check."""
     path = tmp_path / "skin.mat"
     rng = np.random.default_rng(5)
-    parts = np.empty(2, dtype=object)
-    parts[:] = [rng.random((2, 2)), "text"]
     values = {
-        "readings": rng.random((4, 3)),
-        "z": rng.random((2, 2)) + 1j,
-        "sparse": scipy.sparse.eye(3).tocsc(),
-        "cells": parts,
-        "fields": {"taxels": rng.random((3, 2)), "inner": {"a": 1.0}},
+        "readings": rng.random((2, 2)),
+        "sparse": scipy.sparse.eye(2).tocsc(),
+        "fields": {"taxels": rng.random((1, 2)), "text": "a"},
     }
     scipy.io.savemat(path, values)
     whole = path.read_bytes()
