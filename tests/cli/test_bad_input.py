@@ -55,6 +55,7 @@ map skin.csv --grid six                                   | rows and columns, as
 map skin.csv --grid {"9" * 5000}x1                        | rows and columns, as in 32x64
 map skin.csv --grid 0x3                                   | two whole numbers of at least 1
 map constant.csv -o old.csv                               | got 0 of 3
+map empty -o a.csv                                        | is a folder without
 map two.csv -o old.csv                                    | got 2 of 2
 map gaps.csv -o old.csv                                   | sensor s1, frame 9
 compare infinite.csv                                      | sensor s2, frame 9
@@ -218,6 +219,7 @@ def folder(tmp_path_factory):
     }
     for name, text in texts.items():
         (folder / name).write_text(text)
+    (folder / "empty").mkdir()
     np.savez(folder / "cut.npz", readings=skin.readings)
     os.truncate(folder / "cut.npz", 3000)
     return folder
