@@ -137,10 +137,9 @@ def test_positions_of_sensors_that_a_preset_names(run_map, skin, tmp_path):
         (tmp_path / name).write_text("\n".join(lines) + "\n")
     names = [f"b0.t{pad // 12}.k{pad % 12}" for pad in pads]
     write_layout(tmp_path / "truth.csv", skin.positions[: len(pads)], names)
-    for files in (["one.log"], ["one.log", "two.log"]):
-        for large in ([], ["--workers", "2"]):
-            done = run_map(*files, "--preset", "icub", "--positions", "truth.csv",
-                           "-o", "m.csv", "--json", *large)  # fmt: skip
-            assert done.code == 0, done.err
-            assert done.values["score"]["sensors_compared"] == len(pads)
-            assert done.values["score"]["mantel_r"] > 0.85
+    for words in (["one.log"], ["one.log", "two.log", "--workers", "2"]):
+        done = run_map(*words, "--preset", "icub", "--positions", "truth.csv",
+                       "-o", "m.csv", "--json")  # fmt: skip
+        assert done.code == 0, done.err
+        assert done.values["score"]["sensors_compared"] == len(pads)
+        assert done.values["score"]["mantel_r"] > 0.85

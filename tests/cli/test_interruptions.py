@@ -190,15 +190,16 @@ print(*sorted(set(sys.modules) - before))
     assert found.split() == ["anisomap", "anisomap.cli"]
 
 
-@pytest.mark.parametrize("module", ["anisomap.cli.app", "cyclopts", "numpy", "rich.console"])
+@pytest.mark.parametrize("module", ["anisomap.cli.app", "numpy"])
 def test_interruption_of_an_import(folder, module):
     ended = at_event_of_process(folder, ["formats"], signal.SIGINT, rf"\d+ import {module}")
     assert ended == (130, REPORT + "\n")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["mujoco._structs", "scipy.spatial"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("module", "number"), [("mujoco._structs", signal.SIGINT), ("scipy.spatial", signal.SIGTERM)]
+)
 def test_interruption_of_an_import_of_extensions(folder, module, number):
     """Extension modules replace exceptions within their import by others."""
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
@@ -249,8 +250,8 @@ def test_an_error_after_a_signal_is_its_consequence(capsys, number):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "at"),
-    [(MAP, at_event), (SIMULATE, at_event), (CONVERT, at_event), (CONVERT, at_event_of_process)],
-    ids=["map", "simulate", "convert", "import and convert"],
+    [(MAP, at_event), (SIMULATE, at_event), (CONVERT, at_event_of_process)],
+    ids=["map", "simulate", "import and convert"],
 )
 def test_a_signal_at_any_time_leaves_outputs_whole(folder, command, at):
     code, said = at(folder, command, COUNT, "none")
@@ -264,20 +265,16 @@ def test_a_signal_at_any_time_leaves_outputs_whole(folder, command, at):
             assert errors_in(said) in ([], [REPORT])
             assert not temporary(folder)
         assert whole(folder, command)
-    code, said = at(folder, command, COUNT, "none")
-    assert code == 0, "a run after the interrupted ones succeeds"
-    assert whole(folder, command)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_reproduction_of_the_paper_continues(folder, number):
+def test_a_killed_reproduction_of_the_paper_continues(folder):
     pytest.importorskip("mujoco", reason="needs the extra 'paper'")
     words = [*COMMAND, *PAPER]
     process = subprocess.Popen(words, cwd=folder, stderr=subprocess.PIPE, start_new_session=True)
     while process.poll() is None and not list(folder.glob("m/*")):
         time.sleep(0.02)
-    os.killpg(process.pid, number)
+    os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     done = subprocess.run(words, cwd=folder, stderr=subprocess.PIPE, check=False)
     assert done.returncode == 0, done.stderr
@@ -293,9 +290,7 @@ def limited():
     [
         CONVERT,
         DRAW,
-        pytest.param(SIMULATE, marks=pytest.mark.slow),
         pytest.param([*MAP, "--report", "r.html"], marks=pytest.mark.slow),
-        pytest.param([*MAP, "--picture", "p.png"], marks=pytest.mark.slow),
         [*MAP, "--checkpoint", "c.npz"],
     ],
     ids=lambda words: " ".join([words[0], *words[-2:-1]]),
@@ -320,11 +315,11 @@ def test_every_writer_removes_what_it_could_not_finish(folder, suffix):
     for path in outputs:
         path.write_text(OLD)
     before = {file.name for file in folder.iterdir()}
-    points = np.random.default_rng(0).random((4000, 3))
+    points = np.random.default_rng(0).random((500, 3))
 
     def both():
         with together():
-            for path, n_sensors in zip(outputs, (4, 4000), strict=True):
+            for path, n_sensors in zip(outputs, (4, 500), strict=True):
                 anisomap.write(anisomap.SensorMap(points[:n_sensors], units="m"), path)
 
     def write():
@@ -377,7 +372,7 @@ CHANGES = {
 
 def large(path):
     """Write readings that no buffer holds."""
-    values = np.random.default_rng(1).random((12_000, 8)).round(6)
+    values = np.random.default_rng(1).random((6_000, 8)).round(6)
     if path.suffix in (".csv", ".npz", ".tsv"):
         anisomap.write(anisomap.Recording(values), path)
     elif path.suffix == ".npy":

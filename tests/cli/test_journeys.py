@@ -167,12 +167,12 @@ def test_maps_of_the_demo_are_accurate():
 
 
 @pytest.mark.slow
-def test_two_runs_give_the_same_bytes(run, skin_npz, tmp_path):
+def test_two_runs_give_the_same_bytes(run_map, skin_npz, tmp_path):
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
         outputs = [a for s in ("csv", "npz", "json", "ply") for a in ("-o", f"{folder}/m.{s}")]
-        assert run("map", skin_npz, *outputs, "--picture", f"{folder}/m.png",
-                   "--report", f"{folder}/m.html", "--permutations", 50).code == 0  # fmt: skip
+        assert run_map(skin_npz, *outputs, "--picture", f"{folder}/m.png",
+                       "--report", f"{folder}/m.html", "--permutations", 50).code == 0  # fmt: skip
     for first in (tmp_path / "one").iterdir():
         # A report states its command, with the names of its files.
         second = (tmp_path / "two" / first.name).read_bytes().replace(b"two/", b"one/")
@@ -251,6 +251,7 @@ def test_ports_in_use_are_errors_before_anything_is_recorded(run, skin_csv, tmp_
         source = run("live", f"tcp-listen://127.0.0.1:{port}", "--headless")
     assert (page.code, source.code) == (2, 2)
     assert f"cannot show the page on 127.0.0.1:{port}" in page.err
+    assert "choose another --port" in page.err
     assert f"cannot listen on 127.0.0.1:{port}" in source.err
     assert [path.name for path in tmp_path.iterdir()] == ["skin.csv"]
 

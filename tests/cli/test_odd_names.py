@@ -13,6 +13,7 @@ import pytest
 import anisomap
 from anisomap.cli.app import run as run_here
 from anisomap.wording import printable
+from skins import flat_skin
 
 HOSTILE = "\x1b[31m\x9b2J\x07\u202egnp.\u2066[/bold][red]\r\n"
 
@@ -70,12 +71,13 @@ def test_files_with_markup_in_their_names(run_map, skin_npz: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows allows no such names")
-def test_tables_of_methods_show_file_names_as_text(run, skin_npz: Path, tmp_path: Path) -> None:
-    odd = skin_npz.rename(tmp_path / "=1|<b>\u202e.npz")
+def test_tables_of_methods_show_file_names_as_text(run, tmp_path: Path) -> None:
+    odd = tmp_path / "=1|<b>\u202e.npz"
+    anisomap.write(flat_skin(n_frames=200), odd)
     methods = ("-m", "information-distance", "-m", "isomap-on-r", "-d", 2)
     assert run("compare", odd, *methods, "-o", "t.md", "-o", "t.csv").code == 0
     text = (tmp_path / "t.md").read_text(encoding="utf-8")
-    assert "| =1\\|&lt;b&gt;\\u202e | 42 x 1500 |" in text
+    assert "| =1\\|&lt;b&gt;\\u202e | 42 x 200 |" in text
     assert "<" not in text
     assert not unsafe(text.replace("\n", ""))
     lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
@@ -105,14 +107,11 @@ def test_file_names_that_are_not_utf_8(run_map, skin_npz: Path) -> None:
     assert not unsafe(missing.err)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply"])
-def test_lone_surrogates_are_refused_before_anything_is_written(
-    run, tmp_path: Path, suffix: str
-) -> None:
+def test_lone_surrogates_are_refused_before_anything_is_written(run, tmp_path: Path) -> None:
     path = tmp_path / "map.json"
     anisomap.io.write(anisomap.SensorMap(np.eye(3), names=["a", "b", "c"], units="m"), path)
     path.write_text(path.read_text().replace('"b"', r'"b\ud800"'))
-    target = tmp_path / f"out{suffix}"
+    target = tmp_path / "out.csv"
     done = run("convert", path, target)
     assert done.code == 2
     assert "\\ud800" in done.err

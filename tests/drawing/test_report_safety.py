@@ -33,9 +33,8 @@ HOSTILE = (
 )
 
 
-@pytest.mark.parametrize("true_dimensions", [None, 3])
-def test_a_report_is_self_contained_and_runs_only_its_own_scripts(tmp_path, true_dimensions):
-    sensor_map, scored = example(true_dimensions)
+def test_a_report_is_self_contained_and_runs_only_its_own_scripts(tmp_path):
+    sensor_map, scored = example()
     path = tmp_path / "report.html"
     write_report(path, sensor_map, score=scored, figure_png=PNG, summary=summary())
     source = path.read_text(encoding="utf-8")

@@ -54,21 +54,16 @@ def test_pathological_text(put, tolerantly, name: str, whole: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compressed", [False, True])
-def test_a_damaged_matlab_file_that_ends_a_library(tmp_path, tolerantly, compressed: bool) -> None:
+def test_a_damaged_matlab_file_that_ends_a_library(tmp_path, tolerantly) -> None:
     """scipy looks up the types of numbers, in every eighth byte, without a check."""
     path = tmp_path / "skin.mat"
     rng = np.random.default_rng(5)
-    parts = np.empty(2, dtype=object)
-    parts[:] = [rng.random((2, 2)), "text"]
     values = {
-        "readings": rng.random((4, 3)),
-        "z": rng.random((2, 2)) + 1j,
-        "sparse": scipy.sparse.eye(3).tocsc(),
-        "cells": parts,
-        "fields": {"taxels": rng.random((3, 2)), "inner": {"a": 1.0}},
+        "readings": rng.random((2, 2)),
+        "sparse": scipy.sparse.eye(2).tocsc(),
+        "fields": {"taxels": rng.random((1, 2)), "text": "a"},
     }
-    scipy.io.savemat(path, values, do_compression=compressed)
+    scipy.io.savemat(path, values)
     whole = path.read_bytes()
     for position in range(128, len(whole), 8):
         path.write_bytes(whole[:position] + b"\xc8" + whole[position + 1 :])

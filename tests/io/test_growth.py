@@ -1,6 +1,6 @@
 """Reading hostile text takes time linear in its size.
 
-Linear time is at most seconds at `SIZE`, and quadratic time at least two minutes: the guard is
+Linear time is at most seconds at `SIZE`, and quadratic time at least half a minute: the guard is
 about hangs, and no measurement.
 """
 
@@ -18,8 +18,8 @@ from anisomap.errors import AnisomapError
 from anisomap.placement import parse_length
 from anisomap.sensor_map import SensorMap
 
-SIZE = 1 << 19
-HANG_S = 60
+SIZE = 1 << 18
+HANG_S = 15
 """CPU time of this process, so that other processes do not count."""
 
 HOSTILE = {

@@ -225,16 +225,6 @@ def test_messages_of_different_length(bag: Bag, tmp_path: Path) -> None:
         io.read(path)
 
 
-def test_ros_2_folders(tmp_path: Path) -> None:
-    bag = Bag("mcap")
-    for i, row in enumerate(READINGS):
-        bag.add("/skin", bag.array(row), i)
-    bag.write(tmp_path / "run.mcap")
-    (tmp_path / "run.mcap").rename(tmp_path / "run" / "run.mcap")
-    found = io.read(tmp_path / "run")
-    np.testing.assert_array_equal(found.readings, READINGS)
-
-
 def test_given_message_definitions(tmp_path: Path) -> None:
     """Bags of older ROS 2 versions lack definitions."""
     bag = Bag("db3")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -122,7 +122,6 @@ def refuse(constant: str) -> float:
 
 
 @given(sensor_map=maps())
-@settings(max_examples=60)
 def test_maps(folder: Path, sensor_map: SensorMap) -> None:
     for suffix in (".csv", ".tsv", ".json", ".npz"):
         path = folder / f"map{suffix}"
@@ -155,7 +154,6 @@ def test_texts_may_be_marks_of_other_formats(tmp_path: Path, suffix: str, mark: 
 
 
 @given(sensor_map=maps(2, 3))
-@settings(max_examples=40)
 def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
     path = folder / "map.ply"
     io.write(sensor_map, path)
@@ -171,7 +169,6 @@ def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
 
 
 @given(recording=recordings())
-@settings(max_examples=60)
 def test_recordings(folder: Path, recording: Recording) -> None:
     for suffix in (".csv", ".tsv", ".npz"):
         path = folder / f"skin{suffix}"

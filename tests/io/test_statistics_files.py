@@ -11,7 +11,7 @@ from anisomap.tracking import gather_evidence
 from skins import lattice, rubbed
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def evidence():
     readings = (rubbed(lattice(3, 4), 200, seed=1) > 0.4).astype(float)
     parts = [

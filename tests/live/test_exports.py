@@ -17,12 +17,18 @@ SKIN = flat_skin(n_frames=400)  # at 50 Hz
 MAP = anisomap.SensorMap(SKIN.positions, names=SKIN.names, units="mm")
 
 
-def test_foxglove_shows_the_strongest_reading_of_each_interval_in_metres(tmp_path):
+@pytest.fixture(scope="module")
+def mcap(tmp_path_factory):
+    """Return a reader of the session."""
     reader = pytest.importorskip("mcap.reader", reason="needs the extra 'mcap'")
-    save_session(MAP, SKIN, tmp_path / "skin.mcap")
-    file = io.BytesIO((tmp_path / "skin.mcap").read_bytes())
+    path = tmp_path_factory.mktemp("session") / "skin.mcap"
+    save_session(MAP, SKIN, path)
+    return reader.make_reader(io.BytesIO(path.read_bytes()))
+
+
+def test_foxglove_shows_the_strongest_reading_of_each_interval_in_metres(mcap):
     found = {"/skin": [], "/names": []}
-    for _, channel, message in reader.make_reader(file).iter_messages():
+    for _, channel, message in mcap.iter_messages():
         found[channel.topic].append((message.log_time, json.loads(message.data)))
     assert found["/names"][0][1]["names"] == list(SKIN.names)
     times = np.array([time for time, _ in found["/skin"]]) / 1e9
@@ -47,12 +53,9 @@ def described(schema):
     return schema.get("contentEncoding", schema["type"])
 
 
-def test_schemas_describe_all_that_foxglove_reads(tmp_path):
+def test_schemas_describe_all_that_foxglove_reads(mcap):
     """The schema of point clouds is that of foxglove.dev, without descriptions and limits."""
-    reader = pytest.importorskip("mcap.reader", reason="needs the extra 'mcap'")
-    save_session(MAP, SKIN, tmp_path / "skin.mcap")
-    file = io.BytesIO((tmp_path / "skin.mcap").read_bytes())
-    schemas = reader.make_reader(file).get_summary().schemas.values()
+    schemas = mcap.get_summary().schemas.values()
     found = {schema.name: described(json.loads(schema.data)) for schema in schemas}
     vector = dict.fromkeys("xyz", "number")
     assert found == {

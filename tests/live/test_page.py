@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.errors import InputError
 from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.page.server import Server
@@ -199,8 +198,3 @@ def test_a_page_for_others_needs_the_token(page):
         assert "SameSite=Strict" in cookie
         assert ask(server, "/", Cookie=cookie.partition(";")[0])[0].status == 200
         assert len(server.token) >= 20
-
-
-def test_a_port_in_use_is_named(page):
-    with pytest.raises(InputError, match="choose another --port"):
-        Server(page.session, port=page.server.port)

@@ -30,6 +30,7 @@ def readings(items):
 
 FORMATS = {
     "commas": lambda row: ",".join(map(repr, row)),
+    "comma at the end": lambda row: "".join(f"{value!r}," for value in row),
     "semicolons": lambda row: "; ".join(map(repr, row)),
     "blanks": lambda row: "  ".join(map(repr, row)),
     "json": lambda row: json.dumps([None if np.isnan(x) else x for x in row]),
@@ -66,10 +67,6 @@ def test_a_header_names_the_sensors_and_the_time():
     assert items[0] == Names(("a", "b"))
     np.testing.assert_array_equal(items[1].times, [0.5, 0.75])
     np.testing.assert_array_equal(items[1].readings, [[1, 2], [3, np.nan]])
-
-
-def test_a_separator_at_the_end_of_every_line_is_no_reading():
-    assert readings(parsed(b"1,2,\n3,4,\n")) == [[1, 2], [3, 4]]
 
 
 def test_an_object_gives_the_time_and_the_order_of_its_first_names():
