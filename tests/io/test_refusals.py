@@ -77,6 +77,7 @@ CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
     ({"select": "1:7"}, "x.csv", PADDED, "no column '7'; it has 3 columns"),
     ({"select": "1:2"}, "x.csv", PADDED, "line 1, column 2: '0.1' must be the id of a sensor"),
     ({"select": "a/b"}, "x.csv", "1,2\n3,4\n", "single recording; leave out --select a/b"),
+    ({"select": "a,b"}, "data.log", log("{}"), "single recording; leave out --select a,b"),
     ({"grid": (4, 4)}, "x.csv", "1,2\n3,4\n", "4 x 4 grid has 16 sensors, but the recording has 2"),
     *(
         ({"grid": (2, 3)}, "x.csv", f"{names}\n1,2,3\n4,5,6\n", NO_CELLS)
