@@ -312,6 +312,20 @@ def test_inverted_sensors_are_mirrored_at_rest(inverted):
     np.testing.assert_array_equal(found.recording.readings, clean.readings)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_in_a_few_frames_is_not_an_inverted_contact(seed):
+    """Sensors that a contact hardly reached show noise of either sign, and 0 in most frames."""
+    rng, places = np.random.default_rng(seed), lattice(20, 20)
+    path, step = np.full((200, 2), 10.0), np.zeros(2)
+    for t in range(1, 200):
+        step = 0.95 * step + 0.175 * rng.normal(size=2)
+        path[t] = 19 - np.abs(19 - np.abs(path[t - 1] + step))
+    apart = np.linalg.norm(places - path[:, None], axis=2)
+    depth = np.maximum(0, np.exp(-(apart**2) / 4) - 0.05)
+    readings = depth + 0.01 * rng.normal(size=depth.shape) * (depth > 0)
+    assert "inverted" not in kinds(find_faults(Recording(readings)))
+
+
 @pytest.mark.parametrize(("frames", "board"), [(1, 18), (4, 12), (10, 24)])
 def test_boards_are_aligned(frames, board):
     clean = wired_at_random()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from anisomap.health.recording_faults import Found
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.reliability.significance import FALSE_ALARMS
 from anisomap.numerics.signals import MAX_FRAMES, count_contacts, some_sensors, standardised
 from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.recording import Recording
@@ -31,7 +33,8 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     signs are a finding only if correlations agree: the signs of the strongest correlations must be
     negative between the two parts, and positive within them. If most readings are not skewed or do
     not rest, such as those of sensors that are often in contact, the parts are those that the signs
-    of the strongest correlations give, along a maximum spanning tree; they must be mixed.
+    of the strongest correlations give, along a maximum spanning tree; they must be mixed. The signs
+    of a few readings agree by chance: see `_often_touched`.
     """
     step = -(-recording.n_frames // MAX_FRAMES)
     values = standardised(recording.readings[::step])
@@ -54,7 +57,8 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     if not skewed_apart and not _mixed(correlation, lowered):
         return
     fewer = lowered if 2 * np.count_nonzero(lowered) <= judged.size else ~lowered
-    found = judged[_confirmed(correlation, fewer)]
+    confirmed = _confirmed(correlation, fewer)
+    found = judged[confirmed & _often_touched(values[:, judged])]
     if found.size:
         yield Found(
             found,
@@ -62,6 +66,16 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
             f"contact has the opposite sign in {found.size} of {recording.n_sensors} sensors",
             lambda recording: _mirrored(recording, found),
         )
+
+
+def _often_touched(values: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return whether sensors have enough readings apart from the rest for a sign, shape (n,).
+
+    values (t, n): Standardised. Noise has either sign: k readings have one sign in a share of 2^-k,
+    so that fewer than `FALSE_ALARMS` of n sensors that show noise in a few frames are suspected.
+    """
+    apart = np.count_nonzero(np.abs(values) > 1, axis=0)
+    return np.asarray(apart >= math.log2(values.shape[1] / FALSE_ALARMS))
 
 
 def _mirrored(recording: Recording, sensors: NDArray[np.intp]) -> Recording:
