@@ -47,9 +47,10 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
 
 def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     """Renumber components by decreasing size, ties by the first object."""
-    first_seen = np.unique(labels, return_index=True)[1]
-    order = np.lexsort((first_seen, -np.bincount(labels)))
-    return np.asarray(np.argsort(order)[labels])
+    _, first_seen, member, count = np.unique(
+        labels, return_index=True, return_inverse=True, return_counts=True
+    )
+    return np.asarray(np.lexsort((first_seen, -count)).argsort()[member])
 
 
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:
@@ -86,28 +87,15 @@ def smallest_connected_neighbour_graph(
     McGregor et al. (2011), section "ISOMAP". Edges are only added as k grows, so k is found by
     bisection.
     """
-    order = _most_similar_first(similarity)
-    too_few, enough = 0, max(1, len(order) - 1)
+    values = as_symmetric(similarity, "similarity")
+    too_few, enough = 0, max(1, len(values) - 1)
     while enough - too_few > 1:
         middle = (too_few + enough) // 2
-        if connected_components(_join(order, middle), directed=False)[0] == 1:
+        if connected_components(neighbour_graph(values, middle), directed=False)[0] == 1:
             enough = middle
         else:
             too_few = middle
-    return _join(order, enough), enough
-
-
-def _most_similar_first(similarity: ArrayLike) -> NDArray[np.intp]:
-    values = as_symmetric(similarity, "similarity")
-    np.fill_diagonal(values, -np.inf)
-    return np.argsort(-values, axis=1, kind="stable")
-
-
-def _join(order: NDArray[np.intp], n_neighbours: int) -> NDArray[np.bool_]:
-    n_objects = len(order)
-    chosen = np.zeros((n_objects, n_objects), dtype=bool)
-    np.put_along_axis(chosen, order[:, : min(n_neighbours, n_objects - 1)], True, axis=1)
-    return np.asarray(chosen | chosen.T)
+    return neighbour_graph(values, enough), enough
 
 
 N_NEIGHBOURS = 8
