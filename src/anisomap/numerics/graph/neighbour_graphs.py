@@ -22,7 +22,7 @@ from anisomap.numerics.compiled.parallel import (
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.neighbours import spanning_tree
+from anisomap.numerics.neighbours import labels_by_size, spanning_tree
 from anisomap.numerics.precision import Reals
 
 
@@ -45,20 +45,17 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
     return labels_by_size(connected_components(joined, directed=False)[1])
 
 
-def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Renumber components by decreasing size, ties by the first object."""
-    _, first_seen, member, count = np.unique(
-        labels, return_index=True, return_inverse=True, return_counts=True
-    )
-    return np.asarray(np.lexsort((first_seen, -count)).argsort()[member])
-
-
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:
     """Link every object to the most similar ones. similarity (N, N)."""
     if n_neighbours < 1:
         raise InputError(f"n_neighbours must be at least 1, got {n_neighbours}")
     values = as_symmetric(similarity, "similarity")
     np.fill_diagonal(values, -np.inf)
+    return _joined(values, n_neighbours)
+
+
+def _joined(values: Reals, n_neighbours: int) -> NDArray[np.bool_]:
+    """Link every object to those of greatest values, which are -inf on the diagonal."""
     if n_neighbours >= len(values) - 1:
         return ~np.eye(len(values), dtype=bool)
     chosen = greatest_of_rows(values, n_neighbours)
@@ -88,14 +85,15 @@ def smallest_connected_neighbour_graph(
     bisection.
     """
     values = as_symmetric(similarity, "similarity")
+    np.fill_diagonal(values, -np.inf)
     too_few, enough = 0, max(1, len(values) - 1)
     while enough - too_few > 1:
         middle = (too_few + enough) // 2
-        if connected_components(neighbour_graph(values, middle), directed=False)[0] == 1:
+        if connected_components(_joined(values, middle), directed=False)[0] == 1:
             enough = middle
         else:
             too_few = middle
-    return neighbour_graph(values, enough), enough
+    return _joined(values, enough), enough
 
 
 N_NEIGHBOURS = 8

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
 from anisomap.numerics.compiled.parallel import load_loops
-from anisomap.numerics.graph.neighbour_graphs import labels_by_size
-from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.neighbours import labels_by_size, tree_edges
 from anisomap.numerics.precision import Reals, as_reals, row_blocks
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 
