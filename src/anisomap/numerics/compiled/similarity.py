@@ -216,7 +216,7 @@ def count_bits(bits: Words, start: int, stop: int, counts: Counts) -> None:
 def count_entries(
     entries: tuple[Counts, Ints, Ints, Ints], start: int, stop: int, counts: Counts
 ) -> None:
-    """Count frames in which two series are on, from the lists of `list_entries`.
+    """Count frames in which two series are on, from `co_occurrence._entries`.
 
     The other arguments are those of `count_bits`.
     """
