@@ -24,11 +24,19 @@ def test_ranks_are_those_of_scipy(column):
     assert found.flags.f_contiguous
 
 
-@given(arrays(np.float64, st.integers(1, 200), elements=st.one_of(MOSTLY_ZERO, WHOLE)))
-def test_ranks_of_depths_are_ranks_of_depths(column):
-    readings = column[:, None]
-    depths = estimate_rest(readings).depth(readings)
-    np.testing.assert_array_equal(ranks_of_depths(readings), rankdata(depths, axis=0))
+@given(
+    arrays(
+        np.float32,
+        array_shapes(min_dims=2, max_dims=2, max_side=30),
+        elements=st.one_of(st.integers(-4, 4), st.floats(-4, 4, width=32), WHOLE),
+    ),
+    st.sampled_from([1, -1]),
+)
+def test_ranks_of_depths_are_those_of_scipy(readings, side):
+    readings = np.maximum(readings * side, 0) * side
+    expected = rankdata(estimate_rest(readings).depth(readings), axis=0)
+    np.testing.assert_array_equal(ranks_of_depths(readings), expected)
+    np.testing.assert_array_equal(ranks_of_depths(readings, single=True), expected)
 
 
 @pytest.mark.parametrize("n_at_once", [1, 3, 64])

@@ -167,7 +167,7 @@ def test_leave_one_out_predictions_approximate_refits():
     start = np.array([[0.0, 0.0, 1.8]])
     fitted = locate(contacts, places, start, soft, steps=100)
     quick = leave_one_out(contacts, fitted)
-    for m in range(60):
+    for m in range(0, 60, 5):
         rest = np.delete(np.arange(60), m)
         without = one_contact(rest, levels[rest])
         y = locate(without, places, fitted.states, soft, steps=100).states[0]

@@ -20,7 +20,8 @@ from scipy.sparse.csgraph import connected_components
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
-from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, labels_by_size, most_similar
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.neighbours import labels_by_size
 from anisomap.numerics.reliability.significance import MIN_SHARED, count_shared_neighbours
 from anisomap.numerics.signals import count_contacts
 

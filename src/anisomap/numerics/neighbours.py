@@ -1,4 +1,4 @@
-"""Nearest neighbours of points, spanning trees, and fields interpolated between points."""
+"""Nearest neighbours of points, spanning trees, labels of components, and interpolated fields."""
 
 from __future__ import annotations
 
@@ -71,6 +71,14 @@ def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
     for node, end in tree_edges(-lengths):
         joined[node, end] = joined[end, node] = True
     return joined
+
+
+def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
+    """Renumber components by decreasing size, ties by the first object."""
+    _, first_seen, member, count = np.unique(
+        labels, return_index=True, return_inverse=True, return_counts=True
+    )
+    return np.asarray(np.lexsort((first_seen, -count)).argsort()[member])
 
 
 @dataclass(frozen=True)

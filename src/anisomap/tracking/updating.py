@@ -17,8 +17,7 @@ from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.health import assess
 from anisomap.immutable import Immutable
-from anisomap.numerics.graph.neighbour_graphs import labels_by_size
-from anisomap.numerics.neighbours import Kernel, padded, predict_field
+from anisomap.numerics.neighbours import Kernel, labels_by_size, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
 from anisomap.recording import Recording, as_runs, join_runs, match_names
 from anisomap.sensor_map import UNASSESSED, UNPLACED, SensorMap
@@ -106,7 +105,7 @@ def carry_over(
         if normals is not None:
             normals[appended] = np.nan
     placed = component != UNPLACED
-    component[placed] = labels_by_size(np.unique(component[placed], return_inverse=True)[1])
+    component[placed] = labels_by_size(component[placed])
     return replace(
         grown,
         positions=positions,

@@ -174,7 +174,7 @@ def test_a_single_minimum_is_found_in_fewer_steps_than_by_majorisation(seed):
 
 def test_many_minima_are_about_as_low_as_by_majorisation():
     # A flat skin folds in space in many ways, and rounding decides between them.
-    pairs = [by_both(11, seed, dimensions=3) for seed in range(4)]
+    pairs = [by_both(11, seed, dimensions=3) for seed in range(2)]
     depths = [np.log(ours.raw_stress / published.raw_stress) for ours, published in pairs]
     assert np.median(depths) < 0.005
     assert max(depths) < 0.02

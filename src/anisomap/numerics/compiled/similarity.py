@@ -19,21 +19,6 @@ Ints = NDArray[np.int64]
 
 
 @loop()
-def count_lowest(readings: NDArray[Any], lowest: NDArray[Any], counts: Ints) -> None:
-    """Find the lowest reading of each sensor and the number of frames at it.
-
-    `readings` has shape (T, N); `lowest` must contain the first frame and `counts` zeros.
-    """
-    for frame in range(len(readings)):
-        row = readings[frame]
-        for sensor in range(len(row)):
-            reading, least = row[sensor], lowest[sensor]
-            before = 0 if reading < least else counts[sensor]
-            counts[sensor] = before + (1 if reading <= least else 0)
-            lowest[sensor] = min(reading, least)
-
-
-@loop()
 def find_active(
     readings: NDArray[Any], rest: tuple[Floats, Floats, Floats], active: NDArray[np.bool_]
 ) -> None:
@@ -228,44 +213,10 @@ def count_bits(bits: Words, start: int, stop: int, counts: Counts) -> None:
 
 
 @loop()
-def list_entries(
-    codes: NDArray[Any],
-    reference: NDArray[np.intp],
-    position: Ints,
-    entries: tuple[Counts, Ints, Ints, Ints],
-) -> None:
-    """List the series that are on, frame by frame.
-
-    `codes` has shape (T, N); `reference` and `position` are those of the layout. `entries`
-    consists of
-
-    - ``series``, shape (E,): series that are on, by frame and increasing series;
-    - ``ends``, shape (E,): index at which the frame of each entry ends;
-    - ``places``, shape (E,): indices of the entries of each series;
-    - ``starts``, shape (M + 1,): index in ``places`` of the first entry of each series.
-
-    ``starts`` is an input; the other arrays are filled.
-    """
-    series, ends, places, starts = entries
-    free, entry = starts.copy(), 0
-    for frame in range(codes.shape[0]):
-        begin = entry
-        for sensor in range(codes.shape[1]):
-            code = codes[frame, sensor]
-            if code != reference[sensor]:
-                p = position[sensor, code]
-                series[entry] = p
-                places[free[p]] = entry
-                free[p] += 1
-                entry += 1
-        ends[begin:entry] = entry
-
-
-@loop()
 def count_entries(
     entries: tuple[Counts, Ints, Ints, Ints], start: int, stop: int, counts: Counts
 ) -> None:
-    """Count frames in which two series are on, from the lists of `list_entries`.
+    """Count frames in which two series are on, from `co_occurrence._entries`.
 
     The other arguments are those of `count_bits`.
     """

@@ -110,9 +110,7 @@ def contact_agreement(readings: ArrayLike) -> Reals:
     however long it lasts; a contact of m sensors has weight 1 / m; and frames with a single active
     sensor, which are evidence of no pair, do not count.
     """
-    together, weight = weighted_contacts(readings)
-    active = np.broadcast_to(np.diag(together)[:, None], together.shape)
-    return agreement_of_sums(together, active, np.broadcast_to(weight, together.shape))
+    return _agreement(*weighted_contacts(readings))
 
 
 def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
@@ -125,13 +123,25 @@ def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
     together = np.zeros((n_sensors, n_sensors))
     total = 0.0
     for begin in range(0, len(contacts), _CONTACTS_AT_ONCE):
-        part = contacts[begin : begin + _CONTACTS_AT_ONCE].astype(np.float64)
-        weights = 1 / part.sum(axis=1)
-        total += float(weights.sum())
-        part *= np.sqrt(weights)[:, None]
-        together += part.T @ part
+        products, weight = _weighted_products(contacts[begin : begin + _CONTACTS_AT_ONCE])
+        together += products
+        total += weight
     mirror(together, upper=True)
     return together, total
+
+
+def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[NDArray[np.float64], float]:
+    """Sum the weights of contacts with both sensors of each pair, and of all. contacts (C, N)."""
+    scaled = contacts.astype(np.float64)
+    weights = 1 / scaled.sum(axis=1)
+    scaled *= np.sqrt(weights)[:, None]
+    return scaled.T @ scaled, float(weights.sum())
+
+
+def _agreement(together: NDArray[np.float64], total: float) -> Reals:
+    """Compute the agreement from the sums of `weighted_contacts`."""
+    active = np.broadcast_to(np.diag(together)[:, None], together.shape)
+    return agreement_of_sums(together, active, np.broadcast_to(total, together.shape))
 
 
 def agreement_of_sums(
@@ -162,16 +172,14 @@ def resampled_contact_agreement(
     """
     contacts, frames = _contacts_and_frames(np.asarray(readings))
     block = np.searchsorted(edges, frames, side="right") - 1
-    shape = (contacts.shape[1], contacts.shape[1])
-    together, total = np.zeros((len(weights), *shape)), np.zeros(len(weights))
+    n_sensors = contacts.shape[1]
+    together, total = np.zeros((len(weights), n_sensors, n_sensors)), np.zeros(len(weights))
     for i in np.unique(block):
-        part = contacts[block == i].astype(np.float64)
-        total += weights[:, i] * (1 / part.sum(axis=1)).sum()
-        part /= np.sqrt(part.sum(axis=1))[:, None]
-        together += weights[:, i, None, None] * (part.T @ part)
+        products, weight = _weighted_products(contacts[block == i])
+        total += weights[:, i] * weight
+        together += weights[:, i, None, None] * products
     found = np.empty_like(together)
-    for i, (sums, weight) in enumerate(zip(together, total, strict=True)):
+    for i, sums in enumerate(together):
         mirror(sums, upper=True)
-        active = np.broadcast_to(np.diag(sums)[:, None], shape)
-        found[i] = agreement_of_sums(sums, active, np.broadcast_to(weight, shape))
+        found[i] = _agreement(sums, float(total[i]))
     return found

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
+from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.precision import Reals, mirror
 
 TILE_ROWS = 4
@@ -150,7 +151,7 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
 
     dissimilarity (N, N) -> (N, N).
 
-    Prim's algorithm adds one object after another to a minimum spanning tree. The longest edge
+    `tree_edges` adds one object after another to a minimum spanning tree. The longest edge
     between two objects is the longest one by which the later one and those between were added.
     Single linkage merges them at this height (Gower & Ross 1969, Applied Statistics 18: 54-64).
     """
@@ -161,12 +162,8 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
         )
     n_objects = len(lengths)
     order, added_by = np.zeros(n_objects, dtype=np.intp), np.zeros(n_objects, lengths.dtype)
-    nearest, outside = lengths[:1].ravel().copy(), np.ones(n_objects, dtype=bool)
-    for k in range(1, n_objects):
-        outside[order[k - 1]] = False
-        order[k] = np.where(outside, nearest, np.inf).argmin()
-        added_by[k] = nearest[order[k]]
-        np.minimum(nearest, lengths[order[k]], out=nearest)
+    for k, (node, end) in enumerate(tree_edges(-lengths), start=1):
+        order[k], added_by[k] = node, lengths[node, end]
     longest = np.zeros((n_objects, n_objects), lengths.dtype)
     for k in range(n_objects):
         np.maximum.accumulate(added_by[k + 1 :], out=longest[k, k + 1 :])

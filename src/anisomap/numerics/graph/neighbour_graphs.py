@@ -22,7 +22,7 @@ from anisomap.numerics.compiled.parallel import (
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.neighbours import spanning_tree
+from anisomap.numerics.neighbours import labels_by_size, spanning_tree
 from anisomap.numerics.precision import Reals
 
 
@@ -45,19 +45,17 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
     return labels_by_size(connected_components(joined, directed=False)[1])
 
 
-def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Renumber components by decreasing size, ties by the first object."""
-    first_seen = np.unique(labels, return_index=True)[1]
-    order = np.lexsort((first_seen, -np.bincount(labels)))
-    return np.asarray(np.argsort(order)[labels])
-
-
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:
     """Link every object to the most similar ones. similarity (N, N)."""
     if n_neighbours < 1:
         raise InputError(f"n_neighbours must be at least 1, got {n_neighbours}")
     values = as_symmetric(similarity, "similarity")
     np.fill_diagonal(values, -np.inf)
+    return _joined(values, n_neighbours)
+
+
+def _joined(values: Reals, n_neighbours: int) -> NDArray[np.bool_]:
+    """Link every object to those of greatest values, which are -inf on the diagonal."""
     if n_neighbours >= len(values) - 1:
         return ~np.eye(len(values), dtype=bool)
     chosen = greatest_of_rows(values, n_neighbours)
@@ -86,28 +84,16 @@ def smallest_connected_neighbour_graph(
     McGregor et al. (2011), section "ISOMAP". Edges are only added as k grows, so k is found by
     bisection.
     """
-    order = _most_similar_first(similarity)
-    too_few, enough = 0, max(1, len(order) - 1)
+    values = as_symmetric(similarity, "similarity")
+    np.fill_diagonal(values, -np.inf)
+    too_few, enough = 0, max(1, len(values) - 1)
     while enough - too_few > 1:
         middle = (too_few + enough) // 2
-        if connected_components(_join(order, middle), directed=False)[0] == 1:
+        if connected_components(_joined(values, middle), directed=False)[0] == 1:
             enough = middle
         else:
             too_few = middle
-    return _join(order, enough), enough
-
-
-def _most_similar_first(similarity: ArrayLike) -> NDArray[np.intp]:
-    values = as_symmetric(similarity, "similarity")
-    np.fill_diagonal(values, -np.inf)
-    return np.argsort(-values, axis=1, kind="stable")
-
-
-def _join(order: NDArray[np.intp], n_neighbours: int) -> NDArray[np.bool_]:
-    n_objects = len(order)
-    chosen = np.zeros((n_objects, n_objects), dtype=bool)
-    np.put_along_axis(chosen, order[:, : min(n_neighbours, n_objects - 1)], True, axis=1)
-    return np.asarray(chosen | chosen.T)
+    return _joined(values, enough), enough
 
 
 N_NEIGHBOURS = 8

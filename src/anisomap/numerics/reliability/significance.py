@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
 from anisomap.numerics.compiled.parallel import load_loops
-from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.neighbours import labels_by_size, tree_edges
 from anisomap.numerics.precision import Reals, as_reals, row_blocks
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 
@@ -116,10 +116,7 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
         if links[i, j] >= _MIN_BRIDGE * _expected_maximum(smaller * (n_sensors - smaller)):
             component[component == other] = one
             sizes[one] += sizes[other]
-    _, first, member, count = np.unique(
-        component, return_index=True, return_inverse=True, return_counts=True
-    )
-    return np.lexsort((first, -count)).argsort()[member]
+    return labels_by_size(component)
 
 
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:

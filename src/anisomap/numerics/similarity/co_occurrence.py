@@ -9,17 +9,17 @@ series are mostly off.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.special import xlogy
-from threadpoolctl import threadpool_info
 
-from anisomap.numerics.compiled.parallel import load_loops
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.precision import mirror
 
 MIN_COMPILED_SENSORS = 300
@@ -211,7 +211,7 @@ def _for_each_panel(
     """Count panels of series with all later series, and call `use` with each panel.
 
     A panel consists of the series of consecutive sensors. The arguments of `use` are the first and
-    the last sensor (exclusive) and the counts; it is called by several threads at once.
+    the last sensor (exclusive) and the counts; several threads may call it at once.
     """
     first, n_series = layout.first, layout.n_series
     count = _panel_counter(codes, layout, counting)
@@ -220,20 +220,14 @@ def _for_each_panel(
         if first[sensor] - first[cuts[-1]] >= _PANEL_SERIES or sensor == len(first) - 1:
             cuts.append(sensor)
 
-    def work(start: int, stop: int) -> None:
+    def work(sensors: tuple[int, int]) -> None:
+        start, stop = sensors
         panel = np.zeros((int(first[stop] - first[start]), n_series), dtype=np.uint32)
         count(int(first[start]), int(first[stop]), panel)
         use(start, stop, panel)
 
-    with ThreadPoolExecutor(_n_threads()) as pool:
-        # Iterating over the results raises exceptions of the threads.
-        for _ in pool.map(work, cuts[:-1], cuts[1:]):
-            pass
-
-
-def _n_threads() -> int:
-    """Return the number of threads of the linear algebra library, which worker processes limit."""
-    return max((int(found["num_threads"]) for found in threadpool_info()), default=1)
+    with parallel_map(n_series) as map_threads:
+        map_threads(work, pairwise(cuts))
 
 
 def _panel_counter(codes: Codes, layout: Layout, counting: Counting) -> _CountPanel:
@@ -272,16 +266,19 @@ def _as_integers(codes: Codes) -> Codes:
 
 
 def _entries(codes: Codes, layout: Layout) -> tuple[NDArray[Any], ...]:
-    marginals = _marginals(code_counts(codes, layout.position.shape[1]), layout)
-    starts = np.concatenate([[0], np.cumsum(marginals)])
-    size = int(starts[-1])
-    entries = (
-        np.empty(size, dtype=np.uint32),
-        np.empty(size, dtype=np.int64),
-        np.empty(size, dtype=np.int64),
-        starts,
-    )
-    load_loops("similarity").list_entries(
-        _as_integers(codes), layout.reference, layout.position, entries
-    )
-    return entries
+    """List the E series that are on, frame by frame.
+
+    Returns the series, by frame and increasing series, (E,); the index at which the frame of each
+    ends, (E,); the indices of the entries of each series, (E,); and the first of these, (M + 1,).
+    """
+    n_frames, n_sensors = codes.shape
+    on = codes != layout.reference.astype(codes.dtype)
+    counts = np.count_nonzero(on, axis=1)
+    begins = np.concatenate([[0], np.cumsum(counts)])
+    found = np.flatnonzero(on)  # faster than a search in two dimensions
+    sensors = found - np.repeat(np.arange(n_frames) * n_sensors, counts)
+    series = layout.position[sensors, codes[on].astype(np.intp)]
+    shape = (n_frames, layout.n_series)
+    by_series: Any = csr_array((np.arange(len(series)), series, begins), shape=shape).tocsc()
+    places, starts = by_series.data, by_series.indptr.astype(np.int64)
+    return series.astype(np.uint32), np.repeat(begins[1:], counts), places, starts

@@ -88,10 +88,8 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     count as active.
     """
     values = np.asarray(readings)
-    if not _is_compiled(values):
-        return _rest_of_readings(values)
-    lowest, counts = values[0].copy(), np.zeros(values.shape[1], np.int64)
-    load_loops("similarity").count_lowest(values, lowest, counts)
+    lowest = values.min(axis=0)
+    counts = np.count_nonzero(values == lowest, axis=0)
     n_sensors = len(lowest)
     rest = Rest(
         value=lowest.astype(np.float64),
@@ -102,7 +100,8 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     # At the lowest reading in most frames: contact raises, and no reading is on the other side.
     other = np.flatnonzero(2 * counts <= len(values))
     if len(other):
-        found = _rest_of_readings(values[:, other])
+        several = values[:, other]
+        found = rest_from_counts(np.unique(one, return_counts=True) for one in columns(several))
         rest.value[other], rest.side[other] = found.value, found.side
         rest.threshold[other], rest.known[other] = found.threshold, found.known
     return rest
@@ -115,10 +114,6 @@ def _is_compiled(readings: NDArray[Any]) -> bool:
     """
     number = readings.dtype.isnative and readings.dtype.char in "bBhHiIlLqQfd"
     return number and readings.shape[1] >= MIN_COMPILED_ROWS and not readings.flags.f_contiguous
-
-
-def _rest_of_readings(readings: NDArray[Any]) -> Rest:
-    return rest_from_counts(np.unique(one, return_counts=True) for one in columns(readings))
 
 
 def ranks_of_depths(
