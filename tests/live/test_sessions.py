@@ -1,5 +1,6 @@
 """Whole sessions in processes of their own, with real peers, which misbehave."""
 
+import os
 import signal
 import socket
 import sys
@@ -168,3 +169,31 @@ def test_a_terminated_session_leaves_its_recording(session, tmp_path):
     assert "Traceback" not in said
     readings = anisomap.read(tmp_path / "r.csv").readings
     np.testing.assert_array_equal(readings, SKIN.readings[: len(readings)])
+
+
+def is_closed(port):
+    with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=LONGEST_S):
+        return False
+    return True
+
+
+def test_a_second_interruption_leaves_out_the_final_map(session, tmp_path):
+    live = session("tcp-listen://127.0.0.1:0", *METHOD, *FILE)
+    port = live.port("waiting for a connection")
+    with connected(port) as peer:
+        peer.sendall(text(LINES[:200]))
+        live.wait_for(lambda event: event["frames"] == 200)
+    workers = live.children()
+    for pid in workers:  # no final map is ready before the second interruption
+        os.kill(pid, signal.SIGSTOP)
+    live.process.send_signal(signal.SIGINT)
+    wait_until(lambda: is_closed(port))
+    live.process.send_signal(signal.SIGINT)
+    wait_until(lambda: any("the recording is complete" in line for line in live.said))
+    for pid in workers:
+        os.kill(pid, signal.SIGCONT)
+    code, said = live.join()
+    assert code == 0, said
+    assert not live.result["final"]
+    assert anisomap.read(tmp_path / "r.csv").n_frames == 200
+    assert not (tmp_path / "r.map.csv").exists()

@@ -401,6 +401,13 @@ class LiveSession:
         return quick is not None and self.map_age > LAGS_S + 2 * quick.seconds
 
     @property
+    def guidance(self) -> tuple[str, bool]:
+        """See `SessionMaps.guidance`; a map that lags does not know what was touched since."""
+        if self.lags:
+            return f"the map lacks the last {self.map_age:.0f} s: wait for it", False
+        return self.maps.guidance
+
+    @property
     def command(self) -> str:
         """The command that makes the final map again; empty before the first frame."""
         if self.segment is None:

@@ -273,7 +273,7 @@ def _facts(session: LiveSession) -> dict[str, Any]:
         "verdict": asdict(verdict),
         "error_against_truth": None if checked is None else checked.error_against_truth,
         "faulty": {sensor.name: sensor.status for sensor in session.maps.faults},
-        "advice": session.maps.guidance[0],
+        "advice": session.guidance[0],
         "notices": [note.text for note in session.notices],
     }
 
@@ -299,8 +299,11 @@ def _finish(
     """Make the final map, write all files, and say what was written."""
     from anisomap.live.saving import SESSIONS, save_report
 
-    with progress("making the final map"):
-        final = session.finish()
+    try:
+        with progress("making the final map"):
+            final = session.finish()
+    except KeyboardInterrupt:
+        final = None
     written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"), together():

@@ -199,8 +199,8 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "expected_error": None if verdict is None else _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
         "reasons": [] if verdict is None else list(verdict.reasons),
-        "advice": session.maps.guidance[0],
-        "enough": session.maps.guidance[1],
+        "advice": session.guidance[0],
+        "enough": session.guidance[1],
         "faulty": [
             {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
             for sensor in session.maps.faults
