@@ -48,6 +48,9 @@ def test_a_map_is_plotted_on_its_truth(square):
     assert square.plot(ax=axes) is axes
     truth = 3 * np.nan_to_num(np.asarray(square)) + 1
     drawn = anisomap.plot(square.select([0, 1, 2, 3]), truth[:4])
+    rings = drawn.get_lines()[-1]
+    assert (rings.get_marker(), rings.get_markerfacecolor()) == ("o", "none")
+    np.testing.assert_allclose(rings.get_xydata(), truth[:4])
     limits = np.array([drawn.get_xlim(), drawn.get_ylim()])
     assert (limits[:, 0] <= 1).all()
     assert (limits[:, 1] >= 4).all()

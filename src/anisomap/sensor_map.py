@@ -308,7 +308,7 @@ class SensorMap(Immutable):
     def plot(
         self, truth: SensorMap | Recording | ArrayLike | None = None, *, ax: Any = None
     ) -> Any:
-        """Plot the map, beside true positions if given: see `anisomap.plot`."""
+        """Plot the map, over true positions if given: see `anisomap.plot`."""
         import anisomap  # noqa: PLC0415, the figures import this module
 
         return anisomap.plot(self, truth, ax=ax)

@@ -75,6 +75,25 @@ def test_a_doubtful_matrix_is_refused_with_both_readings(run, tmp_path):
     assert "Traceback" not in done.err
 
 
+def test_a_list_of_numbered_pairs_is_asked_about(run, tmp_path, points):
+    lists = {"pairs.csv": "a,b,d", "contacts.csv": "frame,taxel,value"}
+    for name, header in lists.items():
+        pairs = [
+            f"{i},{j},{np.linalg.norm(points[i] - points[j])}" for i in range(12) for j in range(i)
+        ]
+        (tmp_path / name).write_text("\n".join([header, *pairs]) + "\n")
+    assert "--dissimilarities" in run("map", "pairs.csv").err
+    done = run("map", "pairs.csv", "--dissimilarities", "-d", 2, "-o", "map.csv")
+    assert done.code == 0, done.err
+    assert (
+        evaluation.mantel(
+            anisomap.read_map("map.csv"), points[[1, 0, *range(2, 12)]], permutations=0
+        ).r
+        > 0.999
+    )
+    assert "--dissimilarities" not in run("info", "contacts.csv").err
+
+
 def test_a_square_recording_can_be_named_as_such(run_map, tmp_path):
     rng = np.random.default_rng(0)
     half = rng.random((8, 8))

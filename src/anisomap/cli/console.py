@@ -38,7 +38,9 @@ MAX_SHOWN = 50
 Columns: TypeAlias = Mapping[str, tuple[str, Callable[[Any], str]]]
 """For each heading of a table, a field of its records and the format of that."""
 
-_MIN_WIDTH = 12  # characters of a column that a narrow terminal does not wrap
+_MIN_WIDTH = 12  # characters of a value beside its name
+_WORD = 20  # characters of a word that it does not break, as names of methods
+_GAP = 2  # characters between columns
 
 
 class _Terminal(Console):
@@ -176,12 +178,18 @@ class Printer:
         table = Table(
             title=_text(title, "bold"), title_justify="left", box=None, header_style="dim"
         )
-        for column, *cells in zip(columns, *shown, strict=True):
+        by_column = list(zip(columns, *shown, strict=True))
+        narrow = sum(_GAP + max(map(len, one)) for one in by_column) > console.width
+        for column, *cells in by_column:
+            longest, width = max(map(len, cells)), len(column)
+            if narrow:
+                width = max(longest, *map(len, column.split()))
             table.add_column(
-                _text(column),
+                Text("\n").join(map(_text, textwrap.wrap(column, width))),
                 justify="right" if all(map(_is_number, cells)) else "left",
                 overflow="fold",
-                min_width=min(_MIN_WIDTH, max(map(len, (column, *cells)))),
+                # Rich narrows the widest columns first, and would break names.
+                no_wrap=longest <= _WORD and " " not in "".join(cells),
             )
         for row in shown:
             table.add_row(*map(_text, row))

@@ -15,7 +15,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.cli.console import Columns, Printer, attributes, console, print_warning, progress
-from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions, doubt_spacing
+from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct, check_target, together
@@ -232,8 +232,6 @@ def finish(
     print_health(printer, examined.health)
     print_touches(printer, coverage, sensor_map.names)
     print_map(printer, placed(sensor_map))
-    if outputs.placing and outputs.placing.spacing:
-        doubt_spacing(outputs.placing.spacing)
     paths = ", ".join(str(path) for _, path in files)
     printer.line(f"Written to {paths}" + ("; the verdict follows" if judge else ""))
     try:

@@ -140,10 +140,10 @@ class PlacingOptions:
     def check(self, outputs: Iterable[Path], units: str = "", *, hint: str = _GIVE_SPACING) -> None:
         """Check, before the map is computed, that the outputs can be written."""
         from anisomap import io
-        from anisomap.placement import METRES, parse_length
+        from anisomap.placement import METRES
 
         if self.spacing:
-            parse_length(self.spacing)
+            doubt_spacing(self.spacing)
             return
         for path in outputs:
             if io.needs_scale(path) and units not in METRES:

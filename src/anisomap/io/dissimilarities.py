@@ -32,7 +32,7 @@ from anisomap.io.parsing.source import (
     read_lines,
 )
 from anisomap.io.parsing.tables import is_number, parse_number, read_sample, records
-from anisomap.io.recordings import delimited_text
+from anisomap.io.recordings import delimited_text, events
 from anisomap.io.registry import read
 from anisomap.memory import Budget
 from anisomap.recording import default_names, match_sensors
@@ -41,6 +41,10 @@ Rows = list[list[str]]
 
 _UNKNOWN = ("na", "n/a", ".", "-")  # as R, spreadsheets and statistics programs write them
 _LEAST = 4  # objects of a matrix that is recognised; smaller ones look like many tables
+_DOUBT = (
+    "give --dissimilarities if it holds the dissimilarities of objects, or --no-dissimilarities if "
+    "it is a recording"
+)
 _ROUNDING = 1e-6  # of values that were printed with 7 digits, relative to the largest
 
 
@@ -122,11 +126,17 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
 
     They are a list of two names and a value per line; or a square matrix, or a triangle, that is
     symmetric, with a diagonal of 0 and positive values elsewhere. Raises InputError if the diagonal
-    is only constant, or a value 0, so that it may be a recording as well.
+    is only constant, or a value 0, or a list has numbers for names and each pair once, so that it
+    may be a recording as well.
     """
     rows, n_lines = _sampled(path)
-    if _names_pairs(rows):
+    pairs = _pairs_of(rows) if rows else []
+    if _names_pairs(pairs):
         return read_dissimilarities(path)
+    if _numbers_pairs(pairs) and not events.is_text(path, read_head(path)):
+        raise InputError(
+            f"{path} has a pair of different numbers and a value per line: {_DOUBT} of 3 sensors"
+        )
     if not _may_be_square(path, rows, n_lines):
         return None
     try:
@@ -142,9 +152,8 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
     if not own.any() and not (others <= 0).any():
         return read_dissimilarities(path)
     raise InputError(
-        f"{path} is a symmetric matrix of {len(values)} x {len(values)}: give --dissimilarities if "
-        "it holds the dissimilarities of objects, or --no-dissimilarities if it is a recording of "
-        f"{len(values)} frames"
+        f"{path} is a symmetric matrix of {len(values)} x {len(values)}: {_DOUBT} of {len(values)} "
+        "frames"
     )
 
 
@@ -165,14 +174,24 @@ def _rows(lines: Sequence[str]) -> Rows:
     return [[cell.strip() for cell in row] for _, row in records(lines, _delimiter(lines))]
 
 
-def _names_pairs(rows: Rows) -> bool:
-    """Return whether each row holds two names and a value, of names that take either place.
+def _names_pairs(pairs: Rows) -> bool:
+    """Return whether rows of a list hold two names and a value, of names that take either place.
 
     Rows of a recording may hold a time, a sensor and its reading.
     """
-    pairs = _pairs_of(rows) if rows else []
     first, second = ({row[place] for row in pairs} for place in (0, 1))
     return bool(first & second) and _number(pairs[0][0]) is None
+
+
+def _numbers_pairs(pairs: Rows) -> bool:
+    """Return whether rows of a list hold two whole numbers and a value, and no pair is repeated.
+
+    There are more pairs than numbers, unlike those of frames and readings.
+    """
+    found = {frozenset(row[:2]) for row in pairs}
+    numbers = {cell for pair in found for cell in pair}
+    once = len(found) == len(pairs) and {*map(len, found)} == {2}
+    return once and len(found) >= len(numbers) and all(map(str.isdecimal, numbers))
 
 
 def _may_be_square(file: Path, rows: Rows, n_lines: int) -> bool:

@@ -258,7 +258,7 @@ def plot_stress_per_point(
             parse_math=False,
         )  # fmt: skip
     ax.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
-    ax.set(xlabel="rank of the sensor", ylabel="share of the stress, %")
+    ax.set(xlabel="rank of the object", ylabel="share of the stress, %")
     ax.set_ylim(bottom=0)
     set_title(ax, "Stress per point (dotted: equal shares)")
 

@@ -146,15 +146,15 @@ def plot(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the largest component of a map, on its true positions if these are known.
+    """Plot the largest component of a map, over its true positions if these are given.
 
     Parameters
     ----------
     sensor_map : SensorMap
         Of more than three dimensions, the first three are drawn.
     truth : SensorMap, Recording or array_like of shape (N, 2) or (N, 3), optional
-        True positions, as for `anisomap.score`: the map is aligned with them, and lines join true
-        neighbours.
+        True positions, as for `anisomap.score`: rings, joined with the sensors of the map, which is
+        aligned with them. Lines join true neighbours.
     ax : matplotlib Axes, optional
         See `anisomap.drawing.figures.plot_map`.
 
@@ -174,7 +174,7 @@ def plot(
 
 
 @panel(lambda sensor_map, score=None: drawn_dimensions(sensor_map, score))
-def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | None = None) -> None:
+def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes = None) -> None:
     """Plot the largest component of a map in one panel.
 
     Parameters
@@ -182,9 +182,15 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | No
     sensor_map : SensorMap
         Of more than three dimensions, the first three are drawn.
     score : Score, optional
-        Score of this map: the map is aligned with the truth, and true neighbours are joined.
+        Score of this map: the map is aligned with the truth, whose positions are rings, and true
+        neighbours are joined.
     """
-    draw_configuration(ax, largest_component(sensor_map, score))
+    shown = largest_component(sensor_map, score)
+    draw_configuration(ax, shown)
+    truth = shown.truth
+    for start, end in zip(shown.points[: len(truth)], truth, strict=True):
+        ax.plot(*np.transpose([start, end]), color=INK, linewidth=0.8, zorder=2.5)
+    ax.plot(*truth.T, "o", markersize=7, markerfacecolor="none", markeredgecolor=INK, zorder=2.5)
 
 
 @panel()
