@@ -364,8 +364,8 @@ class Anisomap(BaseEstimator):
         Raises
         ------
         InputError
-            If a dissimilarity is negative or not symmetric, or the known pairs do not connect all
-            objects.
+            If a point has a NaN, a dissimilarity is negative or not symmetric, or the known pairs do
+            not connect all objects.
 
         Warns
         -----
@@ -378,9 +378,14 @@ class Anisomap(BaseEstimator):
             self,
             X,
             dtype=np.float64,
-            ensure_all_finite=not precomputed,
+            ensure_all_finite=False if precomputed else "allow-nan",
             ensure_min_samples=2,
         )
+        if not precomputed and np.isnan(values).any():
+            raise InputError(
+                "Input X contains NaN; points must be complete, and NaN stands for unknown pairs "
+                "with metric='precomputed'"
+            )
         if precomputed:
             check_non_negative(values, "Anisomap")
             unknown = np.isnan(values) | np.isnan(values.T)
