@@ -364,8 +364,8 @@ class Anisomap(BaseEstimator):
         Raises
         ------
         InputError
-            If a point has a NaN, a dissimilarity is negative or not symmetric, or the known pairs do
-            not connect all objects.
+            If a point has a NaN, a dissimilarity is negative or not symmetric, or the known pairs
+            do not connect all objects.
 
         Warns
         -----
