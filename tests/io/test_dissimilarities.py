@@ -79,8 +79,11 @@ def test_every_form_holds_the_same_matrix(form, tmp_path):
     found = io.read_dissimilarities(path)
     np.testing.assert_array_equal(found.values, RECTANGLE)
     assert found.names == names
-    recognised = io.find_dissimilarities(path)
-    assert (recognised is None) == (form == "list of numbers")
+    if form == "list of numbers":
+        with pytest.raises(InputError, match="give --dissimilarities if"):
+            io.find_dissimilarities(path)
+    else:
+        assert io.find_dissimilarities(path) is not None
 
 
 def test_unknown_pairs_are_infinite(tmp_path):
