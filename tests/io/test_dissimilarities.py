@@ -80,7 +80,7 @@ def test_every_form_holds_the_same_matrix(form, tmp_path):
     np.testing.assert_array_equal(found.values, RECTANGLE)
     assert found.names == names
     if form == "list of numbers":
-        with pytest.raises(InputError, match="give --dissimilarities if"):
+        with pytest.raises(AnisomapError, match="give --dissimilarities if"):
             io.find_dissimilarities(path)
     else:
         assert io.find_dissimilarities(path) is not None
