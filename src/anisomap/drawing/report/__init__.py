@@ -25,7 +25,7 @@ from anisomap.methods import METHODS
 from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
 from anisomap.wording import UNKNOWN, join_items, number, percent
 
-TITLE = "Map of a skin"
+TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}
 
 SUFFIXES = (".html", ".htm")
 """Suffixes of report files."""
@@ -330,7 +330,7 @@ def _text(name: str) -> str:
 
 
 def write_report(
-    path: str | os.PathLike[str], sensor_map: SensorMap, *, title: str = TITLE, **contents: Any
+    path: str | os.PathLike[str], sensor_map: SensorMap, *, title: str = "", **contents: Any
 ) -> None:
     """Write a report with an interactive view of the map, for any browser.
 
@@ -341,6 +341,7 @@ def write_report(
         complete.
     sensor_map : SensorMap
     title : str
+        By default what the map shows, a skin or objects.
     **contents
         ``score``, ``health``, the ``summary`` of the recording, ``touches``, ``figure_png``, and
         ``origin``: how the map came about, by name, such as the command and digests of its inputs.
@@ -368,7 +369,7 @@ def render_report(
     figure_png: bytes | None = None,
     touches: Touches | None = None,
     origin: Mapping[str, str] | None = None,
-    title: str = TITLE,
+    title: str = "",
 ) -> str:
     """Return a report as text; the same input gives the same text.
 
@@ -388,7 +389,7 @@ def render_report(
         templates("anisomap.drawing.report", _shown)
         .get_template("report.html")
         .render(
-            title=title,
+            title=title or TITLES[sensor_map.kind],
             verdict=_headlines(sensor_map, score),
             facts=_facts(sensor_map, score),
             caveats=_caveats(sensor_map, score, summary),
