@@ -18,12 +18,13 @@ from anisomap.live.quick_map import (
     confirmed_faults,
     turned_onto,
 )
-from anisomap.live.session import SessionMaps
+from anisomap.live.session import LiveSession, SessionMaps
 from anisomap.live.workers import Examination, ExaminationOptions
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.signals import count_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.usability import LEVELS, UNKNOWN, Verdict
+from live_processes import Given
 from skins import flat_skin, lattice, rubbed
 
 SKIN = flat_skin(n_frames=1500)
@@ -51,6 +52,16 @@ def test_enough_touches_are_stated_of_usable_maps_only(level):
     assert ("enough" in told) == enough == (level == "usable")
     assert level in told
     assert ("record longer" in told) != enough
+
+
+def test_a_map_that_lags_gives_no_advice(tmp_path, monkeypatch):
+    session = LiveSession(Given(), tmp_path / "r.csv")
+    session.maps.quick = mapper_of(READINGS[:34]).make()
+    assert session.guidance == session.maps.guidance != ("", False)
+    monkeypatch.setattr(LiveSession, "lags", True)
+    advice, enough = session.guidance
+    assert "wait for it" in advice
+    assert not enough
 
 
 @given(sizes=st.lists(st.integers(1, 60), max_size=4), offset=st.floats(-1e3, 1e3))

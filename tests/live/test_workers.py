@@ -11,7 +11,7 @@ import pytest
 
 from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Source
-from live_processes import LONGEST_S, Given, wait_for_maps, wait_until
+from live_processes import LONGEST_S, Given, wait_for_maps
 from skins import flat_skin
 
 if sys.platform == "win32":
@@ -85,28 +85,3 @@ def test_dimensions_are_chosen_though_the_first_checked_map_is_earlier(tmp_path,
     options = ExaminationOptions(method="r-anisomap")
     with LiveSession(Source("a test", give), tmp_path / "r.csv", options) as session:
         wait_for_maps(session, lambda maps: maps.quick and maps.quick.positions.shape[1] == 2)
-
-
-def test_a_map_that_lags_gives_no_advice(tmp_path, others):
-    skin = flat_skin(n_frames=600).readings.astype(float)
-
-    def give(stop):
-        yield Batch(skin[:300])
-        wait_for_maps(session, lambda maps: maps.quick and maps.quick.n_frames == 300)
-        (quick,) = (child for child in workers_beside(others) if child.name == "quick maps")
-        os.kill(quick.pid, signal.SIGSTOP)
-        yield Batch(skin[300:])
-        wait_until(lambda: session.lags)
-        told.append(session.guidance)
-        os.kill(quick.pid, signal.SIGCONT)
-        stop.wait()
-
-    told = []
-    options = ExaminationOptions(method="r-anisomap", dimensions=2)
-    with LiveSession(Source("a test", give), tmp_path / "r.csv", options) as session:
-        wait_for_maps(session, lambda maps: maps.quick and maps.quick.n_frames == 600)
-        wait_until(lambda: not session.lags)
-        assert session.guidance == session.maps.guidance
-    ((advice, enough),) = told
-    assert "wait for it" in advice
-    assert not enough
