@@ -181,11 +181,10 @@ class Printer:
         by_column = list(zip(columns, *shown, strict=True))
         narrow = sum(_GAP + max(map(len, one)) for one in by_column) > console.width
         for column, *cells in by_column:
-            longest, width = max(map(len, cells)), len(column)
-            if narrow:
-                width = max(longest, *map(len, column.split()))
+            longest = max(map(len, cells), default=0)
+            width = max(longest, *map(len, column.split())) if narrow else len(column)
             table.add_column(
-                Text("\n").join(map(_text, textwrap.wrap(column, width))),
+                Text("\n").join(map(_text, textwrap.wrap(column, max(1, width)))),
                 justify="right" if all(map(_is_number, cells)) else "left",
                 overflow="fold",
                 # Rich narrows the widest columns first, and would break names.

@@ -187,10 +187,12 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes = No
     """
     shown = largest_component(sensor_map, score)
     draw_configuration(ax, shown)
-    truth = shown.truth
-    for start, end in zip(shown.points[: len(truth)], truth, strict=True):
-        ax.plot(*np.transpose([start, end]), color=INK, linewidth=0.8, zorder=2.5)
-    ax.plot(*truth.T, "o", markersize=7, markerfacecolor="none", markeredgecolor=INK, zorder=2.5)
+    if n_compared := len(truth := shown.truth):
+        gaps = np.full_like(truth, np.nan)
+        apart = np.stack([shown.points[:n_compared], truth, gaps], axis=1)
+        ax.plot(*apart.reshape(-1, shown.dimensions).T, color=INK, linewidth=0.8, zorder=2.5)
+        look = {"markersize": 7, "markerfacecolor": "none", "markeredgecolor": INK}
+        ax.plot(*truth.T, "o", **look, zorder=2.5)
 
 
 @panel()

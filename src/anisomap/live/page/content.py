@@ -185,6 +185,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return the rest: verdict, curves, faults, advice, notices and files."""
     checked = session.maps.checked
     verdict = None if checked is None else checked.verdict
+    advice, enough = session.guidance
     return {
         "state": session.state,
         "source": session.source.description,
@@ -199,8 +200,8 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "expected_error": None if verdict is None else _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
         "reasons": [] if verdict is None else list(verdict.reasons),
-        "advice": session.guidance[0],
-        "enough": session.guidance[1],
+        "advice": advice,
+        "enough": enough,
         "faulty": [
             {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
             for sensor in session.maps.faults
