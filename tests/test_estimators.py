@@ -1,5 +1,6 @@
 """The scikit-learn estimators: the contract of scikit-learn, and equality with the functions."""
 
+import re
 import warnings
 
 import numpy as np
@@ -168,11 +169,18 @@ def test_dissimilarities_as_points_raise_a_warning():
 
 
 @pytest.mark.parametrize(
-    "parameters", [{"metric": False}, {"dissimilarity": "precomputed"}, {"n_init": 0}]
+    ("parameters", "ours"),
+    [
+        ({"metric": False}, "method"),
+        ({"metric_mds": False}, "method"),
+        ({"dissimilarity": "precomputed"}, "metric='precomputed'"),
+        ({"normalized_stress": "auto"}, "stress_"),
+        ({"eps": 1e-3}, "tol"),
+        ({"n_init": 0}, "n_init must be at least 1"),
+    ],
 )
-def test_parameters_of_other_estimators_are_refused_with_ours(parameters):
-    message = "n_init must be" if "n_init" in parameters else "metric='precomputed' here"
-    with pytest.raises(InputError, match=message):
+def test_parameters_of_other_estimators_are_refused_with_ours(parameters, ours):
+    with pytest.raises(InputError, match=re.escape(ours)):
         Anisomap(**parameters).fit(np.eye(3))
 
 

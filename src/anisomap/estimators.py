@@ -256,10 +256,7 @@ class Anisomap(BaseEstimator):
 
     An alternative to scikit-learn's ``MDS`` and ``Isomap`` that supports any semi-metric, weights
     and missing pairs. Like ``MDS``, it has no `transform` for new objects. Of the parameters of
-    ``MDS``, `eps` is `tol` here, ``metric_mds=False`` (once ``metric=False``) is
-    ``method="ordinal"``, ``dissimilarity="precomputed"`` is ``metric="precomputed"``, and `init` is
-    an argument of `fit`; `n_jobs` and `verbose` have no counterpart, and `normalized_stress` none
-    either, since `stress_` is always normalised.
+    ``MDS``, `init` is an argument of `fit` here, and `n_jobs` and `verbose` have no counterpart.
 
     Parameters
     ----------
@@ -281,8 +278,8 @@ class Anisomap(BaseEstimator):
         Random numbers of the further initial configurations.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
-    dissimilarity : None
-        Refused, with an error that names `metric`.
+    metric_mds, normalized_stress, eps, dissimilarity : None
+        Parameters of ``MDS``, refused with an error that names those of this class.
 
     Attributes
     ----------
@@ -322,6 +319,9 @@ class Anisomap(BaseEstimator):
         random_state: Any = None,
         tol: float = SmacofOptions.tolerance,
         max_iter: int = SmacofOptions.max_iterations,
+        metric_mds: bool | None = None,
+        normalized_stress: bool | None = None,
+        eps: float | None = None,
         dissimilarity: str | None = None,
     ) -> None:
         self.n_components = n_components
@@ -332,6 +332,9 @@ class Anisomap(BaseEstimator):
         self.method = method
         self.n_init = n_init
         self.random_state = random_state
+        self.metric_mds = metric_mds
+        self.normalized_stress = normalized_stress
+        self.eps = eps
         self.dissimilarity = dissimilarity
 
     def fit(
@@ -447,11 +450,11 @@ class Anisomap(BaseEstimator):
         return self.fit(X, y, weights=weights, init=init).embedding_
 
     def _check_parameters(self) -> None:
-        if isinstance(self.metric, bool) or self.dissimilarity is not None:
-            raise InputError(
-                "of scikit-learn's MDS, dissimilarity='precomputed' is metric='precomputed' here, "
-                "and metric=False is method='ordinal'"
-            )
+        if isinstance(self.metric, bool):
+            raise InputError(f"metric={self.metric} is {_OF_MDS['metric_mds']}")
+        for name, here in _OF_MDS.items():
+            if getattr(self, name) is not None:
+                raise InputError(f"{name} of scikit-learn's MDS is {here}")
         if self.n_init < 1:
             raise InputError(f"n_init must be at least 1, got {self.n_init}")
 
@@ -461,6 +464,15 @@ class Anisomap(BaseEstimator):
         tags.input_tags.allow_nan = tags.input_tags.pairwise
         tags.input_tags.positive_only = tags.input_tags.pairwise
         return tags
+
+
+_OF_MDS = {
+    "metric_mds": "method here: 'mds' or 'anisomap' for True, 'ordinal' for False",
+    "normalized_stress": "always on here: stress_ is normalised",
+    "eps": "tol here",
+    "dissimilarity": "metric here: metric='precomputed' for a matrix of dissimilarities",
+}
+"""Parameters of scikit-learn's MDS, and what they are here."""
 
 
 def _are_dissimilarities(values: NDArray[np.float64]) -> bool:
