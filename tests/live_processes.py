@@ -1,6 +1,7 @@
 """Live sessions: sources that are given, and processes of their own, as users run them."""
 
 import json
+import os
 import queue
 import signal
 import subprocess
@@ -51,6 +52,7 @@ class LiveProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            start_new_session=True,
             **options,
         )
         self.events, self.lines, self.said = queue.Queue(), [], []
@@ -100,9 +102,9 @@ class LiveProcess:
         return code, "".join(self.said)
 
     def close(self):
-        """Kill the process if it still runs, and close its pipes."""
+        """Kill the process and those that it has started, which hold its pipes, and close these."""
         if self.process.poll() is None:
-            self.process.kill()
+            os.killpg(self.process.pid, signal.SIGKILL)
         self.join()
         self.process.stdout.close()
         self.process.stderr.close()

@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -30,9 +31,6 @@ from watched import COUNT, run_watched
 if sys.platform == "win32":
     pytest.skip("signals, limits and permissions are those of Unix", allow_module_level=True)
 resource = pytest.importorskip("resource")
-
-# Since Python 3.12, a fork of a process with several threads is warned of.
-pytestmark = pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 
 OLD = "an earlier result"
 REPORT = "error: interrupted; no file was left half-written"
@@ -95,40 +93,43 @@ CREATED, COMPLETE = r"\d+ open (.*/)?\.m-[^/]*", r"\d+ os\.rename .*"
 SHARES = 0.05, 0.3, 0.55, 0.7, 0.8, 0.9, 0.97, 0.999  # of the events of a command
 
 
-def in_a_child(task):
-    """Run a task in a fork of this process; return its exit code, which is 0 unless it fails."""
-    child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            task()
-            code = 0
-        except SystemExit as end:
-            code = end.code
-        finally:
-            os._exit(code)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+def nothing():
+    pass
 
 
-def at_event(folder, command, number, event, before=lambda: None):
-    """Run a command in a fork, with a signal at an event; return exit code and standard error.
+CHILDREN = multiprocessing.get_context("forkserver")
+"""Forks of a process that has imported the package, which takes a new process a second, but has no
+threads: a fork of the process of tests would lack threads whose locks it copies, and could hang."""
 
-    A fork has imported most modules, which takes a new process a second.
 
-    before: Called in the fork first.
+def in_a_child(task, *arguments):
+    """Call a function in another process; return its exit code, which is 0 unless it fails."""
+    CHILDREN.set_forkserver_preload(["anisomap.cli.app", "anisomap.route", "anisomap.io", "pytest"])
+    child = CHILDREN.Process(target=task, args=arguments)
+    child.start()
+    child.join()
+    return child.exitcode
+
+
+def run_in(folder, said, before, *watched):
+    """Call `run_watched`, with standard error in a file."""
+    before()
+    os.setsid()
+    os.chdir(folder)
+    with open(os.devnull, "w") as sys.stdout, said.open("w", buffering=1) as sys.stderr:  # noqa: PTH123
+        run_watched(*watched)
+
+
+def at_event(folder, command, number, event, before=nothing):
+    """Run a command in a child, with a signal at an event; return exit code and standard error.
+
+    before: Called in the child first.
     """
-
-    def task():
-        before()
-        os.setsid()
-        os.chdir(folder)
-        with open(os.devnull, "w") as sys.stdout, open(said, "w", buffering=1) as sys.stderr:  # noqa: PTH123
-            run_watched(number, event, command)
-
     with tempfile.TemporaryDirectory() as other:
         said = Path(other) / "stderr.txt"
         said.touch()
-        return in_a_child(task), said.read_text()
+        code = in_a_child(run_in, folder, said, before, number, event, command)
+        return code, said.read_text()
 
 
 def at_event_of_process(folder, command, number, event):
@@ -307,27 +308,27 @@ def test_a_full_disk_is_an_error_without_a_half_written_file(folder, command):
     assert {path.name for path in folder.iterdir()} == before
 
 
-@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def write_both(outputs):
+    """Write two maps, of which the second is too long for the limit of a process."""
+    points = np.random.default_rng(0).random((500, 3))
+    with together():
+        for path, n_sensors in zip(outputs, (4, 500), strict=True):
+            anisomap.write(anisomap.SensorMap(points[:n_sensors], units="m"), path)
+
+
+def fail_to_write(outputs):
+    limited()  # not lifted again
+    with pytest.raises(FileError, match="cannot write"):
+        write_both(outputs)
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz", ".json", ".ply", ".pcd", ".urdf"])
 def test_every_writer_removes_what_it_could_not_finish(folder, suffix):
-    """The second of two files is too long for the limit of the process; the first stays old."""
     outputs = [folder / "m.xml", folder / f"n{suffix}"]
     for path in outputs:
         path.write_text(OLD)
     before = {file.name for file in folder.iterdir()}
-    points = np.random.default_rng(0).random((500, 3))
-
-    def both():
-        with together():
-            for path, n_sensors in zip(outputs, (4, 500), strict=True):
-                anisomap.write(anisomap.SensorMap(points[:n_sensors], units="m"), path)
-
-    def write():
-        limited()  # in another process, since a limit is not lifted again
-        with pytest.raises(FileError, match="cannot write"):
-            both()
-
-    assert in_a_child(write) == 0
+    assert in_a_child(fail_to_write, outputs) == 0
     assert [path.read_text() for path in outputs] == [OLD] * 2
     assert {file.name for file in folder.iterdir()} == before
 
@@ -417,7 +418,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, name):
     done = tmp_path / "done"
     done.mkdir()
     # In another process, which a bus error would end.
-    code = in_a_child(partial(read_while_it_changes, tmp_path / name, done))
+    code = in_a_child(read_while_it_changes, tmp_path / name, done)
     assert {path.name for path in done.iterdir()} == CHANGES.keys()
     assert code == 0
 

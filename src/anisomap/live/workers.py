@@ -179,6 +179,8 @@ class Worker:
         self._restarts = 0
         self._task: Task | None = None
         self._start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     def send(self, task: Task | None) -> None:
         """Send a task; a dead process gets it when it is started again. None ends the process."""
@@ -190,43 +192,42 @@ class Worker:
         """End the process."""
         self.send(None)
         self._process.join(_JOIN_S)
-        if self._process.is_alive():  # it is making a map
-            self._process.terminate()
-            self._process.join()
+        self._process.kill()  # it is making a map, or was stopped
+        self._process.join()
         self._listener.join()
         self._connection.close()
 
     def _start(self) -> None:
-        ours, theirs = self._context.Pipe()
-        self._connection = ours
-        self._process = self._context.Process(
+        self._connection, theirs = self._context.Pipe()
+        process = self._context.Process(
             name=f"{self._role} maps", target=_run, args=(self._role, theirs), daemon=True
         )
-        self._process.start()
-        theirs.close()
-        self._listener = threading.Thread(target=self._listen, args=(ours,), daemon=True)
-        self._listener.start()
+        try:
+            process.start()
+        finally:
+            theirs.close()  # so that `recv` ends with the process, or without one
+        self._process = process
 
-    def _listen(self, connection: Connection) -> None:
-        with suppress(EOFError, OSError):
-            while True:
-                self._receive(connection.recv())
-        if self._closing:
-            return
-        connection.close()
-        self._restarts += 1
-        ended = f"the process of {self._role} maps ended"
-        if self._restarts > _MAX_RESTARTS:
-            self.gone = True
-            self._receive(Answer(problem=f"{ended}; there are no more", final=True))
-            return
-        self._receive(Answer(problem=f"{ended} and is started again"))
-        with self._lock:
-            if self._closing:  # meanwhile
+    def _listen(self) -> None:
+        while True:
+            with suppress(EOFError, OSError):
+                while True:
+                    self._receive(self._connection.recv())
+            if self._closing:
                 return
-            self._start()
-            if self._task is not None:
-                with suppress(OSError):
+            self._restarts += 1
+            ended = f"the process of {self._role} maps ended"
+            if self._restarts > _MAX_RESTARTS:
+                self.gone = True
+                self._receive(Answer(problem=f"{ended}; there are no more", final=True))
+                return
+            self._receive(Answer(problem=f"{ended} and is started again"))
+            with self._lock, suppress(OSError):
+                if self._closing:  # meanwhile
+                    return
+                self._connection.close()
+                self._start()
+                if self._task is not None:
                     self._connection.send(self._task)
 
 
