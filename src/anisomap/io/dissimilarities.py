@@ -32,7 +32,7 @@ from anisomap.io.parsing.source import (
     read_lines,
 )
 from anisomap.io.parsing.tables import is_number, parse_number, read_sample, records
-from anisomap.io.recordings import delimited_text, events
+from anisomap.io.recordings import contact_lists, delimited_text
 from anisomap.io.registry import read
 from anisomap.memory import Budget
 from anisomap.recording import default_names, match_sensors
@@ -133,7 +133,7 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
     pairs = _pairs_of(rows) if rows else []
     if _names_pairs(pairs):
         return read_dissimilarities(path)
-    if _numbers_pairs(pairs) and not events.is_text(path, read_head(path)):
+    if _numbers_pairs(pairs) and not contact_lists.is_text(path, read_head(path)):
         raise InputError(
             f"{path} has a pair of different numbers and a value per line: {_DOUBT} of 3 sensors"
         )

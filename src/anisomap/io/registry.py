@@ -27,8 +27,8 @@ from anisomap.io.recordings import (
     bag_files,
     bags,
     biosignals,
+    contact_lists,
     delimited_text,
-    events,
     grids,
     named_arrays,
     robot_logs,
@@ -43,6 +43,7 @@ from anisomap.io.stream import (
     contents_isolated,
     open_isolated,
     rechunk,
+    refuse_selection,
 )
 from anisomap.memory import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.recording import Recording, default_names
@@ -100,7 +101,7 @@ FORMATS = (
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", text_files.is_calibration,
            read_map=text_files.read_calibration),
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
-           events.is_json, events.open_json_list),
+           contact_lists.is_json, contact_lists.open_json_list),
     Format("json", (".json",), "JSON", text_files.is_json,
            read_map=text_files.read_json_map, write_map=text_files.write_json,
            signature=text_files.SIGNATURE),
@@ -142,8 +143,8 @@ FORMATS = (
            grids.is_mat_export, grids.open_mat_export),
     Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
            grids.is_folder, grids.open_images, extra=grids.EXTRA, magics=grids.MAGICS),
-    Format("contacts", (), "list of contacts or spikes: time, sensors", events.is_text,
-           events.open_text_list),
+    Format("contacts", (), "list of contacts or spikes: time, sensors", contact_lists.is_text,
+           contact_lists.open_text_list),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
            delimited_text.open_recording, text_files.read_text, text_files.write_text,
@@ -373,9 +374,8 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
         with file_errors(file):
             chosen, opened = _find_reader(file, "open_recording", "recordings")
             described = f"{file} ({chosen.summary})"
-            if options.select and chosen.contents is None:
-                problem = f"holds a single recording; leave out --select {options.select}"
-                raise FileError(f"{described} {problem}")
+            if chosen.contents is None:
+                refuse_selection(described, options.select)
             if chosen.extra:
                 opened = partial(open_isolated, opened)
             stream = stack.enter_context(opened(file, options))

@@ -111,6 +111,13 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
     return usable[0]
 
 
+def refuse_selection(described: object, select: str, otherwise: str = "") -> None:
+    """Raise a `FileError` if a recording is selected from a file that holds a single one."""
+    if select:
+        problem = f"holds a single recording; leave out --select {select}{otherwise}"
+        raise FileError(f"{described} {problem}")
+
+
 def _listed(contents: Sequence[Content]) -> str:
     return join_items([f"{content.name} ({content.summary})" for content in contents], _MAX_LISTED)
 

@@ -48,7 +48,7 @@ from anisomap.io.parsing.tables import (
     records,
     unguard_formula,
 )
-from anisomap.io.recordings import events
+from anisomap.io.recordings import contact_lists, events
 from anisomap.io.stream import (
     Block,
     Content,
@@ -56,6 +56,7 @@ from anisomap.io.stream import (
     ReadOptions,
     Stream,
     choose,
+    refuse_selection,
     stack_frames,
     to_float32_if_exact,
 )
@@ -97,8 +98,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     Empty fields are missing readings, NaN. The metadata of the stream names the columns taken as
     time and frame counter and the skipped columns of text. Errors give line and column.
     """
-    if events.selects_columns(options.select):
-        yield events.stream_columns(path, options)
+    if contact_lists.selects_columns(options.select):
+        yield contact_lists.stream_columns(path, options)
         return
     sample, known, metadata = _read_start(path)
     if options.bin_s is not None and not known:
@@ -112,11 +113,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         chosen = choose(path, _contents_of(lists), options.select, "list column").name
         yield _stream_lists(table, lists, chosen)
         return
-    if options.select:
-        raise FileError(
-            f"{path} (delimited text) holds a single recording; leave out --select "
-            f"{options.select}, or select the columns of a time and of sensors, as in time:id"
-        )
+    otherwise = ", or select the columns of a time and of sensors, as in time:id"
+    refuse_selection(f"{path} (delimited text)", options.select, otherwise)
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")

@@ -34,7 +34,8 @@ from anisomap.errors import FileError, import_extra
 from anisomap.files import check_regular, open_regular
 from anisomap.io.parsing.names import is_time, units_per_second
 from anisomap.io.parsing.source import quote
-from anisomap.io.recordings.events import stream_contacts, stream_trains
+from anisomap.io.recordings.contact_lists import stream_contacts
+from anisomap.io.recordings.events import stream_trains
 from anisomap.io.stream import (
     Content,
     ReadOptions,

@@ -53,6 +53,7 @@ from anisomap.io.stream import (
     Stream,
     choose,
     join_streams,
+    refuse_selection,
     to_float32_if_exact,
 )
 from anisomap.recording import Scalar
@@ -257,9 +258,7 @@ def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream
     """Create a stream of a log; `parts` selects the skin parts of contacts, all by default."""
     if _is_contact_log(log):
         return _stream_contacts(log, parts, bin_s)
-    if any(parts):
-        wanted = ",".join(parts)
-        raise FileError(f"{log} holds a single recording; leave out --select {wanted}")
+    refuse_selection(log, ",".join(filter(None, parts)))
     table = _table(log)
     n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
     n_sensors = table.n_columns - 1 - n_stamps
