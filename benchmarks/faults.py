@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -20,6 +21,7 @@ import anisomap
 from anisomap.comparison import spanned_dimensions
 from anisomap.sensor_map import is_faulty
 from anisomap.simulation import inject, parse_fault
+from benchmarks.clean_recordings import TRUE_OF_CLEAN, Case, cases
 from benchmarks.harness import (
     files_in,
     frame,
@@ -121,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for found in in_parallel(examined, sources, chosen.workers):
         results += found
         write_rows(chosen.output / "faults.csv", results)
-    text = table(results) + "\n" + false_alarms(seeds)
+    text = "\n".join([table(results), false_alarms(seeds), clean_table(seeds, chosen.workers)])
     (chosen.output / "faults-table.md").write_text(text, encoding="utf-8")
     print(text)
 
@@ -221,7 +223,32 @@ def false_alarms(seeds: Sequence[int]) -> str:
                 found = bool(anisomap.find_faults(sound))
                 for kind in (scenario, text):
                     rows.setdefault(kind, []).append((found, sound.n_sensors, faulty))
-    header = ["sound recordings", "number", "with a fault", "sensors", "called faulty"]
+    return counts_table("simulated skins without faults", rows)
+
+
+def clean_table(seeds: Sequence[int], workers: int) -> str:
+    """Return a table of what is found in clean recordings of few and of many contacts."""
+    rows: dict[str, list[tuple[int, int, int]]] = {}
+    for several in in_parallel(accused, list(product(cases(), seeds)), workers):
+        for case, counts in several:
+            frames, sensors = f"{case.n_frames} frames", f"{case.n_sensors} sensors"
+            for kind in (case.course, case.form, frames, sensors):
+                rows.setdefault(kind, []).append(counts)
+    return counts_table("clean recordings of round contacts", rows)
+
+
+def accused(drawn: tuple[Case, int]) -> list[tuple[Case, tuple[int, int, int]]]:
+    """Return whether faults are found in a clean recording, its sensors, and the faulty ones."""
+    case, seed = drawn
+    recording = case.draw(seed)
+    faulty = sum(is_faulty(sensor.status) for sensor in anisomap.assess(recording))
+    kinds = {one.kind for one in anisomap.find_faults(recording)} - TRUE_OF_CLEAN
+    return [(case, (int(bool(kinds)), recording.n_sensors, faulty))]
+
+
+def counts_table(title: str, rows: Mapping[str, Sequence[tuple[int, int, int]]]) -> str:
+    """Return a table of recordings with a fault, and of sensors called faulty, by kind."""
+    header = [title, "number", "with a fault", "sensors", "called faulty"]
     lines = (
         (kind, len(counted), *map(sum, zip(*counted, strict=True)))
         for kind, counted in rows.items()

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.clean_recordings import COURSES, FORMS, Case, cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -243,6 +244,35 @@ def test_sound_recordings_have_no_faults_and_are_not_changed(skin):
         found = repair(recording)
         assert found.findings == ()
         assert found.recording is recording
+
+
+CLEAN = [one for one in cases(sizes=(20, 90), frames=(30, 200)) if one.body != "scattered"]
+"""Without places drawn at random, of which some are isolated."""
+
+
+@pytest.mark.parametrize("course", COURSES)
+@pytest.mark.parametrize("form", FORMS)
+def test_no_healthy_sensor_is_called_faulty(course, form):
+    """Contacts of one frame and of many, few of them or none on most sensors, and few frames."""
+    drawn = [one.draw(seed=5) for one in CLEAN if (one.course, one.form) == (course, form)]
+    statuses = [sensor.status for recording in drawn for sensor in assess(recording)]
+    assert sum(map(is_faulty, statuses)) <= 2  # of 430
+
+
+def test_sensors_that_show_noise_alone_have_no_contacts():
+    """Most sensors of a large skin, when a contact moves on a part of it."""
+    readings = np.random.default_rng(0).normal(0, 0.01, (300, 400))
+    readings[:, :40] += Case("plane", "strokes", "exact", 36, 300).draw(1).readings.max(1)[:, None]
+    contacts = Signals(readings).contacts
+    assert not contacts[40:].any()
+    assert contacts[:40].all()
+
+
+@pytest.mark.parametrize("form", ["noise of 1 %", "integers with noise"])
+def test_contacts_of_one_frame_are_no_glitches(form):
+    """They are far beyond the noise of all other sensors."""
+    recording = Case("plane", "jumps", form, 600, 30).draw(seed=5)
+    assert "glitches" not in kinds(find_faults(recording))
 
 
 @pytest.mark.parametrize("slope", [1, -30])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.numerics.reliability.significance import outlying
-from anisomap.numerics.signals import Signals, medians, middle_frames, some_sensors, unit_rows
+from anisomap.numerics.signals import Signals, middle_frames, some_sensors, unit_rows
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
 
@@ -33,10 +33,13 @@ _N_SHIFTS = 19  # circular shifts that a related sensor exceeds
 _ROWS_AT_ONCE = 64  # of a product; single rows would be as slow as some
 _HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
 _MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
-_LEAST_R = 1e-3  # and the least 1 - r
+_LEAST_R = 1e-3
 _HARMFUL_NOISE = 0.15  # share of the variance: r is 8 % lower
 _NEGLIGIBLE = 0.01  # noise, in standard deviations of the typical sensor
 _OF_WHITE_NOISE = 0.6745 * 6**0.5  # median of the second differences of white noise
+_OF_MEDIAN = 2.0  # relative variance of that median times their number, which overlap; simulated
+_MIN_AT_REST = 20  # of them; chosen by hand
+_N_PARTNERS = 8  # most similar sensors that explain readings: the neighbours on a square lattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +59,56 @@ class Behaviour:
 
     @cached_property
     def noise(self) -> NDArray[np.float64]:
-        """Standard deviation of white noise, from second differences, and of readings, (2, n)."""
-        readings = self.signals.readings
-        part = readings[middle_frames(len(readings))].astype(np.float64)
+        """Standard deviation of white noise, its relative variance, and that of readings, (3, n).
+
+        From second differences of frames without contact: contacts that last a frame change
+        readings, too. With few of these frames nothing can be told: the relative variance is inf.
+        """
+        readings, rest = self.signals.readings, self.signals.rest
+        frames = middle_frames(len(readings))
+        part = readings[frames].astype(np.float64)
         changes = np.abs(np.diff(part, 2, axis=0))
-        white = medians(changes) / _OF_WHITE_NOISE if len(changes) else np.zeros(part.shape[1])
-        return np.stack([white, part.std(axis=0)])
+        active = self.signals.touched[frames] & rest.known
+        changes[active[2:] | active[1:-1] | active[:-2]] = np.inf
+        changes.sort(axis=0)
+        counts = np.count_nonzero(changes < np.inf, axis=0)
+        enough = np.flatnonzero(counts >= _MIN_AT_REST)
+        white, variance = np.zeros(part.shape[1]), np.full(part.shape[1], np.inf)
+        white[enough] = changes[counts[enough] // 2, enough] / _OF_WHITE_NOISE
+        variance[enough] = _OF_MEDIAN / counts[enough]
+        return np.stack([white, variance, part.std(axis=0)])
+
+    @property
+    def noise_share(self) -> NDArray[np.float64]:
+        """Share of white noise in the variance."""
+        noise, _, deviation = self.noise
+        return np.asarray(np.minimum((noise / np.maximum(deviation, 1e-300)) ** 2, 1))
+
+    def shared(self, sensor: int) -> float:
+        """Return the share of a sensor's variance that those most similar to it explain."""
+        rows = unit_rows(self.signals.readings[middle_frames(len(self.signals.readings))])
+        similar = np.abs(rows @ rows[sensor])
+        similar[sensor] = -1
+        partners = rows[np.argsort(-similar)[: min(_N_PARTNERS, len(rows) - 1)]]
+        weights, *_ = np.linalg.lstsq(partners.T, rows[sensor], rcond=None)
+        left = float(np.linalg.norm(rows[sensor] - weights @ partners) ** 2)
+        free = rows.shape[1] - 1
+        return float(1 - left * free / max(1, free - len(partners)))
 
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
-        """Sensors with contacts that resemble no other sensor as the others do."""
-        best = np.clip(np.nan_to_num(self.best_match), _LEAST_R, 1 - _LEAST_R)
-        return np.asarray(
+        """Sensors with contacts that resemble no other sensor as others with contacts do."""
+        found = self.contacts >= MIN_CONTACTS
+        if found.any():
+            # Without the noise of the sensor, which many weak contacts do not exceed.
+            best = self.best_match[found] / np.sqrt(np.maximum(1 - self.noise_share[found], 0.1))
+            # One contact that differs would be seen: n of them resolve no r closer to 1.
+            best = np.clip(np.nan_to_num(best), _LEAST_R, 1 - 0.5 / self.contacts[found])
+            typical = np.median(best)
             # Variance that is not explained, over that which is; Fisher's z has the variance 1 / n.
-            outlying(best**-2 - 1, 4 / np.median(best) ** 2 / np.maximum(self.contacts, 1))
-            & (best < _HARMFUL_MATCH * np.median(best))
-            & (self.contacts >= MIN_CONTACTS)
-        )
+            unlikely = outlying(best**-2 - 1, 4 / typical**2 / self.contacts[found])
+            found[found] = unlikely & (best < _HARMFUL_MATCH * typical)
+        return np.asarray(found)
 
 
 def exceeded_by_chance(
@@ -225,13 +261,17 @@ def _of_constant(
     recording: Recording, varying: NDArray[np.bool_], unit: float
 ) -> dict[int, tuple[str, str]]:
     """Return the status and the reason of each constant sensor."""
-    rests = recording.signals.rest.value[varying] if varying.any() else np.zeros(1)
+    rest = recording.signals.rest
+    rests = rest.value[varying & rest.known]
+    typical = float(np.median(np.where(varying, rest.value, recording.extremes[0])))
     lowest, highest = recording.extremes
     slack = 0.05 * (float(highest.max()) - float(lowest.min()))
     found = {}
     for i in np.flatnonzero(~varying).tolist():
         value = float(lowest[i])
-        resting = rests.min() - slack <= value <= rests.max() + slack
+        resting = abs(value - typical) <= slack or (
+            rests.size and rests.min() - slack <= value <= rests.max() + slack
+        )
         status, what = (
             (SILENT, "a rest value: never touched, or dead")
             if resting
@@ -249,13 +289,20 @@ def _few_contacts(b: Behaviour) -> dict[int, str]:
 
 
 def _noisy(b: Behaviour) -> dict[int, str]:
-    noise, deviation = b.noise
+    (noise, variance, deviation), share = b.noise, b.noise_share
     floor = _NEGLIGIBLE * max(float(np.median(deviation)), 1e-300)
     seen = np.where(noise > b.signals.steps, noise, 0)
-    found = outlying(np.maximum(seen, floor)) & (noise**2 >= _HARMFUL_NOISE * deviation**2)
-    share = (noise / np.maximum(deviation, 1e-300)) ** 2
+    told = np.flatnonzero(variance < np.inf)
+    found = np.zeros(len(noise), dtype=bool)
+    found[told] = outlying(np.maximum(seen, floor)[told], variance[told])
+    found &= share >= _HARMFUL_NOISE
     reason = f"{{:.0%}} of the variance is white noise (typical: {np.median(share):.0%})"
-    return {int(i): reason.format(min(1.0, share[i])) for i in np.flatnonzero(found)}
+    # What other sensors explain is no noise, but contacts that last a frame: half of it at least.
+    return {
+        i: reason.format(share[i])
+        for i in np.flatnonzero(found).tolist()
+        if b.shared(i) <= 1 - share[i] / 2
+    }
 
 
 def _saturating(b: Behaviour) -> dict[int, str]:

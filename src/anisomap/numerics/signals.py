@@ -19,6 +19,7 @@ MAX_FRAMES = 4096
 MAX_SENSORS = 256
 """Sensors of an excerpt; chosen by hand: matrices of all pairs then take milliseconds."""
 
+_EXCEEDED = 0.01  # probability with which a normal maximum is exceeded
 _N_LISTENED = 64  # sensors whose spectra are computed
 
 
@@ -92,14 +93,18 @@ class Signals:
     def touched(self) -> NDArray[np.bool_]:
         """Whether readings are clearly beyond rest, at twice the threshold, shape (T, N).
 
-        Normal noise exceeds it once in 8 million frames. Sensors without a rest among others that
-        have one show noise alone.
+        Normal noise exceeds it once in 8 million frames. Sensors without a rest are always touched,
+        or show noise alone; among others that have a rest, they show noise.
         """
         rest = self.rest
-        noisy = (rest.threshold > 0) | ~rest.known
-        if not noisy.any() or 2 * np.count_nonzero(rest.known) < rest.known.size:
+        restless = np.flatnonzero(~rest.known)
+        if not (restless.size or rest.threshold.any()):
             return self.active
-        return replace(rest, threshold=2 * rest.threshold).active(self.readings) & rest.known
+        touched = replace(rest, threshold=2 * rest.threshold).active(self.readings)
+        if 2 * restless.size > rest.known.size:
+            restless = restless[~_exceed_noise(self.readings, restless)]
+        touched[:, restless] = False
+        return touched
 
     @cached_property
     def contacts(self) -> NDArray[np.intp]:
@@ -118,6 +123,20 @@ class Signals:
         return chosen, np.abs(rfft(rows, axis=1).T) ** 2
 
 
+def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return whether sensors correlate with themselves a frame later, or with others, (n,).
+
+    Noise alone does so in 1 % of the recordings.
+    """
+    rows = unit_rows(readings[middle_frames(len(readings))][:, sensors])
+    some = some_sensors(sensors.size)
+    others = np.abs(rows @ rows[some].T)
+    others[some, np.arange(some.size)] = 0
+    itself = np.abs(np.einsum("nt,nt->n", rows[:, 1:], rows[:, :-1]))
+    least = normal_maximum(2 * sensors.size * (some.size + 1)) / np.sqrt(rows.shape[1])
+    return np.asarray((itself > least) | (others.max(axis=1, initial=0) > least))
+
+
 def count_contacts(active: ArrayLike) -> NDArray[np.intp]:
     """Count separate contacts of each sensor: runs of frames in which it is active."""
     on = np.asarray(active, dtype=bool)
@@ -129,6 +148,14 @@ def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp
     on = np.ascontiguousarray(np.asarray(active, dtype=bool).T)
     both = [count_contacts(on[i] & on[j]) for i, j in np.asarray(pairs, dtype=np.intp)]
     return np.array(both, dtype=np.intp)
+
+
+def normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
+    """Return the value that the largest of `count` normal variables exceeds with probability 1 %.
+
+    Bonferroni's bound, with the tail of the normal distribution approximated by exp(-z^2 / 2) / 2.
+    """
+    return np.asarray(np.sqrt(2 * np.log(np.maximum(1, count) / _EXCEEDED)))
 
 
 def unit_rows(readings: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from anisomap.health.recording_faults import Found, in_readings, linked_groups
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.signals import medians, middle_frames, some_sensors, standardised, unit_rows
@@ -138,15 +139,22 @@ _MAX_GLITCHES = 0.01  # of the readings of a sensor: more are saturation, or con
 
 
 def find_glitches(recording: Recording) -> Iterator[Found]:
-    """Find readings far beyond all others."""
+    """Find readings far beyond all others, of this sensor and of sensors that were touched.
+
+    A contact is far beyond the noise of other sensors, too: without sensors that were touched
+    several times nothing can be told.
+    """
     readings, n_frames = recording.readings, recording.n_frames
-    count = max(1, int(_MAX_GLITCHES * n_frames))
-    if n_frames <= 4 * count:
+    count = int(_MAX_GLITCHES * n_frames)
+    if not count:
         return
     middle = medians(readings[:: -(-n_frames // _SAMPLE)]).astype(np.float64)
     lowest, highest = recording.extremes
     reach = np.maximum(highest - middle, middle - lowest)
-    typical = float(np.median(reach[reach > 0])) if (reach > 0).any() else np.inf
+    if not (reach > _FAR * np.median(reach[reach > 0] if reach.any() else reach)).any():
+        return
+    touched = recording.signals.contacts >= MIN_CONTACTS
+    typical = float(np.median(reach[touched])) if touched.any() else math.inf
     far = np.flatnonzero(reach > _FAR * typical)
     deviation = np.abs(readings[:, far] - middle[far])
     own = np.partition(deviation, n_frames - 1 - count, axis=0)[n_frames - 1 - count]
