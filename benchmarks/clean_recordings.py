@@ -116,7 +116,7 @@ class Case(NamedTuple):
         centres, force = COURSES[self.course](places, self.n_frames, rng)
         apart = np.linalg.norm(places - centres[:, None], axis=2) / _RADIUS
         readings = np.maximum(force[:, None] - apart**2, 0)
-        return Recording(FORMS[self.form](readings, rng).astype(np.float32))
+        return Recording(FORMS[self.form](readings, rng).astype(np.float32), positions=places)
 
 
 def cases(

@@ -211,7 +211,7 @@ _MAX_NAMED = 8
 _MAX_P = 0.01  # of a layout that explains the readings better than shuffled ones
 _HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors are shuffled
 _MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
-_MIN_TESTED = 0.5  # share of the sensors that must be tested to contradict a layout as a whole
+_MIN_TESTED = 0.5  # share of the sensors of a finding, or of all, that must be tested
 
 
 def check_layout(
@@ -429,11 +429,13 @@ class _Checked:
                 _mean(agreement(before, sensors, places[sensors]))
                 for places in (self.positions, proposed)
             )
-            if not verdict.holds or there <= stated:
-                proposed[sensors] = self.positions[sensors]
-                continue
             distance = np.linalg.norm(move.places - self.positions[sensors], axis=1)
             changed = distance > 0
+            # A few tested sensors do not accuse many others.
+            told = np.mean(self.usable[sensors[changed]]) >= _MIN_TESTED
+            if not (told and verdict.holds and there > stated):
+                proposed[sensors] = self.positions[sensors]
+                continue
             untested = [self.names[i] for i in sensors[changed] if not self.usable[i]]
             caveat = f" ({join_items(untested, _MAX_NAMED)} not tested)" if untested else ""
             finding = LayoutFinding(
