@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import pdtrc
@@ -16,6 +16,7 @@ from scipy.special import pdtrc
 from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.reliability.significance import normal_maximum
 from anisomap.numerics.signals import MAX_FRAMES, middle_frames, some_sensors, standardised
 from anisomap.recording import Recording
 from anisomap.wording import join_items
@@ -190,7 +191,7 @@ class _Excerpt:
         rest = self.rows[pairs[:, 1]] - gain.astype(np.float32)[:, None] * self.rows[pairs[:, 0]]
         size = rest.std(axis=1).astype(np.float64)
         deviations = math.sqrt(n_frames)
-        limit = _normal_maximum(n_sensors * counts)
+        limit = normal_maximum(n_sensors * counts)
         nearest, related = np.abs(first).argmax(axis=1), np.abs(first).max(axis=1)
         ordered = np.sort(rest[:, : _MIN_LEVELS**2], axis=1)
         levels = 1 + np.count_nonzero(ordered[:, 1:] > ordered[:, :-1], axis=1)
@@ -215,7 +216,7 @@ class _Excerpt:
         spread = strength.std(axis=1).astype(np.float64) * height.std(axis=1) * n_frames
         even = np.abs(np.einsum("pt,pt->p", strength, height)).astype(np.float64)
         even = np.divide(even, spread, out=np.full(even.size, math.inf), where=spread > 0)
-        overall = _normal_maximum(3 * n_sensors)
+        overall = normal_maximum(3 * n_sensors)
         found[possible] = np.maximum(with_others, np.maximum(white, even) * (deviations / overall))
         return found
 
@@ -307,14 +308,6 @@ def _closer_than_chance(
     rank = np.searchsorted(np.sort(expected), expected, side="right")
     unlikely = pdtrc(rank - 1, expected) <= _FALSE_ALARMS
     return np.asarray(rank <= np.max(rank[unlikely], initial=0))
-
-
-def _normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
-    """Return the value that the largest of `count` normal variables exceeds with probability 1 %.
-
-    Bonferroni's bound, with the tail of the normal distribution approximated by exp(-z^2 / 2) / 2.
-    """
-    return np.asarray(np.sqrt(2 * np.log(np.maximum(1, count) / _FALSE_ALARMS)))
 
 
 def _true_sensor(

@@ -200,6 +200,7 @@ def _strongest_first(links: Reals) -> list[tuple[int, int]]:
 FALSE_ALARMS = 0.05
 """Expected number of healthy sensors of a recording that are outlying, and at most one in 1,000."""
 
+_CHANCE = 0.01  # with which the largest of normal variables exceeds its bound
 _LEAST_SPREAD = 0.4  # of the logarithms of levels: sensors of one skin differ by a factor of 1.5
 _MIN_COMPARED = 8  # from which a distribution is fitted
 _NORMAL_MAD = 0.6745  # median absolute deviation of a normal distribution
@@ -220,3 +221,11 @@ def outlying(levels: NDArray[np.float64], variance: ArrayLike = 0.0) -> NDArray[
     spread = max(float(np.median(np.abs(beyond))) / _NORMAL_MAD, _LEAST_SPREAD)
     deviation = np.sqrt(spread**2 + np.asarray(variance))
     return np.asarray(ndtr(-beyond / deviation) < min(1e-3, FALSE_ALARMS / len(levels)))
+
+
+def normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
+    """Return the value that the largest of `count` normal variables exceeds with probability 1 %.
+
+    Bonferroni's bound, with the tail of the normal distribution approximated by exp(-z^2 / 2) / 2.
+    """
+    return np.asarray(np.sqrt(2 * np.log(np.maximum(1, count) / _CHANCE)))
