@@ -356,6 +356,53 @@ def test_noise_in_a_few_frames_is_not_an_inverted_contact(seed):
     assert "inverted" not in kinds(find_faults(Recording(readings)))
 
 
+def touched_along(way, n_frames, seed, noise=0.01, side=14):
+    """Return readings of sound sensors that one contact moves on; taps last one frame."""
+    rng, places = np.random.default_rng(seed), lattice(side, side).astype(float)
+    if way == "taps":
+        places = side * rng.random(places.shape)
+    touched, force = places[rng.integers(len(places), size=n_frames)], np.ones(n_frames)
+    if way == "taps":
+        touched += 0.3 * rng.normal(size=touched.shape)
+    if way == "strokes":
+        stroke, along = np.divmod(np.arange(n_frames), 25)
+        share = along[:, None] / 25
+        touched = touched[stroke] * (1 - share) + touched[stroke + 1] * share
+    elif way == "presses":
+        press, within = np.divmod(np.arange(n_frames), n_frames // 12)
+        touched, force = touched[press], np.sin(np.pi * within * 12 / n_frames) ** 0.5
+    distance = np.linalg.norm(places - touched[:, None], axis=2)
+    readings = np.maximum(0, force[:, None] - 0.8 * (distance / 1.6) ** 2)
+    return readings + noise * rng.normal(size=readings.shape)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("way", "n_frames", "noise", "kind"),
+    [
+        ("strokes", 200, 0.01, "inverted"),
+        ("presses", 200, 0.01, "inverted"),
+        ("presses", 500, 0, "lags"),
+        ("taps", 500, 0, "spikes"),
+    ],
+)
+def test_few_or_short_contacts_are_no_fault(way, n_frames, noise, kind, seed):
+    readings = touched_along(way, n_frames, seed, noise)
+    assert list(CHECKS[kind].find(Recording(readings))) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("way", ["strokes", "presses"])
+def test_inverted_sensors_are_found_among_untouched_ones(way, seed):
+    readings = touched_along(way, 300, seed)
+    touched = np.count_nonzero(readings > 0.1, axis=0) >= 20
+    inverted = np.random.default_rng(seed).permutation(np.flatnonzero(touched))[:9]
+    readings[:, inverted] *= -1
+    (found,) = CHECKS["inverted"].find(Recording(readings))
+    assert set(found.sensors) <= set(inverted)
+    assert len(found.sensors) >= 5
+
+
 @pytest.mark.parametrize(("frames", "board"), [(1, 18), (4, 12), (10, 24)])
 def test_boards_are_aligned(frames, board):
     clean = wired_at_random()

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults import Found
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.signals import middle_frames, some_sensors, standardised
+from anisomap.numerics.signals import count_contacts, middle_frames, some_sensors, standardised
 from anisomap.recording import Recording
 from anisomap.wording import join_items
 
@@ -41,13 +42,16 @@ def find_lags(recording: Recording) -> Iterator[Found]:
     are. Contacts that move also give neighbours a lag, but of either sign, spread over many values,
     and different from one time to another; a lag of the read-out is the same for all pairs of two
     groups and in all quarters of the recording. It must restore as much correlation as such a lag
-    costs links within groups.
+    costs links within groups. Sensors with few contacts in a half are not compared: places that are
+    pressed one after another in the same way differ by a lag as well.
     """
-    varying = np.flatnonzero(recording.varying())
-    lags = _lags(recording.readings, varying)
+    halves = [count_contacts(half) for half in np.array_split(recording.signals.touched, 2)]
+    judged = np.flatnonzero(np.min(halves, axis=0) >= MIN_CONTACTS)
+    touched = np.flatnonzero(np.max(halves, axis=0))
+    lags = _lags(recording.readings, touched, judged)
     if lags.any():
         listed = join_items([f"{lag:+d}" for lag in np.unique(lags[lags != 0]).tolist()])
-        certain = _is_of_boards(lags[varying])
+        certain = _is_of_boards(lags[touched])
         yield Found(
             np.flatnonzero(lags),
             float(np.abs(lags).max()),
@@ -89,10 +93,15 @@ def _aligned(readings: NDArray[Any], lags: NDArray[np.intp]) -> NDArray[Any]:
     return shifted
 
 
-def _lags(readings: NDArray[Any], varying: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the lag of each sensor; 0 unless lags are clear."""
+def _lags(
+    readings: NDArray[Any], touched: NDArray[np.intp], judged: NDArray[np.intp]
+) -> NDArray[np.intp]:
+    """Return the lag of each sensor; 0 unless lags are clear.
+
+    touched, judged: Sensors; those that are touched but not judged take the lag of a judged one.
+    """
     lags = np.zeros(readings.shape[1], dtype=np.intp)
-    chosen = varying[some_sensors(varying.size, _MAX_SENSORS)]
+    chosen = judged[some_sensors(judged.size, _MAX_SENSORS)]
     part = readings[middle_frames(len(readings), max(1024, _MAX_VALUES // max(1, chosen.size)))]
     if chosen.size < _MIN_SENSORS or len(part) < 8 * _MAX_LAG:
         return lags
@@ -100,9 +109,9 @@ def _lags(readings: NDArray[Any], varying: NDArray[np.intp]) -> NDArray[np.intp]
     if not fit.is_clear():
         return lags
     lags[chosen] = fit.lags
-    if chosen.size < varying.size:
-        lags = _extended(part, varying, chosen, lags)
-    lags[varying] -= _most_frequent(lags[varying])
+    if chosen.size < touched.size:
+        lags = _extended(part, touched, chosen, lags)
+    lags[touched] -= _most_frequent(lags[touched])
     return lags
 
 
@@ -288,7 +297,7 @@ def _share(marked: NDArray[np.bool_], weight: NDArray[np.float64]) -> float:
 
 def _extended(
     values: NDArray[Any],
-    varying: NDArray[np.intp],
+    touched: NDArray[np.intp],
     chosen: NDArray[np.intp],
     lags: NDArray[np.intp],
 ) -> NDArray[np.intp]:
@@ -296,7 +305,7 @@ def _extended(
     ranks = standardised(ranked(values))
     aligned = _aligned(ranks[:, chosen], lags[chosen])
     n_frames = len(aligned) - 2 * _MAX_LAG
-    others = np.setdiff1d(varying, chosen)
+    others = np.setdiff1d(touched, chosen)
     best = np.full(others.size, -np.inf)
     result = lags.copy()
     for lag in np.unique(lags[chosen]).tolist():

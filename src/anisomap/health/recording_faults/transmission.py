@@ -14,7 +14,14 @@ from anisomap.health.recording_faults import Found, in_readings, linked_groups
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
-from anisomap.numerics.signals import medians, middle_frames, some_sensors, standardised, unit_rows
+from anisomap.numerics.signals import (
+    count_contacts,
+    medians,
+    middle_frames,
+    some_sensors,
+    standardised,
+    unit_rows,
+)
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 
@@ -191,6 +198,7 @@ _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; con
 _FRAMES_AT_ONCE, _SENSORS_AT_ONCE = 4096, 64  # of which jumps are computed; they fit in the cache
 _MAX_SENSORS = 1024  # in which spikes are searched
 _STEEP = 2.0  # height of a spike over the changes beside it; tops of contacts have less; by hand
+_MIN_DURATION = 2.0  # times that of contacts in frames at random, which look like spikes; by hand
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
 
@@ -199,7 +207,8 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
 
     A contact rises and falls over several frames or is highest in the middle; a spike of a board
     lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
-    correlation of their jumps, the excess of a reading over both readings beside it.
+    correlation of their jumps, the excess of a reading over both readings beside it. Groups whose
+    other contacts last single frames, or that have none, are not judged.
     """
     n_frames, n_sensors = recording.readings.shape
     if n_frames < 100 or n_sensors < _MIN_GROUP:
@@ -273,6 +282,7 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
         frames.size < max(_MIN_SPIKES, _MIN_EQUAL * equal.size)
         or np.unique(height.round(6)).size < min(_MIN_LEVELS, frames.size / 2)
         or np.median(height) < _MIN_HEIGHT * np.median(readings[:, members].std(axis=0))
+        or not _persist(np.delete(recording.signals.touched[:, members], frames, axis=0))
     ):
         return
     yield Found(
@@ -282,6 +292,12 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
         in_readings(lambda readings: _smoothed(readings, frames, members)),
         height=float(np.median(height)),
     )
+
+
+def _persist(touched: NDArray[np.bool_]) -> bool:
+    """Return whether contacts, shape (t, n), last clearly longer than in frames at random."""
+    n_frames = np.count_nonzero(touched) * (1 - touched.mean())
+    return bool(n_frames > _MIN_DURATION * count_contacts(touched).sum())
 
 
 def _smoothed(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,13 @@ from anisomap.health.recording_faults import Found
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.reliability.significance import FALSE_ALARMS
-from anisomap.numerics.signals import MAX_FRAMES, count_contacts, some_sensors, standardised
+from anisomap.numerics.signals import (
+    MAX_FRAMES,
+    count_contacts,
+    normal_maximum,
+    some_sensors,
+    standardised,
+)
 from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.recording import Recording
 
@@ -33,32 +40,33 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     signs are a finding only if correlations agree: the signs of the strongest correlations must be
     negative between the two parts, and positive within them. If most readings are not skewed or do
     not rest, such as those of sensors that are often in contact, the parts are those that the signs
-    of the strongest correlations give, along a maximum spanning tree; they must be mixed. The signs
-    of a few readings agree by chance: see `_often_touched`.
+    of the strongest correlations give, along a maximum spanning tree; they must be mixed. Sensors
+    that were not touched, or that resemble no other, are not judged: their signs are chance.
     """
-    step = -(-recording.n_frames // MAX_FRAMES)
-    values = standardised(recording.readings[::step])
-    varying = values.any(axis=0)
-    if np.count_nonzero(varying) < 3:
+    judged = np.flatnonzero(_often_touched(recording))
+    readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
+    values = standardised(readings)
+    correlation = _clear_correlations(recording, judged, readings, values)
+    related = correlation.any(axis=1)
+    if np.count_nonzero(related) < 3:
         return
+    values, judged = values[:, related], judged[related]
     skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
     skewed = np.abs(skewness) >= _MIN_SKEWNESS
-    skewed_apart = np.mean(skewed[varying]) >= _MIN_SKEWED
+    skewed_apart = np.mean(skewed) >= _MIN_SKEWED
     if skewed_apart and np.ptp(np.sign(skewness[skewed])) == 0:
         return
-    known = recording.signals.rest.known
-    skewed_apart &= np.mean(known[varying]) >= _MIN_SKEWED
-    judged = np.flatnonzero(skewed if skewed_apart else varying)
-    correlation = values[:, judged].T @ values[:, judged] / np.float32(len(values))
-    np.fill_diagonal(correlation, 0)
-    skewness = skewness[judged]
+    skewed_apart &= np.mean(recording.signals.rest.known[judged]) >= _MIN_SKEWED
+    kept = np.flatnonzero(related)
+    if skewed_apart:
+        kept, judged, skewness = kept[skewed], judged[skewed], skewness[skewed]
+    correlation = correlation[np.ix_(kept, kept)]
     signs = np.sign(skewness) if skewed_apart else _signs_along_tree(correlation)
     lowered = signs * np.sign(signs @ skewness or 1) < 0
     if not skewed_apart and not _mixed(correlation, lowered):
         return
     fewer = lowered if 2 * np.count_nonzero(lowered) <= judged.size else ~lowered
-    confirmed = _confirmed(correlation, fewer)
-    found = judged[confirmed & _often_touched(values[:, judged])]
+    found = judged[_confirmed(correlation, fewer)]
     if found.size:
         yield Found(
             found,
@@ -68,14 +76,45 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
         )
 
 
-def _often_touched(values: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether sensors have enough readings apart from the rest for a sign, shape (n,).
+def _often_touched(recording: Recording) -> NDArray[np.bool_]:
+    """Return whether sensors have enough readings clearly beyond rest for a sign, shape (N,)."""
+    beyond = np.count_nonzero(recording.signals.touched, axis=0)
+    return np.asarray(beyond >= _enough(recording))
 
-    values (t, n): Standardised. Noise has either sign: k readings have one sign in a share of 2^-k,
-    so that fewer than `FALSE_ALARMS` of n sensors that show noise in a few frames are suspected.
+
+def _enough(recording: Recording) -> float:
+    """Return how many times an event of probability 1/2 must recur to be no chance.
+
+    k readings of noise have one sign in a share of 2^-k, and k contacts of a sensor miss those of
+    another one that is touched half of the time: of N sensors, fewer than `FALSE_ALARMS` do.
     """
-    apart = np.count_nonzero(np.abs(values) > 1, axis=0)
-    return np.asarray(apart >= math.log2(values.shape[1] / FALSE_ALARMS))
+    return math.log2(recording.n_sensors / FALSE_ALARMS)
+
+
+def _clear_correlations(
+    recording: Recording,
+    sensors: NDArray[np.intp],
+    readings: NDArray[Any],
+    values: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Correlate sensors, (n, n); 0 where the sign may be chance.
+
+    readings, values (t, n): Of the sensors in some frames; standardised.
+
+    Noise gives correlations of either sign. Few contacts that never meet those of another sensor
+    give negative ones, of not less than - m_i m_j, where m is the mean distance from rest in
+    standard deviations: the mean product of two distances is at least 0.
+    """
+    correlation = values.T @ values / np.float32(len(values))
+    np.fill_diagonal(correlation, 0)
+    by_chance = normal_maximum(len(correlation) ** 2 / 2) / math.sqrt(len(values))
+    rest, contacts = recording.signals.rest.select(sensors), recording.signals.contacts[sensors]
+    distance = np.abs(readings.mean(axis=0, dtype=np.float64) - rest.value)
+    m = distance / np.maximum(readings.std(axis=0, dtype=np.float64), 1e-300)
+    m[~rest.known | (contacts >= _enough(recording))] = 0
+    clear = np.abs(correlation) >= max(_MIN_COUNTED, by_chance)
+    clear &= (correlation > 0) | (correlation < -np.outer(m, m) - by_chance)
+    return np.where(clear, correlation, np.float32(0))
 
 
 def _mirrored(recording: Recording, sensors: NDArray[np.intp]) -> Recording:
@@ -110,17 +149,21 @@ def _mixed(correlation: NDArray[np.float32], lowered: NDArray[np.bool_]) -> bool
 
 
 def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark suspects whose strongest correlations have the signs that an inversion gives."""
+    """Mark suspects whose strongest correlations have the signs that an inversion gives.
+
+    Only correlations between both parts tell: without an inversion, all within may be positive.
+    """
     if not suspects.any() or suspects.size < 3:
         return np.zeros_like(suspects)
     strength = np.abs(correlation)
-    counted = greatest_of_rows(strength, min(_N_COUNTED, suspects.size - 1))
-    counted &= strength >= _MIN_COUNTED
+    counted = greatest_of_rows(strength, min(_N_COUNTED, suspects.size - 1)) & (strength > 0)
     same = suspects[:, None] == suspects
-    explained = (counted & ((correlation > 0) == same)).sum(axis=1)
-    confirmed = suspects & (explained > 0)
-    confirmed &= explained >= _MIN_AGREEMENT * counted.sum(axis=1)
-    return np.asarray(confirmed & (counted & ~same)[suspects].any())
+    explained = counted & ((correlation > 0) == same)
+    n_across, n_explained = np.count_nonzero(counted & ~same), explained.sum(axis=1)
+    if not 0 < _MIN_AGREEMENT * n_across <= np.count_nonzero(explained & ~same):
+        return np.zeros_like(suspects)
+    enough = n_explained >= _MIN_AGREEMENT * counted.sum(axis=1)
+    return np.asarray(suspects & (n_explained > 0) & enough)
 
 
 _N_BLOCKS = 16  # of a recording, an even number; it may change after every second one
