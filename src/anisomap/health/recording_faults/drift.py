@@ -71,7 +71,7 @@ def find_drift(recording: Recording) -> Iterator[Found]:
         )
 
 
-def _chances(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _chances(levels: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the probabilities of such similar successive levels, (n, blocks), by chance, (n,).
 
     The ratio of von Neumann of ranks, whose quarter has about a beta distribution: Bartels (1982),
