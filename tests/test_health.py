@@ -283,6 +283,36 @@ def test_slow_changes_are_drift_alone(slope):
     assert kinds(find_faults(skin.readings + ramps + noise)) == {"drift"}
 
 
+def pressed(n_frames, n_presses, n_places, seed, noise=0.01):
+    """Press 64 sensors of a flat skin at a few places, one after the other, as an indenter does."""
+    rng = np.random.default_rng(seed)
+    places = lattice(8, 8)[:, :2]
+    length = n_frames // n_presses
+    at = rng.choice(64, n_places, replace=False)[np.arange(n_presses) % n_places]
+    force = np.tile(np.sin(np.pi * np.arange(length) / length) ** 0.5, n_presses)
+    apart = np.linalg.norm(np.repeat(places[at], length, axis=0)[:, None] - places, axis=2)
+    readings = np.maximum(0, force[:, None] - 0.3 * apart**2)
+    return readings + noise * rng.normal(size=readings.shape)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sensors_that_one_place_of_contact_touches_alike_are_no_copies(seed):
+    readings = pressed(480, 12, 1, seed)
+    assert "copies" not in kinds(find_faults(readings))
+    assert "copies" not in kinds(find_faults((readings > 0.3).astype(float)))
+    readings[:, 9] = readings[:, 40]  # their noise is the same, too
+    assert "copies" in kinds(find_faults(readings))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_presses_that_last_for_two_blocks_are_no_drift(seed):
+    readings = pressed(960, 12, 12, seed)
+    assert "drift" not in kinds(find_faults(readings))
+    rng = np.random.default_rng(seed)
+    ramps = np.outer(np.linspace(0, 1, len(readings)), rng.uniform(0.2, 1, 64))
+    assert "drift" in kinds(find_faults(readings + ramps))
+
+
 def folded(positions):
     """Fold a flat skin along its middle: both halves lie 1 apart."""
     x, middle = positions[:, 0], positions[:, 0].max() / 2
