@@ -57,8 +57,8 @@ def _strokes(places: Floats, t: int, rng: np.random.Generator) -> tuple[Floats, 
     ends = places[rng.integers(len(places), size=n + 1)]
     along = np.linspace(0, n, t, endpoint=False)
     share, first = (along % 1)[:, None], along.astype(int)
-    force = np.exp(np.cumsum(rng.normal(0, 0.1, t)))
-    return ends[first] * (1 - share) + ends[first + 1] * share, np.clip(force, 0.3, 2)
+    force = 0.3 + 1.7 / (1 + np.exp(-np.cumsum(rng.normal(0, 0.2, t))))
+    return ends[first] * (1 - share) + ends[first + 1] * share, force
 
 
 def _presses(places: Floats, t: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
