@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.recording_faults import Found, in_readings, linked_groups
+from anisomap.health.recording_faults import (
+    Found,
+    has_contacts,
+    in_readings,
+    linked_groups,
+)
 from anisomap.numerics.signals import (
     deviation_from_median,
     medians,
@@ -130,8 +135,9 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
     grouped by the correlation of these, limited to 3 median absolute deviations. The noise of a
     group is the mean of its sensors over their gains, without those that are in contact. It is a
     finding if it is white, while the rest of the readings is not, and takes 10 % of the fast noise
-    or more. It is mended unless its course holds more than noise: if contacts cover most of the
-    skin, they cannot be told from what sensors share.
+    or more. A group of some sensors must be in contacts of several kinds, too: else what they share
+    may be the contact that touches all of them. Noise is mended unless its course holds more than
+    noise: if contacts cover most of the skin, they cannot be told from what sensors share.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = _SCREENED
@@ -147,13 +153,16 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
         course, gains = noise
         share = _median_share(gains * course.std(), readings[:, group])
         everywhere = group.size >= _ALL * recording.n_sensors
+        mend = _without(group, course, gains)
+        if not (everywhere or has_contacts(mend(recording), group)):
+            continue
         white = abs(float(_autocorrelation(course[:, None])[0])) <= _MAX_AUTOCORRELATION
         yield Found(
             group,
             share,
             f"{'all sensors' if everywhere else f'a group of {group.size} sensors'} share noise, "
             f"{share:.0%} of the standard deviation of a sensor",
-            _without(group, course, gains) if white else None,
+            mend if white else None,
             kind="" if everywhere else "board-noise",
         )
 

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import pdtrc
 
-from anisomap.health.recording_faults import Found
+from anisomap.health.recording_faults import MIN_PATTERNS, Found, count_patterns
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.signals import (
@@ -37,9 +37,6 @@ _SCREENED = 512  # frames of which the agreement of pairs is examined first; cho
 _PAIRS_AT_ONCE = 64  # whose misfits are computed; arrays of 2,048 frames stay in the cache
 _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
-_MIN_PATTERNS = 3  # of contact, as a surface needs: place in two dimensions, and height
-_N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
-_N_SHIFTED = 19  # shifts, of which the largest is exceeded by chance with probability 1 / 20
 _MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
 _MIN_TOLD_APART = 0.85  # share of these whose own channels can be told from others
 # Limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9.
@@ -79,7 +76,7 @@ def find_copied(recording: Recording) -> Iterator[Found]:
         for one in find_copies(recording.readings, *recording.extremes)
         if (one.noise == 0 and np.isin(one.sensors, signals.never_at_rest).all())
         or (
-            one.patterns >= _MIN_PATTERNS
+            one.patterns >= MIN_PATTERNS
             and signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
         )
     ]
@@ -149,7 +146,7 @@ def find_copies(
             tuple(varying[members].tolist()),
             None if own is None else int(varying[own]),
             float(noise[members].max()),
-            excerpt.n_patterns(int(members[0])),
+            count_patterns(excerpt.rows, int(members[0])),
         )
         for members, own in zip(groups, kept, strict=True)
     )
@@ -248,24 +245,6 @@ class _Excerpt:
         r = np.einsum("pt,pt->p", *self.rows[pairs.T]) / self.rows.shape[1]
         shares = 1 - np.column_stack([r / np.where(gain > 0, gain, 1), r * gain])
         return np.where(gain[:, None] > 0, np.maximum(shares, 0), 0)
-
-    def n_patterns(self, i: int) -> int:
-        """Count the patterns of contact of a sensor and those most similar to it.
-
-        Parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447): the
-        eigenvalues of their correlations, down to the first one that chance explains. Chance is
-        what the same readings give if each sensor is shifted in time, by its own number of frames.
-        """
-        near = np.argsort(-np.abs(self.rows @ self.rows[i]), kind="stable")[:_N_NEAR]
-        rows, n_frames = self.rows[near], self.rows.shape[1]
-        eigenvalues = np.linalg.eigvalsh(rows @ rows.T)[::-1]
-        by_chance = np.zeros(near.size)
-        for shifts in np.random.default_rng(0).integers(n_frames, size=(_N_SHIFTED, near.size)):
-            pairs = zip(rows, shifts, strict=True)
-            shifted = np.stack([np.roll(row, shift) for row, shift in pairs])
-            chance = np.linalg.eigvalsh(shifted @ shifted.T)[::-1]
-            by_chance = np.maximum(by_chance, chance)
-        return int(np.argmin(np.append(eigenvalues > by_chance, False)))
 
     def similarity_beside(self, i: int, at: int | None = None) -> float:
         """Return the mean correlation of i with the channels beside it, or beside another."""

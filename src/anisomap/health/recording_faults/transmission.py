@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from anisomap.health.recording_faults import Found, in_readings, linked_groups
+from anisomap.health.recording_faults import (
+    Found,
+    has_contacts,
+    in_readings,
+    linked_groups,
+)
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
@@ -208,7 +213,7 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
     A contact rises and falls over several frames or is highest in the middle; a spike of a board
     lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
     correlation of their jumps, the excess of a reading over both readings beside it. Groups whose
-    other contacts last single frames, or that have none, are not judged.
+    other contacts last single frames, or are of one kind, or that have none, are not judged.
     """
     n_frames, n_sensors = recording.readings.shape
     if n_frames < 100 or n_sensors < _MIN_GROUP:
@@ -285,11 +290,14 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
         or not _persist(np.delete(recording.signals.touched[:, members], frames, axis=0))
     ):
         return
+    mend = in_readings(lambda readings: _smoothed(readings, frames, members))
+    if not has_contacts(mend(recording), members):
+        return
     yield Found(
         members,
         frames.size / n_frames,
         f"a group of {members.size} sensors jumps for single frames, {frames.size} times by ",
-        in_readings(lambda readings: _smoothed(readings, frames, members)),
+        mend,
         height=float(np.median(height)),
     )
 

@@ -46,15 +46,17 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     judged = np.flatnonzero(_often_touched(recording))
     readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
     values = standardised(readings)
+    skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
+    skewed = np.abs(skewness) >= _MIN_SKEWNESS
+    if judged.size < 3 or (np.mean(skewed) >= _MIN_SKEWED and _are_equal(skewness[skewed] > 0)):
+        return
     correlation = _clear_correlations(recording, judged, readings, values)
     related = correlation.any(axis=1)
     if np.count_nonzero(related) < 3:
         return
-    values, judged = values[:, related], judged[related]
-    skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
-    skewed = np.abs(skewness) >= _MIN_SKEWNESS
+    judged, skewness, skewed = judged[related], skewness[related], skewed[related]
     skewed_apart = np.mean(skewed) >= _MIN_SKEWED
-    if skewed_apart and np.ptp(np.sign(skewness[skewed])) == 0:
+    if skewed_apart and _are_equal(skewness[skewed] > 0):
         return
     skewed_apart &= np.mean(recording.signals.rest.known[judged]) >= _MIN_SKEWED
     kept = np.flatnonzero(related)
@@ -74,6 +76,10 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
             f"contact has the opposite sign in {found.size} of {recording.n_sensors} sensors",
             lambda recording: _mirrored(recording, found),
         )
+
+
+def _are_equal(raised: NDArray[np.bool_]) -> bool:
+    return bool(raised.all() or not raised.any())
 
 
 def _often_touched(recording: Recording) -> NDArray[np.bool_]:
