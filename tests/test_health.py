@@ -80,6 +80,11 @@ def test_healthy_real_skins_give_no_false_alarms(recordings_folder, name):
     assert name == "icub_torso" or find_faults(recording) == ()
 
 
+def test_electrodes_at_the_eyes_resemble_no_others(hard_recordings_folder):
+    health = assess(anisomap.read(hard_recordings_folder / "eeg.npz"))
+    assert {one.name for one in health if one.status != "ok"} == {"EOG1", "EOG2"}
+
+
 @pytest.mark.parametrize("fault", ["dead", "saturating", "noisy"])
 def test_faults_of_a_simulated_skin_are_found_and_nothing_else(fault):
     # The default noise (0.1 of the range) is a quarter of the variance of these sensors, half of it

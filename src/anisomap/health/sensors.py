@@ -100,8 +100,9 @@ class Behaviour:
         """Sensors with contacts that resemble no other sensor as others with contacts do."""
         found = self.contacts >= MIN_CONTACTS
         if found.any():
-            # Without the noise of the sensor, which many weak contacts do not exceed.
-            best = self.best_match[found] / np.sqrt(np.maximum(1 - self.noise_share[found], 0.1))
+            # Without the noise at rest, which many weak contacts do not exceed.
+            share = np.where(self.signals.rest.known, self.noise_share, 0)[found]
+            best = self.best_match[found] / np.sqrt(np.maximum(1 - share, 0.1))
             # One contact that differs would be seen: n of them resolve no r closer to 1.
             best = np.clip(np.nan_to_num(best), _LEAST_R, 1 - 0.5 / self.contacts[found])
             typical = np.median(best)
