@@ -228,12 +228,18 @@ def false_alarms(seeds: Sequence[int]) -> str:
 
 def clean_table(seeds: Sequence[int], workers: int) -> str:
     """Return a table of what is found in clean recordings of few and of many contacts."""
+    drawn = list(product(cases(), seeds))
+    counted = [one for several in in_parallel(accused, drawn, workers) for one in several]
+    counted.sort(key=lambda one: (one[0].n_frames, one[0].n_sensors))
     rows: dict[str, list[tuple[int, int, int]]] = {}
-    for several in in_parallel(accused, list(product(cases(), seeds)), workers):
-        for case, counts in several:
-            frames, sensors = f"{case.n_frames} frames", f"{case.n_sensors} sensors"
-            for kind in (case.course, case.form, frames, sensors):
-                rows.setdefault(kind, []).append(counts)
+    for field, unit in (
+        ("course", ""),
+        ("form", ""),
+        ("n_frames", " frames"),
+        ("n_sensors", " sensors"),
+    ):
+        for case, counts in counted:
+            rows.setdefault(f"{getattr(case, field)}{unit}", []).append(counts)
     return counts_table("clean recordings of round contacts", rows)
 
 

@@ -138,7 +138,9 @@ def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
             continue
         weights, _ = nnls(depth[np.ix_(known, partners)], depth[known, i])
         gap = np.flatnonzero(missing[:, i])
-        estimate = np.minimum(depth[np.ix_(gap, partners)] @ weights, depth[known, i].max())
+        estimate = depth[np.ix_(gap, partners)] @ weights
+        # No higher than others; a limit would leave many equal readings, as of a clipped sensor.
+        estimate *= min(1.0, depth[known, i].max() / max(estimate.max(), 1e-300))
         noise = rest.threshold[i] * (estimate > 0)
         completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
     return np.asarray(completed)
