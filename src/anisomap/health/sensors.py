@@ -100,15 +100,16 @@ class Behaviour:
         """Sensors with contacts that resemble no other sensor as others with contacts do."""
         found = self.contacts >= MIN_CONTACTS
         if found.any():
-            # Without the noise at rest, which many weak contacts do not exceed.
-            share = np.where(self.signals.rest.known, self.noise_share, 0)[found]
-            best = self.best_match[found] / np.sqrt(np.maximum(1 - share, 0.1))
+            best = np.nan_to_num(self.best_match[found])
+            least = _HARMFUL_MATCH * np.median(best)
+            # Weak contacts hardly exceed the noise of a sensor, which lowers its r.
+            without_noise = best / np.sqrt(np.maximum(1 - self.noise_share[found], 0.1))
+            r = np.where(best < least, without_noise, best)
             # One contact that differs would be seen: n of them resolve no r closer to 1.
-            best = np.clip(np.nan_to_num(best), _LEAST_R, 1 - 0.5 / self.contacts[found])
-            typical = np.median(best)
+            r = np.clip(r, _LEAST_R, 1 - 0.5 / self.contacts[found])
             # Variance that is not explained, over that which is; Fisher's z has the variance 1 / n.
-            unlikely = outlying(best**-2 - 1, 4 / typical**2 / self.contacts[found])
-            found[found] = unlikely & (best < _HARMFUL_MATCH * typical)
+            unlikely = outlying(r**-2 - 1, 4 / np.median(r) ** 2 / self.contacts[found])
+            found[found] = unlikely & (r < least)
         return np.asarray(found)
 
 
