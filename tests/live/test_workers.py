@@ -73,6 +73,13 @@ def test_a_session_ends_though_its_processes_die_again_and_again(session, others
     assert finish_while(session, lambda: None) is None  # waits for no process that is gone
 
 
+def test_a_session_ends_though_its_processes_are_stopped(session, others):
+    for worker in workers_beside(others):
+        os.kill(worker.pid, signal.SIGSTOP)
+    session.maps.close()
+    assert workers_beside(others) == []
+
+
 def test_dimensions_are_chosen_though_the_first_checked_map_is_earlier(tmp_path, others):
     def give(stop):
         (quick,) = (child for child in workers_beside(others) if child.name == "quick maps")
