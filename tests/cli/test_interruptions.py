@@ -93,10 +93,6 @@ CREATED, COMPLETE = r"\d+ open (.*/)?\.m-[^/]*", r"\d+ os\.rename .*"
 SHARES = 0.05, 0.3, 0.55, 0.7, 0.8, 0.9, 0.97, 0.999  # of the events of a command
 
 
-def nothing():
-    pass
-
-
 CHILDREN = multiprocessing.get_context("forkserver")
 """Forks of a process that has imported the package, which takes a new process a second, but has no
 threads: a fork of the process of tests would lack threads whose locks it copies, and could hang."""
@@ -113,14 +109,15 @@ def in_a_child(task, *arguments):
 
 def run_in(folder, said, before, *watched):
     """Call `run_watched`, with standard error in a file."""
-    before()
+    if before is not None:
+        before()
     os.setsid()
     os.chdir(folder)
     with open(os.devnull, "w") as sys.stdout, said.open("w", buffering=1) as sys.stderr:  # noqa: PTH123
         run_watched(*watched)
 
 
-def at_event(folder, command, number, event, before=nothing):
+def at_event(folder, command, number, event, before=None):
     """Run a command in a child, with a signal at an event; return exit code and standard error.
 
     before: Called in the child first.

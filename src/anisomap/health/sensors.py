@@ -64,11 +64,10 @@ class Behaviour:
         From second differences of frames without contact: contacts that last a frame change
         readings, too. With few of these frames nothing can be told: the relative variance is inf.
         """
-        readings, rest = self.signals.readings, self.signals.rest
-        frames = middle_frames(len(readings))
-        part = readings[frames].astype(np.float64)
+        frames = middle_frames(len(self.signals.readings))
+        part = self.signals.readings[frames].astype(np.float64)
         changes = np.abs(np.diff(part, 2, axis=0))
-        active = self.signals.touched[frames] & rest.known
+        active = self.signals.touched[frames] & self.signals.rest.known
         changes[active[2:] | active[1:-1] | active[:-2]] = np.inf
         changes.sort(axis=0)
         counts = np.count_nonzero(changes < np.inf, axis=0)
@@ -84,9 +83,15 @@ class Behaviour:
         noise, _, deviation = self.noise
         return np.asarray(np.minimum((noise / np.maximum(deviation, 1e-300)) ** 2, 1))
 
+    @cached_property
+    def rows(self) -> NDArray[np.float32]:
+        """Readings of an excerpt, of mean 0 and norm 1, shape (n, t)."""
+        readings = self.signals.readings
+        return unit_rows(readings[middle_frames(len(readings))])
+
     def shared(self, sensor: int) -> float:
         """Return the share of a sensor's variance that those most similar to it explain."""
-        rows = unit_rows(self.signals.readings[middle_frames(len(self.signals.readings))])
+        rows = self.rows
         similar = np.abs(rows @ rows[sensor])
         similar[sensor] = -1
         partners = rows[np.argsort(-similar)[: min(_N_PARTNERS, len(rows) - 1)]]

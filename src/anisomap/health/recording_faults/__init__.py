@@ -47,43 +47,34 @@ def in_readings(
     return lambda recording: replace(recording, readings=change(recording.readings))
 
 
-MIN_PATTERNS = 3
-"""Patterns of contact, as a surface needs: place in two dimensions, and height.
-
-Where there are fewer, what sensors share may be the contact that touches all of them.
-"""
-
+# Of contact, as a surface needs: place in two dimensions, and height.
+_MIN_PATTERNS = 3
 _N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
 _N_COMPARED = 2048  # frames of which patterns are counted
 _N_SHIFTED = 19  # shifts, of which the largest is exceeded by chance with probability 1 / 20
 
 
-def count_patterns(rows: NDArray[np.float32], i: int) -> int:
-    """Count the patterns of contact of sensor i and those most similar to it.
+def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
+    """Return whether a group of sensors is in contacts of several kinds.
 
-    rows (n, t): Of mean 0 and equal norms.
+    Else what they share may be the contact that touches all of them.
 
-    Parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447): the
+    recording: From which noise or spikes that they share are removed.
+
+    Patterns of contact of the member with most contacts and the sensors most similar to it are
+    counted by parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447): the
     eigenvalues of their correlations, down to the first one that chance explains. Chance is what
     the same readings give if each sensor is shifted in time, by its own number of frames.
     """
-    near = rows[np.argsort(-np.abs(rows @ rows[i]), kind="stable")[:_N_NEAR]]
+    rows = unit_rows(recording.readings[middle_frames(recording.n_frames, _N_COMPARED)])
+    most = members[recording.signals.contacts[members].argmax()]
+    near = rows[np.argsort(-np.abs(rows @ rows[most]), kind="stable")[:_N_NEAR]]
     eigenvalues = np.linalg.eigvalsh(near @ near.T)[::-1]
     by_chance = np.zeros(len(near))
     for shifts in np.random.default_rng(0).integers(near.shape[1], size=(_N_SHIFTED, len(near))):
         shifted = np.stack([np.roll(row, n) for row, n in zip(near, shifts, strict=True)])
         by_chance = np.maximum(by_chance, np.linalg.eigvalsh(shifted @ shifted.T)[::-1])
-    return int(np.argmin(np.append(eigenvalues > by_chance, False)))
-
-
-def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
-    """Return whether a group of sensors, without what they share, is in contacts of several kinds.
-
-    recording: From which that is removed.
-    """
-    rows = unit_rows(recording.readings[middle_frames(recording.n_frames, _N_COMPARED)])
-    most = members[recording.signals.contacts[members].argmax()]
-    return count_patterns(rows, int(most)) >= MIN_PATTERNS
+    return bool((eigenvalues > by_chance)[:_MIN_PATTERNS].all() and len(near) >= _MIN_PATTERNS)
 
 
 def linked_groups(

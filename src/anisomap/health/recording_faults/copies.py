@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import pdtrc
 
-from anisomap.health.recording_faults import MIN_PATTERNS, Found, count_patterns
+from anisomap.health.recording_faults import Found, has_contacts
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.signals import (
@@ -54,13 +54,11 @@ class Copies:
     kept: The sensor whose wire it is: the one with less noise, or the one that resembles the
         channels beside it. None if nothing tells them apart.
     noise: Greatest share of noise in the variance of a sensor; 0 if they agree in every frame.
-    patterns: Patterns of contact of them and the most similar sensors.
     """
 
     sensors: tuple[int, ...]
     kept: int | None
     noise: float
-    patterns: int
 
 
 def find_copied(recording: Recording) -> Iterator[Found]:
@@ -76,8 +74,8 @@ def find_copied(recording: Recording) -> Iterator[Found]:
         for one in find_copies(recording.readings, *recording.extremes)
         if (one.noise == 0 and np.isin(one.sensors, signals.never_at_rest).all())
         or (
-            one.patterns >= MIN_PATTERNS
-            and signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
+            signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
+            and has_contacts(recording, np.array(one.sensors))
         )
     ]
     left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
@@ -146,7 +144,6 @@ def find_copies(
             tuple(varying[members].tolist()),
             None if own is None else int(varying[own]),
             float(noise[members].max()),
-            count_patterns(excerpt.rows, int(members[0])),
         )
         for members, own in zip(groups, kept, strict=True)
     )

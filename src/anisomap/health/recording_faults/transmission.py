@@ -165,7 +165,8 @@ def find_glitches(recording: Recording) -> Iterator[Found]:
     middle = medians(readings[:: -(-n_frames // _SAMPLE)]).astype(np.float64)
     lowest, highest = recording.extremes
     reach = np.maximum(highest - middle, middle - lowest)
-    if not (reach > _FAR * np.median(reach[reach > 0] if reach.any() else reach)).any():
+    varying = reach[reach > 0]
+    if not varying.size or varying.max() <= _FAR * np.median(varying):
         return
     touched = recording.signals.contacts >= MIN_CONTACTS
     typical = float(np.median(reach[touched])) if touched.any() else math.inf
