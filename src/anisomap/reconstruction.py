@@ -154,7 +154,7 @@ def reconstruct_with_stages(
     stages = compute_stages(complete, recipe, dimensions, options)
     pairs, configuration, plan = stages.pairs, stages.configuration, stages.plan
     _check_related(configuration, options)
-    provenance = _options_provenance(method, options) | plan.provenance
+    provenance = options_provenance(method, options) | plan.provenance
     provenance |= {
         "source": joined.source,
         "frames": joined.n_frames,
@@ -282,7 +282,7 @@ def reconstruct_from(
             f"the positions are not refined: for this, {method} needs the similarity",
         )
     _check_related(configuration, options)
-    provenance = _options_provenance(method, options) | plan.provenance
+    provenance = options_provenance(method, options) | plan.provenance
     provenance |= {"similarity": statistic} if statistic else {"precomputed": stage}
     return _as_map(
         configuration,
@@ -402,7 +402,7 @@ def _unknown_pairs(known: NDArray[np.bool_], names: Sequence[str]) -> Iterator[s
         )
 
 
-def _options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]:
+def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]:
     """Return the version and the parameters with which a map can be reproduced."""
     recipe, defaults = find_method(method), MethodOptions()
     facts: dict[str, Scalar] = {

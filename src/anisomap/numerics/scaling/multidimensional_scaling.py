@@ -6,7 +6,10 @@ Metric scaling by minimising the raw stress (SMACOF).
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +27,9 @@ from anisomap.numerics.scaling.stress_solvers import SOLVERS, Problem
 
 DENSE_LIMIT = 200
 """Maximum number of points for which a full eigendecomposition is faster than an iterative one."""
+
+Eigen: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
+Product: TypeAlias = Callable[[NDArray[np.float64]], Reals]
 
 _NEARLY_GREATEST = 1 - 1e-6  # magnitudes above this share differ by rounding only
 
@@ -62,9 +68,26 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
         raise InputError("distances must be finite; scale each connected component separately")
     n_points = len(squares)
     if n_points <= max(DENSE_LIMIT, 2 * dimensions + 1):
-        values, vectors = _leading_dense(squares, min(dimensions, n_points))
-    else:
-        values, vectors = _leading_iterative(squares, dimensions)
+        found = _leading_dense(squares, min(dimensions, n_points))
+        return _principal_coordinates(found, dimensions)
+    double = squares.dtype == np.float64
+    # symv reads only one triangle; reading the matrix takes most of the time.
+    multiply = partial(dsymv if double else ssymv, 1.0, squares.T)
+    leading = leading_eigenvectors(multiply, n_points, dimensions, single=not double)
+    return _principal_coordinates(leading or _leading_dense(squares, dimensions), dimensions)
+
+
+def classical_scaling(multiply: Product, n_points: int, dimensions: int) -> NDArray[np.float64]:
+    """Scale as `torgerson`, given products with the squared distances in float32, -> (N, k)."""
+    found = leading_eigenvectors(multiply, n_points, dimensions, single=True)
+    if found is None:
+        raise InputError("the distances have no leading eigenvectors: do all points coincide?")
+    return _principal_coordinates(found, dimensions)
+
+
+def _principal_coordinates(found: Eigen, dimensions: int) -> NDArray[np.float64]:
+    """Scale eigenvectors (N, k) by the roots of their eigenvalues, and choose their signs."""
+    values, vectors = found
     order = np.argsort(values)[::-1]
     columns = vectors[:, order] * np.sqrt(np.maximum(values[order], 0))
     magnitudes = np.abs(columns)
@@ -74,33 +97,35 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     return np.pad(columns, ((0, 0), (0, dimensions - columns.shape[1])))
 
 
-def _leading_dense(squares: Reals, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _leading_dense(squares: Reals, count: int) -> Eigen:
     rows = squares.mean(axis=0, dtype=np.float64)
     inner = -(squares - np.add.outer(rows, rows) + rows.mean()) / 2
     values, vectors = eigh(inner, subset_by_index=[len(inner) - count, len(inner) - 1])
     return values, vectors
 
 
-def _leading_iterative(
-    squares: Reals, count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    double = squares.dtype == np.float64
-    multiply = dsymv if double else ssymv
+def leading_eigenvectors(
+    multiply: Product, n_points: int, count: int, *, single: bool
+) -> Eigen | None:
+    """Find the leading eigenvectors of double-centred squares; None if they do not converge.
+
+    multiply: Returns the product of the squared distances, (N, N), with a vector (N,).
+    single: Whether products are in float32.
+    """
 
     def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-        # symv reads only one triangle; reading the matrix takes most of the time.
-        product = multiply(1.0, squares.T, vector - vector.mean()).astype(np.float64, copy=False)
+        product = multiply(vector - vector.mean()).astype(np.float64, copy=False)
         return np.asarray((product - product.mean()) / -2)
 
-    operator = LinearOperator(squares.shape, matvec=double_centred, dtype=np.float64)
+    operator = LinearOperator((n_points, n_points), matvec=double_centred, dtype=np.float64)
     # A fixed start, since ARPACK's own is random.
-    start = np.random.default_rng(0).standard_normal(len(squares))
+    start = np.random.default_rng(0).standard_normal(n_points)
     try:
         # Machine precision, or the precision of products in float32.
-        values, vectors = eigsh(operator, k=count, which="LA", v0=start, tol=0 if double else 1e-5)
+        found = eigsh(operator, k=count, which="LA", v0=start, tol=1e-5 if single else 0)
     except ArpackError:  # no convergence, or the matrix is zero: all points coincide
-        return _leading_dense(squares, count)
-    return values, vectors
+        return None
+    return found[0], found[1]
 
 
 logger = logging.getLogger(__name__)

@@ -1,0 +1,137 @@
+"""Times of the stages of exact maps on a GPU, and on the processor beside it.
+
+``python -m benchmarks.device -o FOLDER`` prints the table of ``docs/device-table.md`` and writes it
+to the folder. ``--library numpy`` tries the benchmark without a GPU.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap import score
+from anisomap.defaults import DEFAULT_BINS
+from anisomap.large import reconstruct_on_device
+from anisomap.numerics import array_api
+from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
+from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
+from anisomap.numerics.similarity.correlation import pearson, spearman
+from anisomap.numerics.similarity.information import mutual_information
+from benchmarks.approximate import SKINS, touch
+from benchmarks.harness import markdown_table, options, quietly
+from benchmarks.tables import machine
+
+SKIN = SKINS[2]  # a sphere with one contact, in 3D
+
+Result = TypeVar("Result")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = options(__doc__, "device", recordings=False)
+    parser.add_argument("--library", default="cupy")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[1000, 5000, 20000])
+    parser.add_argument("--frames", type=int, default=4000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--largest", type=int, default=5000, help="size that the processor maps")
+    chosen = parser.parse_args()
+    library = importlib.import_module(chosen.library)
+    chosen.output.mkdir(parents=True, exist_ok=True)
+    with quietly():
+        _table(library, 200, 500, chosen.seed, beside=True)  # compile the kernels
+        rows = [
+            row
+            for n_sensors in chosen.sizes
+            for row in _table(
+                library, n_sensors, chosen.frames, chosen.seed, beside=n_sensors <= chosen.largest
+            )
+        ]
+    header = ("sensors", "stage", "GPU, s", "processor, s", "ratio", "largest difference")
+    text = [
+        machine(f"{_device_name(library)}, {chosen.frames:,} frames of 8 bits, a sphere"),
+        "",
+        *markdown_table(header, rows, ("stage",)),
+    ]
+    path = chosen.output / "device-table.md"
+    path.write_text("\n".join(text) + "\n", encoding="utf-8")
+    print(path.read_text(encoding="utf-8"))
+
+
+def _device_name(library: Any) -> str:
+    if not hasattr(library, "cuda"):
+        return "no GPU"
+    name = library.cuda.runtime.getDeviceProperties(0)["name"].decode()
+    return f"{name} with {library.__name__} {library.__version__}"
+
+
+def _table(
+    library: Any, n_sensors: int, n_frames: int, seed: int, *, beside: bool
+) -> Iterator[tuple[object, ...]]:
+    """Time the stages for one size, on the GPU and, if wanted, on the processor."""
+    rng = np.random.default_rng(seed)
+    sensors = SKIN.spread(n_sensors, n_sensors, rng)
+    readings = np.concatenate(list(touch(SKIN, sensors, n_frames, rng)))
+    moved, seconds = _timed(lambda: library.asarray(readings))
+    yield n_sensors, "copy of the readings", f"{seconds:.3f}", "", "", ""
+
+    def compared(
+        stage: str, on_device: Callable[[], Any], usual: Callable[[], NDArray[Any]]
+    ) -> tuple[Any, tuple[object, ...]]:
+        found, seconds = _timed(on_device)
+        print(f"{n_sensors} sensors, {stage}: {seconds:.3f} s", flush=True)
+        if not beside:
+            return found, (n_sensors, stage, f"{seconds:.3f}", "", "", "")
+        expected, slow = _timed(usual)
+        apart = float(np.abs(array_api.to_numpy(found) - expected).max() / np.abs(expected).max())
+        times = f"{seconds:.3f}", f"{slow:.3f}", f"{slow / seconds:.1f}"
+        return found, (n_sensors, stage, *times, f"{apart:.1e}")
+
+    yield compared("Spearman", lambda: array_api.spearman(moved), lambda: spearman(readings))[1]
+    yield compared(
+        "mutual information",
+        lambda: array_api.mutual_information(moved, DEFAULT_BINS),
+        lambda: mutual_information(readings),
+    )[1]
+    similarity, row = compared(
+        "Pearson", lambda: array_api.pearson(moved), lambda: pearson(readings)
+    )
+    yield row
+    lengths = array_api.regularised_reciprocal(similarity, 1.0)
+    usual = regularised_reciprocal(array_api.to_numpy(array_api.pearson(moved))) if beside else None
+    metric, row = compared(
+        "shortest paths",
+        lambda: array_api.metricise(lengths),
+        lambda: metricise(np.asarray(usual)),
+    )
+    yield row
+    scaled, seconds = _timed(lambda: array_api.scale(metric, 3, SmacofOptions()))
+    if beside:
+        distances = array_api.to_numpy(metric)
+        expected, slow = _timed(lambda: smacof(distances, dimensions=3))
+        apart = f"{abs(scaled.stress - expected.stress):.1e}"
+        times = f"{seconds:.3f}", f"{slow:.3f}", f"{slow / seconds:.1f}"
+        yield n_sensors, "scaling (difference of Stress-1)", *times, apart
+    else:
+        yield n_sensors, "scaling", f"{seconds:.3f}", "", "", ""
+    made, seconds = _timed(lambda: reconstruct_on_device(library.asarray(readings), dimensions=3))
+    r = score(made, sensors, permutations=99, rng=0).mantel.r
+    yield n_sensors, f"whole map by r-anisomap, r {r:.4f}", f"{seconds:.3f}", "", "", ""
+
+
+def _timed(run: Callable[[], Result]) -> tuple[Result, float]:
+    """Return the result of a function, and the seconds until it is in memory."""
+    begin = time.perf_counter()
+    found = run()
+    if hasattr(found, "shape"):
+        array_api.to_numpy(found[:1, :1])  # waits until the device has finished
+    return found, time.perf_counter() - begin
+
+
+if __name__ == "__main__":
+    main()

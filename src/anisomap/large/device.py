@@ -1,0 +1,168 @@
+"""Exact maps of many sensors on a GPU, through the array API standard."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.dimensions import check_dimensions
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.numerics import array_api
+from anisomap.numerics.array_api import Array
+from anisomap.options import MethodOptions
+from anisomap.reconstruction import caveats, options_provenance
+from anisomap.recording import check_names, default_names
+from anisomap.sensor_map import UNPLACED, SensorMap
+
+logger = logging.getLogger(__name__)
+
+DEVICE_METHODS: Mapping[str, tuple[str, Callable[[Array, int], Array]]] = MappingProxyType(
+    {
+        "r-anisomap": ("pearson", lambda x, _: array_api.pearson(x)),
+        "spearman-anisomap": ("spearman", lambda x, _: array_api.spearman(x)),
+        "i-anisomap": ("mutual-information", array_api.mutual_information),
+    }
+)
+"""Methods that run on a device: the name of their similarity, and its function."""
+
+
+def reconstruct_on_device(
+    readings: Array,
+    method: str = "r-anisomap",
+    dimensions: int = 3,
+    *,
+    options: MethodOptions | None = None,
+    names: Sequence[str] = (),
+) -> SensorMap:
+    """Reconstruct the positions of sensors on the device that holds their readings.
+
+    Parameters
+    ----------
+    readings : array of shape (T, N)
+        Finite readings, as an array of CuPy (``cupy.asarray(readings)``), PyTorch or another
+        library of the array API standard. About four matrices of shape (N, N) must fit in the
+        memory of the device, in float32 from 2,000 sensors on.
+    method : {"r-anisomap", "spearman-anisomap", "i-anisomap"}
+        See `anisomap.METHODS`.
+    dimensions : int
+        Number of coordinates: 2 for flat skins, 3 for bodies.
+    options : MethodOptions, optional
+        Only `mu`, `bins`, `smacof` and `min_sensors` are used; `mu` must be above 0. The stress is
+        minimised by L-BFGS for any `solver`.
+    names : sequence of str, optional
+        Names of the sensors; by default ``s0, s1, ...``.
+
+    Returns
+    -------
+    SensorMap
+        The map of `anisomap.reconstruct`, up to rounding; NaN for constant sensors.
+
+    Raises
+    ------
+    InputError
+        If a reading is not finite, fewer than 3 sensors vary or `mu` is 0, or for the method, the
+        dimensions or the names as in `anisomap.reconstruct`.
+    MissingExtraError
+        If the compatibility layer of the array API standard is not installed: the extra ``gpu``.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each note of the map.
+
+    Notes
+    -----
+    The stages of McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
+    ``docs/explanation/large-recordings.md`` tells the time they take.
+
+    Examples
+    --------
+    Readings in numpy's arrays are mapped by numpy:
+
+    >>> import numpy as np
+    >>> from anisomap.large import reconstruct_on_device
+    >>> places, touches = np.arange(12), np.random.default_rng(0).uniform(0, 11, (2000, 1))
+    >>> readings = np.maximum(0, 2 - abs(touches - places))
+    >>> sensor_map = reconstruct_on_device(readings, dimensions=1)
+    >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
+    True
+    """
+    chosen = options or MethodOptions()
+    check_dimensions(dimensions)
+    similarity, compare = _stages_of(method, chosen)
+    if readings.ndim != 2:
+        raise InputError(f"readings must be of shape (T, N), got {tuple(readings.shape)}")
+    n_frames, n_sensors = readings.shape
+    names = tuple(names) or default_names(n_sensors)
+    check_names(names, n_sensors)
+    varying = _varying(readings)
+    n_mapped = int(np.count_nonzero(varying))
+    if n_mapped < max(chosen.min_sensors, int(dimensions)):
+        raise InputError(
+            f"a map requires at least {max(chosen.min_sensors, int(dimensions))} sensors that "
+            f"vary, got {n_mapped} of {n_sensors}"
+        )
+    if n_mapped < n_sensors:
+        readings = array_api.select_columns(readings, varying)
+    logger.info("comparing all pairs of sensors (%s)", similarity)
+    lengths = array_api.regularised_reciprocal(compare(readings, chosen.bins), chosen.mu)
+    logger.info("computing shortest paths")
+    metric = array_api.metricise(lengths)
+    del lengths
+    logger.info("scaling %d sensors into %d dimensions", n_mapped, dimensions)
+    scaling = array_api.scale(metric, int(dimensions), chosen.smacof)
+    positions = np.full((n_sensors, scaling.positions.shape[1]), np.nan)
+    positions[varying] = scaling.positions
+    component = np.where(varying, 0, UNPLACED)
+    notes = tuple(caveats(component, names, converged=scaling.converged))
+    for note in notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=2)
+    n_iterations = len(scaling.trace) - 1
+    return SensorMap(
+        positions,
+        names=names,
+        component=component,
+        method=method,
+        similarity=similarity,
+        stress=scaling.stress,
+        n_iterations=n_iterations,
+        notes=notes,
+        provenance=options_provenance(method, chosen)
+        | {
+            "frames": int(n_frames),
+            "similarity": similarity,
+            "array_library": array_api.array_namespace(readings).__name__.rpartition(".")[2],
+            "iterations": n_iterations,
+        },
+    )
+
+
+def _stages_of(method: str, options: MethodOptions) -> tuple[str, Callable[[Array, int], Array]]:
+    """Return the name and the function of the similarity of a method."""
+    if method not in DEVICE_METHODS:
+        able = ", ".join(DEVICE_METHODS)
+        raise InputError(f"{method} does not run on a device; choose from {able}")
+    if options.mu == 0:
+        raise InputError(
+            "with mu = 0, unrelated sensors are infinitely far apart; use a mu above 0"
+        )
+    return DEVICE_METHODS[method]
+
+
+def _varying(readings: Array) -> NDArray[np.bool_]:
+    """Check that readings (T, N) are finite, and return which sensors vary, (N,)."""
+    xp = array_api.array_namespace(readings)
+    lowest = array_api.to_numpy(xp.min(readings, axis=0))
+    highest = array_api.to_numpy(xp.max(readings, axis=0))
+    faulty = np.flatnonzero(~(np.isfinite(lowest) & np.isfinite(highest)))
+    if faulty.size:
+        raise InputError(
+            f"a reading of sensor {faulty[0]} is not a finite number; replace missing readings "
+            "before a map is made on a device"
+        )
+    return np.asarray(highest > lowest)
