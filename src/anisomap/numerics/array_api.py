@@ -56,13 +56,13 @@ extern "C" __global__ void lower(real* lengths, const real* ways, int n, int n_w
     for (int at = y * 16 + x; at < MIDDLES * TILE; at += 256) {
         const int k = at / TILE, j = at % TILE;
         const real* way = ways + (size_t)k * n;
-        to[k][j] = k < n_ways && row + j < n ? way[row + j] : INFINITY;
-        from[k][j] = k < n_ways && column + j < n ? way[column + j] : INFINITY;
+        to[k][j] = k < n_ways && row + j < n ? way[row + j] : FAR;
+        from[k][j] = k < n_ways && column + j < n ? way[column + j] : FAR;
     }
     __syncthreads();
     real least[4][4];
     for (int a = 0; a < 4; a++)
-        for (int b = 0; b < 4; b++) least[a][b] = INFINITY;
+        for (int b = 0; b < 4; b++) least[a][b] = FAR;
     for (int k = 0; k < MIDDLES; k++)
         for (int a = 0; a < 4; a++)
             for (int b = 0; b < 4; b++)
@@ -117,7 +117,8 @@ def spearman(readings: Array) -> Array:
     n_sensors = readings.shape[1]
     parts = []
     for columns in _slices(n_sensors, _SENSORS_AT_ONCE):
-        series = xp.matrix_transpose(readings[:, columns])
+        numbers = range(columns.start, columns.stop)
+        series = xp.stack([readings[:, i] for i in numbers], axis=0)
         ordered = xp.sort(series, axis=1)
         ranks = [
             xp.searchsorted(ordered[i, :], series[i, :], side="left")
@@ -248,6 +249,7 @@ def _kernel(dtype: str) -> Any:
     """Compile the kernel of `_lower` for float32 or float64."""
     real = {"float32": "float", "float64": "double"}[dtype]
     sizes = f"#define real {real}\n#define MIDDLES {MIDDLES}\n#define TILE {TILE}\n"
+    sizes += "#define FAR __int_as_float(0x7f800000)\n"  # infinity
     return import_extra("cupy", "a GPU", "gpu").RawKernel(sizes + _KERNEL, "lower")
 
 
