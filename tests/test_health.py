@@ -546,6 +546,21 @@ def test_lags_of_many_sensors_are_found(fault):
     assert ("lags" in kinds(find_faults(recording))) == bool(fault)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_waves_are_no_lags_of_the_read_out(seed):
+    """Spikes of waves that spread from random places, as in a retina: lags that vary smoothly."""
+    rng = np.random.default_rng(seed)
+    places = np.argwhere(np.ones((8, 8))).astype(float)
+    parts = []
+    for speed in rng.uniform(0.15, 0.5, 20):
+        apart = np.linalg.norm(places - rng.uniform(0, 7, 2), axis=1)
+        front = np.arange(0, 10, speed)[:, None] - apart
+        reached = apart < rng.uniform(3, 10)
+        parts.append(rng.poisson(3 * np.exp(-((front / 1.2) ** 2)) * reached))
+        parts.append(np.zeros((rng.integers(10, 60), 64)))
+    assert list(CHECKS["lags"].find(Recording(np.concatenate(parts)))) == []
+
+
 @given(
     begin=st.integers(0, 160),
     length=st.integers(9, 40),

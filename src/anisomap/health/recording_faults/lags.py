@@ -27,6 +27,7 @@ _SPREAD = 2  # frames by which the lags of a group may differ before they are ma
 # Limits of a finding; others decide nothing on 373 recordings of `benchmarks.faults`, 301 and 302.
 _MIN_RELATIVE = 0.93  # share of the links with the lag of their groups, between over within them
 _MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
+_MIN_OWN = 0.9  # share of the sensors that have by themselves exactly the lag of their group
 _MIN_GAIN = 0.8  # restored correlation over what the lags would cost links within groups
 _MIN_GROUP = 3.0  # sensors per group, on average
 _CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more
@@ -39,9 +40,10 @@ def find_lags(recording: Recording) -> Iterator[Found]:
     Ranks of the readings are correlated at all lags up to 40 frames. The lags of the strongest
     links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags
     that follow each other in the order of the channels, or, if that explains less, wherever they
-    are. Contacts that move also give neighbours a lag, but of either sign, spread over many values,
-    and different from one time to another; a lag of the read-out is the same for all pairs of two
-    groups and in all quarters of the recording. It must restore as much correlation as such a lag
+    are. The lags of groups and those of single sensors are fitted in turn. Contacts that move and
+    waves also give neighbours a lag, but it differs from sensor to sensor, and from one time to
+    another; a lag of the read-out is exactly that of nine in ten sensors of its group, and the same
+    in all quarters of the recording. It must restore as much correlation as such a lag
     costs links within groups. Sensors with few contacts in a half are not compared: places that are
     pressed one after another in the same way differ by a lag as well.
     """
@@ -178,16 +180,32 @@ class _Fit:
         for new, joined in tree_edges(peak):
             tree[new] = tree[joined] + peak_lag[joined, new]
         tree -= int(np.median(tree))
-        links = parts, i, j, _along(whole, i, j), peak[i, j], peak_lag[i, j]
+        curves = _along(whole, i, j)
+        fit = cls(parts, i, j, curves, peak[i, j], peak_lag[i, j], tree, np.arange(tree.size))
+        for _ in range(_MAX_ROUNDS):
+            before, fit = fit.lags, fit._grouped()
+            if (fit.lags == before).all():
+                break
+        return fit
+
+    def _grouped(self) -> _Fit:
+        """Group sensors by the lag that each has by itself, and fit the lags of the groups."""
+        own = self._of_single_sensors()
 
         def fitted(start: tuple[NDArray[np.intp], NDArray[np.intp]]) -> tuple[_Fit, float]:
-            fit = cls(*links, *start)
+            fit = replace(self, lags=start[0], groups=start[1])
             fit = replace(fit, lags=fit.refitted(fit.curves))
             return fit, float(_at(fit.curves, fit.expected).sum())
 
-        anywhere, most = fitted(_anywhere(tree))
-        in_order, best = fitted(_in_order(tree))
-        return anywhere if most > _CLEARLY_MORE * best else in_order
+        anywhere, most = fitted(_anywhere(own))
+        in_order, best = fitted(_in_order(own))
+        fewer = np.unique(anywhere.groups).size < np.unique(in_order.groups).size
+        return anywhere if most >= (1 if fewer else _CLEARLY_MORE) * best else in_order
+
+    def _of_single_sensors(self) -> NDArray[np.intp]:
+        """Fit the lag of each sensor by itself, (n,), from those of the groups."""
+        own = replace(self, groups=np.arange(self.lags.size)).refitted(self.curves)
+        return own - _most_frequent(own - self.lags)
 
     def refitted(self, curves: NDArray[np.float32]) -> NDArray[np.intp]:
         """Fit the lag of each group to the correlations of its links, in turn."""
@@ -241,7 +259,8 @@ class _Fit:
         without = self.curves[across, _MAX_LAG]
         restored = (_at(self.curves, expected)[across] - without).sum()
         return bool(
-            restored >= _MIN_GAIN * gain
+            np.mean(self._of_single_sensors() == self.lags) >= _MIN_OWN
+            and restored >= _MIN_GAIN * gain
             and agreement >= _MIN_RELATIVE * within
             and all(share >= _MIN_AGAIN for share in self.found_again())
         )
