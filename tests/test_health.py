@@ -10,6 +10,7 @@ from benchmarks.clean_recordings import COURSES, FORMS, Case, cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.signal import lfilter
 
 import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair, summarise
@@ -559,6 +560,19 @@ def test_waves_are_no_lags_of_the_read_out(seed):
         parts.append(rng.poisson(3 * np.exp(-((front / 1.2) ** 2)) * reached))
         parts.append(np.zeros((rng.integers(10, 60), 64)))
     assert list(CHECKS["lags"].find(Recording(np.concatenate(parts)))) == []
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sources_at_several_places_are_no_common_noise(seed):
+    """Sources of an EEG: each reaches the sensors near it, so that neighbours link all sensors."""
+    rng = np.random.default_rng(seed)
+    places, sources = (rng.normal(size=(n, 3)) for n in (40, 12))
+    places[:, 2] = np.abs(places[:, 2])  # a scalp
+    places, sources = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (places, sources))
+    reach = np.exp(-2 * ((places[:, None] - sources) ** 2).sum(axis=2))
+    courses = lfilter([1], [1, -0.9], rng.normal(size=(1000, 12)), axis=0)
+    readings = courses @ reach.T + rng.normal(0, 0.2, (1000, 40))
+    assert list(CHECKS["common-noise"].find(Recording(readings))) == []
 
 
 @given(
