@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
 import textwrap
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
 
 import numpy as np
-from docstring_parser import parse as parse_docstring
 
 from anisomap._version import __version__
 from anisomap.paper.cases import FAILING, PATCH_RUNS, SILENT, Case, patch_run, patch_seed
 from anisomap.paper.experiment import Document, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
-from anisomap.simulation.options import options_for
+from anisomap.simulation.options import meanings_of, options_for
 
 _WIDTH = 100
 _COLUMNS = {
@@ -148,19 +146,17 @@ def _describe(case: Case) -> str:
     """Describe a body, a scenario and all its parameters."""
     entry, body = find_scenario(case.scenario), find_body(case.body)
     options = options_for(entry.options, body)
-    docstring = parse_docstring(inspect.cleandoc(inspect.getdoc(entry.run) or ""))
     lines = [
         f"{case.body}, {case.scenario}",
-        f"    {entry.summary}. {docstring.short_description}",
+        f"    {entry.summary}.",
         f"    {body.n_sensors} sensors; the outermost sensor is {body.reach:.4g} m from the "
         f"centre; neighbouring sensors are {body.spacing:.4g} m apart (median).",
     ]
-    for kind in reversed(type(options).__mro__):
-        for parameter in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params:
-            if hasattr(options, parameter.arg_name):
-                value = getattr(options, parameter.arg_name)
-                text = " ".join((parameter.description or "").split())
-                lines.append(f"    {parameter.arg_name} = {_plain(value)}: {text}")
+    lines += [
+        f"    {name} = {_plain(getattr(options, name))}: {text}"
+        for name, text in meanings_of(options).items()
+        if text
+    ]
     return "\n".join(lines)
 
 

@@ -279,11 +279,10 @@ def covered(
     parts: Sequence[Solid],
     n_sensors: int,
     density: Density | None = None,
-    rng: np.random.Generator | int = _SEED,
 ) -> Body:
     """Make a body from solids and spread sensors over it."""
     COUNT.check("n_sensors", n_sensors)
-    positions, normals = spread(parts, n_sensors, np.random.default_rng(rng), density)
+    positions, normals = spread(parts, n_sensors, np.random.default_rng(_SEED), density)
     return Body(name, positions, normals, parts)
 
 

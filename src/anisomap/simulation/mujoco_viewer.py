@@ -92,7 +92,7 @@ def _render_here(
     return pixels
 
 
-def show(scene: Scene, speed: float = 1.0) -> None:
+def show(scene: Scene) -> None:
     """Play a scene in MuJoCo's viewer until its window is closed."""
     named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not (named or sys.platform in ("darwin", "win32")):
@@ -106,7 +106,7 @@ def show(scene: Scene, speed: float = 1.0) -> None:
         while window.is_running():
             visual.pose(frame)
             window.sync()
-            time.sleep(step / speed)
+            time.sleep(step)
             frame = (frame + 1) % scene.n_frames
 
 

@@ -6,12 +6,14 @@ For other bodies, lengths scale with the reach or the sensor spacing of the body
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self, TypeAlias
 
 import numpy as np
+from docstring_parser import parse as parse_docstring
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
@@ -89,6 +91,17 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
         if (per := entry.metadata["per"])
     }
     return kind(**(scaled | dict(given or {})))
+
+
+def meanings_of(options: ScenarioOptions) -> dict[str, str]:
+    """Return what each option means, by name: documented ones first, inherited ones before own."""
+    documented = {
+        entry.arg_name: " ".join((entry.description or "").split())
+        for kind in reversed(type(options).__mro__)
+        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params
+    }
+    meanings = documented | {name: documented.get(name, "") for name in vars(options)}
+    return {name: text for name, text in meanings.items() if name in vars(options)}
 
 
 def count_steps(length: float, longest: float) -> int:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import fields
-from typing import Any
+from collections.abc import Sequence
 
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer
@@ -73,13 +71,18 @@ def scenarios(
     scenario
         Scenario for which to list the parameters, with their defaults for a sphere of 1 m.
     """
-    from anisomap.simulation import SCENARIOS
+    from anisomap.simulation import SCENARIOS, find_scenario
+    from anisomap.simulation.options import meanings_of
 
     if scenario is None:
         rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
         _print_rows(printer, "Scenarios", "name summary", rows)
         return
-    parameters = list(_parameters(scenario))
+    options_of = find_scenario(scenario).options()
+    parameters = [
+        {"name": name, "default": getattr(options_of, name), "summary": text}
+        for name, text in meanings_of(options_of).items()
+    ]
     printer.record(scenario=scenario, parameters=parameters)
     for one in parameters:
         printer.line(f"{one['name']} = {one['default']}")
@@ -101,25 +104,6 @@ def faults(*, printer: options.Printing = options.PRINTER) -> None:
         affects = "sensors" if name in FAULTS else "all sensors"
         rows.append((name, affects, taken or "-", _first_line(function)))
     _print_rows(printer, "Faults", "name affects parameters summary", rows)
-
-
-def _parameters(scenario: str) -> Iterator[dict[str, Any]]:
-    """Yield the parameters of a scenario, inherited ones included, documented ones first."""
-    from docstring_parser import parse as parse_docstring
-
-    from anisomap.simulation import find_scenario
-
-    options_class = find_scenario(scenario).options
-    defaults = options_class()
-    summaries = {
-        entry.arg_name: " ".join((entry.description or "").split())
-        for kind in reversed(options_class.__mro__)
-        for entry in parse_docstring(inspect.cleandoc(kind.__doc__ or "")).params
-    }
-    undocumented = {field.name: "" for field in fields(defaults) if field.name not in summaries}
-    for name, summary in (summaries | undocumented).items():
-        if hasattr(defaults, name):
-            yield {"name": name, "default": getattr(defaults, name), "summary": summary}
 
 
 def _print_rows(printer: Printer, title: str, columns: str, rows: Sequence[Sequence[str]]) -> None:
