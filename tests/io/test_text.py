@@ -464,8 +464,8 @@ def test_wide_and_long_files(put) -> None:
     for shape in ((60, 3000), (20_000, 2)):
         values = np.random.default_rng(5).integers(0, 256, shape)
         np.testing.assert_array_equal(io.read(put("x.csv", table(values))).readings, values)
-    names = [f"sensor {i:040d}" for i in range(100_000)]  # more than is looked at for the layout
-    row = ",".join(["1"] * 99_999)
+    names = [f"sensor {i:0200d}" for i in range(20_000)]  # more than is looked at for the layout
+    row = ",".join(["1"] * 19_999)
     found = io.read(put("wide.csv", ",".join(names) + "\n" + f"{row},2\n{row},3\n"))
     assert found.names == tuple(names)
     np.testing.assert_array_equal(found.readings[:, -1], [2, 3])
