@@ -40,6 +40,7 @@ _SERIES_COLUMNS, _MAX_SERIES = 3, 12
 _INSTANTS = 600  # of a series; the range of the readings in each is drawn
 _MAX_DOTS = 3_000  # of a Shepard diagram
 _N_LABELS = 6  # of the sensors with the greatest stress
+_LINE = 0.05  # height of a name, relative to the greatest share
 _SPREAD = 0.22  # of the scores of a method, in its width
 
 
@@ -239,27 +240,33 @@ def coverage_figure(
 def plot_stress_per_point(
     shares: Sequence[float] | NDArray[np.float64], names: Sequence[str] = (), *, ax: Axes = None
 ) -> None:
-    """Plot the share of each sensor in the stress, the greatest first, and name the greatest.
+    """Plot the share of each object in the stress, the greatest first, and name the greatest.
 
     Parameters
     ----------
     shares : sequence of float
         From `anisomap.evaluation.stress_per_point`.
     names : sequence of str
-        Names of the sensors; their indices by default.
+        Names of the objects; their indices by default.
     """
     values = 100 * np.asarray(shares, dtype=np.float64)
     order = np.argsort(-values, kind="stable")
     labels = names or [str(i) for i in range(len(values))]
     ax.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
-    for rank, i in enumerate(order[:_N_LABELS].tolist(), start=1):
+    # Names stand in a column above all points to their right, and one above another.
+    named, height, step = order[:_N_LABELS].tolist(), 0.0, _LINE * values.max()
+    column = len(named) + 0.05 * len(order)
+    for rank, i in reversed(list(enumerate(named, start=1))):
+        height = max(height, values[i]) + step
         ax.annotate(
-            f" {printable(labels[i])}", (rank, values[i]), fontsize=7, color=INK, rotation=30,
-            parse_math=False,
+            printable(labels[i]), (rank, values[i]), (column, height), fontsize=7, color=INK,
+            va="center", parse_math=False,
+            arrowprops={"arrowstyle": "-", "color": FAINT, "linewidth": 0.5, "relpos": (0, 0.5)},
         )  # fmt: skip
+    ax.set_xlim(right=max(1.04 * len(order), 2 * len(named)))
     ax.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
     ax.set(xlabel="rank of the object", ylabel="share of the stress, %")
-    ax.set_ylim(bottom=0)
+    ax.set_ylim(0, height + step)
     set_title(ax, "Stress per point (dotted: equal shares)")
 
 
@@ -325,7 +332,7 @@ def stress_figure(
     shares : sequence of float
         From `anisomap.evaluation.stress_per_point`.
     names : sequence of str
-        Names of the sensors or objects.
+        Names of the objects.
     test : NullTest
         Test of Stress-1; not drawn if its null is empty.
 

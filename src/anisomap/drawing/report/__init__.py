@@ -60,8 +60,13 @@ class _Cell:
 
 
 def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
-    """Tell the verdict and what is known of the errors; the first sentence is the headline."""
+    """Tell the verdict and what is known of the errors; the first sentence is the headline.
+
+    Maps of objects get no verdict, since no recording says how far their pairs can be trusted.
+    """
     sentences = list(sensor_map.verdict.sentences)
+    if sensor_map.kind == "object":
+        sentences = [f"The map fits the dissimilarities with Stress-1 {number(sensor_map.stress)}."]
     if score is not None:
         null = score.mantel.quantiles().get(0.95)
         if null is not None and score.mantel.r <= null:

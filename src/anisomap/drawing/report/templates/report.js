@@ -2,6 +2,7 @@
 
 (function sortableTable() {
   const table = document.getElementById("sensors");
+  if (!table) return; // objects, of which nothing is known but their positions
   const headings = [...table.tHead.rows[0].cells];
   const body = table.tBodies[0];
   const original = [...body.rows];
