@@ -5,7 +5,9 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -56,6 +58,31 @@ def test_a_port_that_never_answers(limits) -> None:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(InputError, match=f"no Dask scheduler at {address}"):
             mapped(address)
+
+
+def test_a_port_that_nobody_listens_at_is_refused_at_once() -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        with pytest.raises(InputError, match=r"no Dask scheduler at .* refused"):
+            mapped(f"tcp://127.0.0.1:{unused.getsockname()[1]}")
+
+
+def test_a_server_that_is_no_scheduler() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            with suppress(OSError):  # until the server is shut down
+                while True:
+                    with server.accept()[0] as caller, suppress(OSError):
+                        caller.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+                        caller.recv(1)
+
+        answering = Thread(target=answer)
+        answering.start()
+        with pytest.raises(InputError, match="another server answers"):
+            mapped(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        server.shutdown(socket.SHUT_RDWR)
+        answering.join()
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -21,7 +22,7 @@ from anisomap.errors import InputError, import_extra
 from anisomap.large.checkpoints import Checkpoint, Stage
 
 # Chosen by hand.
-ANSWER_S = 10.0  # until a scheduler answers; one that runs takes milliseconds
+ANSWER_S = 3.0  # until a scheduler answers; one that runs takes milliseconds
 WORKERS_S = 30.0  # without any worker, in which a cluster may replace a lost one
 _CHUNKS_PER_WORKER = 2  # one in progress and one queued; bounds the memory of chunks and results
 _SCHEMES = ("tcp", "tls", "ws", "wss")
@@ -138,7 +139,8 @@ def _on_dask(chunks: Iterable[NDArray[Any]], mapper: Mapper, address: str) -> It
             _greet(distributed, address)
             client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError, ImportError) as error:
-            raise InputError(f"no Dask scheduler at {address}: {error}") from error
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"no Dask scheduler at {address}: {reason}") from error
         opened.callback(_close, client)
         # It logs a traceback when the connection is lost, which is an error here.
         log = logging.getLogger("distributed.client")
@@ -179,6 +181,9 @@ def _greet(distributed: Any, address: str) -> None:
     """Check that a scheduler answers; a client has no limit for the time to its first answer."""
     import asyncio  # noqa: PLC0415, slow to import
 
+    host, _, port = address.partition("://")[2].rpartition(":")
+    # It fails at once where nothing listens, and says why; Dask tries again until the time is over.
+    socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
     options = distributed.Security().get_connection_args("client")
 
     async def greet() -> None:
@@ -192,6 +197,8 @@ def _greet(distributed: Any, address: str) -> None:
             thread.submit(asyncio.run, greet()).result()
         except TimeoutError:
             raise TimeoutError(f"no answer within {ANSWER_S:g} s") from None
+        except MemoryError:  # the first bytes of another protocol are taken for a length
+            raise ValueError("another server answers, perhaps the dashboard of Dask") from None
 
 
 def _results_on_cluster(
