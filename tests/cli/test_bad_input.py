@@ -403,6 +403,16 @@ def test_what_is_probably_a_mistake_is_doubted(tmp_path, command, said):
     assert ("unlikely" in done.err) == ("unlikely" in said)
 
 
+def test_a_transposed_table_is_refused_before_it_is_mapped(tmp_path):
+    np.savetxt(tmp_path / "turned.csv", flat_skin(n_frames=100).readings.T, delimiter=",")
+    done = call(tmp_path, "map", "turned.csv")
+    assert done.code == 2
+    assert (
+        "rows of the file are the sensors, transpose it; if not, record the 80 frames" in done.err
+    )
+    assert not (tmp_path / "turned.map.csv").exists()
+
+
 def test_long_names_are_printed_in_one_piece(tmp_path):
     source = "a_recording_with_a_name_that_is_longer_than_a_line/" * 5
     anisomap.write(replace(flat_skin(n_frames=100), source=source), tmp_path / "skin.npz")

@@ -16,6 +16,7 @@ import numpy as np
 from anisomap import io
 from anisomap.cli.console import Columns, Printer, attributes, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
+from anisomap.diagnosis.chance import MIN_FRAMES
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files import check_distinct, check_target, together
@@ -275,12 +276,28 @@ def print_recording(printer: Printer, recording: Recording, summary: RecordingSu
     source = {"source": recording.source or "unknown"}
     printer.facts("Recording", source | summary.facts | events | known)
     values = {name.removeprefix("n_"): value for name, value in asdict(summary).items()}
-    if summary.n_frames < summary.n_sensors:
-        print_warning(
-            f"there are more sensors (columns, {summary.n_sensors}) than frames (rows, "
-            f"{summary.n_frames}): if the rows of the file are the sensors, transpose it"
-        )
     printer.record(recording={"source": recording.source, **values})
+
+
+def doubt_orientation(summary: RecordingSummary, *, judged: bool = False) -> None:
+    """Warn of more sensors than frames, before they are mapped: the file may be transposed.
+
+    Fewer columns than a verdict needs frames are not a transposed recording that anybody would map.
+    judged: Whether a verdict is wanted. Raises InputError if only the transposed table can get one.
+    """
+    n_frames, n_sensors = summary.n_frames, summary.n_sensors
+    if n_sensors < max(n_frames + 1, MIN_FRAMES):
+        return
+    doubt = (
+        f"there are more sensors (columns, {n_sensors}) than frames (rows, {n_frames}): if the "
+        "rows of the file are the sensors, transpose it"
+    )
+    if judged and n_frames < MIN_FRAMES:
+        raise InputError(
+            f"{doubt}; if not, record the {MIN_FRAMES} frames that a verdict needs, or add "
+            "--no-verdict"
+        )
+    print_warning(doubt)
 
 
 def print_health(

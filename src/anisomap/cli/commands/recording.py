@@ -67,6 +67,7 @@ def info(
         print_warning(str(error))  # the contents are listed; the user must select one
         return
     examined = route.examine([found], progress=progress)
+    outputs.doubt_orientation(examined.summary)
     outputs.print_recording(printer, examined.recording, examined.summary)
     outputs.print_findings(printer, examined.findings)
     outputs.print_health(printer, examined.health, all_sensors=all_sensors)
@@ -272,7 +273,7 @@ def map_recording(
     from anisomap import io, route
     from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
-    from anisomap.methods import check_even_spacing, find_method
+    from anisomap.methods import METHODS, check_even_spacing, find_method
 
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
@@ -336,6 +337,7 @@ def map_recording(
     )
     remaining = [one for one in mended if not one.mendable] if repair else None
     examined = route.examine(source, remaining, progress=progress)
+    outputs.doubt_orientation(examined.summary, judged=verdict and bool(METHODS[by].refinements))
     names = examined.recording.names
     left_out = route.split_names(exclude, names)
     dropped = route.split_names(drop, names, examined.recording.metadata)
