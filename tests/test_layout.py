@@ -266,7 +266,7 @@ def test_the_same_seed_gives_the_same_result(recording):
     first, second = (check_layout(faults()["swapped"], short, rng=3) for _ in range(2))
     assert first.status == second.status
     assert first.findings[0].chance == second.findings[0].chance
-    assert "<LayoutCheck: not consistent, 2 sensors" in repr(first)
+    assert "<LayoutCheck: not consistent, 2 of" in repr(first)
     assert "swapped" in first._repr_html_()
 
 

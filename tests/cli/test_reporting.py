@@ -77,6 +77,7 @@ def check_schema(value, schema, where="the output"):
     kinds = schema["type"] if isinstance(schema["type"], list) else [schema["type"]]
     assert isinstance(value, tuple(t for k in kinds for t in np.atleast_1d(TYPES[k]))), where
     assert isinstance(value, bool) == (kinds == ["boolean"]), where
+    assert value in schema.get("enum", [value]), where
     if isinstance(value, dict):
         assert set(schema.get("required", ())) <= value.keys(), where
         rest = schema.get("additionalProperties", {"type": list(TYPES)})

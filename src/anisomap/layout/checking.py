@@ -167,8 +167,8 @@ class LayoutCheck:
 
     def __repr__(self) -> str:
         return (
-            f"<LayoutCheck: {self.verdict}, {int(self.accused.sum())} sensors in them, "
-            f"{self.n_tested} of {self.layout.n_sensors} tested>"
+            f"<LayoutCheck: {self.verdict}, {int(self.accused.sum())} of {self.n_tested} tested "
+            f"sensors accused, {self.layout.n_sensors} in the layout>"
         )
 
     def _repr_html_(self) -> str:

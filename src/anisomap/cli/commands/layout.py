@@ -152,7 +152,7 @@ def _print(printer: Printer, found: LayoutCheck, title: str) -> None:
     printer.notes(found.notes)
     printer.record(
         found,
-        "consistent explained notes",
+        "explained notes",
         outcome=found.verdict,
         p_value=found.p,
         sensors=layout.n_sensors,
