@@ -35,7 +35,7 @@ function showMap() {
     ? `${map.final ? "final" : "checked"} map, by the full method`
     : `quick map of ${map.frames} frames`);
   const waiting = view.countUnplaced();
-  $("which").textContent = kind + (waiting ? `; ${waiting} sensor${waiting > 1 ? "s" : ""} without a place` : "");
+  $("which").textContent = kind + (waiting ? `; ${waiting} sensor${waiting > 1 ? "s" : ""} unplaced` : "");
   $("show").lastChild.textContent = showsChecked ? " show quick map" : " show checked map";
   $("show").disabled = !map.checked || map.final;
   $("layout").disabled = !view.stated;
@@ -64,7 +64,8 @@ function showStatus() {
   $("state").textContent = status.state;
   $("frames").textContent = status.frames;
   $("seconds").textContent = `${status.seconds.toFixed(1)} s`;
-  $("coach").textContent = status.state === "finishing" ? "making the final map" : status.advice || "touch the skin";
+  $("coach").textContent = { finishing: "making the final map", ended: "the recording has ended; press Q to leave" }[status.state]
+    || status.advice || "touch the skin";
   $("coach").className = status.enough ? "enough" : "";
   $("faulty").textContent = status.faulty.length
     ? `faulty: ${status.faulty.map((s) => `${s.name} (${s.status})`).join(", ")}` : "no faulty sensor";
@@ -181,7 +182,7 @@ const BUTTONS = {
   s: ["save", () => act({ do: "save", spacing: $("spacing").value.trim() })],
   e: ["open-export", () => $("export-dialog").showModal()],
   t: ["open-truth", () => $("truth-dialog").showModal()],
-  q: ["end", () => confirm("End the session and make the final map?") && act({ do: "end" })],
+  q: ["end", () => (status?.state === "ended" || confirm("End the session and make the final map?")) && act({ do: "end" })],
 };
 for (const [id, run] of Object.values(BUTTONS)) $(id).addEventListener("click", run);
 $("export-dialog").addEventListener("close", () => {

@@ -4,7 +4,7 @@ import { COLOURS, disc, lines, sized, texts } from "./charts.js";
 
 const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.2)", MARK = "#b35000";
 const EASE_MS = 250;
-const MARGIN = 0.1, SHELF = 96, ABOVE = 70;
+const MARGIN = 0.1, SHELF = 96, ABOVE = 84;
 const SHELF_ROWS = 3, SHELF_STEP = 26;
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 
@@ -177,7 +177,8 @@ export class MapView {
     const taken = [], first = [this.hovered, this.selected].filter((i) => i >= 0 && points[i]);
     for (const i of [...first, ...(this.named ? order.slice().reverse() : [])]) {
       const name = this.names[i].length > 24 ? `${this.names[i].slice(0, 23)}…` : this.names[i];
-      const half = context.measureText(name).width / 2 + 2, [x, y] = [points[i][0], points[i][1] - radius - 5];
+      const half = context.measureText(name).width / 2 + 2, y = points[i][1] - radius - 5;
+      const x = Math.max(half, Math.min(points[i][0], this.canvas.clientWidth - half));
       if (taken.some(([a, b, h]) => Math.abs(a - x) < h + half && Math.abs(b - y) < 13)) continue;
       taken.push([x, y, half]);
       context.strokeText(name, x, y);
