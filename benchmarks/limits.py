@@ -93,7 +93,9 @@ def limits_of(recording: Recording, name: str) -> Limits:
 def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
     """Return the similarity, and the default map if its refinement starts from given places."""
     recipe, options = METHODS[DEFAULT_METHOD], MethodOptions(split_unrelated=False)
-    pairs = compare([part], recipe.similarity_of([part]), bins=options.bins, with_noise=True)
+    pairs = compare(
+        [part], recipe.similarity_of([part]), bins=options.entropy_bins, with_noise=True
+    )
     metric = np.asarray(recipe.metric(dissimilarities(pairs, DEFAULT_METHOD, options)))
     start = Configuration(
         positions=places * (squareform(metric, checks=False).mean() / pdist(places).mean()),

@@ -83,7 +83,7 @@ def stages(readings, method="covariogram", options=None):
     recipe, chosen = find_method(method), options or MethodOptions()
     refined = bool(recipe.refinements)
     runs = [Recording(readings)]
-    pairs = compare(runs, recipe.similarity, bins=chosen.bins, with_noise=refined)
+    pairs = compare(runs, recipe.similarity, bins=chosen.entropy_bins, with_noise=refined)
     dissimilarity = dissimilarities(pairs, method, chosen)
     return SimpleNamespace(
         pairs=pairs,

@@ -84,7 +84,7 @@ def test_flat_skins_are_mapped_about_as_well_in_space(recordings_folder, name):
 def test_thresholded_skins_have_two_bins(recordings_folder, name):
     recording = io.read(recordings_folder / f"{name}.npz")
     few, many = (
-        stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
+        stages(recording.readings, "i-anisomap", MethodOptions(entropy_bins=bins)).similarity
         for bins in (2, 8)
     )
     assert few.max() > 0.1
@@ -94,11 +94,13 @@ def test_thresholded_skins_have_two_bins(recordings_folder, name):
 def test_bins_of_continuous_readings_are_all_used(recordings_folder):
     recording = io.read(recordings_folder / "plantar.npz")
     for bins in (4, 8):
-        information = stages(recording.readings, "i-anisomap", MethodOptions(bins=bins)).similarity
+        information = stages(
+            recording.readings, "i-anisomap", MethodOptions(entropy_bins=bins)
+        ).similarity
         entropy = np.diag(information)
         assert entropy.max() > 0.9 * np.log(bins)
         assert (entropy <= np.log(bins) + 1e-12).all()
-        found = reconstruct(recording, "isomap", 2, options=MethodOptions(bins=bins))
+        found = reconstruct(recording, "isomap", 2, options=MethodOptions(entropy_bins=bins))
         assert mantel_r(found, recording) > 0.85
 
 

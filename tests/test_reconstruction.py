@@ -145,7 +145,7 @@ def two_skins():
 def test_components_without_regularisation_are_separate_maps():
     skin = two_skins()
     with pytest.warns(AnisomapWarning, match="2 separate components"):
-        sensor_map = reconstruct(skin, "r-anisomap", 2, options=MethodOptions(mu=0))
+        sensor_map = reconstruct(skin, "r-anisomap", 2, options=MethodOptions(regularisation=0))
     np.testing.assert_array_equal(sensor_map.component, [0] * 20 + [1] * 12)
     for piece, truth in zip(sensor_map.split(), (lattice(4, 5), lattice(3, 4)), strict=True):
         assert score(piece, truth, permutations=0).mantel.r > 0.95
@@ -234,12 +234,12 @@ def test_invalid_arguments_are_refused(arguments, message):
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("bins", 1, "at least 2, got 1"),
-        ("bins", 2.5, "whole number"),
+        ("entropy_bins", 1, "at least 2, got 1"),
+        ("entropy_bins", 2.5, "whole number"),
         ("n_neighbours", 0, "at least 1, got 0"),
         ("min_sensors", 0, "at least 1"),
-        ("mu", -1, "mu must be"),
-        ("mu", "1", "mu must be"),
+        ("regularisation", -1, "regularisation must be"),
+        ("regularisation", "1", "regularisation must be"),
         ("independent_frames", 0, "above 0"),
     ],
 )

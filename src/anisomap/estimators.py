@@ -14,7 +14,7 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD
+from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning, InputError
@@ -36,7 +36,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Number of dimensions of the map: see `anisomap.reconstruct`.
     method : str, default="covariogram"
         A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
-    mu, bins : float, int
+    regularisation, entropy_bins : float, int
         See `anisomap.methods.MethodOptions`.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
@@ -76,16 +76,16 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         n_components: Dimensions = AUTO,
         *,
         method: str = DEFAULT_METHOD,
-        mu: float = 1.0,
-        bins: int = DEFAULT_BINS,
+        regularisation: float = DEFAULT_MU,
+        entropy_bins: int = DEFAULT_BINS,
         tol: float = SmacofOptions.tolerance,
         max_iter: int = SmacofOptions.max_iterations,
         missing: MissingPolicy = "error",
     ) -> None:
         self.n_components = n_components
         self.method = method
-        self.mu = mu
-        self.bins = bins
+        self.regularisation = regularisation
+        self.entropy_bins = entropy_bins
         self.tol = tol
         self.max_iter = max_iter
         self.missing = missing
@@ -238,8 +238,8 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
     def _map(self, recording: Recording) -> Self:
         options = MethodOptions(
-            mu=self.mu,
-            bins=self.bins,
+            regularisation=self.regularisation,
+            entropy_bins=self.entropy_bins,
             smacof=SmacofOptions(self.tol, self.max_iter),
             min_sensors=1,
         )

@@ -92,7 +92,9 @@ def compute_stages(
     """Compute the configuration of all sensors of some recordings."""
     refined = bool(recipe.refinements)
     with limited_blas(max(run.n_sensors for run in runs)):
-        pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=refined)
+        pairs = compare(
+            runs, recipe.similarity_of(runs), bins=options.entropy_bins, with_noise=refined
+        )
         metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
         if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
             plan = _plan_by_default_method(runs, options)
@@ -178,7 +180,7 @@ def _plan(
 def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
     """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
     recipe = METHODS[DEFAULT_METHOD]
-    pairs = compare(runs, recipe.similarity_of(runs), bins=options.bins, with_noise=True)
+    pairs = compare(runs, recipe.similarity_of(runs), bins=options.entropy_bins, with_noise=True)
     metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
     plan = _plan(AUTO, pairs, metric)
     if plan.dimensions == SPATIAL:

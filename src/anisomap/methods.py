@@ -90,7 +90,7 @@ class Method:
 
 
 def _reciprocal(pairs: PairStatistics, options: MethodOptions) -> Reals:
-    return regularised_reciprocal(pairs.similarity, options.mu)
+    return regularised_reciprocal(pairs.similarity, options.regularisation)
 
 
 def _information_distance(pairs: PairStatistics, _: MethodOptions) -> Reals:
@@ -100,7 +100,7 @@ def _information_distance(pairs: PairStatistics, _: MethodOptions) -> Reals:
 def _direct(pairs: PairStatistics, options: MethodOptions) -> Reals:
     pairs.check_correlations()
     if pairs.known.mean() < _MIN_KNOWN:
-        return regularised_reciprocal(pairs.similarity, options.mu)
+        return regularised_reciprocal(pairs.similarity, options.regularisation)
     direct = direct_dissimilarity(pairs.similarity, pairs.noise)
     return remove_insignificant_links(
         direct, pairs.similarity, pairs.noise, split_unrelated=options.split_unrelated

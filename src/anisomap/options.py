@@ -19,10 +19,10 @@ class MethodOptions:
 
     Parameters
     ----------
-    mu : float
-        Regularisation of the reciprocal, at least 0. With 0, unrelated sensors are infinitely far
-        apart, and components come out as separate maps.
-    bins : int
+    regularisation : float
+        Regularisation of the reciprocal, mu in the paper, at least 0. With 0, unrelated sensors are
+        infinitely far apart, and components come out as separate maps.
+    entropy_bins : int
         Bins per sensor for entropies, at least 2.
     n_neighbours : int, optional
         Neighbours per sensor in ISOMAP's graph; by default the smallest number that connects all.
@@ -46,11 +46,11 @@ class MethodOptions:
     Raises
     ------
     InputError
-        If `mu` or `independent_frames` is out of range.
+        If `regularisation` or `independent_frames` is out of range.
     """
 
-    mu: float = DEFAULT_MU
-    bins: int = DEFAULT_BINS
+    regularisation: float = DEFAULT_MU
+    entropy_bins: int = DEFAULT_BINS
     n_neighbours: int | None = None
     smacof: SmacofOptions = field(default_factory=SmacofOptions)
     covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
@@ -61,14 +61,15 @@ class MethodOptions:
     min_sensors: int = 3
 
     def __post_init__(self) -> None:
-        for name, least in (("bins", 2), ("n_neighbours", 1), ("min_sensors", 1)):
+        for name, least in (("entropy_bins", 2), ("n_neighbours", 1), ("min_sensors", 1)):
             value = getattr(self, name)
             if value is not None and not (isinstance(value, int | np.integer) and value >= least):
                 raise InputError(
                     f"{name} must be a whole number of at least {least}, got {value!r}"
                 )
-        if not (isinstance(self.mu, int | float) and np.isfinite(self.mu) and self.mu >= 0):
-            raise InputError(f"mu must be a finite number of at least 0, got {self.mu}")
+        mu = self.regularisation
+        if not (isinstance(mu, int | float) and np.isfinite(mu) and mu >= 0):
+            raise InputError(f"regularisation must be a finite number of at least 0, got {mu}")
         if not (np.isfinite(self.independent_frames) and self.independent_frames > 0):
             raise InputError(
                 f"independent_frames must be a finite number above 0, got {self.independent_frames}"

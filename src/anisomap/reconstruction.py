@@ -407,8 +407,8 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     recipe, defaults = find_method(method), MethodOptions()
     facts: dict[str, Scalar] = {
         "anisomap": __version__,
-        "mu": options.mu,
-        "bins": options.bins,
+        "regularisation": options.regularisation,
+        "entropy_bins": options.entropy_bins,
     }
     if options.n_neighbours is not None:
         facts["n_neighbours"] = options.n_neighbours

@@ -18,7 +18,7 @@ def evidence():
         Recording(readings[:100], names=tuple(f"ä{i}" for i in range(12))),
         Recording(readings[100:, :8], names=tuple(f"ä{i}" for i in range(8))),
     ]
-    options = MethodOptions(mu=0.5, n_neighbours=4, smacof=SmacofOptions(1e-5, 77))
+    options = MethodOptions(regularisation=0.5, n_neighbours=4, smacof=SmacofOptions(1e-5, 77))
     return gather_evidence(parts, dimensions=2, options=options)
 
 
@@ -46,7 +46,7 @@ def test_the_file_is_named_after_the_map():
         ({"kind": "something else"}, "another version"),
         ({"method": "magic"}, "magic"),
         ({"dimensions": -1}, "dimensions"),
-        ({"options": '{"mu": -1}'}, "mu"),
+        ({"options": '{"regularisation": -1}'}, "regularisation"),
         ({"options": '{"colour": 1}'}, "colour"),
         ({"options": '{"smacof.colour": 1}'}, "colour"),
         ({"blended-correlation.squares": np.full((12, 12), -1.0)}, "no recording gives"),

@@ -122,7 +122,7 @@ def test_other_readings_are_refused(tmp_path, other):
     [
         {"method": "r-anisomap"},
         {"method": "spearman-anisomap"},
-        {"options": MethodOptions(bins=5)},
+        {"options": MethodOptions(entropy_bins=5)},
         {"source": "another.npz"},
         {"missing": "drop-frames"},
     ],

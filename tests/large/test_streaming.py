@@ -191,7 +191,7 @@ def scaled(unit):
         ([READINGS[0]], {}, r"\(frames, sensors\)"),
         ([scaled(1e200)], {}, r"sensor 3 reads .* use another unit"),
         ([scaled(1e-200)], {}, r"sensor 3 reads .* use another unit"),
-        ([READINGS], {"bins": 70_000}, "at most 1024, got 70000"),
+        ([READINGS], {"entropy_bins": 70_000}, "at most 1024, got 70000"),
     ],
 )
 def test_invalid_input_is_refused(parts, options, message):

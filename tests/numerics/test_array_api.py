@@ -149,7 +149,7 @@ def test_constant_sensors_are_not_placed(asarray):
     ("change", "message"),
     [
         ({"method": "isomap"}, "does not run on a device"),
-        ({"options": MethodOptions(mu=0)}, "mu"),
+        ({"options": MethodOptions(regularisation=0)}, "regularisation"),
         ({"dimensions": 0}, "dimensions"),
         ({"names": ["a", "b"]}, "names"),
     ],

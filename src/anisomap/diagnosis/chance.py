@@ -88,7 +88,7 @@ def part_of(
         with limited_blas(part.n_sensors):
             similarity = sensor_map.similarity
             return MapPart(
-                positions, compare([part], similarity, bins=options.bins, with_noise=True)
+                positions, compare([part], similarity, bins=options.entropy_bins, with_noise=True)
             )
     made, inside = stages.configuration, components == label
     pairs, refined = stages.pairs.select(inside), made.refinements[label]

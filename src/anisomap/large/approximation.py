@@ -202,7 +202,7 @@ def map_similarity_graph(
             f"links, but the largest group has {np.count_nonzero(component == 0)}; check that the "
             "skin was touched during the recording"
         )
-    lengths = edge_lengths(found.links, found.edges, chosen.mu)
+    lengths = edge_lengths(found.links, found.edges, chosen.regularisation)
     graph = adjacency_matrix(found.edges, lengths, n_sensors)
     positions = np.full((n_sensors, n_dimensions), np.nan)
     rng = np.random.default_rng(found.options.seed)
@@ -228,7 +228,7 @@ def map_similarity_graph(
         provenance={
             "anisomap": __version__,
             "similarity": "pearson",
-            "mu": chosen.mu,
+            "regularisation": chosen.regularisation,
             **{f"approximate_{name}": value for name, value in asdict(found.options).items()},
             **asdict(chosen.smacof),
             "iterations": n_iterations,

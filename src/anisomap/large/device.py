@@ -110,7 +110,9 @@ def reconstruct_on_device(
     if n_mapped < n_sensors:
         readings = array_api.select_columns(readings, varying)
     logger.info("comparing all pairs of sensors (%s)", similarity)
-    lengths = array_api.regularised_reciprocal(compare(readings, chosen.bins), chosen.mu)
+    compared = compare(readings, chosen.entropy_bins)
+    lengths = array_api.regularised_reciprocal(compared, chosen.regularisation)
+    del compared
     logger.info("computing shortest paths")
     metric = array_api.metricise(lengths)
     del lengths
@@ -147,9 +149,9 @@ def _stages_of(method: str, options: MethodOptions) -> tuple[str, Callable[[Arra
     if method not in DEVICE_METHODS:
         able = ", ".join(DEVICE_METHODS)
         raise InputError(f"{method} does not run on a device; choose from {able}")
-    if options.mu == 0:
+    if options.regularisation == 0:
         raise InputError(
-            "with mu = 0, unrelated sensors are infinitely far apart; use a mu above 0"
+            "with regularisation 0, unrelated sensors are infinitely far apart; use one above 0"
         )
     return DEVICE_METHODS[method]
 

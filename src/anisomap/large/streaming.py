@@ -243,7 +243,7 @@ def stream_similarity(
     name, refined = recipe.similarity, bool(recipe.refinements)
     chunked, complete = CHUNKED[name], complete_chunks(chunks, missing)
     segments = Excerpt()
-    subject = f"{name} of {source or 'frames'}, {options.bins} bins"
+    subject = f"{name} of {source or 'frames'}, {options.entropy_bins} bins"
     saved = Checkpoint(checkpoint, subject) if checkpoint else None
 
     def checked_chunks() -> Iterator[NDArray[Any]]:
@@ -262,7 +262,7 @@ def stream_similarity(
         values = map_reduce(
             checked_chunks, ValueCounts.of, pool=pool, checkpoint=saved, stage="values"
         )
-        mapper = chunked.prepare(values, options.bins)
+        mapper = chunked.prepare(values, options.entropy_bins)
     logger.info("comparing all pairs of sensors (%s)", name)
     total = map_reduce(checked_chunks, mapper, pool=pool, checkpoint=saved, stage="pairs")
     varying = total.varying() if values is None else values.varying()

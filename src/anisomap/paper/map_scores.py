@@ -301,7 +301,7 @@ def score_rows(
                     k,
                     permutations=settings.permutations if bins == DEFAULT_BINS else 0,
                     exclude=excluded,
-                    options=MethodOptions(bins=bins),
+                    options=MethodOptions(entropy_bins=bins),
                     similarity=compared[key],
                 )
                 result, found = scored.score, scored.sensor_map

@@ -204,7 +204,7 @@ PARAMETERS = (
         (0.001, 0.01, 0.1, 1, 10, 100),
         (0.1, 1),
         1,
-        options=lambda value: MethodOptions(mu=value),
+        options=lambda value: MethodOptions(regularisation=value),
         methods=("r-anisomap", "i-anisomap"),
     ),
     Parameter(
@@ -215,7 +215,7 @@ PARAMETERS = (
         (2, 3, 4, 6, 8, 12, 16),
         (4, 8),
         DEFAULT_BINS,
-        options=lambda value: MethodOptions(bins=int(value)),
+        options=lambda value: MethodOptions(entropy_bins=int(value)),
         methods=METHODS[1:],
     ),
 )

@@ -225,7 +225,7 @@ def _evidence_of(
         if single or len(distinct_contacts(readings)) < MIN_CONTACTS:
             similarities.append(recipe.contact_similarity)
     with limited_blas(run.n_sensors):
-        sums = {key: PairSums.of(readings, key, bins=options.bins) for key in similarities}
+        sums = {key: PairSums.of(readings, key, bins=options.entropy_bins) for key in similarities}
     digest = blake2b(digest_size=_DIGEST_BYTES)
     digest.update("\n".join(run.names).encode("utf-8", "backslashreplace"))
     digest.update(np.ascontiguousarray(readings, dtype=np.float64).data)

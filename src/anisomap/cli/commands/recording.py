@@ -147,8 +147,8 @@ class TuningOptions:
         from anisomap.options import MethodOptions
 
         return MethodOptions(
-            mu=self.regularisation,
-            bins=self.entropy_bins,
+            regularisation=self.regularisation,
+            entropy_bins=self.entropy_bins,
             n_neighbours=self.n_neighbours,
             even_spacing=self.even_spacing,
             smacof=SmacofOptions(self.tolerance, self.max_iterations),
