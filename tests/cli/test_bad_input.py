@@ -56,6 +56,8 @@ map skin.csv --grid {"9" * 5000}x1                        | rows and columns, as
 map skin.csv --grid 0x3                                   | two whole numbers of at least 1
 map constant.csv -o old.csv                               | got 0 of 3
 map empty -o a.csv                                        | is a folder without
+map book.xlsx -o a.csv                                    | is a spreadsheet; save its table as CSV
+score map.csv cap.elc                                     | is written, but not read
 map two.csv -o old.csv                                    | got 2 of 2
 map gaps.csv -o old.csv                                   | sensor s1, frame 9
 compare infinite.csv                                      | sensor s2, frame 9
@@ -216,6 +218,8 @@ def folder(tmp_path_factory):
         "header.csv": "x,y\n",
         "words.csv": "x,y\n1,z\n",
         "ragged.csv": "x,y\n1,2\n3\n",
+        "book.xlsx": "PK",
+        "cap.elc": "# ASA electrode file\n",
     }
     for name, text in texts.items():
         (folder / name).write_text(text)

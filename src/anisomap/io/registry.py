@@ -50,6 +50,8 @@ from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 from anisomap.wording import as_text, join_items
 
+_SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+
 
 @dataclass(frozen=True)
 class Format:
@@ -405,7 +407,9 @@ def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[...
     reader = getattr(chosen, kind)
     if reader is None:
         able = (", ".join(f.suffixes) or f.summary for f in FORMATS if getattr(f, kind))
-        problem = f"holds no {what}; formats with {what}: {'; '.join(able)}"
+        is_read = chosen.open_recording or chosen.read_map
+        problem = f"holds no {what}" if is_read else "is written, but not read"
+        problem += f"; formats with {what}: {'; '.join(able)}"
         raise FileError(f"{file} ({chosen.summary}) {problem}")
     return chosen, reader
 
@@ -414,6 +418,8 @@ def _recognise(file: Path) -> Format:
     start = read_head(file)
     *marked, text_format = FORMATS
     suffix = next((s.lower() for s in reversed(file.suffixes) if s.lower() != ".gz"), None)
+    if suffix in _SPREADSHEETS:
+        raise FileError(f"{file} is a spreadsheet; save its table as CSV")
     own = (f for f in FORMATS if f.signature and start.startswith(f.signature))
     by_content = (f for f in marked if f.matches(file, start))
     if chosen := next(itertools.chain(own, by_content), None):
