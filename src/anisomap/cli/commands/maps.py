@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from anisomap.evaluation import Difference
     from anisomap.tracking import Update
 
+_ROUNDING = 1e-9  # of the spacing: what equal maps differ by
+
 
 def convert(
     map_file: options.MapFile,
@@ -108,6 +110,7 @@ def _print_difference(printer: Printer, found: Difference, title: str) -> None:
 
     units, factor = length_shown(found.units, "units of the first map")
     spacing = found.spacing  # 0 if most sensors have the place of another
+    chance = found.chance if found.chance > _ROUNDING * spacing else 0.0
     masks = {"moved": found.moved, "appeared": found.appeared, "lost": found.lost}
     names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in masks.items()}
     n_compared = int(np.count_nonzero(found.compared))
@@ -116,8 +119,8 @@ def _print_difference(printer: Printer, found: Difference, title: str) -> None:
         {
             "sensors compared": str(n_compared),
             **{kind: str(len(listed)) for kind, listed in names.items()},
-            "chance": f"explains up to {number(factor * found.chance)} {units}"
-            + (f", or {number(found.chance / spacing, 3)} spacings" if spacing else ""),
+            "chance": f"explains up to {number(factor * chance)} {units}"
+            + (f", or {number(chance / spacing, 3)} spacings" if spacing else ""),
             "scale": f"{number(found.scale)} (second map to first)",
             "mirrored": "yes" if found.reflected else "no",
         },
