@@ -68,6 +68,15 @@ def test_a_matrix_is_recognised_mapped_and_examined(run, dist_csv, points, tmp_p
     assert "objects placed  12 of 12" in run("map", dist_csv, "-o", "again.csv").out
 
 
+def test_a_matrix_in_a_format_of_recordings_is_asked_about(run, points, tmp_path):
+    np.savez(tmp_path / "d.npz", readings=squareform(pdist(points)))
+    asked = "symmetric matrix of 12 x 12: give --dissimilarities"
+    assert asked in run("map", "d.npz").err
+    assert asked in run("info", "d.npz").err
+    assert "objects placed  12 of 12" in run("map", "d.npz", "--dissimilarities").out
+    assert run("map", "d.npz", "--no-dissimilarities", "--no-verdict", "-o", "m.csv").code == 0
+
+
 def test_a_doubtful_matrix_is_refused_with_both_readings(run, tmp_path):
     np.savetxt(tmp_path / "d.csv", 1 - np.eye(6)[::-1] - np.eye(6), delimiter=",")
     done = run("map", "d.csv")

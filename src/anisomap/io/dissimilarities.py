@@ -151,10 +151,19 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
         return None
     if not own.any() and not (others <= 0).any():
         return read_dissimilarities(path)
-    raise InputError(
-        f"{path} is a symmetric matrix of {len(values)} x {len(values)}: {_DOUBT} of {len(values)} "
-        "frames"
-    )
+    raise InputError(_doubt(path, len(values)))
+
+
+def doubt_of(path: Path, readings: NDArray[np.generic]) -> str:
+    """Return what to ask if readings, shape (T, N), may be dissimilarities; empty if not."""
+    n = len(readings)
+    if readings.shape != (n, n) or n < _LEAST or (np.diag(readings) != readings[0, 0]).any():
+        return ""
+    return _doubt(path, n) if np.array_equal(readings, readings.T) else ""
+
+
+def _doubt(path: Path, n: int) -> str:
+    return f"{path} is a symmetric matrix of {n} x {n}: {_DOUBT} of {n} frames"
 
 
 def _sampled(file: Path) -> tuple[Rows, int]:

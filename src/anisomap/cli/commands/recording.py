@@ -50,13 +50,13 @@ def info(
     from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.io import ChoiceError
+    from anisomap.io.dissimilarities import doubt_of
 
     how = reading.checked()
     try:
-        table = objects.find([recording], wanted=None, weights=None)
-    except InputError as doubt:
-        table = None
-        print_warning(str(doubt))
+        table, doubt = objects.find([recording], wanted=None, weights=None), ""
+    except InputError as error:
+        table, doubt = None, str(error)
     if table is not None:
         objects.print_pairs(printer, table)
         return
@@ -66,6 +66,8 @@ def info(
     except ChoiceError as error:
         print_warning(str(error))  # the contents are listed; the user must select one
         return
+    if doubt := doubt or doubt_of(recording, found.readings):
+        print_warning(doubt)
     examined = route.examine([found], progress=progress)
     outputs.doubt_orientation(examined.summary)
     outputs.print_recording(printer, examined.recording, examined.summary)
@@ -326,6 +328,7 @@ def map_recording(
     source, mended = _read_source(
         recordings,
         reading.checked(),
+        doubted=dissimilarities is None,
         repair=repair,
         keep_statistics=keep_statistics,
         missing=missing,
@@ -406,14 +409,19 @@ def _read_source(
     recordings: list[Path],
     how: ReadOptions,
     *,
+    doubted: bool,
     repair: bool,
     keep_statistics: bool,
     missing: MissingPolicy,
     large: LargeOptions,
     **settings: Any,
 ) -> tuple[route.Source, Sequence[Finding]]:
-    """Read recordings, in blocks if they are large; return them and the faults that were mended."""
+    """Read recordings, in blocks if they are large; return them and the faults that were mended.
+
+    doubted: Whether to ask if a single file may hold dissimilarities.
+    """
     from anisomap import route
+    from anisomap.io.dissimilarities import doubt_of
 
     if large.given or route.are_large(recordings, how):
         from anisomap.large.map_reduce import WorkerPool
@@ -435,5 +443,9 @@ def _read_source(
         )
         return source, ()
     if repair:
-        return route.read_mended(recordings, how, missing, progress=progress)
-    return route.read_runs(recordings, how, missing, progress=progress), ()
+        runs, mended = route.read_mended(recordings, how, missing, progress=progress)
+    else:
+        runs, mended = route.read_runs(recordings, how, missing, progress=progress), ()
+    if doubted and len(recordings) == 1 and (doubt := doubt_of(recordings[0], runs[0].readings)):
+        raise InputError(doubt)
+    return runs, mended
