@@ -42,6 +42,14 @@ _LOOKS_FLAT = (
     "a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
 )
 _LINE = "the sensors appear to lie along a line: to map them along it, choose 1 dimension (-d 1)"
+_OF_OBJECTS = {
+    _CHOSEN[2]: "a third dimension explains no more than chance",
+    _CHOSEN[3]: "two dimensions do not explain the dissimilarities",
+    _UNCLEAR: "the dissimilarities do not show the number of dimensions: choose it (-d 2)",
+    _LOOKS_FLAT: "a third dimension explains no more than chance: 2 dimensions suffice (-d 2)",
+    _LINE: _LINE.replace("sensors", "objects"),
+}
+"""What is said of objects, which are not on a skin, in place of what is said of sensors."""
 
 
 FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
@@ -159,12 +167,14 @@ class DimensionPlan:
 
     choice: What the metric shows, if it was examined.
     elongated: Whether contacts appear elongated, so that the metric does not show the dimensions.
+    objects: Whether it is a map of objects, from their dissimilarities.
     """
 
     dimensions: int
     requested: Dimensions
     choice: DimensionChoice | None = None
     elongated: bool = False
+    objects: bool = False
 
     @property
     def note(self) -> tuple[str, ...]:
@@ -174,19 +184,22 @@ class DimensionPlan:
         if self.requested != AUTO:
             flat = self.choice.clear and self.choice.dimensions < self.dimensions
             flat = flat and not self.elongated
-            return (_LOOKS_FLAT,) if flat else ()
+            return self._said(_LOOKS_FLAT) if flat else ()
         if self.elongated:
             return (_ELONGATED,)
         if not self.choice.clear:
-            return (_UNCLEAR,)
-        return (_LINE,) if self.choice.line else ()
+            return self._said(_UNCLEAR)
+        return self._said(_LINE) if self.choice.line else ()
+
+    def _said(self, text: str) -> tuple[str, ...]:
+        return (_OF_OBJECTS[text] if self.objects else text,)
 
     @property
     def provenance(self) -> dict[str, Scalar]:
         """The choice and its evidence, if the number of dimensions was not given."""
         if self.requested != AUTO or self.choice is None:
             return {}
-        because = self.note[0] if self.note else _CHOSEN[self.dimensions]
+        (because,) = self.note or self._said(_CHOSEN[self.dimensions])
         facts: dict[str, Scalar] = {
             "chosen_dimensions": self.dimensions,
             "dimensions_because": because,

@@ -137,7 +137,21 @@ def test_objects_without_known_pairs_are_refused(run, tmp_path):
     (tmp_path / "d.csv").write_text("A,B,1\nB,C,1\nD,E,1\nE,F,1\n")
     done = run("map", "d.csv", "--dissimilarities", "-d", 2)
     assert done.code == 2
-    assert "2 connected components" in done.err
+    assert "connect D, E, F with the other objects: there are 2 connected components" in done.err
+
+
+def test_the_choice_of_dimensions_speaks_of_objects(run, tmp_path):
+    (tmp_path / "few.csv").write_text("A,B,1\nB,C,1\nA,C,1.5\n")
+    values = np.random.default_rng(0).uniform(size=(30, 3))
+    np.savetxt(tmp_path / "many.csv", squareform(pdist(values)), delimiter=",")
+    for file, k, said in (("few", 2, "do not show"), ("many", 3, "two dimensions do not explain")):
+        done = run("map", f"{file}.csv", "--permutations", 0)
+        assert f"objects placed  {len(values) if k == 3 else 3} of" in done.out
+        assert anisomap.read_map(tmp_path / f"{file}.map.csv").dimensions == k
+        text = " ".join((done.out + done.err).split())
+        assert said in text
+        assert "dissimilarities" in text
+        assert not re.search("readings|skin|sensor", text)
 
 
 @pytest.mark.parametrize(

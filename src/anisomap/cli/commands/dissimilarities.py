@@ -17,12 +17,13 @@ from anisomap.cli.outputs import Outputs, Truth, print_map, record_map
 from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard, permutation_test, shepard, stress_per_point
+from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.scaling.dissimilarity_scaling import SCALINGS, find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.recording import sensor_mask
 from anisomap.route import split_names
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import number, percent
+from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -111,13 +112,22 @@ def map_objects(
     if weights is not None:
         shares = io.read_pair_weights(weights, found.names)[pairs]
         values = np.where(shares + np.eye(len(kept)) > 0, values, np.inf)
+    names = [found.names[i] for i in kept]
+    if (group := components(values)).any():
+        apart = join_items([names[i] for i in np.flatnonzero(group)], _WORST)
+        raise InputError(
+            f"no known pairs connect {apart} with the other objects: there are {group.max() + 1} "
+            "connected components; map each by itself, without the others (--drop)"
+        )
     name = method or _DEFAULT_SCALING
     scale = find_scaling(name)
     with progress("making the map"):
         target = None
         if dimensions == AUTO:
             target = scale(values, dimensions=2, weights=shares, options=options)[1]
-        plan = plan_dimensions(dimensions, target, shares)
+        plan = replace(plan_dimensions(dimensions, target, shares), objects=True)
+        if dimensions == AUTO:  # n objects span n - 1 dimensions
+            plan = replace(plan, dimensions=min(plan.dimensions, len(kept) - 1))
         k = plan.dimensions
         scaling, target = scale(values, dimensions=k, weights=shares, options=options)
     quick = replace(options, tolerance=max(options.tolerance, _NULL_TOLERANCE))
@@ -131,7 +141,7 @@ def map_objects(
         )
     made = SensorMap(
         scaling.positions,
-        names=tuple(found.names[i] for i in kept),
+        names=tuple(names),
         method=name,
         stress=scaling.stress,
         n_iterations=len(scaling.trace) - 1,
