@@ -176,6 +176,9 @@ def test_dissimilarities_as_points_raise_a_warning():
         ({"dissimilarity": "precomputed"}, "metric='precomputed'"),
         ({"normalized_stress": "auto"}, "stress_"),
         ({"eps": 1e-3}, "tol"),
+        ({"init": "random"}, "fit(X, init=positions)"),
+        ({"n_jobs": 2}, "threadpoolctl"),
+        ({"verbose": 1}, "logging"),
         ({"n_init": 0}, "n_init must be at least 1"),
     ],
 )

@@ -278,7 +278,7 @@ class Anisomap(BaseEstimator):
         Random numbers of the further initial configurations.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
-    metric_mds, normalized_stress, eps, dissimilarity : None
+    metric_mds, normalized_stress, eps, dissimilarity, init, n_jobs, verbose : None
         Parameters of ``MDS``, refused with an error that names those of this class.
 
     Attributes
@@ -323,6 +323,9 @@ class Anisomap(BaseEstimator):
         normalized_stress: bool | None = None,
         eps: float | None = None,
         dissimilarity: str | None = None,
+        init: str | None = None,
+        n_jobs: int | None = None,
+        verbose: int | None = None,
     ) -> None:
         self.n_components = n_components
         self.metric = metric
@@ -336,6 +339,9 @@ class Anisomap(BaseEstimator):
         self.normalized_stress = normalized_stress
         self.eps = eps
         self.dissimilarity = dissimilarity
+        self.init = init
+        self.n_jobs = n_jobs
+        self.verbose = verbose
 
     def fit(
         self,
@@ -471,6 +477,9 @@ _OF_MDS = {
     "normalized_stress": "always on here: stress_ is normalised",
     "eps": "tol here",
     "dissimilarity": "metric here: metric='precomputed' for a matrix of dissimilarities",
+    "init": "init of fit and fit_transform here: fit(X, init=positions)",
+    "n_jobs": "not needed here: initial configurations are few; threadpoolctl limits threads",
+    "verbose": "logging here: logging.getLogger('anisomap').setLevel('INFO')",
 }
 """Parameters of scikit-learn's MDS, and what they are here."""
 

@@ -234,7 +234,7 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
         return
     rows = unit_rows(np.clip(fast[:, noisy] / scale[noisy], -_CLIP, _CLIP))
     for group in linked_groups(rows, _MIN_LINK, _MIN_GROUP):
-        members = rows[group][some_sensors(np.count_nonzero(group), _SCREENED[1])]
+        members = rows[group][some_sensors(int(group.sum()), _SCREENED[1])]
         second, first = np.linalg.eigvalsh(members @ members.T)[-2:]
         if second <= _MAX_SECOND * first:
             yield free[group]
