@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults import Found
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.reliability.significance import FALSE_ALARMS
@@ -41,7 +42,7 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     negative between the two parts, and positive within them. If most readings are not skewed or do
     not rest, such as those of sensors that are often in contact, the parts are those that the signs
     of the strongest correlations give, along a maximum spanning tree; they must be mixed. Sensors
-    that were not touched, or that resemble no other, are not judged: their signs are chance.
+    with fewer than 5 contacts, or that resemble no other, are not judged: their signs are chance.
     """
     judged = np.flatnonzero(_often_touched(recording))
     readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
@@ -83,9 +84,10 @@ def _are_equal(raised: NDArray[np.bool_]) -> bool:
 
 
 def _often_touched(recording: Recording) -> NDArray[np.bool_]:
-    """Return whether sensors have enough readings clearly beyond rest for a sign, shape (N,)."""
+    """Return whether sensors have enough contacts, and readings beyond rest, for a sign, (N,)."""
     beyond = np.count_nonzero(recording.signals.touched, axis=0)
-    return np.asarray(beyond >= _enough(recording))
+    few = recording.signals.contacts < MIN_CONTACTS
+    return np.asarray((beyond >= _enough(recording)) & ~few)
 
 
 def _enough(recording: Recording) -> float:
