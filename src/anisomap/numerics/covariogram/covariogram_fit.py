@@ -353,7 +353,7 @@ class _Search:
 
     def run(self, max_iterations: int) -> Minimum:
         # The factor is triangular, so that y[-1] is proportional to the log exponent.
-        bounds = np.full((2, len(self._origin)), [[-np.inf], [np.inf]])
+        self._bounds = bounds = np.full((2, len(self._origin)), [[-np.inf], [np.inf]])
         bounds[:, -1] = (np.log(_EXPONENT_BOUNDS) - self._origin[-1]) * self._factor[-1, -1]
         ended: Any = minimize(
             self._value_and_slope,
@@ -390,10 +390,12 @@ class _Search:
         self._before = value
         if decrease > self._tolerance * max(abs(value), 1.0):
             return
-        step = self._solved(self._slope)[:-1]
-        if np.linalg.norm(step) < self._displacement * np.linalg.norm(
-            self._at(intermediate_result.x)[0]
-        ):
+        y = intermediate_result.x
+        slope = self._slope.copy()
+        # An exponent at its bound does not move, however steep the objective is.
+        slope[-1] *= np.all(np.abs(self._bounds[:, -1] - y[-1]) > 0)
+        step = self._solved(slope)[:-1]
+        if np.linalg.norm(step) < self._displacement * np.linalg.norm(self._at(y)[0]):
             self._converged = True
             raise StopIteration
 
