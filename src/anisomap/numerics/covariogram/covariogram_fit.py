@@ -418,6 +418,7 @@ def _factor(curvature: Matrix) -> Matrix:
 _MAX_SENSORS = 1000  # regularly sampled sensors; their 500,000 pairs suffice for one share
 _SIGNIFICANT = 2.0  # standard deviations from which a fitted correlation counts as significant
 _MIN_VARIANCE_FACTOR = 1e-4  # of correlations of nearly 1; bounds rounding errors
+_DISTANCES = 1 << 14  # steps of distance, far below all errors; sums over steps need no sort
 _MIN_PAIRS = 30  # fewer significant pairs determine no share; chosen by hand
 
 
@@ -444,9 +445,14 @@ def unexplained_share(
     if known is not None and not np.all(known):
         among = squareform(np.asarray(known)[::step, ::step].astype(np.float64), checks=False) > 0
         distances, correlations = distances[among], correlations[among]
-    order = np.argsort(distances, kind="stable")
-    fitted = np.empty_like(correlations)
-    fitted[order] = isotonic_regression(correlations[order], increasing=False).x
+    greatest = distances.max(initial=0.0)
+    steps = (distances * ((_DISTANCES - 1) / greatest if greatest > 0 else 0)).astype(np.intp)
+    counts = np.bincount(steps, minlength=1)
+    filled = np.flatnonzero(counts)
+    means = np.bincount(steps, correlations, len(counts))[filled] / counts[filled]
+    of_steps = np.zeros(len(counts))
+    of_steps[filled] = isotonic_regression(means, weights=counts[filled], increasing=False).x
+    fitted = of_steps[steps]
     significant = fitted > _SIGNIFICANT * np.sqrt(noise)
     if np.count_nonzero(significant) < _MIN_PAIRS:
         return 0.0
