@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import pdist
 
-from anisomap.numerics.columns import mean_ranks
+from anisomap.numerics.columns import mean_ranks, ranks_from_counts
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.reliability.split_half import split_blocks
 
@@ -117,7 +117,7 @@ class ContactHeights:
         # it is at rest, a tie, where the sensor is not touched.
         ranks = np.empty(by_sensor.shape, np.float32)
         for row, depth in zip(ranks, by_sensor, strict=True):
-            row[:] = mean_ranks(_highest_around(depth, half)) / len(depth)
+            row[:] = _ranks_of_runs(_highest_around(depth, half)) / len(depth)
         return cls(tuple(zip(peaks, heights, strict=True)), np.array(graded), ranks.T)
 
     @cached_property
@@ -276,3 +276,12 @@ def _highest_around(depths: Matrix, half: int) -> Matrix:
     if size < width:
         highest = np.maximum(highest[: size - width], highest[width - size :])
     return highest
+
+
+def _ranks_of_runs(values: Matrix) -> Matrix:
+    """Rank values as `mean_ranks`, faster where most are equal to those before. values (T,)."""
+    begins = np.flatnonzero(np.diff(values, prepend=np.nan))
+    lengths = np.diff(begins, append=len(values))
+    _, codes = np.unique(values[begins], return_inverse=True)
+    counts = np.bincount(codes, lengths)
+    return np.repeat(ranks_from_counts(counts)[codes], lengths)
