@@ -175,13 +175,10 @@ class PairStatistics:
 
     @cached_property
     def changes(self) -> Reals | None:
-        """Blended correlation of differences between frames, shape (n, n); None without them."""
+        """Correlation of the changes of ranks between frames, shape (n, n); None without them."""
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
             return None
-        readings: NDArray[Any] = self.readings
-        if readings.dtype.kind != "f":
-            readings = readings.astype(np.float64)
-        return blended_correlation(np.diff(readings, axis=0))
+        return pearson(np.diff(self.ranks, axis=0))
 
     @cached_property
     def correlation(self) -> Reals | None:
