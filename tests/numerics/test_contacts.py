@@ -11,6 +11,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
 from anisomap.numerics.contacts.contact_fit import (
     Profile,
+    Roots,
     evaluate,
     fit_profile,
     leave_one_out,
@@ -112,7 +113,7 @@ def test_sensors_step_up_the_likelihood_of_contacts_that_follow_them(dimensions)
     assert np.abs(located.gradients).max() < 0.05
     kept = np.array([1.0, 1.0, 0.0, 0.5, 1.0])
     still = np.zeros(places.shape)
-    step = sensor_steps(contacts, located, kept, still, prior_sd=1e-3)
+    step = sensor_steps(contacts, located, Roots.of(contacts, located), kept, still, prior_sd=1e-3)
     expected = approx_fprime(
         places.ravel(),
         lambda p: float(
@@ -135,9 +136,9 @@ def test_steps_of_sensors_solve_the_schur_complement(dimensions):
     gradients = np.zeros(len(whole))
     for m, (sensor, contact) in enumerate(zip(contacts.sensors, contacts.owners, strict=True)):
         row = np.zeros(len(whole))
-        row[sensor * dimensions : (sensor + 1) * dimensions] = -fitted.directions[m, :-1]
+        row[sensor * dimensions : (sensor + 1) * dimensions] = -fitted.directions[:-1, m]
         at = size + contact * width
-        row[at : at + width] = fitted.directions[m]
+        row[at : at + width] = fitted.directions[:, m]
         whole += fitted.curvatures[m] * np.outer(row, row)
         gradients += fitted.slopes[m] * row
     for contact in range(5):
@@ -148,7 +149,8 @@ def test_steps_of_sensors_solve_the_schur_complement(dimensions):
     curvature = whole[:size, :size] - whole[:size, size:] @ back
     gradient = gradients[:size] - back.T @ gradients[size:]
     strays = np.random.default_rng(0).normal(size=places.shape)
-    step = sensor_steps(contacts, fitted, np.full(5, 0.3), strays, prior_sd=0.5)
+    roots = Roots.of(contacts, fitted)
+    step = sensor_steps(contacts, fitted, roots, np.full(5, 0.3), strays, prior_sd=0.5)
     own = 0.01 * (0.3 * np.diag(whole)[:size] + 4)
     damped = 0.3 * curvature + 4 * np.eye(size) + np.diag(own)
     target = 0.3 * gradient - 4 * strays.ravel()
@@ -166,7 +168,7 @@ def test_leave_one_out_predictions_approximate_refits():
     contacts = one_contact(np.arange(60), levels)
     start = np.array([[0.0, 0.0, 1.8]])
     fitted = locate(contacts, places, start, soft, steps=100)
-    quick = leave_one_out(contacts, fitted)
+    quick = leave_one_out(fitted, Roots.of(contacts, fitted))
     for m in range(0, 60, 5):
         rest = np.delete(np.arange(60), m)
         without = one_contact(rest, levels[rest])

@@ -6,6 +6,7 @@ Joint refinement of sensor positions, contact locations and the profile that rel
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.sparse.linalg import aslinearoperator, cg
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.detection import Contacts, Levels, assign_levels, find_contacts
 from anisomap.numerics.neighbours import nearest_distances
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.rest import Rest
 
 Matrix = NDArray[np.float64]
@@ -25,11 +27,12 @@ OUTLIER_SHARE = 0.02
 """Share of readings that are independent of distance, uniform over levels; chosen by hand."""
 
 # Chosen by hand on simulated skins; lengths in sensor spacings.
+_MIN_SINGLE = 128  # sensors from which readings are float32, as their correlations are
 _FAR = 1e6  # effectively infinite, but 0 times it is 0
 _LOG_LENGTHS = (-20.0, 10.0)  # bounds of fitted lengths: far below and above any skin, and finite
 _BINS = 200  # of distances up to two radii, narrower than the least softness
 _PROFILE_ITERATIONS = 60  # of L-BFGS, for about ten parameters
-_PROFILE_TOLERANCE = 1e-6  # relative, of the log-likelihood; each fit starts from the last one
+_PROFILE_TOLERANCE = 1e-4  # relative, of the log-likelihood; each fit starts from the last one
 _INITIAL_DAMPING, _DAMPINGS = 1e-2, (1e-6, 1e6)  # of Levenberg-Marquardt steps
 _PRIOR_PRECISION = 1e-3  # of 1 / softness^2; keeps undetermined centres in place
 _MAX_LEVERAGE = 0.8  # of a reading on its contact; bounds leave-one-out steps
@@ -74,7 +77,7 @@ class LocatedContacts(NamedTuple):
     gradients (E, k + 1): Gradient of the scores by the states, nearly 0 after `locate`.
     precisions (E, k + 1, k + 1): Negative Hessian of the scores (Gauss-Newton), positive definite.
     inside (M,): Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
-    directions (M, k + 1): Gradient of u by the state, ``((p - y) / |p - y|, 1)``. The negative of
+    directions (k + 1, M): Gradient of u by the state, ``((p - y) / |p - y|, 1)``. The negative of
         its first k components is the gradient by p.
     slopes, curvatures (M,): Derivatives of the readings' log-likelihoods by u; see
         `level_log_likelihood`.
@@ -90,6 +93,9 @@ class LocatedContacts(NamedTuple):
     curvatures: Matrix
 
 
+_OF_CONTACTS = ("states", "scores", "gradients", "precisions")
+
+
 def level_log_likelihood(
     levels: ArrayLike, inside: ArrayLike, profile: Profile
 ) -> tuple[Matrix, Matrix, Matrix]:
@@ -102,32 +108,36 @@ def level_log_likelihood(
     its slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``; the
     derivative of w is omitted, so that the curvature is never negative.
     """
-    where, per_width = np.asarray(levels), 0.5 / profile.softness
-    edges = np.concatenate([[-_FAR], profile.thresholds, [_FAR]]) * per_width
-    scaled = np.asarray(inside, dtype=np.float64) * per_width
+    u, per_width = np.asarray(inside), 0.5 / profile.softness
+    edges = (np.concatenate([[-_FAR], profile.thresholds, [_FAR]]) * per_width).astype(u.dtype)
+    scaled = u * per_width
     # With A = 2 a - 1 = tanh(logit / 2), which takes a fifth of the time of a logistic function.
-    at_least = np.tanh(scaled - edges[:-1][where])
-    above = np.tanh(scaled - edges[1:][where])
+    where = np.asarray(levels)
+    at_least, above = (np.tanh(scaled - np.take(part, where)) for part in (edges, edges[1:]))
     regular = (at_least - above) * ((1 - OUTLIER_SHARE) / 2)
     total = regular + OUTLIER_SHARE / (len(profile.thresholds) + 1)
-    share = regular / total
-    slope = -per_width * share * (at_least + above)
-    curvature = per_width**2 * share * (2 - at_least**2 - above**2)
+    share = np.divide(regular, total, out=regular) * per_width
+    slope = -share * (at_least + above)
+    curvature = per_width * share * (2 - at_least**2 - above**2)
     return np.log(total), slope, curvature
 
 
 def evaluate(
-    contacts: Contacts, positions: Matrix, states: Matrix, profile: Profile
+    contacts: Contacts, positions: Reals, states: Matrix, profile: Profile
 ) -> LocatedContacts:
-    """Evaluate the log-likelihoods of contacts at given states, and their derivatives."""
-    k = positions.shape[1]
+    """Evaluate the log-likelihoods of contacts at given states, and their derivatives.
+
+    What belongs to readings has the precision of the positions.
+    """
+    k, owners = positions.shape[1], contacts.owners
     # Rows of contiguous numbers, one for each coordinate: sums over them take a third of the time.
-    rows = np.ones((k + 1, len(contacts.sensors)))
-    for row, given, centres in zip(rows, positions.T, states.T[:k], strict=False):
-        np.subtract(given[contacts.sensors], centres[contacts.owners], out=row)
+    rows = np.ones((k + 1, len(contacts.sensors)), positions.dtype)
+    known = states.T.astype(positions.dtype)
+    for row, given, centres in zip(rows, positions.T, known[:k], strict=False):
+        np.subtract(np.take(given, contacts.sensors), np.take(centres, owners), out=row)
     distances = np.sqrt(np.einsum("km,km->m", rows[:k], rows[:k]) + _MIN_DISTANCE**2)
     rows[:k] /= distances
-    inside = states[contacts.owners, k] - distances
+    inside = np.take(known[k], owners) - distances
     score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
     deviations = (states[:, k] - profile.radius) / profile.radius_sd
     gradients = np.empty(states.shape)
@@ -142,13 +152,11 @@ def evaluate(
     prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.radius_sd**-2)
     precisions += np.diag(prior)
     scores = np.add.reduceat(score, contacts.starts) - deviations**2 / 2
-    return LocatedContacts(
-        states, scores, gradients, precisions, inside, rows.T, slopes, curvatures
-    )
+    return LocatedContacts(states, scores, gradients, precisions, inside, rows, slopes, curvatures)
 
 
 def locate(
-    contacts: Contacts, positions: Matrix, states: Matrix, profile: Profile, *, steps: int
+    contacts: Contacts, positions: Reals, states: Matrix, profile: Profile, *, steps: int
 ) -> LocatedContacts:
     """Maximise the likelihood of each contact separately (Levenberg-Marquardt).
 
@@ -163,16 +171,40 @@ def locate(
         moves = np.linalg.solve(damped, located.gradients[:, :, None])[:, :, 0]
         trial = evaluate(contacts, positions, located.states + moves, profile)
         worse = trial.scores <= located.scores
-        readings = worse[contacts.owners]
-        for new, old in zip(trial, located, strict=True):
-            kept = worse if len(new) == len(worse) else readings
-            new[kept] = old[kept]
+        of_readings = worse[contacts.owners]
+        for field, new, old in zip(LocatedContacts._fields, trial, located, strict=True):
+            # The last axis of transposed arrays of contacts, and of those of readings, is theirs.
+            if field in _OF_CONTACTS:
+                np.copyto(new.T, old.T, where=worse)
+            else:
+                np.copyto(new, old, where=of_readings)
         located = trial
         damping = np.clip(np.where(worse, damping * 6, damping / 5), *_DAMPINGS)
     return located
 
 
-def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
+class Roots(NamedTuple):
+    """Roots of the inverse precisions C of contacts, ``C^-1 = L' L``.
+
+    of_contacts (E, k + 1, k + 1): L, lower triangular.
+    of_readings (k + 1, M): ``L n`` for the direction n of each reading.
+    """
+
+    of_contacts: Matrix
+    of_readings: Matrix
+
+    @classmethod
+    def of(cls, contacts: Contacts, located: LocatedContacts) -> Roots:
+        """Factorise the precisions."""
+        roots = np.linalg.inv(np.linalg.cholesky(located.precisions))
+        directions = located.directions
+        rows, entries = np.zeros_like(directions), roots.astype(directions.dtype)
+        for i, j in zip(*np.tril_indices(len(rows)), strict=True):
+            rows[i] += np.take(entries[:, i, j], contacts.owners) * directions[j]
+        return cls(roots, rows)
+
+
+def leave_one_out(located: LocatedContacts, roots: Roots) -> Matrix:
     """Predict the distance inside of each sensor without its reading in the contact's fit.
 
     Returns (M,).
@@ -180,11 +212,10 @@ def leave_one_out(contacts: Contacts, fitted: LocatedContacts) -> Matrix:
     One Newton step from the fit to all readings: with the direction n, the contact's precision C
     and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
     """
-    inverse = np.linalg.inv(fitted.precisions)[contacts.owners]
-    n = fitted.directions
-    leverage = np.einsum("mi,mij,mj->m", n, inverse, n)
-    shift = leverage * fitted.slopes / (1 - np.minimum(leverage * fitted.curvatures, _MAX_LEVERAGE))
-    return np.asarray(fitted.inside - np.clip(shift, -_MAX_SHIFT, _MAX_SHIFT))
+    leverage = np.einsum("im,im->m", roots.of_readings, roots.of_readings)
+    left = 1 - np.minimum(leverage * located.curvatures, _MAX_LEVERAGE)
+    shift = leverage * located.slopes / left
+    return np.asarray(located.inside - np.clip(shift, -_MAX_SHIFT, _MAX_SHIFT))
 
 
 def fit_profile(
@@ -237,6 +268,7 @@ def fit_profile(
 def sensor_steps(
     contacts: Contacts,
     located: LocatedContacts,
+    roots: Roots,
     weights: ArrayLike,
     deviations: Matrix,
     *,
@@ -256,44 +288,38 @@ def sensor_steps(
         curvature  P' w (h - h Q C^-1 Q' h) P
     """
     n_sensors, k = deviations.shape
-    size = n_sensors * k
-    roots = np.sqrt(np.asarray(weights, dtype=np.float64))
-    root = roots[contacts.owners]
-    towards = -located.directions[:, :k]  # rows of P
-    # B = w^(1/2) P' h Q L with L L' = C^-1, whose product with its transpose is the second term.
-    factors = np.linalg.cholesky(np.linalg.inv(located.precisions))
-    own = np.einsum("mi,mij->mj", located.directions, factors[contacts.owners])
-    own *= (root * located.curvatures)[:, None]
+    dtype = located.directions.dtype
+    root = np.sqrt(np.asarray(weights, dtype=dtype))
+    towards = -located.directions[:k]  # columns of P
+    # B = w^(1/2) L Q' h P with L'L = C^-1, whose product with its transpose is the second term.
+    own = roots.of_readings * (np.take(root, contacts.owners) * located.curvatures)
+    response = np.einsum("eij,ej->ei", roots.of_contacts, located.gradients) * root[:, None]
     by_contact = bsr_array(
-        (own[:, :, None] * towards[:, None], contacts.sensors,
-         np.append(contacts.starts, len(root))),
-        shape=(factors.shape[0] * (k + 1), size),
+        (own.T[:, :, None] * towards.T[:, None], contacts.sensors,
+         np.append(contacts.starts, len(contacts.sensors))),
+        shape=(response.size, deviations.size),
     )  # fmt: skip
-    blocks = np.empty((n_sensors, k, k))
-    gradient = np.empty((n_sensors, k))
-    weighted = root**2 * located.curvatures
-    for i in range(k):
-        gradient[:, i] = np.bincount(
-            contacts.sensors, root**2 * located.slopes * towards[:, i], n_sensors
-        )
-        for j in range(k):
-            blocks[:, i, j] = np.bincount(
-                contacts.sensors, weighted * towards[:, i] * towards[:, j], n_sensors
-            )
-    response = np.einsum("eij,ei->ej", factors, located.gradients) * roots[:, None]
+    weight = np.take(root**2, contacts.owners)
+
+    def summed(values: Matrix) -> Matrix:
+        return np.asarray(np.bincount(contacts.sensors, weight * values, n_sensors), np.float64)
+
+    gradient = np.stack([summed(located.slopes * axis) for axis in towards], axis=1)
+    fixed = np.empty((n_sensors, k, k))
+    for i, j in combinations_with_replacement(range(k), 2):
+        fixed[:, i, j] = fixed[:, j, i] = summed(located.curvatures * towards[i] * towards[j])
     prior = prior_sd**-2
+    fixed += prior * np.eye(k)
     back = by_contact.T
-    target = gradient.ravel() - back @ response.ravel() - prior * deviations.ravel()
-    fixed = blocks + prior * np.eye(k)
-    damped = fixed + _DAMPING * fixed * np.eye(k)
+    target = gradient.ravel() - back @ response.ravel().astype(dtype) - prior * deviations.ravel()
     rows = np.arange(n_sensors + 1)
     direct, inverse = (
-        bsr_array((one, rows[:-1], rows), shape=(size, size))
-        for one in (damped, np.linalg.inv(fixed))
+        bsr_array((one.astype(dtype), rows[:-1], rows), shape=(deviations.size,) * 2)
+        for one in (fixed + _DAMPING * fixed * np.eye(k), np.linalg.inv(fixed))
     )
     curvature = aslinearoperator(direct) - aslinearoperator(back) @ aslinearoperator(by_contact)
-    found, _ = cg(curvature, target, rtol=_STEP_TOLERANCE, M=inverse)
-    return np.asarray(found.reshape(n_sensors, k))
+    found, _ = cg(curvature, target.astype(dtype), rtol=_STEP_TOLERANCE, M=inverse)
+    return np.asarray(found.reshape(n_sensors, k), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -496,23 +522,27 @@ def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tu
     last = _WARM_UP_ROUNDS + options.n_steps
     for step in range(last + 1):
         steps = _WARM_UP_STEPS if step <= _WARM_UP_ROUNDS else 1
-        located = locate(contacts, positions, states, profile, steps=steps)
+        located = locate(contacts, _rounded(positions), states, profile, steps=steps)
+        roots = Roots.of(contacts, located)
         scores = located.scores / np.bincount(contacts.owners)
         lowest, median, upper = np.quantile(scores, [_MAX_DROPPED, 0.5, 0.75])
         kept = scores >= min(median - _OUTLIER_FACTOR * (upper - median), lowest)
         included = kept[contacts.owners]
-        inside = leave_one_out(contacts, located)
+        inside = leave_one_out(located, roots)
         fitted = fit_profile(contacts.levels, inside, included, profile)
         if step == last:
             break
         states = located.states
         if step >= _WARM_UP_ROUNDS:
             weights, moved = options.contact_weight * kept, positions - start
-            moves = sensor_steps(contacts, located, weights, moved, prior_sd=options.prior_sd)
+            moves = sensor_steps(
+                contacts, located, roots, weights, moved, prior_sd=options.prior_sd
+            )
             moves *= min(1.0, _MAX_STEP / max(np.linalg.norm(moves, axis=1).max(), _MAX_STEP))
             positions = positions + moves
-            states = _follow(contacts, located, moves)
-        states, profile = _centre_radii(states, fitted, profile.radius_sd, located.precisions, kept)
+            states = _follow(contacts, located, roots, moves)
+        undetermined = (roots.of_contacts[kept, -1, -1] / profile.radius_sd) ** 2
+        states, profile = _centre_radii(states, fitted, undetermined, kept)
     score, _, _ = level_log_likelihood(contacts.levels, inside, fitted)
     shares = np.bincount(contacts.levels[included]) / included.sum()
     entropy = -float((shares[shares > 0] * np.log(shares[shares > 0])).sum())
@@ -522,30 +552,35 @@ def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tu
     return positions, 1 + float(score[included].mean()) / entropy
 
 
-def _follow(contacts: Contacts, located: LocatedContacts, moves: Matrix) -> Matrix:
+def _rounded(positions: Matrix) -> Reals:
+    return positions.astype(np.float32 if len(positions) >= _MIN_SINGLE else np.float64)
+
+
+def _follow(contacts: Contacts, located: LocatedContacts, roots: Roots, moves: Matrix) -> Matrix:
     """Return the likeliest states of contacts after sensors moved, to first order, (E, k + 1)."""
-    directions = located.directions.T
-    changes = np.einsum("km,km->m", directions[:-1], moves[contacts.sensors].T)
-    changes *= located.curvatures
-    sums = [np.add.reduceat(changes * row, contacts.starts) for row in directions]
-    gradients = located.gradients + np.stack(sums, axis=1)
-    return located.states + np.linalg.solve(located.precisions, gradients[:, :, None])[:, :, 0]
+    moved = moves.T.astype(located.directions.dtype)[:, contacts.sensors]
+    changes = np.einsum("km,km->m", located.directions[:-1], moved) * located.curvatures
+    sums = [np.add.reduceat(changes * row, contacts.starts) for row in located.directions]
+    gradients = (located.gradients + np.stack(sums, axis=1))[:, :, None]
+    inverse = roots.of_contacts
+    return np.asarray(
+        located.states + (inverse.transpose(0, 2, 1) @ (inverse @ gradients))[:, :, 0]
+    )
 
 
 def _centre_radii(
-    states: Matrix, fitted: Profile, radius_sd: float, precisions: Matrix, kept: NDArray[np.bool_]
+    states: Matrix, fitted: Profile, undetermined: Matrix, kept: NDArray[np.bool_]
 ) -> tuple[Matrix, Profile]:
     """Set the first threshold to 0, and the distribution of radii to their moments.
 
-    radius_sd: With which the contacts were located.
+    undetermined: Posterior over prior variance of the radii of kept contacts: the share of each
+        that the readings do not determine.
     """
     shift = fitted.thresholds[0]
     states = states.copy()
     states[:, -1] -= shift
     radii = states[kept, -1]
     radius = float(radii.mean())
-    # Posterior over prior variance: the share of each radius that the readings do not determine.
-    undetermined = np.linalg.inv(precisions[kept])[:, -1, -1] / radius_sd**2
     n_determined = max(float((1 - np.minimum(undetermined, 1)).sum()), 1e-3 * len(radii))
     spread = float(np.sqrt(((radii - radius) ** 2).sum() / n_determined))
     return states, Profile(
@@ -583,7 +618,7 @@ def _initial_contacts(contacts: Contacts, positions: Matrix) -> tuple[Matrix, Pr
     sides = [
         locate(
             contacts,
-            positions,
+            _rounded(positions),
             np.column_stack([one, np.full(len(extents), radius)]),
             profile,
             steps=_INITIAL_STEPS,
