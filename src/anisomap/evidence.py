@@ -16,7 +16,7 @@ from anisomap.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
-from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
+from anisomap.numerics.covariogram.covariogram_fit import Covariogram, unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import (
@@ -115,6 +115,8 @@ class PairStatistics:
         What a blended correlation was computed from, of all sensors that were compared.
     common_share : float
         Share of the mean over sensors that is a signal of all of them, which was subtracted.
+    near : Covariogram, optional
+        A fit to nearly the same similarity, from which that to this one starts.
     """
 
     similarity: Reals
@@ -124,6 +126,7 @@ class PairStatistics:
     statistic: str = ""
     blended: Blend | None = None
     common_share: float = 0.0
+    near: Covariogram | None = None
 
     @classmethod
     def from_similarity(

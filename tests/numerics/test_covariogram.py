@@ -2,6 +2,7 @@
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -216,3 +217,26 @@ def test_invalid_arguments_are_refused(change, message):
 def test_invalid_options_are_refused(change):
     with pytest.raises(InputError, match=next(iter(change))):
         CovariogramOptions(**change)
+
+
+def test_a_fit_near_another_starts_from_its_exponent_and_curvature():
+    _, similarity = skin()
+    first, second = (drawn(similarity, 2000, seed) for seed in range(2))
+    metric, start = set_out(first, 2, 1 / 2000)
+    whole = CovariogramOptions(prior_weight=0)  # the prior depends on the unit
+    near = fit_covariogram(first, start, metric, noise=1 / 2000, options=whole)
+    again = fit_covariogram(
+        first, 7 * near.positions, 7 * metric, noise=1 / 2000, options=whole, near=near
+    )
+    assert again.iterations <= 5
+    np.testing.assert_allclose(pdist(again.positions), pdist(near.positions), atol=0.01)
+    ended = fit_covariogram(second, start, metric, noise=1 / 2000, options=whole)
+    few = replace(whole, max_iterations=5)
+    left = [
+        1 - mantel_r(fit.positions, ended.positions)
+        for fit in (
+            fit_covariogram(second, near.positions, metric, noise=1 / 2000, options=few),
+            fit_covariogram(second, near.positions, metric, noise=1 / 2000, options=few, near=near),
+        )
+    ]
+    assert left[1] < left[0]

@@ -24,6 +24,7 @@ from anisomap.mapping import Stages, configure_pairs
 from anisomap.methods import Method, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
+from anisomap.numerics.covariogram.covariogram_fit import Covariogram
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import balanced_weights, block_edges
 from anisomap.numerics.reliability.split_half import N_BLOCKS, split_blocks
@@ -52,8 +53,8 @@ maps are divided by STEP. A full resample has twice the noise of the recording, 
 are biased by noise.
 """
 
-_N_RESAMPLES, _FEWER, _MANY_SENSORS = 4, 3, 670  # covariances are pooled over sensors
-_MAX_ITERATIONS = 5  # of the covariogram fit of a resample; more change the spread by few percent
+_N_RESAMPLES = 3  # covariances are pooled over sensors
+_MAX_ITERATIONS = 5  # of the covariogram fit of a resample, which starts from that of the map
 _ITERATIONS_OF_HALF = 30  # of that of a half; with the default, errors differed by 1 %
 _ALIGNMENTS = 4  # rounds of alignment to the mean of all maps; more change nothing visible
 _N_POOLED = 8  # nearest sensors over which covariances are pooled; 20 hold equally many positions
@@ -67,13 +68,13 @@ class MapPart:
     """A component of a map.
 
     positions (n, k)
-    start (n, k): Positions of the covariogram fit; None if the map does not follow from them.
+    fit: The covariogram fit; None if the map does not follow from it.
     share: Variance of the positions by chance, relative to that before contacts refined them.
     """
 
     positions: NDArray[np.float64]
     pairs: PairStatistics
-    start: NDArray[np.float64] | None = None
+    fit: Covariogram | None = None
     share: float = 1.0
 
 
@@ -96,11 +97,10 @@ def part_of(
     follows = refined is not None and "covariogram" in refined.proposals and not refined.elongated
     if refined is None or not follows or _departure(made.positions[inside], positions) > _SAME:
         return MapPart(positions, pairs)
-    fitted = refined.proposals["covariogram"].positions
     # A mean weighted by precision leaves this share; a map that is replaced has no such weight.
     weight = refined.weights.get("contacts", 0.0)
     share = 1 - weight if weight < 1 else 1.0
-    return MapPart(positions, pairs, np.asarray(fitted, dtype=np.float64), share)
+    return MapPart(positions, pairs, refined.proposals["covariogram"].fit, share)
 
 
 def made_again(sensor_map: SensorMap, run: Recording, options: MethodOptions) -> Stages | None:
@@ -125,7 +125,7 @@ def deviations_by_chance(
 ) -> NDArray[np.float64]:
     """Return deviations of positions as large as chance makes them, from R maps, (R, n, k)."""
     recipe, options = find_method(method), replace(options, split_unrelated=False)
-    if part.start is None:
+    if part.fit is None:
         logger.info("mapping halves of the recording to estimate the repeatability")
         few = _with_iterations(options, _ITERATIONS_OF_HALF)
         n_frames = len(np.asarray(part.pairs.readings))
@@ -133,12 +133,13 @@ def deviations_by_chance(
             n_frames, part.positions, lambda frames: _map_half(part, frames, recipe, few)
         )
     few = _with_iterations(options, _MAX_ITERATIONS)
-    count = _FEWER if len(part.start) >= _MANY_SENSORS else _N_RESAMPLES
+    start = np.asarray(part.fit.positions, dtype=np.float64)
     made = []
-    for resample in _resamples(part.pairs, count, rng):
-        found = configure_pairs(resample, recipe, part.start.shape[1], few, start=part.start)
+    for resample in _resamples(part.pairs, _N_RESAMPLES, rng):
+        near = replace(resample, near=part.fit)
+        found = configure_pairs(near, recipe, start.shape[1], few, start=start)
         made.append(found.positions)
-        progress(len(made) / count)
+        progress(len(made) / _N_RESAMPLES)
     return math.sqrt(part.share) / STEP * deviations_from_mean(np.array(made), part.positions)
 
 

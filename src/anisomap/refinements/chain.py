@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from anisomap.evidence import PairStatistics
+from anisomap.numerics.covariogram.covariogram_fit import Covariogram
 from anisomap.numerics.precision import Reals
 from anisomap.options import MethodOptions
 from anisomap.recording import Scalar
@@ -50,6 +51,7 @@ class Proposal:
     facts: What the step found, for the provenance of the map.
     distorted: Whether the map is distorted in a way that maps of halves of the recording share.
     elongated: Whether contacts appear long in one direction.
+    fit: The covariogram of the positions, if they follow from one.
     """
 
     positions: Reals
@@ -58,6 +60,7 @@ class Proposal:
     facts: Mapping[str, Scalar] = field(default_factory=dict)
     distorted: bool = False
     elongated: bool = False
+    fit: Covariogram | None = None
 
 
 Step: TypeAlias = Callable[[PairStatistics, Reals, Reals, MethodOptions], Proposal | None]

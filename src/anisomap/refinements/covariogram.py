@@ -27,6 +27,7 @@ def by_covariogram(
         noise=typical_variance(pairs.noise),
         known=pairs.known,
         options=options.covariogram,
+        near=pairs.near,
     )
     logger.debug(
         "covariogram %.2f exp(-d^%.2f) %+.2f after %d steps",
@@ -35,4 +36,4 @@ def by_covariogram(
         fit.offset,
         fit.iterations,
     )
-    return Proposal(fit.positions, precision=1.0)
+    return Proposal(fit.positions, precision=1.0, fit=fit)

@@ -88,6 +88,8 @@ class Covariogram:
         Number of iterations.
     converged : bool
         Whether the tolerance was met before the iterations ran out.
+    factor : ndarray
+        Triangular factor of the curvature near the positions; (1, 1) if it was not computed.
     """
 
     positions: Matrix
@@ -97,6 +99,7 @@ class Covariogram:
     objective: float
     iterations: int
     converged: bool
+    factor: Matrix
 
     def at(self, distances: ArrayLike) -> Matrix:
         """Return the expected correlation at distances in units of `positions`."""
@@ -112,6 +115,7 @@ def fit_covariogram(
     noise: float,
     known: ArrayLike | None = None,
     options: CovariogramOptions | None = None,
+    near: Covariogram | None = None,
 ) -> Covariogram:
     """Fit positions such that one decreasing function of distance explains all correlations.
 
@@ -130,6 +134,9 @@ def fit_covariogram(
     known : array_like of bool, shape (N, N), optional
         Mask of the known correlations; all by default.
     options : CovariogramOptions, optional
+    near : Covariogram, optional
+        A fit to nearly the same correlations, at the same positions in its own unit, whose unit,
+        exponent and curvature the search starts from.
 
     Returns
     -------
@@ -167,8 +174,12 @@ def fit_covariogram(
     lengths = as_symmetric(metric, "metric")
     mask = np.ones(correlation.shape, dtype=bool) if known is None else np.array(known, dtype=bool)
     _check(correlation, positions, lengths, mask, noise)
-    unit = _estimate_range(correlation, positions, mask)
-    positions = (positions - positions.mean(axis=0)) / unit
+    positions -= positions.mean(axis=0)
+    if near is None:
+        unit = _estimate_range(correlation, positions, mask)
+    else:
+        unit = float(np.linalg.norm(positions) / np.linalg.norm(near.positions))
+    positions /= unit
     np.fill_diagonal(mask, val=False)
     one_block = len(positions) <= chosen.block
     precision = np.float32 if len(positions) >= _MIN_SINGLE else np.float64
@@ -184,6 +195,7 @@ def fit_covariogram(
             tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
             displacement=_DISPLACEMENT if one_block else _BLOCK_DISPLACEMENT,
             map_blocks=map_blocks,
+            near=near,
         )
     terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
     products = np.sum([term.products for term in terms], axis=0)
@@ -198,6 +210,7 @@ def fit_covariogram(
         objective=found.value,
         iterations=found.iterations,
         converged=found.converged,
+        factor=found.factor,
     )
 
 
@@ -275,13 +288,14 @@ def _bisection_order(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> N
 
 
 class Minimum(NamedTuple):
-    """A minimum of the objective; positions (N, k)."""
+    """A minimum of the objective, and the factor of the last curvature; positions (N, k)."""
 
     positions: Matrix
     log_exponent: float
     value: float
     iterations: int
     converged: bool
+    factor: Matrix
 
 
 def minimise(
@@ -292,6 +306,7 @@ def minimise(
     tolerance: float,
     displacement: float,
     map_blocks: MapFunction = serial_map,
+    near: Covariogram | None = None,
 ) -> Minimum:
     """Minimise the objective over positions and exponent.
 
@@ -302,18 +317,20 @@ def minimise(
     y with ``x = x_0 + U^-1 y``, where U'U is the damped Gauss-Newton matrix at x_0, which is
     computed again every 40 iterations. The curvature by y is then nearly the identity.
     """
-    found = Minimum(start, 0.0, np.inf, 0, converged=False)
+    factor, exponent = (np.ones((1, 1)), 1.0) if near is None else (near.factor, near.exponent)
+    found = Minimum(start, float(np.log(exponent)), np.inf, 0, converged=False, factor=factor)
     while not found.converged and found.iterations < options.max_iterations:
+        steps = options.max_iterations - found.iterations
         if start.size < MAX_CURVATURE:
-            dtype = np.float32 if start.size >= _SINGLE else np.float64
-            factor = _factor(
-                gauss_newton_matrix(blocks, found.positions, found.log_exponent, dtype)
-            )
-            steps = min(_ROUND, options.max_iterations - found.iterations)
+            steps = min(_ROUND, steps)
+            if near is None or found.iterations:
+                dtype = np.float32 if start.size >= _SINGLE else np.float64
+                factor = _factor(
+                    gauss_newton_matrix(blocks, found.positions, found.log_exponent, dtype)
+                )
         else:
             # Without the curvature, the length of the next step is not known.
-            factor, displacement = np.ones((1, 1)), np.inf
-            steps = options.max_iterations
+            displacement = np.inf
         search = _Search(blocks, found, factor, (tolerance, displacement), map_blocks)
         found = search.run(steps)
     return found
@@ -374,7 +391,7 @@ class _Search:
         # A search that ends early without convergence cannot decrease the objective any further.
         converged = self._converged or ended.nit < max_iterations
         iterations = self._start.iterations + int(ended.nit)
-        return Minimum(*self._at(ended.x), float(ended.fun), iterations, converged)
+        return Minimum(*self._at(ended.x), float(ended.fun), iterations, converged, self._factor)
 
     def _value_and_slope(self, y: Vector) -> tuple[float, Vector]:
         positions, log_exponent = self._at(y)
