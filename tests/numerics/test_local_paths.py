@@ -19,7 +19,7 @@ def test_paths_equal_those_of_isomap_on_a_gaussian_covariogram(seed):
     distances = cdist(places, places)
     paths = local_path_lengths(np.exp(-((distances / 2) ** 2)), 10)
     oracle = Isomap(n_neighbors=10, metric="precomputed").fit(distances / 2).dist_matrix_
-    assert paths == pytest.approx(oracle, abs=1e-9)
+    assert paths == pytest.approx(oracle, abs=1e-5)  # in float32
 
 
 def test_paths_cross_gaps_and_are_symmetric():
