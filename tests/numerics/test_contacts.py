@@ -9,7 +9,8 @@ from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.contacts.contact_fit import (
+from anisomap.numerics.contacts.detection import Contacts, assign_levels, find_contacts
+from anisomap.numerics.contacts.likelihood import (
     Profile,
     Roots,
     evaluate,
@@ -19,7 +20,6 @@ from anisomap.numerics.contacts.contact_fit import (
     locate,
     sensor_steps,
 )
-from anisomap.numerics.contacts.detection import Contacts, assign_levels, find_contacts
 from anisomap.numerics.reliability.split_half import blended_correlation
 from anisomap.reconstruction import reconstruct_from
 from skins import lattice

@@ -6,41 +6,29 @@ Joint refinement of sensor positions, contact locations and the profile that rel
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
-from scipy.sparse import bsr_array
-from scipy.sparse.linalg import aslinearoperator, cg
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts.detection import Contacts, Levels, assign_levels, find_contacts
+from anisomap.numerics.contacts.likelihood import (
+    LocatedContacts,
+    Matrix,
+    Profile,
+    Roots,
+    fit_profile,
+    leave_one_out,
+    level_log_likelihood,
+    locate,
+    sensor_steps,
+)
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.rest import Rest
 
-Matrix = NDArray[np.float64]
-
-OUTLIER_SHARE = 0.02
-"""Share of readings that are independent of distance, uniform over levels; chosen by hand."""
-
 # Chosen by hand on simulated skins; lengths in sensor spacings.
 _MIN_SINGLE = 128  # sensors from which readings are float32, as their correlations are
-_FAR = 1e6  # effectively infinite, but 0 times it is 0
-_LOG_LENGTHS = (-20.0, 10.0)  # bounds of fitted lengths: far below and above any skin, and finite
-_BINS = 200  # of distances up to two radii, narrower than the least softness
-_PROFILE_ITERATIONS = 60  # of L-BFGS, for about ten parameters
-_PROFILE_TOLERANCE = 1e-4  # relative, of the log-likelihood; each fit starts from the last one
-_INITIAL_DAMPING, _DAMPINGS = 1e-2, (1e-6, 1e6)  # of Levenberg-Marquardt steps
-_PRIOR_PRECISION = 1e-3  # of 1 / softness^2; keeps undetermined centres in place
-_MAX_LEVERAGE = 0.8  # of a reading on its contact; bounds leave-one-out steps
-_MAX_SHIFT = 1.5  # of a leave-one-out prediction
-_MIN_DISTANCE = 1e-6  # keeps directions finite
-_DAMPING = 0.01  # of the curvature's diagonal, for steps of sensors
-_STEP_TOLERANCE = 0.02  # relative, of conjugate gradients: a step is corrected by the next one
-
 _WARM_UP_ROUNDS = 2  # of contacts and profile before sensors move; with 1, planes in 3D diverge
 _INITIAL_STEPS, _WARM_UP_STEPS = 6, 3  # of contacts, which follow the sensors later
 _SURFACE_OFFSET = 0.7  # of a contact's extent; initial distance of its centre from the skin
@@ -50,276 +38,6 @@ _MIN_SOFTNESS = 0.05  # of the profile
 _MIN_RADIUS_SD = 0.02  # of the mean radius
 _MAX_STEP = 0.45  # keeps neighbours from changing places in one step
 _MIN_CONTACTS = 0.5  # per sensor
-
-
-class Profile(NamedTuple):
-    """Distribution of levels given the distance from a contact, in sensor spacings.
-
-    The level of a sensor at p depends on its distance inside the radius R of a contact at y,
-    ``u = R - |p - y|``: ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``.
-
-    thresholds (L,): Increasing; the first is 0.
-    softness: Width of the transition between levels, above 0.
-    radius, radius_sd: Mean and standard deviation of R over contacts.
-    """
-
-    thresholds: Matrix
-    softness: float
-    radius: float
-    radius_sd: float
-
-
-class LocatedContacts(NamedTuple):
-    """Contacts at given states, with the derivatives of their log-likelihoods.
-
-    states (E, k + 1): Centre y and radius R of each contact.
-    scores (E,): Log-likelihood of each contact's readings and radius.
-    gradients (E, k + 1): Gradient of the scores by the states, nearly 0 after `locate`.
-    precisions (E, k + 1, k + 1): Negative Hessian of the scores (Gauss-Newton), positive definite.
-    inside (M,): Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
-    directions (k + 1, M): Gradient of u by the state, ``((p - y) / |p - y|, 1)``. The negative of
-        its first k components is the gradient by p.
-    slopes, curvatures (M,): Derivatives of the readings' log-likelihoods by u; see
-        `level_log_likelihood`.
-    """
-
-    states: Matrix
-    scores: Matrix
-    gradients: Matrix
-    precisions: Matrix
-    inside: Matrix
-    directions: Matrix
-    slopes: Matrix
-    curvatures: Matrix
-
-
-_OF_CONTACTS = ("states", "scores", "gradients", "precisions")
-
-
-def level_log_likelihood(
-    levels: ArrayLike, inside: ArrayLike, profile: Profile
-) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the log-likelihood of levels, and its derivatives by the distance.
-
-    inside (M,) -> (M,).
-
-    With ``a = P(level >= l)``, ``b = P(level >= l + 1)`` and the outlier share e, the score is
-    ``log((1 - e)(a - b) + e / (L + 1))``. With the probability w that a reading is no outlier,
-    its slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``; the
-    derivative of w is omitted, so that the curvature is never negative.
-    """
-    u, per_width = np.asarray(inside), 0.5 / profile.softness
-    edges = (np.concatenate([[-_FAR], profile.thresholds, [_FAR]]) * per_width).astype(u.dtype)
-    scaled = u * per_width
-    # With A = 2 a - 1 = tanh(logit / 2), which takes a fifth of the time of a logistic function.
-    where = np.asarray(levels)
-    at_least, above = (np.tanh(scaled - np.take(part, where)) for part in (edges, edges[1:]))
-    regular = (at_least - above) * ((1 - OUTLIER_SHARE) / 2)
-    total = regular + OUTLIER_SHARE / (len(profile.thresholds) + 1)
-    share = np.divide(regular, total, out=regular) * per_width
-    slope = -share * (at_least + above)
-    curvature = per_width * share * (2 - at_least**2 - above**2)
-    return np.log(total), slope, curvature
-
-
-def evaluate(
-    contacts: Contacts, positions: Reals, states: Matrix, profile: Profile
-) -> LocatedContacts:
-    """Evaluate the log-likelihoods of contacts at given states, and their derivatives.
-
-    What belongs to readings has the precision of the positions.
-    """
-    k, owners = positions.shape[1], contacts.owners
-    # Rows of contiguous numbers, one for each coordinate: sums over them take a third of the time.
-    rows = np.ones((k + 1, len(contacts.sensors)), positions.dtype)
-    known = states.T.astype(positions.dtype)
-    for row, given, centres in zip(rows, positions.T, known[:k], strict=False):
-        np.subtract(np.take(given, contacts.sensors), np.take(centres, owners), out=row)
-    distances = np.sqrt(np.einsum("km,km->m", rows[:k], rows[:k]) + _MIN_DISTANCE**2)
-    rows[:k] /= distances
-    inside = np.take(known[k], owners) - distances
-    score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
-    deviations = (states[:, k] - profile.radius) / profile.radius_sd
-    gradients = np.empty(states.shape)
-    precisions = np.empty((len(states), k + 1, k + 1))
-    for i, row in enumerate(rows):
-        gradients[:, i] = np.add.reduceat(slopes * row, contacts.starts)
-        weighted = curvatures * row
-        for j, other in enumerate(rows[: i + 1]):
-            precisions[:, i, j] = np.add.reduceat(weighted * other, contacts.starts)
-            precisions[:, j, i] = precisions[:, i, j]
-    gradients[:, k] -= deviations / profile.radius_sd
-    prior = np.append(np.full(k, _PRIOR_PRECISION / profile.softness**2), profile.radius_sd**-2)
-    precisions += np.diag(prior)
-    scores = np.add.reduceat(score, contacts.starts) - deviations**2 / 2
-    return LocatedContacts(states, scores, gradients, precisions, inside, rows, slopes, curvatures)
-
-
-def locate(
-    contacts: Contacts, positions: Reals, states: Matrix, profile: Profile, *, steps: int
-) -> LocatedContacts:
-    """Maximise the likelihood of each contact separately (Levenberg-Marquardt).
-
-    positions (N, k), states (E, k + 1).
-    """
-    located = evaluate(contacts, positions, states, profile)
-    damping = np.full(len(states), _INITIAL_DAMPING)
-    diagonal = np.arange(states.shape[1])
-    for _ in range(steps):
-        damped = located.precisions.copy()
-        damped[:, diagonal, diagonal] *= 1 + damping[:, None]
-        moves = np.linalg.solve(damped, located.gradients[:, :, None])[:, :, 0]
-        trial = evaluate(contacts, positions, located.states + moves, profile)
-        worse = trial.scores <= located.scores
-        of_readings = worse[contacts.owners]
-        for field, new, old in zip(LocatedContacts._fields, trial, located, strict=True):
-            # The last axis of transposed arrays of contacts, and of those of readings, is theirs.
-            if field in _OF_CONTACTS:
-                np.copyto(new.T, old.T, where=worse)
-            else:
-                np.copyto(new, old, where=of_readings)
-        located = trial
-        damping = np.clip(np.where(worse, damping * 6, damping / 5), *_DAMPINGS)
-    return located
-
-
-class Roots(NamedTuple):
-    """Roots of the inverse precisions C of contacts, ``C^-1 = L' L``.
-
-    of_contacts (E, k + 1, k + 1): L, lower triangular.
-    of_readings (k + 1, M): ``L n`` for the direction n of each reading.
-    """
-
-    of_contacts: Matrix
-    of_readings: Matrix
-
-    @classmethod
-    def of(cls, contacts: Contacts, located: LocatedContacts) -> Roots:
-        """Factorise the precisions."""
-        roots = np.linalg.inv(np.linalg.cholesky(located.precisions))
-        directions = located.directions
-        rows, entries = np.zeros_like(directions), roots.astype(directions.dtype)
-        for i, j in zip(*np.tril_indices(len(rows)), strict=True):
-            rows[i] += np.take(entries[:, i, j], contacts.owners) * directions[j]
-        return cls(roots, rows)
-
-
-def leave_one_out(located: LocatedContacts, roots: Roots) -> Matrix:
-    """Predict the distance inside of each sensor without its reading in the contact's fit.
-
-    Returns (M,).
-
-    One Newton step from the fit to all readings: with the direction n, the contact's precision C
-    and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
-    """
-    leverage = np.einsum("im,im->m", roots.of_readings, roots.of_readings)
-    left = 1 - np.minimum(leverage * located.curvatures, _MAX_LEVERAGE)
-    shift = leverage * located.slopes / left
-    return np.asarray(located.inside - np.clip(shift, -_MAX_SHIFT, _MAX_SHIFT))
-
-
-def fit_profile(
-    levels: NDArray[np.intp], inside: Matrix, weights: ArrayLike, profile: Profile
-) -> Profile:
-    """Fit thresholds and softness to readings at known distances (maximum likelihood).
-
-    levels, inside, weights (M,). Distances are counted in bins narrower than any softness to be
-    expected; the parameters are the first threshold and the logarithms of the further steps and of
-    the softness.
-    """
-    n_levels = len(profile.thresholds)
-    # Far from all thresholds, levels are certain and distances do not matter.
-    far = 2 * profile.radius
-    width = 2 * far / _BINS
-    bins = np.clip((inside + far) / width, 0, _BINS - 1).astype(np.intp)
-    counts = np.bincount(levels * _BINS + bins, weights, (n_levels + 1) * _BINS)
-    shares = (counts / counts.sum()).reshape(n_levels + 1, _BINS)
-    centres = (np.arange(_BINS) + 0.5) * width - far
-
-    def value_and_gradient(parameters: Matrix) -> tuple[float, Matrix]:
-        steps, softness = np.exp(parameters[1:-1]), np.exp(parameters[-1])
-        thresholds = np.cumsum(np.append(parameters[0], steps))
-        scaled = (centres - thresholds[:, None]) / softness
-        at_least = (1 + np.tanh(scaled / 2)) / 2
-        bounds = np.vstack([np.ones(_BINS), at_least, np.zeros(_BINS)])
-        total = OUTLIER_SHARE / (n_levels + 1) - (1 - OUTLIER_SHARE) * np.diff(bounds, axis=0)
-        ratios = np.diff(shares / total, axis=0) * (1 - OUTLIER_SHARE)
-        by_scaled = ratios * at_least * (1 - at_least)
-        by_threshold = -by_scaled.sum(axis=1) / softness
-        by_step = np.cumsum(by_threshold[::-1])[::-1]
-        by_step[1:] *= steps
-        by_softness = -(by_scaled * scaled).sum()
-        return -float((shares * np.log(total)).sum()), -np.append(by_step, by_softness)
-
-    steps = np.maximum(np.diff(profile.thresholds), 1e-3 * profile.softness)
-    start = np.concatenate([profile.thresholds[:1], np.log(steps), [np.log(profile.softness)]])
-    found = minimize(
-        value_and_gradient,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(-np.inf, np.inf), *[_LOG_LENGTHS] * n_levels],
-        options={"maxiter": _PROFILE_ITERATIONS, "ftol": _PROFILE_TOLERANCE},
-    ).x
-    thresholds = np.cumsum(np.append(found[0], np.exp(found[1:-1])))
-    return profile._replace(thresholds=thresholds, softness=float(np.exp(found[-1])))
-
-
-def sensor_steps(
-    contacts: Contacts,
-    located: LocatedContacts,
-    roots: Roots,
-    weights: ArrayLike,
-    deviations: Matrix,
-    *,
-    prior_sd: float,
-) -> Matrix:
-    """Make a damped Gauss-Newton step of the sensors, with the contacts re-optimised.
-
-    weights (E,): Of the contacts; deviations (N, k): Positions less those of the prior.
-
-    Row m of P is the gradient of u_m by all positions, and row m of Q that by all contacts; h are
-    the curvatures, g the slopes, C the contacts' precisions and c their gradients. Second
-    derivatives of u are neglected. Eliminating the contacts, with the weight w of the contact of
-    each reading, leaves the Schur complement (Triggs et al. 2000, Bundle Adjustment - A Modern
-    Synthesis, section 6.1) ::
-
-        gradient   P' w (g - h Q C^-1 c)
-        curvature  P' w (h - h Q C^-1 Q' h) P
-    """
-    n_sensors, k = deviations.shape
-    dtype = located.directions.dtype
-    root = np.sqrt(np.asarray(weights, dtype=dtype))
-    towards = -located.directions[:k]  # columns of P
-    # B = w^(1/2) L Q' h P with L'L = C^-1, whose product with its transpose is the second term.
-    own = roots.of_readings * (np.take(root, contacts.owners) * located.curvatures)
-    response = np.einsum("eij,ej->ei", roots.of_contacts, located.gradients) * root[:, None]
-    by_contact = bsr_array(
-        (own.T[:, :, None] * towards.T[:, None], contacts.sensors,
-         np.append(contacts.starts, len(contacts.sensors))),
-        shape=(response.size, deviations.size),
-    )  # fmt: skip
-    weight = np.take(root**2, contacts.owners)
-
-    def summed(values: Matrix) -> Matrix:
-        return np.asarray(np.bincount(contacts.sensors, weight * values, n_sensors), np.float64)
-
-    gradient = np.stack([summed(located.slopes * axis) for axis in towards], axis=1)
-    fixed = np.empty((n_sensors, k, k))
-    for i, j in combinations_with_replacement(range(k), 2):
-        fixed[:, i, j] = fixed[:, j, i] = summed(located.curvatures * towards[i] * towards[j])
-    prior = prior_sd**-2
-    fixed += prior * np.eye(k)
-    back = by_contact.T
-    target = gradient.ravel() - back @ response.ravel().astype(dtype) - prior * deviations.ravel()
-    rows = np.arange(n_sensors + 1)
-    direct, inverse = (
-        bsr_array((one.astype(dtype), rows[:-1], rows), shape=(deviations.size,) * 2)
-        for one in (fixed + _DAMPING * fixed * np.eye(k), np.linalg.inv(fixed))
-    )
-    curvature = aslinearoperator(direct) - aslinearoperator(back) @ aslinearoperator(by_contact)
-    found, _ = cg(curvature, target.astype(dtype), rtol=_STEP_TOLERANCE, M=inverse)
-    return np.asarray(found.reshape(n_sensors, k), dtype=np.float64)
 
 
 @dataclass(frozen=True)
