@@ -25,6 +25,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     typical_variance,
 )
 from anisomap.numerics.reliability.split_half import Blend, blend, blended_correlation
+from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.reference import without_common_signal
@@ -46,6 +47,7 @@ class Similarity:
         similarity is; its sampling variance is theirs. The readings by default.
     blend: ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
         from, if it is not the correlation of any scores.
+    shared: ``shared(signals)`` returns what `compute` would, if other analyses need it, too.
     """
 
     summary: str
@@ -53,6 +55,7 @@ class Similarity:
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
     blend: Callable[[ArrayLike], Blend] | None = None
     refer: Callable[[NDArray[Any]], tuple[NDArray[Any], float]] | None = None
+    shared: Callable[[Signals], Reals] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
@@ -69,7 +72,9 @@ class Similarity:
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
     {
-        "pearson": Similarity("linear correlation", lambda x, _: pearson(x)),
+        "pearson": Similarity(
+            "linear correlation", lambda x, _: pearson(x), shared=lambda signals: signals.pearson
+        ),
         "spearman": Similarity("rank correlation", lambda x, _: spearman(x), ranked),
         "co-activation": Similarity(
             "correlation of binary contact (phi)",
@@ -260,6 +265,9 @@ def compare(
 
     if len({frozenset(run.names) for run in runs}) == 1:
         readings = _joined(runs, runs[0].names)
+        if statistic.shared is not None and not with_noise and len(runs) == 1:
+            found = statistic.shared(runs[0].signals)
+            return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)
         if not with_noise:
             found = statistic.compute(statistic.referred(readings)[0], bins)
             return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.numerics.columns import transposed
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
-from anisomap.numerics.reliability.significance import outlying
-from anisomap.numerics.signals import Signals, middle_frames, some_sensors, unit_rows
+from anisomap.numerics.reliability.significance import LEAST_RATIO, outlying
+from anisomap.numerics.signals import MAX_PAIRED, Signals, middle_frames, some_sensors, unit_rows
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
 
@@ -38,6 +39,8 @@ _HARMFUL_NOISE = 0.15  # share of the variance: r is 8 % lower
 _NEGLIGIBLE = 0.01  # noise, in standard deviations of the typical sensor
 _OF_WHITE_NOISE = 0.6745 * 6**0.5  # median of the second differences of white noise
 _OF_MEDIAN = 2.0  # relative variance of that median times their number, which overlap; simulated
+_LESS = 0.99  # of a limit, for rounding in float32
+_FLOAT32_RANGE = 1e15  # of readings whose differences are squared in float32
 _MIN_AT_REST = 20  # of them; chosen by hand
 _N_PARTNERS = 8  # most similar sensors that explain readings: the neighbours on a square lattice
 
@@ -58,30 +61,58 @@ class Behaviour:
         return self.signals.contacts
 
     @cached_property
-    def noise(self) -> NDArray[np.float64]:
-        """Standard deviation of white noise, its relative variance, and that of readings, (3, n).
+    def _excerpt(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
+        """Standard deviations, (n,), second differences, and where there is no contact, (t, n)."""
+        signals = self.signals
+        frames = middle_frames(len(signals.readings))
+        readings = signals.readings[frames]
+        if np.abs(readings).max() > _FLOAT32_RANGE:
+            readings = readings.astype(np.float64)
+        part = readings - signals.rest.value.astype(readings.dtype)
+        changes = np.diff(part, 2, axis=0)
+        np.abs(changes, out=changes)
+        active = signals.touched[frames] & signals.rest.known
+        quiet = ~(active[2:] | active[1:-1] | active[:-2])
+        return part.std(axis=0, dtype=np.float64), changes, quiet
+
+    def noise(self, sensors: NDArray[Any] | slice = slice(None)) -> NDArray[np.float64]:
+        """Return deviations of white noise, their relative variances, those of readings, (3, n).
 
         From second differences of frames without contact: contacts that last a frame change
         readings, too. With few of these frames nothing can be told: the relative variance is inf.
         """
-        frames = middle_frames(len(self.signals.readings))
-        part = self.signals.readings[frames].astype(np.float64)
-        changes = np.abs(np.diff(part, 2, axis=0))
-        active = self.signals.touched[frames] & self.signals.rest.known
-        changes[active[2:] | active[1:-1] | active[:-2]] = np.inf
-        changes.sort(axis=0)
-        counts = np.count_nonzero(changes < np.inf, axis=0)
+        deviation, changes, quiet = (one[..., sensors] for one in self._excerpt)
+        rows = transposed(np.where(quiet, changes, changes.dtype.type(np.inf)))
+        rows.sort(axis=1)
+        counts = np.count_nonzero(quiet, axis=0)
         enough = np.flatnonzero(counts >= _MIN_AT_REST)
-        white, variance = np.zeros(part.shape[1]), np.full(part.shape[1], np.inf)
-        white[enough] = changes[counts[enough] // 2, enough] / _OF_WHITE_NOISE
+        white, variance = np.zeros(len(rows)), np.full(len(rows), np.inf)
+        white[enough] = rows[enough, counts[enough] // 2] / _OF_WHITE_NOISE
         variance[enough] = _OF_MEDIAN / counts[enough]
-        return np.stack([white, variance, part.std(axis=0)])
+        return np.stack([white, variance, deviation])
 
-    @property
-    def noise_share(self) -> NDArray[np.float64]:
-        """Share of white noise in the variance."""
-        noise, _, deviation = self.noise
-        return np.asarray(np.minimum((noise / np.maximum(deviation, 1e-300)) ** 2, 1))
+    def is_quieter(self, than: NDArray[np.floating] | float) -> NDArray[np.bool_]:
+        """Return whether there is less white noise than a number, or nothing can be told, (n,).
+
+        Much faster than `noise`, which puts second differences in order.
+        """
+        _, changes, quiet = self._excerpt
+        small = np.count_nonzero(quiet & (changes < than * _OF_WHITE_NOISE), axis=0)
+        counts = np.count_nonzero(quiet, axis=0)
+        return np.asarray((2 * small > counts) | (counts < _MIN_AT_REST))
+
+    def may_be_noisy(self) -> bool:
+        """Return whether a sensor has noise that is harmful, and more than most: see `_noisy`."""
+        least = _LESS * _HARMFUL_NOISE**0.5 * self._excerpt[0]
+        suspects = np.flatnonzero(~self.is_quieter(least))
+        if not suspects.size:
+            return False
+        # None exceeds the median enough if half of the sensors have so much noise themselves.
+        limit = float(self.noise(suspects)[0].max()) / LEAST_RATIO / _LESS
+        quieter = self.is_quieter(limit)
+        if 2 * np.count_nonzero(quieter) < quieter.size:
+            quieter |= ~self.signals.differ_by_less(np.full(quieter.size, limit))
+        return bool(2 * np.count_nonzero(quieter) >= quieter.size)
 
     @cached_property
     def rows(self) -> NDArray[np.float32]:
@@ -107,15 +138,24 @@ class Behaviour:
         if found.any():
             best = np.nan_to_num(self.best_match[found])
             least = _HARMFUL_MATCH * np.median(best)
+            low = np.flatnonzero(best < least)
+            if not low.size:
+                return np.zeros_like(found)
             # Weak contacts hardly exceed the noise of a sensor, which lowers its r.
-            without_noise = best / np.sqrt(np.maximum(1 - self.noise_share[found], 0.1))
-            r = np.where(best < least, without_noise, best)
+            share = noise_share(self.noise(np.flatnonzero(found)[low]))
+            r = best.copy()
+            r[low] /= np.sqrt(np.maximum(1 - share, 0.1))
             # One contact that differs would be seen: n of them resolve no r closer to 1.
             r = np.clip(r, _LEAST_R, 1 - 0.5 / self.contacts[found])
             # Variance that is not explained, over that which is; Fisher's z has the variance 1 / n.
             unlikely = outlying(r**-2 - 1, 4 / np.median(r) ** 2 / self.contacts[found])
             found[found] = unlikely & (r < least)
         return np.asarray(found)
+
+
+def noise_share(noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share of white noise in the variance, from `Behaviour.noise`, (n,)."""
+    return np.asarray(np.minimum((noise[0] / np.maximum(noise[2], 1e-300)) ** 2, 1))
 
 
 def exceeded_by_chance(
@@ -155,7 +195,7 @@ class SensorHealth:
     minimum, maximum : float
         Range of the readings; NaN if none is finite.
     distinct : int
-        Number of distinct values.
+        Number of distinct values; of continuous readings in more than 8,192 frames, in 4,096.
     active : float
         Share of frames beyond rest, in [0, 1].
     contacts : int
@@ -235,13 +275,7 @@ def _assess(
     }
     if varying.any():
         signals = recording.signals if varying.all() else Signals(recording.readings[:, varying])
-        rows = unit_rows(signals.readings)
-        if best_match is not None:
-            best = best_match[varying]
-        elif len(rows) > 1:
-            best = most_similar(rows, 1)[1][:, 0].astype(np.float64)
-        else:
-            best = np.full(1, np.nan)
+        best = _best_match(signals) if best_match is None else best_match[varying]
         behaviour = Behaviour(signals, best)
         sensors = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
@@ -250,18 +284,24 @@ def _assess(
         measured["distinct"][varying] = signals.distinct
         measured["active"][varying] = signals.n_active / recording.n_frames
         measured["contacts"][varying] = signals.contacts
-        measured["lag_correlation"][varying] = np.einsum("nt,nt->n", rows[:, 1:], rows[:, :-1])
+        measured["lag_correlation"][varying] = signals.lag_correlation
         measured["best_match"][varying] = best
+    ends = (unit * end.astype(np.float64) for end in (lowest, highest))
+    rows = zip(*(column.tolist() for column in (*ends, *measured.values())), strict=True)
     return tuple(
-        SensorHealth(
-            name,
-            *statuses.get(i, ("ok", "")),
-            minimum=unit * float(lowest[i]),
-            maximum=unit * float(highest[i]),
-            **{of: column[i].item() for of, column in measured.items()},
-        )
-        for i, name in enumerate(recording.names)
+        SensorHealth(name, *statuses.get(i, ("ok", "")), *row)
+        for i, (name, row) in enumerate(zip(recording.names, rows, strict=True))
     )
+
+
+def _best_match(signals: Signals) -> NDArray[np.float64]:
+    """Return the highest Pearson r of each sensor with another, (N,); NaN of a single one."""
+    n_sensors = signals.readings.shape[1]
+    if n_sensors > MAX_PAIRED:
+        return most_similar(unit_rows(signals.readings), 1)[1][:, 0].astype(np.float64)
+    others = np.where(np.eye(n_sensors, dtype=bool), -np.inf, signals.pearson)
+    best = others.max(axis=1)
+    return np.where(np.isneginf(best), np.nan, best)
 
 
 def _of_constant(
@@ -296,9 +336,12 @@ def _few_contacts(b: Behaviour) -> dict[int, str]:
 
 
 def _noisy(b: Behaviour) -> dict[int, str]:
-    (noise, variance, deviation), share = b.noise, b.noise_share
+    if not b.may_be_noisy():
+        return {}
+    measured = b.noise()
+    (noise, variance, deviation), share = measured, noise_share(measured)
     floor = _NEGLIGIBLE * max(float(np.median(deviation)), 1e-300)
-    seen = np.where(noise > b.signals.steps, noise, 0)
+    seen = np.where(b.signals.differ_by_less(noise), noise, 0)
     told = np.flatnonzero(variance < np.inf)
     found = np.zeros(len(noise), dtype=bool)
     found[told] = outlying(np.maximum(seen, floor)[told], variance[told])
@@ -313,6 +356,8 @@ def _noisy(b: Behaviour) -> dict[int, str]:
 
 
 def _saturating(b: Behaviour) -> dict[int, str]:
+    if not b.unlike.any():
+        return {}
     at_extreme = b.signals.at_extreme
     share = at_extreme / np.maximum(b.signals.n_active, 1)
     often = (

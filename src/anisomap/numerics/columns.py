@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _SENSORS_AT_ONCE = 64
+_FRAMES_AT_ONCE = 256  # of a transposition; two such blocks stay in the cache
 _CENTRED_AT_ONCE = 32  # sensors whose intermediate arrays stay in the cache
 _FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 
@@ -16,7 +17,18 @@ _FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterator[NDArray[Any]]:
     """Iterate over the readings of each sensor. readings (T, N) -> (T,)."""
     for begin in range(0, readings.shape[1], n_at_once):
-        yield from np.ascontiguousarray(readings[:, begin : begin + n_at_once].T)
+        yield from transposed(readings[:, begin : begin + n_at_once])
+
+
+def transposed(readings: NDArray[Any]) -> NDArray[Any]:
+    """Transpose readings, contiguous by sensor. readings (T, N) -> (N, T)."""
+    if readings.flags.f_contiguous:
+        return readings.T
+    rows = np.empty(readings.shape[::-1], readings.dtype)
+    for begin in range(0, len(readings), _FRAMES_AT_ONCE):
+        part = slice(begin, begin + _FRAMES_AT_ONCE)
+        rows[:, part] = readings[part].T
+    return rows
 
 
 def ranks_from_counts(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
@@ -46,7 +58,7 @@ def centred_rows(readings: NDArray[Any]) -> NDArray[np.float32]:
     """
     rows = np.empty(readings.shape[::-1], np.float32)
     for begin in range(0, len(rows), _CENTRED_AT_ONCE):
-        part = np.ascontiguousarray(readings[:, begin : begin + _CENTRED_AT_ONCE].T)
+        part = transposed(readings[:, begin : begin + _CENTRED_AT_ONCE])
         # A difference of numbers in float32 is rounded relative to itself.
         if part.dtype != np.float32 or np.abs(part).max(initial=0) > _FLOAT32_RANGE:
             part = part.astype(np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -11,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import centred_rows, columns
-from anisomap.numerics.similarity.rest import MIN_REST_SHARE, Rest, rest_from_counts
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.similarity.rest import Levels, Rest, find_levels
 
 MAX_FRAMES = 4096
 """Consecutive frames of an excerpt; chosen by hand: statistics change little beyond."""
@@ -19,6 +19,12 @@ MAX_FRAMES = 4096
 MAX_SENSORS = 256
 """Sensors of an excerpt; chosen by hand: matrices of all pairs then take milliseconds."""
 
+_N_DIFFERING = 128  # frames
+MAX_PAIRED = 2048
+"""Sensors up to which statistics of all pairs are kept."""
+
+_FRAMES_AT_ONCE = 256  # whose intermediate arrays stay in the cache
+_LEAST_SQUARE = 1e-20
 _EXCEEDED = 0.01  # probability with which a normal maximum is exceeded
 _N_LISTENED = 64  # sensors whose spectra are computed
 
@@ -33,51 +39,41 @@ class Signals:
         self.readings = readings
 
     @cached_property
-    def _counted(self) -> tuple[Rest, NDArray[np.float64]]:
-        """Rest; distinct readings, smallest steps, frames at the usual reading, at the extreme."""
-        ends: list[tuple[Any, ...]] = []
-
-        def levels() -> Iterator[tuple[NDArray[Any], NDArray[np.int64]]]:
-            for column in columns(self.readings):
-                values, counts = np.unique(column, return_counts=True)
-                step = np.diff(values).min(initial=np.inf)
-                end = values[0], counts[0], values[-1], counts[-1]
-                ends.append((values.size, step, counts.max(), *end))
-                yield values, counts
-
-        rest = rest_from_counts(levels())
-        found = np.array(ends, dtype=np.float64).T
-        lowest, at_lowest, highest, at_highest = found[3:]
-        raises = rest.side > 0
-        extreme = np.where(raises, highest, lowest)
-        beyond = rest.side * (extreme - rest.value) > rest.threshold
-        at_extreme = np.where(beyond, np.where(raises, at_highest, at_lowest), 0)
-        return rest, np.stack([*found[:3], at_extreme])
+    def _levels(self) -> Levels:
+        return find_levels(self.readings)
 
     @property
     def rest(self) -> Rest:
         """Rest of each sensor."""
-        return self._counted[0]
+        return self._levels.rest
 
     @property
     def distinct(self) -> NDArray[np.intp]:
-        """Number of distinct readings of each sensor."""
-        return np.asarray(self._counted[1][0], dtype=np.intp)
+        """Number of distinct readings of each sensor: see `Levels`."""
+        return self._levels.distinct
 
-    @property
-    def steps(self) -> NDArray[np.float64]:
-        """Smallest difference between two readings; inf for constant sensors."""
-        return np.asarray(self._counted[1][1])
+    def differ_by_less(self, limits: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether two readings of each sensor differ, by less than a limit, shape (N,)."""
+        found = np.zeros(len(limits), dtype=bool)
+        for readings in (self.readings[:_N_DIFFERING], self.readings):  # mostly, some are enough
+            left = np.flatnonzero(~found)
+            for i, column in zip(left, columns(readings[:, left]), strict=True):
+                steps = np.diff(np.sort(column))
+                found[i] = ((steps > 0) & (steps < limits[i])).any()
+        return found
 
     @property
     def never_at_rest(self) -> NDArray[np.intp]:
         """Sensors that no value occurs often in: a signal that is always there leaves none."""
-        return np.flatnonzero(self._counted[1][2] < max(2, MIN_REST_SHARE * len(self.readings)))
+        return np.flatnonzero(~self._levels.frequent)
 
-    @property
+    @cached_property
     def at_extreme(self) -> NDArray[np.intp]:
         """Frames at the most extreme reading on the side of contact; 0 without contact."""
-        return np.asarray(self._counted[1][3], dtype=np.intp)
+        rest, raises = self.rest, self.rest.side > 0
+        extreme = np.where(raises, self.readings.max(axis=0), self.readings.min(axis=0))
+        found = np.count_nonzero(self.readings == extreme, axis=0)
+        return np.where(rest.depth(extreme) > 0, found, 0)
 
     @cached_property
     def active(self) -> NDArray[np.bool_]:
@@ -106,6 +102,34 @@ class Signals:
         touched[:, restless] = False
         return touched
 
+    @property
+    def pearson(self) -> Reals:
+        """Pearson's r of every pair of sensors, (N, N); kept if it takes 32 MiB at most."""
+        if self.readings.shape[1] > MAX_PAIRED:
+            return self._correlated()
+        return self._pearson
+
+    @cached_property
+    def _pearson(self) -> Reals:
+        found = self._correlated()
+        found.setflags(write=False)
+        return found
+
+    def _correlated(self) -> Reals:
+        # As of `spectra`: importing it takes time.
+        from anisomap.numerics.similarity.correlation import pearson  # noqa: PLC0415
+
+        return pearson(self.readings)
+
+    @cached_property
+    def lag_correlation(self) -> NDArray[np.float64]:
+        """Autocorrelation of each sensor at a lag of one frame; NaN if it is constant."""
+        squares, products = _lagged(self.readings, self.rest.value)
+        if not ((squares > _LEAST_SQUARE) & (squares < np.inf)).all():  # of float32
+            squares, products = _lagged(self.readings.astype(np.float64), self.rest.value)
+        found = np.full(len(squares), np.nan)
+        return np.asarray(np.divide(products, squares, out=found, where=squares > 0))
+
     @cached_property
     def contacts(self) -> NDArray[np.intp]:
         """Separate contacts of each sensor: runs of frames clearly beyond rest."""
@@ -121,6 +145,29 @@ class Signals:
         rows = unit_rows(self.readings[:, chosen])
         rows *= np.hanning(rows.shape[1]).astype(np.float32)
         return chosen, np.abs(rfft(rows, axis=1).T) ** 2
+
+
+def _lagged(
+    readings: NDArray[Any], centre: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return sums of squared deviations from the means, and of products of successive ones, (N,).
+
+    centre (N,): Values near the means.
+    """
+    sums, n_frames = np.zeros((3, len(centre))), len(readings)
+    near = centre.astype(readings.dtype)
+    ends = (readings[0] - near).astype(np.float64) + (readings[-1] - near)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for begin in range(0, n_frames, _FRAMES_AT_ONCE):
+            part = readings[max(0, begin - 1) : begin + _FRAMES_AT_ONCE] - near
+            later = part[begin > 0 :]
+            sums[0] += later.sum(axis=0)
+            sums[1] += np.einsum("ti,ti->i", later, later)
+            sums[2] += np.einsum("ti,ti->i", part[1:], part[:-1])
+        total, squares, products = sums
+        mean = total / n_frames
+        products -= mean * (2 * total - ends - (n_frames - 1) * mean)
+        return squares - mean * total, products
 
 
 def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:

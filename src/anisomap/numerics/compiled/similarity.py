@@ -19,22 +19,6 @@ Ints = NDArray[np.int64]
 
 
 @loop()
-def find_active(
-    readings: NDArray[Any], rest: tuple[Floats, Floats, Floats], active: NDArray[np.bool_]
-) -> None:
-    """Set `active`, shape (T, N), where readings exceed the threshold of their sensor.
-
-    `rest` consists of values, sides and thresholds, each of shape (N,).
-    """
-    value, side, threshold = rest
-    for frame in range(len(readings)):
-        row, found = readings[frame], active[frame]
-        for sensor in range(len(row)):
-            beyond = side[sensor] * (np.float64(row[sensor]) - value[sensor])
-            found[sensor] = beyond - threshold[sensor] > 0
-
-
-@loop()
 def add_bin(
     costs: Ints,
     ends: Ints,

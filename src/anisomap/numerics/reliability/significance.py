@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.neighbours import labels_by_size, tree_edges
@@ -200,9 +200,13 @@ def _strongest_first(links: Reals) -> list[tuple[int, int]]:
 FALSE_ALARMS = 0.05
 """Expected number of healthy sensors of a recording that are outlying, and at most one in 1,000."""
 
+_LEAST_P = 1e-3
 _LEAST_SPREAD = 0.4  # of the logarithms of levels: sensors of one skin differ by a factor of 1.5
 _MIN_COMPARED = 8  # from which a distribution is fitted
 _NORMAL_MAD = 0.6745  # median absolute deviation of a normal distribution
+
+LEAST_RATIO = float(np.exp(-_LEAST_SPREAD * ndtri(_LEAST_P)))
+"""Ratio to the median that every outlying level exceeds."""
 
 
 def outlying(levels: NDArray[np.float64], variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
@@ -219,4 +223,4 @@ def outlying(levels: NDArray[np.float64], variance: ArrayLike = 0.0) -> NDArray[
     beyond = logarithm - np.median(logarithm)
     spread = max(float(np.median(np.abs(beyond))) / _NORMAL_MAD, _LEAST_SPREAD)
     deviation = np.sqrt(spread**2 + np.asarray(variance))
-    return np.asarray(ndtr(-beyond / deviation) < min(1e-3, FALSE_ALARMS / len(levels)))
+    return np.asarray(ndtr(-beyond / deviation) < min(_LEAST_P, FALSE_ALARMS / len(levels)))

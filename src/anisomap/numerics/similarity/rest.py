@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import columns, mean_ranks
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops
+from anisomap.numerics.columns import columns, mean_ranks, transposed
 
 MIN_REST_SHARE = 0.1
 """Minimum share of the frames at one value for this value to be the rest; chosen by hand."""
@@ -23,6 +23,10 @@ MIN_CONTACT_RATIO = 2.0
 
 _MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
+_SENSORS_AT_ONCE = 32  # whose readings are sorted
+_MAX_SORTED = 8192  # frames; of more, those around a quantile are selected by a sample
+_SAMPLED = 4096  # frames of it, at random
+_WIDTHS = 5.0  # standard deviations by which ranks in the sample may be off; else all are sorted
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +59,44 @@ class Rest:
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
         """Return True for readings that exceed the threshold, shape (T, N)."""
         values = np.asarray(readings)
+        if values.dtype.char in "fd":
+            bounds, lowered = self.bounds(values.dtype), np.flatnonzero(self.side < 0)
+            active = values >= bounds
+            if lowered.size:
+                active[:, lowered] = values[:, lowered] <= bounds[lowered]
+            return np.asarray(active)
         active = np.empty(values.shape, dtype=bool)
-        if _is_compiled(values):
-            own = self.value, self.side, self.threshold
-            load_loops("similarity").find_active(values, own, active)
-            return active
         for start in range(0, len(values), _CHUNK_FRAMES):
             frames = slice(start, start + _CHUNK_FRAMES)
             active[frames] = self.depth(values[frames]) > 0
         return active
+
+    def bounds(self, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Return the number nearest to rest of a type whose depth is not 0, shape (N,)."""
+        # Subtractions of all readings, in float64, would take ten times as long as comparisons.
+        rest = self.side * self.value
+        with np.errstate(over="ignore"):
+            bounds = (rest + self.threshold).astype(dtype)
+            while (low := bounds.astype(np.float64) - rest <= self.threshold).any():
+                bounds[low] = np.nextafter(bounds[low], dtype.type(np.inf))
+            nearer = np.nextafter(bounds, dtype.type(-np.inf))
+            while (high := nearer.astype(np.float64) - rest > self.threshold).any():
+                bounds[high] = nearer[high]
+                nearer = np.nextafter(bounds, dtype.type(-np.inf))
+        return np.asarray(self.side.astype(dtype) * bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Levels of each of N sensors, arrays of shape (N,).
+
+    frequent: Whether a value holds `MIN_REST_SHARE` of the frames, and two at least.
+    distinct: Number of distinct readings; of more than 8,192 without a frequent one, among 4,096.
+    """
+
+    rest: Rest
+    frequent: NDArray[np.bool_]
+    distinct: NDArray[np.intp]
 
 
 def estimate_rest(readings: ArrayLike) -> Rest:
@@ -87,33 +120,149 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     deviations to both sides, such as pixels of a camera, have no rest: readings above the median
     count as active.
     """
-    values = np.asarray(readings)
-    lowest = values.min(axis=0)
-    counts = np.count_nonzero(values == lowest, axis=0)
-    n_sensors = len(lowest)
-    rest = Rest(
-        value=lowest.astype(np.float64),
-        side=np.ones(n_sensors),
-        threshold=np.zeros(n_sensors),
-        known=np.ones(n_sensors, dtype=bool),
-    )
-    # At the lowest reading in most frames: contact raises, and no reading is on the other side.
-    other = np.flatnonzero(2 * counts <= len(values))
-    if len(other):
-        several = values[:, other]
-        found = rest_from_counts(np.unique(one, return_counts=True) for one in columns(several))
-        rest.value[other], rest.side[other] = found.value, found.side
-        rest.threshold[other], rest.known[other] = found.threshold, found.known
-    return rest
+    return find_levels(np.asarray(readings)).rest
 
 
-def _is_compiled(readings: NDArray[Any]) -> bool:
-    """Return whether compiled loops are used: for many sensors, and types that they support.
+def find_levels(readings: NDArray[Any]) -> Levels:
+    """Find the levels and the rest of each sensor: see `estimate_rest`. readings (T, N)."""
+    n_frames, n_sensors = readings.shape
+    found = []
+    frames = None
+    if n_frames > _MAX_SORTED:
+        # At random, not at equal steps: these could all have the same phase.
+        chosen = np.random.default_rng(0).choice(n_frames, _SAMPLED, replace=False)
+        frames = np.sort(chosen)
+    for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
+        rows = transposed(readings[:, begin : begin + _SENSORS_AT_ONCE])
+        if frames is None:
+            found.append(_of_ordered(np.sort(rows, axis=1)))
+        else:
+            found.append(_of_many(rows, np.sort(rows[:, frames], axis=1)))
+    value, side, threshold, known, frequent, distinct = np.concatenate(found, axis=1)
+    rest = Rest(value=value, side=side, threshold=threshold, known=known > 0)
+    return Levels(rest, frequent > 0, distinct.astype(np.intp))
 
-    They go from frame to frame, which is slow in arrays that are contiguous by column.
+
+def _of_ordered(ordered: NDArray[Any]) -> NDArray[np.float64]:
+    """Return rest and levels, in the order of `find_levels`. ordered (n, T) -> (6, n)."""
+    n_sensors, n_frames = ordered.shape
+    least = math.ceil(_least_frequent(n_frames))
+    frequent = (ordered[:, least - 1 :] == ordered[:, : max(0, n_frames - least + 1)]).any(axis=1)
+    changes = ordered[:, 1:] != ordered[:, :-1]
+    found = np.ones((6, n_sensors))
+    found[4], found[5] = frequent, 1 + np.count_nonzero(changes, axis=1)
+    at_lowest = ordered[:, n_frames // 2] == ordered[:, 0]
+    found[0], found[2] = ordered[:, 0], 0
+    for i in np.flatnonzero(frequent & ~at_lowest).tolist():
+        ends = np.append(np.flatnonzero(changes[i]), n_frames - 1)
+        values = ordered[i, ends].astype(np.float64)
+        found[:4, i] = _rest_of(values, np.diff(ends, prepend=-1))
+    continuous = np.flatnonzero(~(frequent | at_lowest))
+    if continuous.size:
+        found[:4, continuous] = _of_continuous(ordered[continuous])
+    return found
+
+
+def _of_continuous(ordered: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the rest of sensors without a frequent reading, from ordered ones, (n, T): (4, n)."""
+    n_sensors, n_frames = ordered.shape
+    ordered = ordered.astype(np.float64)
+    value = _between(ordered, np.full(n_sensors, n_frames), 0.5, first=0)
+    beyond = ordered - value[:, None]
+    n_below, n_least = np.count_nonzero(beyond <= 0, axis=1), np.count_nonzero(beyond < 0, axis=1)
+    downwards = -_between(beyond, n_below, NOISE_QUANTILE, first=n_below - 1, step=-1)
+    upwards = _between(beyond, n_frames - n_least, NOISE_QUANTILE, first=n_least)
+    return _of_deviations(value, beyond.sum(axis=1), downwards, upwards)
+
+
+def _between(
+    ordered: NDArray[np.float64], counts: Any, level: float, *, first: Any, step: int = 1
+) -> NDArray[np.float64]:
+    """Return a quantile of some readings of each sensor, ordered (n, T), from a first one on."""
+    place = level * (counts - 1)
+    below = place.astype(np.intp)
+    rows = np.arange(len(ordered))
+    low = ordered[rows, first + step * below]
+    high = ordered[rows, first + step * np.minimum(below + 1, counts - 1)]
+    return np.asarray(low + (place - below) * (high - low))
+
+
+def _of_deviations(
+    value: NDArray[np.float64],
+    total: NDArray[np.float64],
+    downwards: NDArray[np.float64],
+    upwards: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the rest of sensors from their medians, and from deviations from these, (4, n).
+
+    total: Sums of all deviations. downwards, upwards: Quantiles of those to either side.
     """
-    number = readings.dtype.isnative and readings.dtype.char in "bBhHiIlLqQfd"
-    return number and readings.shape[1] >= MIN_COMPILED_ROWS and not readings.flags.f_contiguous
+    falls = total < 0
+    noise, contact = np.where(falls, (upwards, downwards), (downwards, upwards))
+    known = contact >= MIN_CONTACT_RATIO * noise
+    side = np.where(falls & known, -1.0, 1.0)
+    return np.stack([value, side, np.where(known, noise, 0), known])
+
+
+def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
+    """Return rest and levels of sensors with many frames, (n, T) -> (6, n).
+
+    ordered (n, t): Readings in some frames at random, ordered. A reading that holds a tenth of all
+    frames holds a twentieth of these, but for a probability below 1e-20.
+    """
+    found = np.empty((6, len(rows)))
+    some = math.ceil(MIN_REST_SHARE / 2 * ordered.shape[1])
+    perhaps_frequent = (ordered[:, some:] == ordered[:, :-some]).any(axis=1)
+    for i, row in enumerate(rows):
+        selected = None if perhaps_frequent[i] else _selected(row, ordered[i])
+        if selected is None:
+            values, counts = np.unique(row, return_counts=True)
+            frequent = counts.max() >= _least_frequent(row.size)
+            found[:, i] = *_rest_of(values.astype(np.float64), counts), frequent, values.size
+        else:
+            distinct = 1 + np.count_nonzero(ordered[i, 1:] != ordered[i, :-1])
+            found[:, i] = *_of_deviations(*selected), 0, distinct
+    return found
+
+
+def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64] | None:
+    """Return the median of a sensor, and what `_of_deviations` takes; None if the sample misleads.
+
+    row (T,). ordered (t,): A sample, whose quantiles enclose those of all readings.
+    """
+    n_frames, size = row.size, ordered.size
+
+    def enclosed(share: float) -> int:
+        return math.ceil(size * share + _WIDTHS * math.sqrt(size * share))
+
+    width, tail = enclosed(0.25) - size // 4, enclosed((1 - NOISE_QUANTILE) / 2)
+    low, high = ordered[size // 2 - width], ordered[size // 2 + width]
+    n_lower = np.count_nonzero(row < low)
+    middle = np.sort(row[(row >= low) & (row <= high)]).astype(np.float64)
+    place = (n_frames - 1) / 2
+    at = int(place) - n_lower
+    if not 0 <= at < middle.size - 1:
+        return None
+    value = middle[at] + (place - int(place)) * (middle[at + 1] - middle[at])
+    n_below, n_least = (n_lower + middle.searchsorted(value, side) for side in ("right", "left"))
+    ends = row[row <= ordered[tail]], -row[row >= ordered[-1 - tail]]
+    outer = []
+    for end, centre, count in zip(
+        ends, (value, -value), (n_below, n_frames - n_least), strict=True
+    ):
+        place = NOISE_QUANTILE * (count - 1)
+        at = count - 1 - int(place)
+        if at >= end.size:
+            return None
+        near, far = centre - np.sort(end)[[at, max(at - 1, 0)]].astype(np.float64)
+        outer.append(near + (place - int(place)) * (far - near))
+    total = np.subtract(row, value, dtype=np.float64).sum()
+    return np.array([value, total, *outer])
+
+
+def _least_frequent(n_frames: int) -> float:
+    """Return in how many frames a frequent reading occurs."""
+    return max(2.0, MIN_REST_SHARE * n_frames)
 
 
 def ranks_of_depths(
@@ -168,7 +317,7 @@ def _rest_of(
 ) -> tuple[float, float, float, bool]:
     """Return the rest value, the side of contact, the threshold, and whether there is a rest."""
     n_frames = int(counts.sum())
-    rests = counts.max() >= max(2, MIN_REST_SHARE * n_frames)
+    rests = counts.max() >= _least_frequent(n_frames)
     value = values[counts.argmax()] if rests else quantile_from_counts(values, counts, 0.5)
     side = -1.0 if (counts * (values - value)).sum() < 0 else 1.0
     beyond = side * (values - value)
