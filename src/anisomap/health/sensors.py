@@ -19,7 +19,14 @@ from anisomap.numerics.columns import transposed
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.numerics.reliability.significance import LEAST_RATIO, outlying
-from anisomap.numerics.signals import MAX_PAIRED, Signals, middle_frames, some_sensors, unit_rows
+from anisomap.numerics.signals import (
+    MAX_PAIRED,
+    Signals,
+    middle_frames,
+    some_sensors,
+    squares_and_lagged,
+    unit_rows,
+)
 from anisomap.recording import Recording, as_runs, in_range
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
 
@@ -31,6 +38,7 @@ STATUSES = ("ok", SILENT, "stuck", "noisy", "saturating", "isolated", FEW_CONTAC
 
 _MAX_COMPARED = 4096  # sensors with which others are compared after shifts
 _N_SHIFTS = 19  # circular shifts that a related sensor exceeds
+_FRAMES_AT_ONCE = 256  # whose differences stay in the cache
 _ROWS_AT_ONCE = 64  # of a product; single rows would be as slow as some
 _HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
 _MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
@@ -66,14 +74,16 @@ class Behaviour:
         signals = self.signals
         frames = middle_frames(len(signals.readings))
         readings = signals.readings[frames]
-        if np.abs(readings).max() > _FLOAT32_RANGE:
+        squares, _ = squares_and_lagged(readings, signals.rest.value)
+        if squares.max() > _FLOAT32_RANGE:
             readings = readings.astype(np.float64)
-        part = readings - signals.rest.value.astype(readings.dtype)
-        changes = np.diff(part, 2, axis=0)
-        np.abs(changes, out=changes)
+        changes = np.empty((max(0, len(readings) - 2), len(squares)), readings.dtype)
+        for begin in range(0, len(changes), _FRAMES_AT_ONCE):
+            part = changes[begin : begin + _FRAMES_AT_ONCE]
+            np.abs(np.diff(readings[begin : begin + len(part) + 2], 2, axis=0), out=part)
         active = signals.touched[frames] & signals.rest.known
         quiet = ~(active[2:] | active[1:-1] | active[:-2])
-        return part.std(axis=0, dtype=np.float64), changes, quiet
+        return np.sqrt(squares / len(readings)), changes, quiet
 
     def noise(self, sensors: NDArray[Any] | slice = slice(None)) -> NDArray[np.float64]:
         """Return deviations of white noise, their relative variances, those of readings, (3, n).

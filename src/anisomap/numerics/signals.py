@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import centred_rows, columns
+from anisomap.numerics.columns import centred_rows, transposed
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.similarity.rest import Levels, Rest, find_levels
 
@@ -19,7 +19,7 @@ MAX_FRAMES = 4096
 MAX_SENSORS = 256
 """Sensors of an excerpt; chosen by hand: matrices of all pairs then take milliseconds."""
 
-_N_DIFFERING = 128  # frames
+_N_DIFFERING, _SENSORS_AT_ONCE = 128, 64  # frames and sensors
 MAX_PAIRED = 2048
 """Sensors up to which statistics of all pairs are kept."""
 
@@ -55,11 +55,11 @@ class Signals:
     def differ_by_less(self, limits: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether two readings of each sensor differ, by less than a limit, shape (N,)."""
         found = np.zeros(len(limits), dtype=bool)
-        for readings in (self.readings[:_N_DIFFERING], self.readings):  # mostly, some are enough
-            left = np.flatnonzero(~found)
-            for i, column in zip(left, columns(readings[:, left]), strict=True):
-                steps = np.diff(np.sort(column))
-                found[i] = ((steps > 0) & (steps < limits[i])).any()
+        for some in (slice(_N_DIFFERING), slice(None)):  # mostly, few frames are enough
+            for begin in range(0, len(left := np.flatnonzero(~found)), _SENSORS_AT_ONCE):
+                part = left[begin : begin + _SENSORS_AT_ONCE]
+                steps = np.diff(np.sort(transposed(self.readings[some, part]), axis=1), axis=1)
+                found[part] = ((steps > 0) & (steps < limits[part, None])).any(axis=1)
         return found
 
     @property
@@ -124,9 +124,7 @@ class Signals:
     @cached_property
     def lag_correlation(self) -> NDArray[np.float64]:
         """Autocorrelation of each sensor at a lag of one frame; NaN if it is constant."""
-        squares, products = _lagged(self.readings, self.rest.value)
-        if not ((squares > _LEAST_SQUARE) & (squares < np.inf)).all():  # of float32
-            squares, products = _lagged(self.readings.astype(np.float64), self.rest.value)
+        squares, products = squares_and_lagged(self.readings, self.rest.value)
         found = np.full(len(squares), np.nan)
         return np.asarray(np.divide(products, squares, out=found, where=squares > 0))
 
@@ -147,13 +145,22 @@ class Signals:
         return chosen, np.abs(rfft(rows, axis=1).T) ** 2
 
 
-def _lagged(
+def squares_and_lagged(
     readings: NDArray[Any], centre: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return sums of squared deviations from the means, and of products of successive ones, (N,).
 
     centre (N,): Values near the means.
     """
+    found = _lagged(readings, centre)
+    if not ((found[0] > _LEAST_SQUARE) & (found[0] < np.inf)).all():  # of float32
+        found = _lagged(readings.astype(np.float64), centre)
+    return found
+
+
+def _lagged(
+    readings: NDArray[Any], centre: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     sums, n_frames = np.zeros((3, len(centre))), len(readings)
     near = centre.astype(readings.dtype)
     ends = (readings[0] - near).astype(np.float64) + (readings[-1] - near)
