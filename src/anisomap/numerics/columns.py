@@ -38,8 +38,16 @@ def ranks_from_counts(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
 
 def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
     """Rank the readings of one sensor, (T,), as `scipy.stats.rankdata`, in a third of its time."""
-    _, codes, counts = np.unique(column, return_inverse=True, return_counts=True)
-    return np.asarray(ranks_from_counts(counts)[codes])
+    order = column.argsort()
+    ordered = column[order]
+    ends = np.append(np.flatnonzero(ordered[1:] != ordered[:-1]), column.size - 1)
+    ranks = np.empty(column.size)
+    if ends.size == column.size:
+        ranks[order] = np.arange(1.0, column.size + 1)
+    elif column.size:
+        counts = np.diff(ends, prepend=-1)
+        ranks[order] = np.repeat(ranks_from_counts(counts), counts)
+    return ranks
 
 
 def ranked(readings: ArrayLike) -> NDArray[np.float64]:

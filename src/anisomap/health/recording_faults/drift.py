@@ -11,7 +11,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import betainc
 
 from anisomap.health.recording_faults import Found, in_readings
-from anisomap.numerics.columns import ranked
 from anisomap.recording import Recording
 
 _N_BLOCKS = 20  # of frames, whose levels at rest are compared; chosen by hand
@@ -78,7 +77,8 @@ def _chances(levels: NDArray[np.floating]) -> NDArray[np.float64]:
     Journal of the American Statistical Association 77: 40-46, doi:10.1080/01621459.1982.10477764.
     """
     n = levels.shape[1]
-    ranks = ranked(levels.T).T
+    one, other = levels[:, :, None], levels[:, None]
+    ranks = (one > other).sum(axis=2) + ((one == other).sum(axis=2) + 1) / 2
     spread = np.maximum(n * ranks.var(axis=1), 1)
     ratios = (np.diff(ranks, axis=1) ** 2).sum(axis=1) / spread
     shape = 5 * n * (n + 1) * (n - 1) ** 2 / (2 * (n - 2) * (5 * n**2 - 2 * n - 9)) - 0.5

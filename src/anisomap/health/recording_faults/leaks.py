@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -12,7 +12,7 @@ from scipy.special import bdtrc
 
 from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.columns import columns
-from anisomap.numerics.signals import middle_frames
+from anisomap.numerics.signals import medians, middle_frames
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.recording import Recording
 
@@ -41,8 +41,7 @@ def find_leak(recording: Recording) -> Iterator[Found]:
     excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
     rest = recording.signals.rest
     depths = _Depths(excerpt, rest)
-    for quantile in _QUANTILES:
-        gains = depths.compare(1, quantile)
+    for gains in depths.compare(1):
         start, n_pairs = float(np.median(gains)), np.count_nonzero(gains)
         n_forward = np.count_nonzero(gains > 0)
         # One-sided binomial test.
@@ -100,42 +99,54 @@ class _Depths:
         beyond = self.columns[i].astype(np.float64) - self.rest.value[i]
         return np.asarray(beyond * self.rest.side[i])
 
-    def _frames(self, i: int) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-        """Return the frames of strong contact and of rest of a channel; None if there are few."""
+    def _frames(
+        self, i: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]] | None:
+        """Return frames of strong contact, depths there, and frames of rest; None if few."""
         if not self.visible[i]:
             return None
         depth = self.depth(i)
         touched = depth > self.rest.threshold[i]
         quiet = np.flatnonzero(~touched)
-        if np.count_nonzero(touched) < 2 * _MIN_FRAMES or quiet.size < _MIN_FRAMES:
+        if touched.size - quiet.size < 2 * _MIN_FRAMES or quiet.size < _MIN_FRAMES:
             return None
-        deep = np.flatnonzero(depth >= np.median(depth[touched]))
-        return _thinned(deep), _thinned(quiet)
+        deep = _thinned(np.flatnonzero(depth >= medians(depth[touched][:, None])))
+        return deep, depth[deep], _thinned(quiet)
 
-    def ratios(self, i: int, source: int, quantile: float) -> NDArray[np.float64]:
-        """Return channel i less a quantile at rest in units of another while that is in contact."""
+    def ratios(
+        self, i: int, source: int, quantiles: Sequence[float]
+    ) -> list[NDArray[np.float64]] | None:
+        """Return channel i less each quantile at rest in units of another while that is in contact.
+
+        None if nothing can be told.
+        """
         frames = self.frames(source)
         if frames is None or not self.visible[i]:
-            return np.empty(0)
-        deep, quiet = frames
+            return None
+        deep, depth, quiet = frames
         mine = self.depth(i)
-        return (mine[deep] - _quantile(mine[quiet], quantile)) / self.depth(source)[deep]
+        touched, levels = mine[deep], _quantiles(mine[quiet], quantiles)
+        return [(touched - level) / depth for level in levels]
 
-    def compare(self, offset: int, quantile: float) -> NDArray[np.float64]:
-        """Return the gain forward minus the gain backward of channels `offset` apart."""
+    def compare(self, offset: int) -> NDArray[np.float64]:
+        """Return the gain forward minus the gain backward of channels `offset` apart, (P,).
+
+        For each of `_QUANTILES`.
+        """
         found = []
         for i in range(offset, len(self.columns)):
-            pair = [self.ratios(i, i - offset, quantile), self.ratios(i - offset, i, quantile)]
-            if all(ratios.size for ratios in pair):
-                forward, backward = (_quantile(ratios, quantile) for ratios in pair)
-                found.append(forward - backward)
-        gains = np.array(found or [0.0])
+            forward = self.ratios(i, i - offset, _QUANTILES)
+            backward = self.ratios(i - offset, i, _QUANTILES)
+            if forward is not None and backward is not None:
+                ends = zip(_QUANTILES, forward, backward, strict=True)
+                found.append([_quantile(one, q) - _quantile(other, q) for q, one, other in ends])
+        gains = np.array(found or [[0.0] * len(_QUANTILES)]).T
         return np.where(np.abs(gains) < _TOLERANCE, 0, gains)
 
     def share(self, start: float) -> tuple[float, float]:
         """Return the most frequent ratio of adjacent channels near a first one, and its error."""
-        ratios = [self.ratios(i, i - 1, 0.5) for i in range(1, len(self.columns))]
-        pooled = np.sort(np.concatenate(ratios))
+        ratios = [self.ratios(i, i - 1, (0.5,)) for i in range(1, len(self.columns))]
+        pooled = np.sort(np.concatenate([one[0] for one in ratios if one is not None]))
         near = pooled[(pooled > 0.3 * start) & (pooled < 2.5 * start)]
         share = _densest(near)
         for _ in range(3):
@@ -154,9 +165,7 @@ def _asymmetry(readings: NDArray[Any], rest: Rest) -> float:
     """Return how much more channels contain of earlier than of later ones."""
     depths = _Depths(readings, rest)
     return sum(
-        abs(float(np.mean(np.sign(depths.compare(offset, quantile)))))
-        for offset in (1, 2)
-        for quantile in _QUANTILES
+        abs(float(np.mean(np.sign(gains)))) for offset in (1, 2) for gains in depths.compare(offset)
     )
 
 
@@ -171,9 +180,14 @@ def _densest(values: NDArray[np.float64]) -> float:
 
 
 def _quantile(values: NDArray[np.float64], level: float) -> float:
-    """Return the value of the nearest rank; interpolation takes several times as long."""
-    place = round(level * (values.size - 1))
-    return float(np.partition(values, place)[place])
+    return _quantiles(values, (level,))[0]
+
+
+def _quantiles(values: NDArray[np.float64], levels: Sequence[float]) -> list[float]:
+    """Return the values of the nearest ranks; interpolation takes several times as long."""
+    places = [round(level * (values.size - 1)) for level in levels]
+    values.partition(places)
+    return [float(values[place]) for place in places]
 
 
 def _thinned(frames: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -28,10 +28,15 @@ def find_clipped(recording: Recording) -> Iterator[Found]:
     The density of heights of contacts falls towards the highest, so the extreme reading of a sensor
     should not be twice as frequent as each of those beside it.
     """
-    shares = [max(_at_limit(column), _at_limit(-column)) for column in columns(recording.readings)]
+    readings, shares = recording.readings, np.zeros(recording.n_sensors)
+    for sign, limit in zip((-1, 1), recording.extremes, strict=True):
+        counts = np.count_nonzero(readings == limit, axis=0)
+        often = np.flatnonzero((counts >= _MIN_CLIPPED) & (counts <= 0.5 * len(readings)))
+        for i, column in zip(often.tolist(), columns(readings[:, often]), strict=True):
+            shares[i] = max(shares[i], _at_limit(sign * column))
     clipped = np.flatnonzero(shares)
     if clipped.size:
-        share = float(np.median(np.array(shares)[clipped]))
+        share = float(np.median(shares[clipped]))
         yield Found(
             clipped,
             share,
@@ -42,14 +47,10 @@ def find_clipped(recording: Recording) -> Iterator[Found]:
 
 def _at_limit(column: NDArray[Any]) -> float:
     """Return the share of a sensor's frames, (T,), at its highest reading; 0 unless clipped."""
-    limit = column.max()
-    at_limit = np.count_nonzero(column == limit)
-    if not _MIN_CLIPPED <= at_limit <= 0.5 * column.size:
-        return 0.0
-    values, counts = np.unique(column, return_counts=True)
+    counts = np.unique(column, return_counts=True)[1]
     beside = counts[-1 - _LEVELS : -1].max(initial=0)
-    clipped = at_limit > 2 * beside and values[counts.argmax()] != limit
-    return at_limit / column.size if clipped else 0.0
+    clipped = counts[-1] > 2 * beside and counts.argmax() != counts.size - 1
+    return float(counts[-1] / column.size) if clipped else 0.0
 
 
 def find_regions(recording: Recording) -> Iterator[Found]:

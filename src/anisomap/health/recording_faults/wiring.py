@@ -209,7 +209,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
     moments = np.array([block.T @ block for block in np.array_split(values, _N_BLOCKS)])
     parts = np.array_split(recording.signals.touched, _N_BLOCKS)
     contacts = np.array([count_contacts(part[:, chosen]) for part in parts])
-    lost, correlations = zip(*_divisions(moments, contacts), strict=True)
+    lost, correlations = zip(*_divisions(moments, contacts, np.arange(_N_BLOCKS)), strict=True)
     division = int(np.argmax([one.sum() for one in lost]))
     changed, size = np.flatnonzero(lost[division]), lost[division].sum()
     if changed.size < 2 or _ratio_of_reach(correlations[division]) > _MAX_REACH:
@@ -217,7 +217,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
     rng, exceeded = np.random.default_rng(0), 0
     for _ in range(_N_PERMUTATIONS):
         order = rng.permutation(_N_BLOCKS)
-        exceeded += any(one.sum() >= size for one, _ in _divisions(moments[order], contacts[order]))
+        exceeded += any(one.sum() >= size for one, _ in _divisions(moments, contacts, order))
         if exceeded > _MAX_EXCEEDED:
             return
     frame = 2 * (division + 1) * n_frames // _N_BLOCKS
@@ -229,19 +229,23 @@ def find_change(recording: Recording) -> Iterator[Found]:
 
 
 def _divisions(
-    moments: NDArray[np.floating], contacts: NDArray[np.intp]
+    moments: NDArray[np.floating], contacts: NDArray[np.intp], order: NDArray[np.intp]
 ) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float64]]]]:
-    """Yield what each sensor loses at each division, and the correlations of the four quarters."""
-    products, counts = (
-        np.cumsum([one[::2], one[1::2]], axis=1, dtype=np.float64) for one in (moments, contacts)
-    )
-    for k in range(_N_BLOCKS // 2 - 1):
-        quarters = np.concatenate([products[:, k], products[:, -1] - products[:, k]])
-        least = np.concatenate([counts[:, k], counts[:, -1] - counts[:, k]]).min(axis=0)
+    """Yield what each sensor loses at each division, and the correlations of the four quarters.
+
+    moments (blocks, n + 1, n + 1), contacts (blocks, n), and the order of the blocks.
+    """
+    whole, products = (np.zeros((2, *moments.shape[1:])) for _ in range(2))
+    for place, block in enumerate(order):
+        whole[place % 2] += moments[block]
+    counts = np.cumsum(contacts[order.reshape(-1, 2)], axis=0)
+    for k, blocks in enumerate(order[:-2].reshape(-1, 2)):
+        products += moments[blocks]
+        least = np.concatenate([counts[k], counts[-1] - counts[k]]).min(axis=0)
         judged = np.flatnonzero(least >= _MIN_CONTACTS)
         lost, r = np.zeros(least.size), []
         if judged.size >= _MIN_SENSORS:
-            r = [_correlation(one, judged) for one in quarters]
+            r = [_correlation(one, judged) for one in (*products, *(whole - products))]
             kept = _kept(r)
             within = np.minimum(kept[0, 1], kept[2, 3])
             across = kept[:2, 2:].mean(axis=(0, 1))
@@ -259,11 +263,14 @@ def _ratio_of_reach(correlations: list[NDArray[np.float64]]) -> float:
 def _correlation(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDArray[np.float64]:
     """Correlate sensors with others, given sums of products; -1 with themselves."""
     sums, count = moments[-1, judged], moments[-1, -1]
-    covariance = moments[np.ix_(judged, judged)] - np.outer(sums, sums) / count
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-9 * count))
-    correlation = np.clip(covariance / np.outer(deviation, deviation), -1, 1)
-    np.fill_diagonal(correlation, -1)
-    return np.asarray(correlation)
+    found = moments[judged][:, judged]
+    found -= np.outer(sums, sums / count)
+    scale = 1 / np.sqrt(np.maximum(np.diag(found), 1e-9 * count))
+    found *= scale[:, None]
+    found *= scale
+    np.clip(found, -1, 1, out=found)
+    np.fill_diagonal(found, -1)
+    return found
 
 
 def _kept(correlations: list[NDArray[np.float64]]) -> NDArray[np.float64]:

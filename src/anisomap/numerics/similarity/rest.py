@@ -293,13 +293,15 @@ def ranks_of_depths(
     rest = estimate_rest(values) if rest is None else rest
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
     ranks = np.empty(values.shape[::-1], dtype)
-    own = zip(ranks, columns(values), rest.value, rest.side, rest.threshold, strict=True)
-    for row, column, value, side, threshold in own:
-        depth = side * (column.astype(np.float64) - value) - threshold
-        active = np.flatnonzero(depth > 0)
-        n_resting = len(depth) - len(active)
+    if values.dtype.char not in "fd":
+        values = values.astype(np.float64)
+    own = zip(ranks, columns(values), rest.bounds(values.dtype), rest.side > 0, strict=True)
+    for row, column, bound, raises in own:
+        active = np.flatnonzero(column >= bound if raises else column <= bound)
+        n_resting = column.size - active.size
         row.fill((n_resting + 1) / 2)
-        row[active] = n_resting + mean_ranks(depth[active])
+        found = mean_ranks(column[active])
+        row[active] = n_resting + (found if raises else active.size + 1 - found)
     return ranks.T
 
 
