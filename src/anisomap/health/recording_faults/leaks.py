@@ -12,7 +12,7 @@ from scipy.special import bdtrc
 
 from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.columns import columns
-from anisomap.numerics.signals import medians, middle_frames
+from anisomap.numerics.signals import middle_frames
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.recording import Recording
 
@@ -90,14 +90,16 @@ class _Depths:
     """Depths of contact of the channels, computed channel by channel."""
 
     def __init__(self, readings: NDArray[Any], rest: Rest) -> None:
-        self.columns = list(columns(readings))
-        self.visible = [_is_visible(column) for column in self.columns]
         self.rest = rest
-        self.depth, self.frames = cache(self._depth), cache(self._frames)
+        raised = zip(columns(readings), rest.side.astype(readings.dtype), strict=False)
+        self.raised = [column * side for column, side in raised]  # by contact
+        self.bounds = rest.side * rest.bounds(readings.dtype)
+        self.visible = [_is_visible(column) for column in self.raised]
+        self.frames = cache(self._frames)
 
-    def _depth(self, i: int) -> NDArray[np.float64]:
-        beyond = self.columns[i].astype(np.float64) - self.rest.value[i]
-        return np.asarray(beyond * self.rest.side[i])
+    def depth(self, i: int, frames: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the depths of a channel in some frames."""
+        return np.asarray(self.raised[i][frames] - self.rest.side[i] * self.rest.value[i])
 
     def _frames(
         self, i: int
@@ -105,13 +107,13 @@ class _Depths:
         """Return frames of strong contact, depths there, and frames of rest; None if few."""
         if not self.visible[i]:
             return None
-        depth = self.depth(i)
-        touched = depth > self.rest.threshold[i]
-        quiet = np.flatnonzero(~touched)
-        if touched.size - quiet.size < 2 * _MIN_FRAMES or quiet.size < _MIN_FRAMES:
+        raised = self.raised[i]
+        touched = raised >= self.bounds[i]
+        quiet, reached = np.flatnonzero(~touched), raised[touched]
+        if reached.size < 2 * _MIN_FRAMES or quiet.size < _MIN_FRAMES:
             return None
-        deep = _thinned(np.flatnonzero(depth >= medians(depth[touched][:, None])))
-        return deep, depth[deep], _thinned(quiet)
+        deep = _thinned(np.flatnonzero(raised >= np.sort(reached)[reached.size // 2]))
+        return deep, self.depth(i, deep), _thinned(quiet)
 
     def ratios(
         self, i: int, source: int, quantiles: Sequence[float]
@@ -124,8 +126,7 @@ class _Depths:
         if frames is None or not self.visible[i]:
             return None
         deep, depth, quiet = frames
-        mine = self.depth(i)
-        touched, levels = mine[deep], _quantiles(mine[quiet], quantiles)
+        touched, levels = self.depth(i, deep), _quantiles(self.depth(i, quiet), quantiles)
         return [(touched - level) / depth for level in levels]
 
     def compare(self, offset: int) -> NDArray[np.float64]:
@@ -134,7 +135,7 @@ class _Depths:
         For each of `_QUANTILES`.
         """
         found = []
-        for i in range(offset, len(self.columns)):
+        for i in range(offset, len(self.raised)):
             forward = self.ratios(i, i - offset, _QUANTILES)
             backward = self.ratios(i - offset, i, _QUANTILES)
             if forward is not None and backward is not None:
@@ -145,7 +146,7 @@ class _Depths:
 
     def share(self, start: float) -> tuple[float, float]:
         """Return the most frequent ratio of adjacent channels near a first one, and its error."""
-        ratios = [self.ratios(i, i - 1, (0.5,)) for i in range(1, len(self.columns))]
+        ratios = [self.ratios(i, i - 1, (0.5,)) for i in range(1, len(self.raised))]
         pooled = np.sort(np.concatenate([one[0] for one in ratios if one is not None]))
         near = pooled[(pooled > 0.3 * start) & (pooled < 2.5 * start)]
         share = _densest(near)

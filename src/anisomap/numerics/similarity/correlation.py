@@ -157,8 +157,9 @@ class Moments:
                 part = small[begin : begin + SINGLE_FRAMES]
                 comoment += part.T @ part
             return cls(len(chunk), centre + beside, comoment)
-        # Subtracting the first frame first leaves no rounding error for constant sensors.
-        deviations = np.asarray(chunk, dtype=np.float64) - chunk[0]
+        # Subtracting the first frame first leaves no rounding error for constant sensors. A copy in
+        # float64 before would take longer than all the rest: memory that is new is slow.
+        deviations = np.subtract(chunk, chunk[0], dtype=np.float64)
         mean = deviations.mean(axis=0)
         deviations -= mean
         return cls(len(chunk), chunk[0] + mean, deviations.T @ deviations)

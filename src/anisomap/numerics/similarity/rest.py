@@ -135,7 +135,9 @@ def find_levels(readings: NDArray[Any]) -> Levels:
     for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
         rows = transposed(readings[:, begin : begin + _SENSORS_AT_ONCE])
         if frames is None:
-            found.append(_of_ordered(np.sort(rows, axis=1)))
+            rows = rows.copy() if rows.base is not None else rows
+            rows.sort(axis=1)
+            found.append(_of_ordered(rows))
         else:
             found.append(_of_many(rows, np.sort(rows[:, frames], axis=1)))
     value, side, threshold, known, frequent, distinct = np.concatenate(found, axis=1)
