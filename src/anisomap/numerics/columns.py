@@ -20,12 +20,16 @@ def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterat
         yield from transposed(readings[:, begin : begin + n_at_once])
 
 
-def transposed(readings: NDArray[Any]) -> NDArray[Any]:
-    """Transpose readings, contiguous by sensor. readings (T, N) -> (N, T)."""
+def transposed(readings: NDArray[Any], buffer: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Transpose readings, contiguous by sensor. readings (T, N) -> (N, T).
+
+    buffer (n, T): Of N sensors or more, which is filled: new memory takes longer than the rest.
+    """
     if readings.flags.f_contiguous:
         return readings.T
-    rows = np.empty(readings.shape[::-1], readings.dtype)
-    for begin in range(0, len(readings), _FRAMES_AT_ONCE):
+    n_frames, n_sensors = readings.shape
+    rows = np.empty((n_sensors, n_frames), readings.dtype) if buffer is None else buffer[:n_sensors]
+    for begin in range(0, n_frames, _FRAMES_AT_ONCE):
         part = slice(begin, begin + _FRAMES_AT_ONCE)
         rows[:, part] = readings[part].T
     return rows
@@ -65,8 +69,9 @@ def centred_rows(readings: NDArray[Any]) -> NDArray[np.float32]:
     readings (T, N) -> (N, T).
     """
     rows = np.empty(readings.shape[::-1], np.float32)
+    buffer = np.empty((_CENTRED_AT_ONCE, len(readings)), readings.dtype)
     for begin in range(0, len(rows), _CENTRED_AT_ONCE):
-        part = transposed(readings[:, begin : begin + _CENTRED_AT_ONCE])
+        part = transposed(readings[:, begin : begin + _CENTRED_AT_ONCE], buffer)
         # A difference of numbers in float32 is rounded relative to itself.
         if part.dtype != np.float32 or np.abs(part).max(initial=0) > _FLOAT32_RANGE:
             part = part.astype(np.float64)

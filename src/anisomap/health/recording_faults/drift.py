@@ -11,6 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import betainc
 
 from anisomap.health.recording_faults import Found, in_readings
+from anisomap.numerics.columns import transposed
 from anisomap.recording import Recording
 
 _N_BLOCKS = 20  # of frames, whose levels at rest are compared; chosen by hand
@@ -47,9 +48,11 @@ def find_drift(recording: Recording) -> Iterator[Found]:
     if size < _MIN_BLOCK or not chosen.size:
         return
     readings, step = recording.readings, -(-size // _MAX_BLOCK)
-    blocks = readings[: size * _N_BLOCKS].reshape(_N_BLOCKS, size, -1)[:, ::step, chosen]
+    frames = np.arange(size * _N_BLOCKS).reshape(_N_BLOCKS, size)[:, ::step]
     side = _contact_side(readings, chosen)
-    values = (blocks * side).transpose(2, 0, 1).astype(np.float32)
+    values = transposed(readings[frames.ravel()])[chosen].astype(np.float32)
+    values *= side[:, None].astype(np.float32)
+    values = values.reshape(chosen.size, *frames.shape)
     values.sort(axis=2)
     levels = values[:, :, round(_LEVEL / 100 * (values.shape[2] - 1))]
     left = np.sqrt((values - levels[:, :, None]).var(axis=2).mean(axis=1))
@@ -137,16 +140,16 @@ def _width_at_rest(left: NDArray[np.float64]) -> float:
 
 def _contact_side(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the sign of the skewness of fast changes of some sensors: 1 or -1, shape (n,)."""
-    values = readings[:: -(-len(readings) // 4096), sensors].astype(np.float32)
-    window = max(3, len(values) // _N_BLOCKS) | 1
-    values = values - _running_mean(values, window)
-    return np.where(np.einsum("ti,ti,ti->i", values, values, values) < 0, -1.0, 1.0)
+    values = transposed(readings[:: -(-len(readings) // 4096)])[sensors].astype(np.float32)
+    window = max(3, values.shape[1] // _N_BLOCKS) | 1
+    values -= _running_mean(values, window)
+    return np.where(np.einsum("nt,nt,nt->n", values, values, values) < 0, -1.0, 1.0)
 
 
 def _running_mean(values: NDArray[Any], window: int) -> NDArray[Any]:
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415, slow to import
 
-    return np.asarray(uniform_filter1d(values, window, axis=0, mode="nearest"))
+    return np.asarray(uniform_filter1d(values, window, axis=-1, mode="nearest"))
 
 
 def _window(values: NDArray[np.float64]) -> int:

@@ -132,10 +132,12 @@ def find_levels(readings: NDArray[Any]) -> Levels:
         # At random, not at equal steps: these could all have the same phase.
         chosen = np.random.default_rng(0).choice(n_frames, _SAMPLED, replace=False)
         frames = np.sort(chosen)
+    buffer = np.empty((min(n_sensors, _SENSORS_AT_ONCE), n_frames), readings.dtype)
     for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
-        rows = transposed(readings[:, begin : begin + _SENSORS_AT_ONCE])
+        part = readings[:, begin : begin + _SENSORS_AT_ONCE]
+        rows = transposed(part, buffer)
         if frames is None:
-            rows = rows.copy() if rows.base is not None else rows
+            rows = rows.copy() if part.flags.f_contiguous else rows
             rows.sort(axis=1)
             found.append(_of_ordered(rows))
         else:
@@ -229,22 +231,26 @@ def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
     ordered (n, t): Readings in some frames at random, ordered. A reading that holds a tenth of all
     frames holds a twentieth of these, but for a probability below 1e-20.
     """
-    found = np.empty((6, len(rows)))
+    found = np.zeros((6, len(rows)))
     some = math.ceil(MIN_REST_SHARE / 2 * ordered.shape[1])
     perhaps_frequent = (ordered[:, some:] == ordered[:, :-some]).any(axis=1)
+    selected: dict[int, tuple[float, ...]] = {}
     for i, row in enumerate(rows):
-        selected = None if perhaps_frequent[i] else _selected(row, ordered[i])
-        if selected is None:
-            values, counts = np.unique(row, return_counts=True)
-            frequent = counts.max() >= _least_frequent(row.size)
-            found[:, i] = *_rest_of(values.astype(np.float64), counts), frequent, values.size
-        else:
-            distinct = 1 + np.count_nonzero(ordered[i, 1:] != ordered[i, :-1])
-            found[:, i] = *_of_deviations(*selected), 0, distinct
+        quantiles = None if perhaps_frequent[i] else _selected(row, ordered[i])
+        if quantiles is not None:
+            selected[i] = quantiles
+            continue
+        values, counts = np.unique(row, return_counts=True)
+        frequent = counts.max() >= _least_frequent(row.size)
+        found[:, i] = *_rest_of(values.astype(np.float64), counts), frequent, values.size
+    if selected:
+        chosen = list(selected)
+        found[:4, chosen] = _of_deviations(*np.array(list(selected.values())).T)
+        found[5, chosen] = 1 + np.count_nonzero(ordered[chosen, 1:] != ordered[chosen, :-1], axis=1)
     return found
 
 
-def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64] | None:
+def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | None:
     """Return the median of a sensor, and what `_of_deviations` takes; None if the sample misleads.
 
     row (T,). ordered (t,): A sample, whose quantiles enclose those of all readings.
@@ -276,7 +282,7 @@ def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64] |
         near, far = centre - np.sort(end)[[at, max(at - 1, 0)]].astype(np.float64)
         outer.append(near + (place - int(place)) * (far - near))
     total = np.subtract(row, value, dtype=np.float64).sum()
-    return np.array([value, total, *outer])
+    return value, total, *outer
 
 
 def _least_frequent(n_frames: int) -> float:
