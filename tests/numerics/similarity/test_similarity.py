@@ -20,7 +20,7 @@ from anisomap.numerics.similarity.correlation import (
     spearman,
 )
 from anisomap.numerics.similarity.information import information_from_codes, mutual_information
-from anisomap.numerics.similarity.rest import estimate_rest, rest_from_counts
+from anisomap.numerics.similarity.rest import Rest, estimate_rest, rest_from_counts
 
 SIMILARITIES = (pearson, spearman, co_activation, mutual_information)
 
@@ -127,6 +127,32 @@ def test_activity_of_many_sensors_is_depth_beyond_rest(real):
     readings = np.random.default_rng(0).integers(0, 9, (40, MIN_COMPILED_ROWS + 3)).astype(real)
     rest = estimate_rest(readings)
     np.testing.assert_array_equal(rest.active(readings), rest.depth(readings) > 0)
+
+
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_activity_is_depth_beyond_rest_where_the_limit_is_nearly_0(real):
+    value = np.array([4.0, 0.1, -3.0, 1e-30, 0.0])
+    side = np.array([-1.0, -1.0, 1.0, -1.0, 1.0])
+    rest = Rest(value, side, np.abs(value), np.ones(5, dtype=bool))
+    ends = 10.0 ** np.arange(-45, 2)
+    readings = np.concatenate([-ends, [0], ends]).astype(real)[:, None] * np.ones(5, real)
+    np.testing.assert_array_equal(rest.active(readings), rest.depth(readings) > 0)
+
+
+@pytest.mark.parametrize("real", [np.int32, np.float32, np.float64])
+def test_the_rest_of_many_frames_is_that_of_counts(real):
+    rng = np.random.default_rng(0)
+    readings = 1000 * rng.normal(size=(10_001, 6))
+    readings[:, 1] = np.maximum(readings[:, 1], -500)
+    readings[:, 2] = -np.abs(readings[:, 2])
+    readings[:, 3] = np.round(readings[:, 3] / 500)
+    readings[:, 4] = rng.exponential(size=10_001) ** 3
+    readings[:, 5] = 7
+    readings = readings.astype(real)
+    found = estimate_rest(readings)
+    expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)
+    for name in ("value", "side", "threshold", "known"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_noise_at_rest_is_not_contact():

@@ -75,14 +75,28 @@ class Rest:
         """Return the number nearest to rest of a type whose depth is not 0, shape (N,)."""
         # Subtractions of all readings, in float64, would take ten times as long as comparisons.
         rest = self.side * self.value
+        reach = rest + self.threshold
+
+        def deep(numbers: NDArray[Any], some: Any = slice(None)) -> NDArray[np.bool_]:
+            return np.asarray(numbers.astype(np.float64) - rest[some] > self.threshold[some])
+
+        def beside(numbers: NDArray[np.float64], step: float) -> NDArray[Any]:
+            return np.asarray(np.nextafter(numbers.astype(dtype), dtype.type(step)))
+
         with np.errstate(over="ignore"):
-            bounds = (rest + self.threshold).astype(dtype)
-            while (low := bounds.astype(np.float64) - rest <= self.threshold).any():
-                bounds[low] = np.nextafter(bounds[low], dtype.type(np.inf))
-            nearer = np.nextafter(bounds, dtype.type(-np.inf))
-            while (high := nearer.astype(np.float64) - rest > self.threshold).any():
-                bounds[high] = nearer[high]
-                nearer = np.nextafter(bounds, dtype.type(-np.inf))
+            near, high = reach.astype(dtype), beside(reach, np.inf)
+            bounds = np.where(deep(near), near, high)
+            # A bound near 0 is far more precise than the differences from rest.
+            off = np.flatnonzero(deep(beside(reach, -np.inf)) | ~deep(high))
+            slack = 4 * np.spacing(np.abs(rest) + self.threshold)[off]
+            low, high = beside(reach[off] - slack, -np.inf), beside(reach[off] + slack, np.inf)
+            while (apart := (low < (middle := low + (high - low) / 2)) & (middle < high)).any():
+                beyond = deep(middle, off)
+                low, high = (
+                    np.where(apart & ~beyond, middle, low),
+                    np.where(apart & beyond, middle, high),
+                )
+            bounds[off] = high
         return np.asarray(self.side.astype(dtype) * bounds)
 
 
