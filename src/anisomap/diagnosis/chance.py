@@ -1,7 +1,7 @@
-"""Errors of positions by chance, from maps that the method makes of parts of the recording.
+"""Errors of positions by chance, estimated from maps of resamples or halves of the recording.
 
-Resamples of blocks of frames start from the map, and take a few iterations. Where a map does not
-follow from its covariogram fit, halves of the recording are mapped from the beginning.
+Maps of resampled blocks of frames start from the given map and take a few iterations. If the given
+map does not follow from its covariogram fit, halves of the recording are mapped from the beginning.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ maps are divided by STEP. A full resample has twice the noise of the recording, 
 are biased by noise.
 """
 
-_N_RESAMPLES = 3  # covariances are pooled over sensors
+_N_RESAMPLES = 3  # enough, since covariances are pooled over sensors
 _MAX_ITERATIONS = 5  # of the covariogram fit of a resample, which starts from that of the map
-_ITERATIONS_OF_HALF = 30  # of that of a half; with the default, errors differed by 1 %
+_ITERATIONS_OF_HALF = 30  # of the fit of a half; with the default, errors differed by 1 %
 _ALIGNMENTS = 4  # rounds of alignment to the mean of all maps; more change nothing visible
 _N_POOLED = 8  # nearest sensors over which covariances are pooled; 20 hold equally many positions
 _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
@@ -81,7 +81,7 @@ class MapPart:
 def part_of(
     sensor_map: SensorMap, label: int, run: Recording, options: MethodOptions, stages: Stages | None
 ) -> MapPart:
-    """Return a component of a map of one recording; without stages, it is compared again."""
+    """Return a component of a map of one recording; without stages, compare its sensors again."""
     members = sensor_map.component == label
     positions, components = sensor_map.positions[members], sensor_map.component[sensor_map.placed]
     if stages is None or not np.array_equal(stages.configuration.component, components):
@@ -97,7 +97,8 @@ def part_of(
     follows = refined is not None and "covariogram" in refined.proposals and not refined.elongated
     if refined is None or not follows or _departure(made.positions[inside], positions) > _SAME:
         return MapPart(positions, pairs)
-    # A mean weighted by precision leaves this share; a map that is replaced has no such weight.
+    # A mean weighted by precision leaves this share of the variance. A map that is replaced, with
+    # the weight 1, is no such mean.
     weight = refined.weights.get("contacts", 0.0)
     share = 1 - weight if weight < 1 else 1.0
     return MapPart(positions, pairs, refined.proposals["covariogram"].fit, share)
@@ -123,7 +124,7 @@ def deviations_by_chance(
     rng: np.random.Generator,
     progress: Callable[[float], None],
 ) -> NDArray[np.float64]:
-    """Return deviations of positions as large as chance makes them, from R maps, (R, n, k)."""
+    """Return deviations of positions of the size of their errors by chance, (R, n, k)."""
     recipe, options = find_method(method), replace(options, split_unrelated=False)
     if part.fit is None:
         logger.info("mapping halves of the recording to estimate the repeatability")
@@ -210,12 +211,12 @@ def deviations_of_halves(
 def deviations_from_mean(
     maps: NDArray[np.float64], positions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Subtract the mean from maps, whose mean square is then the variance, in a map's frame.
+    """Return deviations of maps from their mean, in the frame and scale of given positions.
 
-    maps (R, n, k), positions (n, k) -> (R, n, k).
+    maps (R, n, k), positions (n, k) -> (R, n, k). The mean square is an unbiased variance.
 
-    Differences from the mean of the maps count, not from the given map: resamples have more noise
-    than the recording, which shifts all of them alike.
+    The deviations are from the mean of the maps, not from the given map: resamples have more noise
+    than the recording, which shifts all of their maps alike.
     """
     aligned = aligned_to_mean(maps)
     mean = aligned.mean(axis=0)
@@ -225,7 +226,7 @@ def deviations_from_mean(
 
 
 def aligned_to_mean(maps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Align maps of the same sensors with their mean, such that uncertain sensors count less.
+    """Align maps of the same sensors with their mean; uncertain sensors count less.
 
     maps (R, n, k) -> (R, n, k).
 
@@ -253,9 +254,9 @@ def covariances(
 
     deviations (R, n, k), positions (n, k) -> (n, k, k).
 
-    The covariance of R maps is uncertain itself. Returned is the mean of three:
-    that of the sensor, the mean of those of its 8 nearest sensors, and the sphere as large as the
-    latter.
+    The covariance of few maps is itself uncertain. The result is therefore the mean of three
+    covariances: that of the sensor, the mean of those of its 8 nearest sensors, and the isotropic
+    covariance with the trace of that mean.
     """
     own = np.einsum("rni,rnj->nij", deviations, deviations) / len(deviations)
     around = pooled(own, positions, _N_POOLED)
@@ -265,7 +266,7 @@ def covariances(
 
 
 def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
-    """Return the RMS error that goes with `covariances`, in spacings of the map.
+    """Return the RMS error that belongs to `covariances`, in spacings of the map.
 
     found (n, k, k), positions (n, k).
     """
@@ -275,6 +276,6 @@ def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]
 
 
 def _departure(made: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
-    """Return the RMS difference of two maps after the best similarity, in spacings, (n, k) each."""
+    """Return the RMS difference of two aligned maps, (n, k) each, in spacings."""
     spacing = median_spacing(positions)
     return align(made, positions).rms / spacing if spacing > 0 else math.inf

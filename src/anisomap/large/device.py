@@ -52,8 +52,8 @@ def reconstruct_on_device(
     dimensions : int
         Number of coordinates: 2 for flat skins, 3 for bodies.
     options : MethodOptions, optional
-        Only `mu`, `bins`, `smacof` and `min_sensors` are used; `mu` must be above 0. The stress is
-        minimised by L-BFGS for any `solver`.
+        Only `regularisation`, which must be above 0, `entropy_bins`, `smacof` and `min_sensors` are
+        used. From 500 sensors on, L-BFGS minimises the stress, whatever the `solver`.
     names : sequence of str, optional
         Names of the sensors; by default ``s0, s1, ...``.
 
@@ -65,10 +65,10 @@ def reconstruct_on_device(
     Raises
     ------
     InputError
-        If a reading is not finite, fewer than 3 sensors vary or `mu` is 0, or for the method, the
-        dimensions or the names as in `anisomap.reconstruct`.
+        If a reading is not finite, if fewer than `min_sensors` sensors vary, if `regularisation` is
+        0, or if the method, the dimensions or the names are invalid.
     MissingExtraError
-        If the compatibility layer of the array API standard is not installed: the extra ``gpu``.
+        If the compatibility layer of the array API standard (extra ``gpu``) is not installed.
 
     Warns
     -----
@@ -78,11 +78,11 @@ def reconstruct_on_device(
     Notes
     -----
     The stages of McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561.
-    ``docs/explanation/large-recordings.md`` tells the time they take.
+    ``docs/explanation/large-recordings.md`` lists the time that each takes.
 
     Examples
     --------
-    Readings in numpy's arrays are mapped by numpy:
+    With a numpy array, numpy computes the map:
 
     >>> import numpy as np
     >>> from anisomap.large import reconstruct_on_device
@@ -151,7 +151,7 @@ def _stages_of(method: str, options: MethodOptions) -> tuple[str, Callable[[Arra
         raise InputError(f"{method} does not run on a device; choose from {able}")
     if options.regularisation == 0:
         raise InputError(
-            "with regularisation 0, unrelated sensors are infinitely far apart; use one above 0"
+            "with regularisation 0, unrelated sensors are infinitely far apart; give more than 0"
         )
     return DEVICE_METHODS[method]
 

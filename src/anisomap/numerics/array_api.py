@@ -1,10 +1,10 @@
-"""The stages of ANISOMAP for arrays of any library of the array API standard, as CuPy on a GPU.
+"""Stages of ANISOMAP for arrays of any array API library, such as CuPy on a GPU.
 
 Results are arrays of the same library, on the device of the input. Only positions (N, k) and
 vectors (N,) travel between the device and scipy.
 
-The standard: https://data-apis.org/array-api. Shortest paths have a kernel for CuPy, since the
-standard has no product of matrices by minima and sums.
+The standard: https://data-apis.org/array-api. It has no matrix product of minima and sums, so
+shortest paths have a kernel of their own for CuPy.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ MIN_DEVICE_POINTS = 500
 """Minimum number of points that are scaled on the device; fewer are scaled by `smacof`."""
 
 MIDDLES = 32
-"""Nodes through which paths are lowered at a time: rows that the kernel keeps in shared memory."""
+"""Intermediate nodes of paths in one step: rows that the kernel keeps in shared memory."""
 
 TILE = 64
-"""Rows and columns of lengths that a block of 16 x 16 threads of the kernel lowers."""
+"""Rows and columns of path lengths that a block of 16 x 16 threads of the kernel updates."""
 
 _BLOCK_ELEMENTS = 1 << 24  # of temporary arrays; 64 MiB in float32
 _SENSORS_AT_ONCE = 512  # that are centred in float64
@@ -193,7 +193,7 @@ def _information(xp: Any, joint: Array, n_frames: int) -> Array:
 
 
 def regularised_reciprocal(similarity: Array, mu: float) -> Array:
-    """Convert a similarity (N, N) in its place, as `dissimilarity.regularised_reciprocal`."""
+    """Convert a similarity (N, N) in place, as `dissimilarity.regularised_reciprocal`."""
     xp = array_namespace(similarity)
     smallest = np.inf
     for rows, block, diagonal in _row_blocks(xp, similarity):
@@ -212,8 +212,8 @@ def regularised_reciprocal(similarity: Array, mu: float) -> Array:
 def metricise(dissimilarity: Array) -> Array:
     """Replace dissimilarities (N, N) by lengths of shortest paths, as `metric.metricise`.
 
-    A blocked Floyd-Warshall algorithm: the first steps from `MIDDLES` nodes to all others are
-    closed, and all lengths are lowered by ways through these nodes.
+    Blocked Floyd-Warshall algorithm: for each block of `MIDDLES` nodes, paths from these nodes to
+    all others, through the block, are found first; then all paths through the block are shortened.
     """
     xp = array_namespace(dissimilarity)
     # Products of matrices may round (i, j) and (j, i) differently.
@@ -231,7 +231,7 @@ def metricise(dissimilarity: Array) -> Array:
 
 
 def _lower(xp: Any, lengths: Array, ways: Array) -> Array:
-    """Lower lengths (N, N) by paths through the nodes from which ways, (m, N), are given."""
+    """Shorten paths, (N, N), that pass through m nodes; ways (m, N): lengths from these nodes."""
     n_ways, n_nodes = ways.shape
     if not _compatibility().is_cupy_array(lengths):
         for k in range(n_ways):
@@ -260,7 +260,7 @@ def scale(metric: Array, dimensions: int, options: SmacofOptions) -> Scaling:
     greatest = float(xp.max(metric))
     if not np.isfinite(greatest):
         raise InputError(
-            "some sensors are unrelated; with a `mu` above 0, they are placed far apart"
+            "some sensors are unrelated; with a regularisation above 0, they are placed far apart"
         )
     if n_points < MIN_DEVICE_POINTS:
         return smacof(to_numpy(metric), dimensions=dimensions, options=options)

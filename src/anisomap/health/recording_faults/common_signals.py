@@ -33,15 +33,15 @@ _MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at m
 _MIN_CYCLES = 3  # of a recording that is one sine
 _MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
 _MIN_GROUP = 3  # sensors of a board
-# Below, a stroke or two over the sensors look like a course that they share: of such recordings of
-# 100 and 200 frames, 5 % were found (measured).
+# In fewer frames, one or two strokes over the sensors look like a signal that they share: of such
+# recordings of 100 and 200 frames, 5 % were accused (measured).
 _MIN_FRAMES = 256
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
 # Variance of the second component of the fast noise over that of the first. On simulated skins,
 # common noise has .04 at most, and sources that each reach a part of the sensors .4 or more.
 _MAX_SECOND = 0.2
 _CLIP = 3.0  # median absolute deviations; larger changes are contacts
-_MIN_WEIGHTED = 30  # sensors from which they are weighted: of few, one could decide; by hand
+_MIN_WEIGHTED = 30  # sensors; fewer are not weighted, since one could dominate; by hand
 _LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
 _LOW = 0.35  # quantile of readings that are at rest
 _MAX_ROUNDS, _MAX_FRAMES = 12, 8192  # of the fit of gains
@@ -49,8 +49,8 @@ _SCREENED = 1024, 32  # frames and sensors in which the noise of a group is fitt
 _SAME_GAIN = 1e-4  # relative change at which they have converged
 _MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
 _MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
-# Share of the fast noise of the median sensor that is common, and of its deviation that hums: less
-# changes r by 1 % at most.
+# Minimum share of common noise in the fast noise of the median sensor, and of the hum in its
+# standard deviation; less changes r by 1 % at most.
 _MIN_SHARE = 0.1
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
 _MAX_AUTOCORRELATION = 0.1  # of white noise: 4 standard errors in 1,600 frames
@@ -59,12 +59,12 @@ _ALL = 0.9  # share of the sensors above which noise concerns the whole skin
 
 
 def find_hum(recording: Recording) -> Iterator[Found]:
-    """Find a sine of one period and phase with a gain of its own in each sensor.
+    """Find a sine that sensors share: one period and phase, and a gain for each sensor.
 
     The period is that of the clearest line in the median of the sensors' spectra. It is a finding
     if the power of the line is 20 times that on either side, and if its phase is the same in all
-    sensors. A body that rolls or walks at an even pace has lines, too, but sensors on different
-    places have different phases.
+    sensors. A body that rolls or walks at an even pace also gives lines, but the phase differs from
+    place to place.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = readings.shape
@@ -134,14 +134,15 @@ def find_one_period(recording: Recording) -> Iterator[Found]:
 def find_common_noise(recording: Recording) -> Iterator[Found]:
     """Find white noise that groups of sensors share.
 
-    Contacts are slow compared to the frames; second differences therefore show noise. Sensors are
-    grouped by the correlation of these, limited to 3 median absolute deviations. One component must
-    dominate a group: sources at several places, as in an EEG, give several. The noise of a group is
-    the mean of its sensors over their gains, without those that are in contact. It is a finding if
-    it is white, while the rest of the readings is not, and takes 10 % of the fast noise or more. A
-    group of some sensors must be in contacts of several kinds, too: else what they share may be the
-    contact that touches all of them. Noise is mended unless its course holds more than noise: if
-    contacts cover most of the skin, they cannot be told from what sensors share.
+    Contacts are slow compared to the frames, so second differences show noise. Sensors are grouped
+    by the correlation of their second differences, limited to 3 median absolute deviations. One
+    component must dominate a group; sources at several places, as in an EEG, give several. The
+    noise of a group is the mean of its readings, each divided by the gain of its sensor, over the
+    sensors that are not in contact. It is a finding if it is white, the rest of the readings is
+    not, and it is at least 10 % of the fast noise. A group that is not the whole skin must also be
+    touched by contacts of several kinds; otherwise, what it shares may be a single contact. Noise
+    is mended only if its whole course is white: contacts that cover most of the skin are part of
+    that course.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = _SCREENED
@@ -224,7 +225,7 @@ def _sine_gains(readings: NDArray[Any], course: NDArray[np.float64]) -> NDArray[
 
 
 def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    """Yield groups of sensors whose fast noise has one component; links may join many sources."""
+    """Yield groups of linked sensors whose fast noise has one dominant component."""
     values = readings[middle_frames(len(readings), _SCREENED[0])][:, free]
     fast = np.diff(values, 2, axis=0)
     scale = deviation_from_median(fast)
@@ -265,9 +266,10 @@ def _common_course(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit one course with gains to sensors, without those in contact.
 
-    A low quantile starts, which is at rest even if contacts cover half of the skin, and then the
-    mean of the sensors within 3 deviations of it. Many are weighted by the reciprocals of their
-    variances: sensors often in contact then count less.
+    The course starts as a low quantile over sensors, which is at rest even if contacts cover half
+    of the skin. It then becomes the mean of the sensors within 3 deviations of it. From 30 sensors
+    on, they are weighted by the reciprocals of their variances, so that sensors that are often in
+    contact count less.
     """
     low = _LOW if np.median(((values - values.mean(axis=0)) ** 3).sum(axis=0)) >= 0 else 1 - _LOW
     side = 1.0 if low < 0.5 else -1.0

@@ -15,10 +15,10 @@ from anisomap.numerics.columns import transposed
 from anisomap.recording import Recording
 
 _N_BLOCKS = 20  # of frames, whose levels at rest are compared; chosen by hand
-_N_AT_REST = 14  # the lowest of these, which contacts that last for blocks raise less; by hand
+_N_AT_REST = 14  # the lowest blocks: contacts that last for whole blocks raise them less; by hand
 _FALSE_DISCOVERIES = 0.01  # expected share of the sensors that are found by chance
-# The same of those that show that a recording drifts. Contacts longer than a block leave levels not
-# quite independent: of recordings of few sensors with such contacts, 1 % were found (measured).
+# The same, for the test whether a recording drifts at all. Contacts longer than a block make levels
+# dependent: of recordings of few sensors with such contacts, 1 % were accused (measured).
 _FALSE_RECORDINGS = 5e-4
 _MIN_BLOCK, _MAX_BLOCK = 20, 128  # frames of a block, and those that are used
 _LEVEL = 25.0  # percentile that lies at rest even if a sensor is touched in most frames of a block
@@ -36,12 +36,12 @@ _MAX_CORRELATED = 0.2  # autocorrelation at which readings count as unlike
 def find_drift(recording: Recording) -> Iterator[Found]:
     """Find sensors whose level at rest drifts.
 
-    The level at rest of a block is the quartile of its readings opposite to contact. The ranks of
-    the levels of independent blocks are in random order; neighbouring ones are similar if the level
-    drifts. A press that lasts for a block or two raises neighbouring levels alike, too, but not the
-    lowest levels: a recording drifts if the lowest 14 of the 20 levels of a sensor do, in the order
-    of time. In such a recording, sensors drift of which all levels do. Sensors that one value
-    occurs often in have no drift.
+    The level at rest of a block is the quartile of its readings opposite to contact. Without drift,
+    the levels of the blocks are in random order; with drift, successive levels are similar. A press
+    that lasts for one or two blocks also makes successive levels similar, but not the lowest ones.
+    A recording therefore drifts only if the lowest 14 of the 20 levels of a sensor, in the order of
+    time, are similar. In such a recording, sensors of which all 20 levels are similar drift as
+    well. Sensors in which one value occurs often have no drift.
     """
     chosen = recording.signals.never_at_rest
     size = recording.n_frames // _N_BLOCKS
@@ -74,9 +74,9 @@ def find_drift(recording: Recording) -> Iterator[Found]:
 
 
 def _chances(levels: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the probabilities of such similar successive levels, (n, blocks), by chance, (n,).
+    """Return p-values for the similarity of successive levels. levels (n, blocks) -> (n,).
 
-    The ratio of von Neumann of ranks, whose quarter has about a beta distribution: Bartels (1982),
+    Von Neumann's ratio of ranks, a quarter of which is about beta distributed: Bartels (1982),
     Journal of the American Statistical Association 77: 40-46, doi:10.1080/01621459.1982.10477764.
     """
     n = levels.shape[1]
@@ -89,7 +89,7 @@ def _chances(levels: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def _discoveries(chances: NDArray[np.float64], share: float) -> NDArray[np.bool_]:
-    """Mark what is found with an expected share of false discoveries.
+    """Mark the p-values that are significant at a given false discovery rate, (n,).
 
     Benjamini & Hochberg (1995), Journal of the Royal Statistical Society B 57: 289-300,
     doi:10.1111/j.2517-6161.1995.tb02031.x.

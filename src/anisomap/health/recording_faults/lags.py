@@ -27,10 +27,10 @@ _CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tune
 _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
 # Limits of a finding; others decide nothing on 373 recordings of `benchmarks.faults`, 301 and 302.
-_MIN_RELATIVE = 0.93  # share of the links with the lag of their groups, between over within them
+_MIN_RELATIVE = 0.93  # share of links with the lag of their groups: between groups over within
 _MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
-_MIN_OWN = 0.9  # share of the sensors that have by themselves exactly the lag of their group
-_MIN_GAIN = 0.8  # restored correlation over what the lags would cost links within groups
+_MIN_OWN = 0.9  # share of the sensors whose lag, fitted alone, is exactly that of their group
+_MIN_GAIN = 0.8  # correlation restored, over what equal lags would cost links within groups
 _MIN_GROUP = 3.0  # sensors per group, on average
 _CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more
 _MAX_ROUNDS = 3  # of the fit of lags
@@ -42,12 +42,14 @@ def find_lags(recording: Recording) -> Iterator[Found]:
     Ranks of the readings are correlated at all lags up to 40 frames. The lags of the strongest
     links, a spanning tree, give a lag to each sensor. Groups are sensors with nearly equal lags
     that follow each other in the order of the channels, or, if that explains less, wherever they
-    are. The lags of groups and those of single sensors are fitted in turn. Contacts that move and
-    waves also give neighbours a lag, but it differs from sensor to sensor, and from one time to
-    another; a lag of the read-out is exactly that of nine in ten sensors of its group, and the same
-    in all quarters of the recording. It must restore as much correlation as such a lag
-    costs links within groups. Sensors with few contacts in a half are not compared: places that are
-    pressed one after another in the same way differ by a lag as well.
+    are. The lags of groups and those of single sensors are fitted in turn.
+
+    Moving contacts and waves also delay sensors relative to their neighbours, but these lags differ
+    from sensor to sensor, and from one time to another. A lag of the read-out is the same in all
+    parts of the recording, and nine in ten sensors have exactly the lag of their group. It must
+    also restore about as much correlation as a lag of its size costs the links within groups.
+    Sensors with fewer than 5 contacts in a half of the recording are not compared, since places
+    that are pressed one after another in the same way also differ by a lag.
     """
     halves = [count_contacts(half) for half in np.array_split(recording.signals.touched, 2)]
     judged = np.flatnonzero(np.min(halves, axis=0) >= MIN_CONTACTS)
@@ -68,9 +70,9 @@ def find_lags(recording: Recording) -> Iterator[Found]:
 
 
 def _is_of_boards(lags: NDArray[np.intp]) -> bool:
-    """Return whether lags are of one group of sensors, or of runs of channels.
+    """Return whether one group of sensors lags, or runs of channels.
 
-    A body that rolls at an even pace delays sensors wherever they are in the order of the channels.
+    A body that rolls at an even pace delays sensors regardless of the order of the channels.
     """
     n_runs = 1 + np.count_nonzero(np.diff(lags))
     return np.unique(lags).size <= 2 or bool(n_runs * _MIN_GROUP <= lags.size)
@@ -102,7 +104,7 @@ def _lags(
 ) -> NDArray[np.intp]:
     """Return the lag of each sensor; 0 unless lags are clear.
 
-    touched, judged: Sensors; those that are touched but not judged take the lag of a judged one.
+    touched, judged: Numbers of sensors; those touched but not judged take the lag of a judged one.
     """
     lags = np.zeros(readings.shape[1], dtype=np.intp)
     chosen = judged[some_sensors(judged.size, _MAX_SENSORS)]

@@ -21,7 +21,7 @@ _QUANTILES = (0.05, 0.25)  # the lower edge of wide contacts, and of brief ones
 _MIN_FRAMES = 20  # of strong contact; chosen by hand
 _MAX_FRAMES = 2000  # of strong contact that are used, for speed
 _MAX_EXCERPT = 16384  # frames
-_MAX_CHANNELS = 256  # the first ones, in which a leak is searched
+_MAX_CHANNELS = 256  # the first ones, in which a leak is searched for
 _MIN_LEVELS = 8  # distinct values, for a share to be visible
 _MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
 _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
@@ -31,11 +31,11 @@ def find_leak(recording: Recording) -> Iterator[Found]:
     """Find a leak from each channel to the next.
 
     Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
-    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise it in
-    both directions alike, a leak in one: the signs of the differences are tested. Where the order
-    follows the skin, most lowest readings are due to contacts, and a leak is not found. What leaks
-    is the reading of the previous channel with or without its own leak, whichever leaves less of
-    earlier channels.
+    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise this
+    share in both directions alike, and a leak in one direction: a sign test of the differences
+    tells them apart. If the order of channels follows the skin, contacts raise even the lowest
+    readings, and a leak is not found. The reading that leaks is that of the previous channel with
+    or without its own leak, whichever repair leaves less of earlier channels.
     """
     n_sensors = min(recording.n_sensors, _MAX_CHANNELS)
     excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
@@ -67,7 +67,7 @@ def find_leak(recording: Recording) -> Iterator[Found]:
 def remove_leak(
     rest: Rest, share: float, error: float, chained: bool, readings: NDArray[Any]
 ) -> NDArray[Any]:
-    """Subtract a leak; chained: of readings that include their own. readings (T, N) -> (T, N)."""
+    """Subtract a leak; if chained, of channels with their own leak. readings (T, N) -> (T, N)."""
     mended = np.array(readings)
     values = rest.value.astype(readings.dtype)
     for i in range(1, readings.shape[1]):
@@ -118,9 +118,9 @@ class _Depths:
     def ratios(
         self, i: int, source: int, quantiles: Sequence[float]
     ) -> list[NDArray[np.float64]] | None:
-        """Return channel i less each quantile at rest in units of another while that is in contact.
+        """Return channel i minus each of its quantiles at rest, in units of the source's depth.
 
-        None if nothing can be told.
+        In frames of strong contact with the source. None if frames or distinct values are too few.
         """
         frames = self.frames(source)
         if frames is None or not self.visible[i]:
@@ -171,7 +171,7 @@ def _asymmetry(readings: NDArray[Any], rest: Rest) -> float:
 
 
 def _densest(values: NDArray[np.float64]) -> float:
-    """Return the middle of the narrowest interval, in proportion, of a tenth of sorted values."""
+    """Return the median of that tenth of sorted values whose ends have the smallest ratio."""
     count = max(_MIN_FRAMES, values.size // 10)
     if values.size <= count:
         return float(np.median(values)) if values.size else 0.0

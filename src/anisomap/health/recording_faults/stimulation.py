@@ -1,4 +1,4 @@
-"""Stimulations that a skin cannot show: too strong for its range, or of one region at a time."""
+"""Unsuitable stimulation: too strong for the range of sensors, or of one region at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MIN_CLIPPED = 10  # frames at the limit
 _LEVELS = 3  # beside the limit, of which none may be half as frequent
 _MAX_BRIDGES = 3  # sensors touched with both regions: fewer cannot fix their relative place
 _MIN_REGION = 0.1  # share of the sensors in the smaller region
-_MAX_FRAMES = 8192  # in which regions are searched
+_MAX_FRAMES = 8192  # in which regions are searched for
 _N_SPLITS = 39  # moments at which a recording may be divided
 _STRAY = 0.02  # share of a sensor's active frames with the other region
 
@@ -25,8 +25,8 @@ _STRAY = 0.02  # share of a sensor's active frames with the other region
 def find_clipped(recording: Recording) -> Iterator[Found]:
     """Find sensors whose readings are limited by a range that is too small.
 
-    The density of heights of contacts falls towards the highest, so the extreme reading of a sensor
-    should not be twice as frequent as each of those beside it.
+    High contacts are rarer than low ones, so the extreme reading of a sensor should not be twice as
+    frequent as each of the values next to it.
     """
     readings, shares = recording.readings, np.zeros(recording.n_sensors)
     for sign, limit in zip((-1, 1), recording.extremes, strict=True):

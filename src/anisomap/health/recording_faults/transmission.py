@@ -89,8 +89,9 @@ def find_bridged(readings: NDArray[Any]) -> dict[int, NDArray[np.intp]]:
 def _may_have_lines(readings: NDArray[Any]) -> NDArray[np.bool_]:
     """Return whether sensors may have `_MIN_LINE` readings on a line, with twice the slack, (N,).
 
-    One frame in a half of `_MIN_LINE` is examined, of which a line contains two in succession.
-    Differences of float32 readings are rounded by less than the slack.
+    Only every fourth frame is examined, with the frames beside it: a line of `_MIN_LINE` readings
+    contains two of these in succession. Differences of float32 readings are rounded by less than
+    the slack.
     """
     slack = 2 * _ROUNDING * np.maximum(readings.max(axis=0), -readings.min(axis=0))
     before, middle, after = (readings[i : len(readings) - 2 + i : _MIN_LINE // 2] for i in range(3))
@@ -139,24 +140,24 @@ def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
         weights, _ = nnls(depth[np.ix_(known, partners)], depth[known, i])
         gap = np.flatnonzero(missing[:, i])
         estimate = depth[np.ix_(gap, partners)] @ weights
-        # No higher than others; a limit would leave many equal readings, as of a clipped sensor.
+        # Scaled to the highest known depth: clipping would leave many equal readings.
         estimate *= min(1.0, depth[known, i].max() / max(estimate.max(), 1e-300))
         noise = rest.threshold[i] * (estimate > 0)
         completed[gap, i] = rest.value[i] + rest.side[i] * (estimate + noise)
     return np.asarray(completed)
 
 
-# Times the reach of the typical sensor, and of the other readings of its sensor; chosen by hand.
+# Multiple of the reach of the typical sensor and of its sensor's other readings; chosen by hand.
 _FAR = 10.0
 _SAMPLE = 1024  # frames of which the median is taken
 _MAX_GLITCHES = 0.01  # of the readings of a sensor: more are saturation, or contact
 
 
 def find_glitches(recording: Recording) -> Iterator[Found]:
-    """Find readings far beyond all others, of this sensor and of sensors that were touched.
+    """Find readings far beyond all others of their sensor and of the sensors that were touched.
 
-    A contact is far beyond the noise of other sensors, too: without sensors that were touched
-    several times nothing can be told.
+    A contact is also far beyond the noise of other sensors, so nothing is found unless some sensors
+    were touched several times.
     """
     readings, n_frames = recording.readings, recording.n_frames
     count = int(_MAX_GLITCHES * n_frames)
@@ -201,12 +202,12 @@ _MAX_SPIKES = 0.15  # of the frames; white noise jumps up in a third of them
 _MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
 _MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
 _MIN_EQUAL = 0.5  # share of the common jumps that are spikes; chosen by hand
-_MIN_JUDGED = 20  # common jumps from which half that share tells contacts; chosen by hand
+_MIN_JUDGED = 20  # common jumps; in fewer, half that share cannot be required; chosen by hand
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
 _FRAMES_AT_ONCE, _SENSORS_AT_ONCE = 4096, 64  # of which jumps are computed; they fit in the cache
-_MAX_SENSORS = 1024  # in which spikes are searched
+_MAX_SENSORS = 1024  # in which spikes are searched for
 _STEEP = 2.0  # height of a spike over the changes beside it; tops of contacts have less; by hand
-_MIN_DURATION = 2.0  # times that of contacts in frames at random, which look like spikes; by hand
+_MIN_DURATION = 2.0  # times that of contacts in shuffled frames, which look like spikes; by hand
 _MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
 
 
@@ -215,8 +216,8 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
 
     A contact rises and falls over several frames or is highest in the middle; a spike of a board
     lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
-    correlation of their jumps, the excess of a reading over both readings beside it. Groups whose
-    other contacts last single frames, or are of one kind, or that have none, are not judged.
+    correlation of their jumps, the excess of a reading over both readings beside it. A group is not
+    judged if it has no other contacts, or only contacts of single frames or of one kind.
     """
     n_frames, n_sensors = recording.readings.shape
     if n_frames < 100 or n_sensors < _MIN_GROUP:
@@ -306,7 +307,7 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
 
 
 def _persist(touched: NDArray[np.bool_]) -> bool:
-    """Return whether contacts, shape (t, n), last clearly longer than in frames at random."""
+    """Return whether contacts, shape (t, n), last clearly longer than in shuffled frames."""
     n_frames = np.count_nonzero(touched) * (1 - touched.mean())
     return bool(n_frames > _MIN_DURATION * count_contacts(touched).sum())
 

@@ -26,7 +26,7 @@ from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.recording import Recording
 
 _MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
-_MIN_SKEWED = 0.8  # of the sensors that must be skewed so; chosen by hand
+_MIN_SKEWED = 0.8  # share of the sensors that must be so skewed; chosen by hand
 _MIN_AGREEMENT = 0.7  # share of the strongest correlations whose sign must be explained; by hand
 _MAX_UNSKEWED = 0.4  # share of the smaller part of sensors that are not skewed; chosen by hand
 _MIN_CROSSING = 0.5  # of the strongest correlations that would join both parts at random; by hand
@@ -37,12 +37,12 @@ _MIN_COUNTED = 0.2  # magnitude of correlations whose sign counts; chosen by han
 def find_inverted(recording: Recording) -> Iterator[Found]:
     """Find sensors on which contact has the opposite sign.
 
-    Sensors are at rest most of the time, so contact skews readings to its own side. Sensors of both
-    signs are a finding only if correlations agree: the signs of the strongest correlations must be
-    negative between the two parts, and positive within them. If most readings are not skewed or do
-    not rest, such as those of sensors that are often in contact, the parts are those that the signs
-    of the strongest correlations give, along a maximum spanning tree; they must be mixed. Sensors
-    with fewer than 5 contacts, or that resemble no other, are not judged: their signs are chance.
+    Sensors are at rest most of the time, so contact skews readings to its own side. Two parts of
+    opposite skewness are a finding only if correlations agree: the strongest correlations must be
+    negative between the parts, and positive within them. If most readings are not skewed or do not
+    rest, such as those of sensors that are often in contact, the signs of the correlations along a
+    maximum spanning tree give the parts, which must then be mixed. Sensors with fewer than 5
+    contacts, or that resemble no other, are not judged, since their signs may be due to chance.
     """
     judged = np.flatnonzero(_often_touched(recording))
     readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
@@ -91,10 +91,11 @@ def _often_touched(recording: Recording) -> NDArray[np.bool_]:
 
 
 def _enough(recording: Recording) -> float:
-    """Return how many times an event of probability 1/2 must recur to be no chance.
+    """Return how many times an event of probability 1/2 must recur to exclude chance.
 
-    k readings of noise have one sign in a share of 2^-k, and k contacts of a sensor miss those of
-    another one that is touched half of the time: of N sensors, fewer than `FALSE_ALARMS` do.
+    With probability 2^-k, k readings of noise have one sign, and k contacts of a sensor miss all
+    those of a sensor that is touched half of the time. Of N sensors, at most `FALSE_ALARMS` are
+    expected to do so for the number returned.
     """
     return math.log2(recording.n_sensors / FALSE_ALARMS)
 
@@ -159,7 +160,8 @@ def _mixed(correlation: NDArray[np.float32], lowered: NDArray[np.bool_]) -> bool
 def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Mark suspects whose strongest correlations have the signs that an inversion gives.
 
-    Only correlations between both parts tell: without an inversion, all within may be positive.
+    Only correlations between the parts are evidence: those within may all be positive without an
+    inversion.
     """
     if not suspects.any() or suspects.size < 3:
         return np.zeros_like(suspects)
@@ -189,13 +191,13 @@ _N_PERMUTATIONS, _MAX_EXCEEDED = 199, 1
 def find_change(recording: Recording) -> Iterator[Found]:
     """Find sensors that resemble other sensors from some frame on.
 
-    Wires were exchanged, or the body took another posture. A recording is divided in two parts, and
-    each part in two quarters of every second block. A sensor changed if the sensors that it
+    Wires were exchanged, or the body took another posture. A recording is divided into two parts,
+    and each part into two quarters of every second block. A sensor changed if the sensors that it
     resembles most in one part keep less of their similarity in the other part than in the other
-    quarter of the same part: that tells noise from a change. What they lose, summed over sensors at
-    the division where it is most, must exceed that of 198 of 199 random orders of the blocks.
-    Recordings are not judged if sensors resemble many more others in one part: contacts were
-    larger.
+    quarter of the same part, which shows how much noise alone takes. The loss, summed over sensors
+    at the division where it is greatest, must exceed that of 198 of 199 random orders of the
+    blocks. Recordings are not judged if sensors resemble many more others in one part: contacts
+    were larger.
     """
     n_frames = recording.n_frames
     if n_frames < 50 * _N_BLOCKS:

@@ -230,10 +230,10 @@ def fit_contacts(
 
 
 def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tuple[Matrix, float]:
-    """Alternate between contacts, profile and sensors, and return the positions.
+    """Alternate between contacts, profile and sensors.
 
-    Also the share of the entropy of the levels that distances explain. start (N, k), in spacings
-    around the centre.
+    Returns the positions, and the share of the entropy of the levels that distances explain. start
+    (N, k): in spacings around the centre.
     """
     positions = start
     states, profile = _initial_contacts(contacts, start)
@@ -275,7 +275,7 @@ def _rounded(positions: Matrix) -> Reals:
 
 
 def _follow(contacts: Contacts, located: LocatedContacts, roots: Roots, moves: Matrix) -> Matrix:
-    """Return the likeliest states of contacts after sensors moved, to first order, (E, k + 1)."""
+    """Move the states of contacts along with the sensors, to first order, (E, k + 1)."""
     moved = moves.T.astype(located.directions.dtype)[:, contacts.sensors]
     changes = np.einsum("km,km->m", located.directions[:-1], moved) * located.curvatures
     sums = [np.add.reduceat(changes * row, contacts.starts) for row in located.directions]

@@ -109,7 +109,7 @@ def evaluate(
 ) -> LocatedContacts:
     """Evaluate the log-likelihoods of contacts at given states, and their derivatives.
 
-    What belongs to readings has the precision of the positions.
+    Arrays with a value for each reading have the data type of the positions.
     """
     k, owners = positions.shape[1], contacts.owners
     # Rows of contiguous numbers, one for each coordinate: sums over them take a third of the time.
@@ -155,7 +155,7 @@ def locate(
         worse = trial.scores <= located.scores
         of_readings = worse[contacts.owners]
         for field, new, old in zip(LocatedContacts._fields, trial, located, strict=True):
-            # The last axis of transposed arrays of contacts, and of those of readings, is theirs.
+            # Masks apply to the last axis: that of readings, or of contacts after transposition.
             if field in _OF_CONTACTS:
                 np.copyto(new.T, old.T, where=worse)
             else:
@@ -187,12 +187,10 @@ class Roots(NamedTuple):
 
 
 def leave_one_out(located: LocatedContacts, roots: Roots) -> Matrix:
-    """Predict the distance inside of each sensor without its reading in the contact's fit.
+    """Predict the distance u of each reading from a fit of its contact without it, (M,).
 
-    Returns (M,).
-
-    One Newton step from the fit to all readings: with the direction n, the contact's precision C
-    and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
+    This is one Newton step from the fit to all readings: with the direction n, the precision C of
+    the contact and ``h = n' C^-1 n``, u becomes ``u - h slope / (1 - h curvature)``.
     """
     leverage = np.einsum("im,im->m", roots.of_readings, roots.of_readings)
     left = 1 - np.minimum(leverage * located.curvatures, _MAX_LEVERAGE)
@@ -205,9 +203,9 @@ def fit_profile(
 ) -> Profile:
     """Fit thresholds and softness to readings at known distances (maximum likelihood).
 
-    levels, inside, weights (M,). Distances are counted in bins narrower than any softness to be
-    expected; the parameters are the first threshold and the logarithms of the further steps and of
-    the softness.
+    levels, inside, weights (M,). Distances are counted in bins that are narrower than any expected
+    softness. The parameters are the first threshold, and the logarithms of the steps to the others
+    and of the softness.
     """
     n_levels = len(profile.thresholds)
     # Far from all thresholds, levels are certain and distances do not matter.

@@ -24,8 +24,8 @@ MIN_CONTACT_RATIO = 2.0
 _MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 _SENSORS_AT_ONCE = 32  # whose readings are sorted
-_MAX_SORTED = 8192  # frames; of more, those around a quantile are selected by a sample
-_SAMPLED = 4096  # frames of it, at random
+_MAX_SORTED = 8192  # frames; of more, a sample tells which are near a quantile
+_SAMPLED = 4096  # random frames of the sample
 _WIDTHS = 3.0  # standard deviations by which ranks in the sample may be off; else all are sorted
 
 
@@ -72,7 +72,7 @@ class Rest:
         return active
 
     def bounds(self, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Return the number nearest to rest of a type whose depth is not 0, shape (N,)."""
+        """Return the number of a type nearest to rest that has a depth above 0, shape (N,)."""
         # Subtractions of all readings, in float64, would take ten times as long as comparisons.
         rest = self.side * self.value
         reach = rest + self.threshold
@@ -86,7 +86,7 @@ class Rest:
         with np.errstate(over="ignore"):
             near, high = reach.astype(dtype), beside(reach, np.inf)
             bounds = np.where(deep(near), near, high)
-            # A bound near 0 is far more precise than the differences from rest.
+            # Near 0, numbers are far finer than differences from rest: bisect for the bound.
             off = np.flatnonzero(deep(beside(reach, -np.inf)) | ~deep(high))
             slack = 4 * np.spacing(np.abs(rest) + self.threshold)[off]
             low, high = beside(reach[off] - slack, -np.inf), beside(reach[off] + slack, np.inf)
@@ -104,8 +104,9 @@ class Rest:
 class Levels:
     """Levels of each of N sensors, arrays of shape (N,).
 
-    frequent: Whether a value holds `MIN_REST_SHARE` of the frames, and two at least.
-    distinct: Number of distinct readings; of more than 8,192 without a frequent one, among 4,096.
+    frequent: Whether one value holds `MIN_REST_SHARE` of the frames, and at least two frames.
+    distinct: Number of distinct readings; in 4,096 frames of a sensor without a frequent value, if
+        there are more than 8,192.
     """
 
     rest: Rest
@@ -182,7 +183,7 @@ def _of_ordered(ordered: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _of_continuous(ordered: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the rest of sensors without a frequent reading, from ordered ones, (n, T): (4, n)."""
+    """Return the rest of sensors without a frequent reading. ordered (n, T) -> (4, n)."""
     n_sensors, n_frames = ordered.shape
     if ordered.dtype.char not in "fd":
         ordered = ordered.astype(np.float64)
@@ -211,7 +212,7 @@ def _quantile(
     step: int = 1,
     origin: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return a quantile of some readings of each sensor, from a first one on, above an origin.
+    """Return a quantile of `counts` readings of each sensor, from `first` on, less an origin.
 
     ordered (n, T), counts, origin (n,) -> (n,).
     """
@@ -242,8 +243,8 @@ def _of_deviations(
 def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
     """Return rest and levels of sensors with many frames, (n, T) -> (6, n).
 
-    ordered (n, t): Readings in some frames at random, ordered. A reading that holds a tenth of all
-    frames holds a twentieth of these, but for a probability below 1e-20.
+    ordered (n, t): Readings in random frames, ordered. A value that holds a tenth of all frames
+    holds less than a twentieth of these with a probability below 1e-20.
     """
     found = np.zeros((6, len(rows)))
     some = math.ceil(MIN_REST_SHARE / 2 * ordered.shape[1])
@@ -265,9 +266,9 @@ def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | None:
-    """Return the median of a sensor, and what `_of_deviations` takes; None if the sample misleads.
+    """Return the arguments of `_of_deviations` for a sensor; None if the sample misleads.
 
-    row (T,). ordered (t,): A sample, whose quantiles enclose those of all readings.
+    row (T,). ordered (t,): A sample, whose quantiles should enclose those of all readings.
     """
     n_frames, size = row.size, ordered.size
 
@@ -300,7 +301,7 @@ def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | N
 
 
 def _least_frequent(n_frames: int) -> float:
-    """Return in how many frames a frequent reading occurs."""
+    """Return the minimum number of frames in which a frequent reading occurs."""
     return max(2.0, MIN_REST_SHARE * n_frames)
 
 
