@@ -92,7 +92,7 @@ def reconstruct_approximately(
     dimensions : int or "auto"
         Number of coordinates; ``"auto"`` means 3, with a note.
     options : MethodOptions, optional
-        Only `mu`, `smacof` and `min_sensors` are used.
+        Only `regularisation`, `smacof` and `min_sensors` are used.
     approximate : ApproximateOptions, optional
         Sizes of the approximation, and the seed.
     names : sequence of str, optional
@@ -122,7 +122,7 @@ def reconstruct_approximately(
     Notes
     -----
     ``docs/explanation/large-recordings.md`` gives the steps and the accuracy. Components without
-    statistically significant links are mapped separately, for any `mu`.
+    statistically significant links are mapped separately, for any `regularisation`.
     """
     chunks = readings if callable(readings) else split_array(np.asanyarray(readings))
     graph = build_similarity_graph(
