@@ -139,7 +139,7 @@ def test_activity_is_depth_beyond_rest_where_the_limit_is_nearly_0(real):
     np.testing.assert_array_equal(rest.active(readings), rest.depth(readings) > 0)
 
 
-@pytest.mark.parametrize("real", [np.int32, np.float32, np.float64])
+@pytest.mark.parametrize("real", [np.int16, np.uint16, np.int32, np.float32, np.float64])
 def test_the_rest_of_many_frames_is_that_of_counts(real):
     rng = np.random.default_rng(0)
     readings = 1000 * rng.normal(size=(10_001, 6))
@@ -148,6 +148,8 @@ def test_the_rest_of_many_frames_is_that_of_counts(real):
     readings[:, 3] = np.round(readings[:, 3] / 500)
     readings[:, 4] = rng.exponential(size=10_001) ** 3
     readings[:, 5] = 7
+    if real == np.uint16:
+        readings += 10_000
     readings = readings.astype(real)
     found = estimate_rest(readings)
     expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)

@@ -285,7 +285,8 @@ def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | N
         return None
     value = middle[at] + (place - int(place)) * (middle[at + 1] - middle[at])
     n_below, n_least = (n_lower + middle.searchsorted(value, side) for side in ("right", "left"))
-    ends = row[row <= ordered[tail]], -row[row >= ordered[-1 - tail]]
+    lowest, highest = row[row <= ordered[tail]], row[row >= ordered[-1 - tail]]
+    ends = lowest, -highest.astype(np.float64)  # unsigned integers have no negative
     outer = []
     for end, centre, count in zip(
         ends, (value, -value), (n_below, n_frames - n_least), strict=True
