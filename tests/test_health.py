@@ -140,6 +140,15 @@ def touched_once():
     return readings
 
 
+@pytest.mark.parametrize("real", [np.float32, np.float64])
+def test_a_sensor_that_stays_beyond_rest_for_long_hides_no_noisy_one(real):
+    readings = np.tile(with_fault(FAULTS["noisy"]).readings, (6, 1)).astype(real)
+    for level in (0.1, 0.3, 1.1):
+        readings[:, 0] = level * ((np.arange(9000) > 2400) & (np.arange(9000) < 6600))
+        found = {one.name: one.status for one in assess(Recording(readings)) if one.status != "ok"}
+        assert found == {"s0": "few contacts", f"s{SENSOR}": "noisy"}
+
+
 def test_a_sensor_touched_once_is_not_faulty():
     assert assess(Recording(touched_once()))[SENSOR].status == "few contacts"
 

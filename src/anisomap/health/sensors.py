@@ -74,7 +74,7 @@ class Behaviour:
         signals = self.signals
         frames = middle_frames(len(signals.readings))
         readings = signals.readings[frames]
-        squares, _ = squares_and_lagged(readings, signals.rest.value)
+        squares, _ = squares_and_lagged(readings, readings[0])  # exact for constant ones
         if squares.max() > _FLOAT32_RANGE:
             readings = readings.astype(np.float64)
         changes = np.empty((max(0, len(readings) - 2), len(squares)), readings.dtype)

@@ -146,11 +146,11 @@ class Signals:
 
 
 def squares_and_lagged(
-    readings: NDArray[Any], centre: NDArray[np.float64]
+    readings: NDArray[Any], centre: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return sums of squared deviations from the means, and of products of successive ones, (N,).
 
-    centre (N,): Values near the means.
+    centre (N,): Values near the means, or readings: of others, sums might be below 0 by rounding.
     """
     found = _lagged(readings, centre)
     if not ((found[0] > _LEAST_SQUARE) & (found[0] < np.inf)).all():  # of float32
@@ -159,7 +159,7 @@ def squares_and_lagged(
 
 
 def _lagged(
-    readings: NDArray[Any], centre: NDArray[np.float64]
+    readings: NDArray[Any], centre: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     sums, n_frames = np.zeros((3, len(centre))), len(readings)
     near = centre.astype(readings.dtype)
