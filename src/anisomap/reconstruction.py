@@ -148,7 +148,7 @@ def reconstruct_with_stages(
     joined = join_runs(runs)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
     _check_size(mapped, dimensions, recipe, options)
-    _check_frames(joined.n_frames, dimensions)
+    check_frames(joined.n_frames, dimensions)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
     stages = compute_stages(complete, recipe, dimensions, options)
@@ -313,7 +313,7 @@ def _check_size(
     check_pair_memory(int(n_mapped), refined=bool(recipe.refinements))
 
 
-def _check_frames(n_frames: int, dimensions: Dimensions) -> None:
+def check_frames(n_frames: int, dimensions: Dimensions) -> None:
     """Check that correlations of so many frames can place points.
 
     Centred and scaled readings of T frames are points of a sphere of T - 2 dimensions.

@@ -145,12 +145,25 @@ def test_constant_sensors_are_not_placed(asarray):
     assert np.flatnonzero(np.isnan(found.positions).any(axis=1)).tolist() == [3]
 
 
+def test_readings_that_are_true_or_false_are_mapped(asarray):
+    readings = flat_skin().readings > 0.5
+    found = reconstruct_on_device(asarray(readings), dimensions=2)
+    assert found.stress == pytest.approx(reconstruct(readings, "r-anisomap", 2).stress, rel=1e-3)
+
+
+@pytest.mark.parametrize("n_frames", [0, 1, 2, 3])
+def test_too_few_frames_are_refused(asarray, n_frames):
+    with pytest.raises(InputError, match="at least 4 frames"):
+        reconstruct_on_device(asarray(flat_skin().readings[600 : 600 + n_frames]), dimensions=2)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"method": "isomap"}, "does not run on a device"),
         ({"options": MethodOptions(regularisation=0)}, "regularisation"),
         ({"dimensions": 0}, "dimensions"),
+        ({"dimensions": "auto"}, "dimensions"),
         ({"names": ["a", "b"]}, "names"),
     ],
 )

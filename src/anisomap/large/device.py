@@ -10,12 +10,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.dimensions import check_dimensions
+from anisomap.dimensions import AUTO, check_dimensions
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.numerics import array_api
 from anisomap.numerics.array_api import Array
 from anisomap.options import MethodOptions
-from anisomap.reconstruction import caveats, options_provenance
+from anisomap.reconstruction import caveats, check_frames, options_provenance
 from anisomap.recording import check_names, default_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 
@@ -66,7 +66,7 @@ def reconstruct_on_device(
     ------
     InputError
         If a reading is not finite, if fewer than `min_sensors` sensors vary, if `regularisation` is
-        0, or if the method, the dimensions or the names are invalid.
+        0, or if the method, the dimensions, the number of frames or the names are invalid.
     MissingExtraError
         If the compatibility layer of the array API standard (extra ``gpu``) is not installed.
 
@@ -94,12 +94,16 @@ def reconstruct_on_device(
     """
     chosen = options or MethodOptions()
     check_dimensions(dimensions)
+    if str(dimensions) == AUTO:
+        raise InputError("dimensions are not chosen on a device: take 2 for flat skins, or 3")
     similarity, compare = _stages_of(method, chosen)
     if readings.ndim != 2:
         raise InputError(f"readings must be of shape (T, N), got {tuple(readings.shape)}")
     n_frames, n_sensors = readings.shape
     names = tuple(names) or default_names(n_sensors)
     check_names(names, n_sensors)
+    check_frames(n_frames, dimensions)
+    readings = array_api.as_numbers(readings)
     varying = _varying(readings)
     n_mapped = int(np.count_nonzero(varying))
     if n_mapped < max(chosen.min_sensors, int(dimensions)):

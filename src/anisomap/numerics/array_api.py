@@ -91,6 +91,12 @@ def to_numpy(array: Array) -> NDArray[Any]:
     return np.asarray(known.to_device(array, "cpu") if on_device else array)
 
 
+def as_numbers(readings: Array) -> Array:
+    """Return readings that are true or false as 1 or 0, which the standard puts in order."""
+    xp = array_namespace(readings)
+    return xp.astype(readings, xp.uint8) if xp.isdtype(readings.dtype, "bool") else readings
+
+
 def select_columns(readings: Array, chosen: NDArray[np.bool_]) -> Array:
     """Return the readings (T, n) of the sensors of a mask (N,)."""
     xp, known = array_namespace(readings), _compatibility()
