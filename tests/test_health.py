@@ -477,6 +477,14 @@ def test_signals_of_the_electronics_are_subtracted(fault):
     assert left < 0.1 * added
 
 
+@pytest.mark.parametrize("missing", [np.nan, np.inf, -np.inf])
+def test_missing_readings_that_follow_each_other_are_found_without_a_warning(missing):
+    readings = np.array(flat_skin().readings)
+    readings[100:400, SENSOR] = missing
+    (found,) = find_faults(Recording(readings))
+    assert (found.kind, found.sensors) == ("gaps", (f"s{SENSOR}",))
+
+
 def test_missing_readings_are_estimated_from_neighbours():
     clean = wired_at_random()
     bad = spoilt(clean, "nan-bursts:20%,mean_gap=50,mean_span=50")

@@ -130,9 +130,9 @@ class _Depths:
         return [(touched - level) / depth for level in levels]
 
     def compare(self, offset: int) -> NDArray[np.float64]:
-        """Return the gain forward minus the gain backward of channels `offset` apart, (P,).
+        """Return the gain forward minus the gain backward of channels `offset` apart, (2, P).
 
-        For each of `_QUANTILES`.
+        A row for each of `_QUANTILES`.
         """
         found = []
         for i in range(offset, len(self.raised)):

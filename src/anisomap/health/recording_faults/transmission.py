@@ -106,9 +106,9 @@ def _lines(
     column: NDArray[np.float64], n_sensors: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]] | None:
     """Return the readings on long lines of a sensor, and by how much each line rises, if any."""
-    slope = np.diff(column)
     slack = _ROUNDING * np.nanmax(np.abs(column), initial=0)
     with np.errstate(invalid="ignore"):
+        slope = np.diff(column)
         on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
     share = float(np.mean(on_line))
     if not 0 < share < 1:
