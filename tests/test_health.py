@@ -239,6 +239,15 @@ def test_a_fault_is_found_and_no_other(name):
         assert finding.consequence in str(finding)
 
 
+@pytest.mark.parametrize("name", FOUND)
+def test_faults_do_not_depend_on_the_unit(name):
+    bad = spoilt(wired_at_random(), *FOUND[name])
+    units = Recording(bad.readings), Recording(np.ldexp(bad.readings, -45))  # as of tesla
+    named = [[(one.kind, one.sensors) for one in find_faults(recording)] for recording in units]
+    assert named[0] == named[1]
+    assert named[0]
+
+
 def test_copies_are_named_with_their_source():
     bad = spoilt(wired_at_random(), "duplicated:s3,s9")
     clean = wired_at_random().readings

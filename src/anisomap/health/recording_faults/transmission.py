@@ -289,7 +289,7 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
     frames, height = frames[equal], height[equal]
     if (
         frames.size < max(_MIN_SPIKES, _MIN_EQUAL * equal.size)
-        or np.unique(height.round(6)).size < min(_MIN_LEVELS, frames.size / 2)
+        or _n_distinct(height) < min(_MIN_LEVELS, frames.size / 2)
         or np.median(height) < _MIN_HEIGHT * np.median(readings[:, members].std(axis=0))
         or not _persist(np.delete(recording.signals.touched[:, members], frames, axis=0))
     ):
@@ -304,6 +304,11 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
         mend,
         height=float(np.median(height)),
     )
+
+
+def _n_distinct(heights: NDArray[np.float32]) -> int:
+    """Count heights, shape (n,), that differ by more than rounding."""
+    return int(np.unique((heights / heights.max()).round(6)).size)
 
 
 def _persist(touched: NDArray[np.bool_]) -> bool:
