@@ -157,6 +157,11 @@ def test_the_rest_of_many_frames_is_that_of_counts(real):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
+@pytest.mark.parametrize("compute", [pearson, spearman, co_activation])
+def test_no_sensors_have_no_similarities(compute):
+    assert compute(np.zeros((5, 0))).shape == (0, 0)
+
+
 def test_noise_at_rest_is_not_contact():
     rng = np.random.default_rng(0)
     readings = 240 + np.round(rng.normal(0, 0.8, size=(4000, 1))).clip(-2, 2)

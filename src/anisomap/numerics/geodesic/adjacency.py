@@ -37,7 +37,7 @@ def adjacency_graph(
     """Link adjacent sensors, with few links between sensors that are not adjacent.
 
     readings (T, N), positions (N, k), similarity (N, N), changes (N, N) -> (N, N), symmetric and
-    connected.
+    connected. By default, `changes` is the similarity of the differences between frames.
 
     With the partial correlations Q of S, sensors i and j are linked if ``Q_ij > 0`` and
 
@@ -45,7 +45,7 @@ def adjacency_graph(
        (a relative neighbourhood graph; Toussaint 1980, Pattern Recognition 12: 261-268);
     2. their separation is not much larger than the longest step of the best path between them,
        ``d_ij <= 1.3 m_ij`` with m from `minimax_paths`, for ``d = (-log S)^(1/2)``, for the same
-       function of the differences between frames, and, with 1.7, for the distances on the map.
+       function of the changes between frames, and, with 1.7, for the distances on the map.
 
     The maximum spanning tree of the link strengths is always included. Each condition removes
     shortcuts that the others keep: a rolling body touches whole lines of sensors at once, so

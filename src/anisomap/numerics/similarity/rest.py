@@ -141,7 +141,7 @@ def estimate_rest(readings: ArrayLike) -> Rest:
 def find_levels(readings: NDArray[Any]) -> Levels:
     """Find the levels and the rest of each sensor: see `estimate_rest`. readings (T, N)."""
     n_frames, n_sensors = readings.shape
-    found = []
+    found = [np.empty((6, 0))]  # of no sensors
     frames = None
     if n_frames > _MAX_SORTED:
         # At random, not at equal steps: these could all have the same phase.
