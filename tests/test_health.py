@@ -248,6 +248,22 @@ def test_faults_do_not_depend_on_the_unit(name):
     assert named[0]
 
 
+@pytest.mark.parametrize("name", ["drift", "hum"])
+def test_a_sensor_whose_changes_float32_does_not_resolve_hides_no_fault(name):
+    bad = spoilt(wired_at_random(), *FOUND[name])
+    steady = 1e5 + 1e-4 * np.random.default_rng(0).normal(size=(bad.n_frames, 1))
+    found = find_faults(Recording(np.hstack([bad.readings.astype(np.float64), steady])))
+    assert kinds(found) == kinds(find_faults(bad))
+
+
+@pytest.mark.parametrize("name", ["common-noise", "hum"])
+def test_faults_of_readings_whose_squares_float32_does_not_hold_are_found(name):
+    bad = spoilt(wired_at_random(), *FOUND[name])
+    found = find_faults(Recording(np.ldexp(bad.readings.astype(np.float32), -90)))
+    assert name in kinds(found)
+    assert all(np.isfinite(one.size) for one in found)
+
+
 def test_copies_are_named_with_their_source():
     bad = spoilt(wired_at_random(), "duplicated:s3,s9")
     clean = wired_at_random().readings

@@ -186,7 +186,8 @@ def _without(
 
 
 def _median_share(sizes: NDArray[np.float64], readings: NDArray[Any]) -> float:
-    return float(np.median(sizes / np.maximum(readings.std(axis=0), 1e-300)))
+    deviation = readings.std(axis=0, dtype=np.float64)
+    return float(np.median(sizes / np.maximum(deviation, 1e-300)))
 
 
 def _is_added(rows: NDArray[np.float32], frequency: float, phase: float) -> bool:

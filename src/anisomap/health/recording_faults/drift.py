@@ -55,7 +55,7 @@ def find_drift(recording: Recording) -> Iterator[Found]:
     values = values.reshape(chosen.size, *frames.shape)
     values.sort(axis=2)
     levels = values[:, :, round(_LEVEL / 100 * (values.shape[2] - 1))]
-    left = np.sqrt((values - levels[:, :, None]).var(axis=2).mean(axis=1))
+    left = (values - levels[:, :, None]).var(axis=2, dtype=np.float64).mean(axis=1) ** 0.5
     judged = levels.std(axis=1) >= _MIN_SIZE * left
     lowest = np.sort(np.argsort(levels, axis=1, kind="stable")[:, :_N_AT_REST], axis=1)
     at_rest = np.take_along_axis(levels, lowest, axis=1)
