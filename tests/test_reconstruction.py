@@ -264,3 +264,20 @@ def test_frames_that_cannot_place_sensors_are_said_at_once(method, dimensions):
     least = 4 if dimensions == "auto" else dimensions + 2
     with pytest.raises(InputError, match=f"at least {least} frames, got {least - 1}"):
         anisomap.reconstruct(readings[: least - 1], method, dimensions)
+
+
+@pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "i-anisomap"])
+@pytest.mark.parametrize("noise", [0.0, 1e-7])
+def test_sensors_that_all_read_the_same_are_refused(method, noise):
+    rng = np.random.default_rng(3)
+    course = np.maximum(0, rng.normal(size=(500, 1)))
+    gains = rng.uniform(0.5, 2, 12) * rng.choice([-1, 1], 12)
+    readings = course * gains + rng.uniform(-5, 5, 12) + noise * rng.normal(size=(500, 12))
+    with pytest.raises(InputError, match="all sensors read the same"):
+        reconstruct(readings, method)
+
+
+def test_two_sensors_that_read_the_same_are_mapped():
+    readings = np.array(flat_skin().readings)
+    readings[:, 1] = readings[:, 0]
+    assert quietly(reconstruct, readings, "r-anisomap", 2).placed.all()

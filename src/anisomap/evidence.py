@@ -238,6 +238,7 @@ class PairStatistics:
             known=self.known[inside],
             readings=readings,
             blended=None if self.blended is None else self.blended.select(sensors),
+            near=None,
         )
 
     def check_correlations(self) -> None:

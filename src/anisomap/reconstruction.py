@@ -18,6 +18,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,10 +38,12 @@ from anisomap.evidence import PairStatistics
 from anisomap.mapping import Configuration, Stages, compute_stages, configure, dissimilarities
 from anisomap.memory import check_pair_memory
 from anisomap.methods import Method, check_even_spacing, examined_metric, find_method
+from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.precision import Reals, float_type
+from anisomap.numerics.signals import middle_frames
 from anisomap.options import MethodOptions
 from anisomap.recording import (
     Recording,
@@ -151,6 +154,7 @@ def reconstruct_with_stages(
     check_frames(joined.n_frames, dimensions)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
+    _check_unlike(complete)
     stages = compute_stages(complete, recipe, dimensions, options)
     pairs, configuration, plan = stages.pairs, stages.configuration, stages.plan
     _check_related(configuration, options)
@@ -327,6 +331,19 @@ def check_frames(n_frames: int, dimensions: Dimensions) -> None:
         )
 
 
+def _check_unlike(runs: Sequence[Recording]) -> None:
+    """Check that sensors differ by more than offset, gain and sign: else all maps are alike."""
+    for run, count in product(runs, (2, None)):  # nearly always, two sensors differ
+        rows = centred_rows(run.readings[middle_frames(run.n_frames, _N_COMPARED), :count])
+        signs = np.sign(rows @ rows[0])[:, None]
+        if (np.abs(signs * rows - rows[0]) > _ALIKE).any():
+            return
+    raise InputError(
+        "all sensors read the same, but for offset and gain, so their readings do not show where "
+        "they are; touch one place after another"
+    )
+
+
 def _check_related(configuration: Configuration, options: MethodOptions) -> None:
     if np.count_nonzero(configuration.component == 0) < options.min_sensors:
         raise InputError(
@@ -423,6 +440,8 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     return facts | asdict(options.smacof)
 
 
+_N_COMPARED = 4096  # frames in which sensors must differ
+_ALIKE = 1e-5  # difference of readings in [-1, 1] by rounding, in float32
 _MAX_SINGLE = 1e15  # squares of numbers up to this, and down to its inverse, fit into float32
 
 
