@@ -37,7 +37,7 @@ paper: $(READY)  ## reproduce the paper, in paper-out/ (RECORDINGS=folder adds r
 numbers: paper  ## update the numbers in the docs from the results of make paper
 	$(BIN)/python -m benchmarks.numbers $(OUT_PAPER) docs/results docs/explanation/paper.md
 
-test: $(READY)  ## run the tests, all but the slow ones (about five minutes)
+test: $(READY)  ## run the tests, all but the slow ones (about three minutes)
 	$(PYTEST) -m "not slow"
 
 test-all: $(READY)  ## run all tests
