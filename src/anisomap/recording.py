@@ -308,8 +308,10 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
         )
 
 
-def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.intp]:
-    """Look sensors up by name or index; see `Recording.indices`."""
+def find_sensors(
+    names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
+) -> NDArray[np.intp]:
+    """Look sensors up by name or index; see `Recording.indices`. kind: What an error calls them."""
     if isinstance(sensors, str | int):
         sensors = [sensors]
     by_name = {name: i for i, name in enumerate(names)}
@@ -322,7 +324,7 @@ def find_sensors(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[
             found.add(int(text))
         else:
             raise InputError(
-                f"there is no sensor {text!r}; names are {names[0]} ... {names[-1]}, indices 0 to "
+                f"there is no {kind} {text!r}; names are {names[0]} ... {names[-1]}, indices 0 to "
                 f"{len(names) - 1}"
             )
     return np.array(sorted(found), dtype=np.intp)
@@ -349,10 +351,12 @@ def match_sensors(
     return np.arange(len(names)), (f"{what} share no sensor name: matched by order",)
 
 
-def sensor_mask(names: Sequence[str], sensors: Iterable[str | int]) -> NDArray[np.bool_]:
-    """Mark sensors given by name or index: a mask of shape (N,)."""
+def sensor_mask(
+    names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
+) -> NDArray[np.bool_]:
+    """Mark sensors given by name or index: a mask of shape (N,). kind: See `find_sensors`."""
     mask = np.zeros(len(names), dtype=bool)
-    mask[find_sensors(names, sensors)] = True
+    mask[find_sensors(names, sensors, kind)] = True
     return mask
 
 

@@ -160,6 +160,7 @@ def test_the_choice_of_dimensions_speaks_of_objects(run, tmp_path):
         (["--repair"], "leave out other files, --repair"),
         (["-m", "covariogram"], "choose from anisomap, mds, ordinal"),
         (["--drop", "p0,p1,p2,p3,p4,p5,p6,p7,p8,p9"], "at least 3 objects, got 2"),
+        (["--drop", "p99"], "there is no object 'p99'"),
         (["--no-dissimilarities", "--weights", "w.csv"], "give --dissimilarities as well"),
     ],
 )

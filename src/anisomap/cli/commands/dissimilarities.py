@@ -104,7 +104,7 @@ def map_objects(
     seed: int,
 ) -> tuple[SensorMap, Fit]:
     """Map objects but those of `drop`, with progress, and examine the fit."""
-    kept = np.flatnonzero(~sensor_mask(found.names, drop))
+    kept = np.flatnonzero(~sensor_mask(found.names, drop, "object"))
     if len(kept) < _LEAST:
         raise InputError(f"a map requires at least {_LEAST} objects, got {len(kept)}")
     pairs = np.ix_(kept, kept)
