@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anisomap import score
 from anisomap.defaults import DEFAULT_BINS
@@ -22,7 +21,7 @@ from anisomap.numerics.array_api import MIN_DEVICE_POINTS
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
-from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from benchmarks.approximate import SKINS, touch
@@ -82,51 +81,45 @@ def _table(
     readings = np.concatenate(list(touch(SKIN, sensors, n_frames, rng)))
     varying = np.ptp(readings, axis=0) > 0
     sensors, readings = sensors[varying], readings[:, varying]
-    moved, seconds = _warm(lambda: library.asarray(readings))
-    yield n_sensors, "copy of the readings", f"{seconds:.3f}", "", "", ""
 
-    def compared(
-        stage: str, on_device: Callable[[], Any], usual: Callable[[], NDArray[Any]]
-    ) -> tuple[Any, tuple[object, ...]]:
-        found, seconds = _warm(on_device)
+    def row(
+        stage: str, seconds: float, usual: Callable[[], Any] | None = None, found: Any = None
+    ) -> tuple[object, ...]:
         print(f"{n_sensors} sensors, {stage}: {seconds:.3f} s", flush=True)
-        if not beside:
-            return found, (n_sensors, stage, f"{seconds:.3f}", "", "", "")
+        if usual is None or not beside:
+            return n_sensors, stage, f"{seconds:.3f}", "", "", ""
         expected, slow = _timed(usual)
-        apart = float(np.abs(array_api.to_numpy(found) - expected).max() / np.abs(expected).max())
-        times = f"{seconds:.3f}", f"{slow:.3f}", f"{slow / seconds:.1f}"
-        return found, (n_sensors, stage, *times, f"{apart:.1e}")
+        apart = _difference(found, expected)
+        return n_sensors, stage, f"{seconds:.3f}", f"{slow:.3f}", f"{slow / seconds:.1f}", apart
 
-    yield compared("Spearman", lambda: array_api.spearman(moved), lambda: spearman(readings))[1]
-    yield compared(
-        "mutual information",
-        lambda: array_api.mutual_information(moved, DEFAULT_BINS),
-        lambda: mutual_information(readings),
-    )[1]
-    similarity, row = compared(
-        "Pearson", lambda: array_api.pearson(moved), lambda: pearson(readings)
-    )
-    yield row
-    lengths = array_api.regularised_reciprocal(similarity, 1.0)
-    usual = regularised_reciprocal(array_api.to_numpy(array_api.pearson(moved))) if beside else None
-    metric, row = compared(
-        "shortest paths",
-        lambda: array_api.metricise(lengths),
-        lambda: metricise(np.asarray(usual)),
-    )
-    yield row
-    scaled, seconds = _warm(lambda: array_api.scale(metric, 3, SmacofOptions()))
+    moved, seconds = _warm(lambda: library.asarray(readings))
+    yield row("copy of the readings", seconds)
+    found, seconds = _warm(lambda: array_api.spearman(moved))
+    yield row("Spearman", seconds, lambda: spearman(readings), found)
+    found, seconds = _warm(lambda: array_api.mutual_information(moved, DEFAULT_BINS))
+    yield row("mutual information", seconds, lambda: mutual_information(readings), found)
+    found, seconds = _warm(lambda: array_api.pearson(moved))
+    yield row("Pearson", seconds, lambda: pearson(readings), found)
+    lengths = array_api.regularised_reciprocal(found, 1.0)
+    metric, seconds = _warm(lambda: array_api.metricise(lengths))
     if beside:
+        usual_lengths = regularised_reciprocal(array_api.to_numpy(array_api.pearson(moved)))
         distances = array_api.to_numpy(metric)
-        expected, slow = _timed(lambda: smacof(distances, dimensions=3))
-        apart = f"{abs(scaled.stress - expected.stress):.1e}"
-        times = f"{seconds:.3f}", f"{slow:.3f}", f"{slow / seconds:.1f}"
-        yield n_sensors, "scaling (difference of Stress-1)", *times, apart
-    else:
-        yield n_sensors, "scaling", f"{seconds:.3f}", "", "", ""
+    yield row("shortest paths", seconds, lambda: metricise(usual_lengths), metric)
+    scaled, seconds = _warm(lambda: array_api.scale(metric, 3, SmacofOptions()))
+    stage = "scaling (difference of Stress-1)" if beside else "scaling"
+    yield row(stage, seconds, lambda: smacof(distances, dimensions=3), scaled)
     made, seconds = _warm(lambda: reconstruct_on_device(library.asarray(readings), dimensions=3))
     r = score(made, sensors, permutations=99, rng=0).mantel.r
-    yield n_sensors, f"whole map by r-anisomap, r {r:.4f}", f"{seconds:.3f}", "", "", ""
+    yield row(f"whole map by r-anisomap, r {r:.4f}", seconds)
+
+
+def _difference(found: Any, expected: Any) -> str:
+    """Return the largest difference of matrices, relative to the largest value, or of Stress-1."""
+    if isinstance(found, Scaling):
+        return f"{abs(found.stress - expected.stress):.1e}"
+    apart = np.abs(array_api.to_numpy(found) - expected).max() / np.abs(expected).max()
+    return f"{float(apart):.1e}"
 
 
 def _warm(run: Callable[[], Result]) -> tuple[Result, float]:

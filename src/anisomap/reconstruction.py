@@ -166,7 +166,7 @@ def reconstruct_with_stages(
     }
     if len(runs) > 1:
         provenance["runs"] = len(runs)
-    made = _as_map(
+    made = as_map(
         configuration,
         joined.names,
         mapped,
@@ -288,7 +288,7 @@ def reconstruct_from(
     _check_related(configuration, options)
     provenance = options_provenance(method, options) | plan.provenance
     provenance |= {"similarity": statistic} if statistic else {"precomputed": stage}
-    return _as_map(
+    return as_map(
         configuration,
         names,
         mapped,
@@ -303,6 +303,14 @@ def _check_size(
     mapped: NDArray[np.bool_], dimensions: Dimensions, recipe: Method, options: MethodOptions
 ) -> None:
     check_dimensions(dimensions)
+    check_sensors(mapped, dimensions, options)
+    check_pair_memory(int(np.count_nonzero(mapped)), refined=bool(recipe.refinements))
+
+
+def check_sensors(
+    mapped: NDArray[np.bool_], dimensions: Dimensions, options: MethodOptions
+) -> None:
+    """Check that enough sensors, given as a mask of shape (N,), are mapped."""
     n_mapped = np.count_nonzero(mapped)
     if n_mapped < options.min_sensors:
         raise InputError(
@@ -314,7 +322,6 @@ def _check_size(
             f"a map in {dimensions} dimensions requires at least {dimensions} sensors, "
             f"got {n_mapped}"
         )
-    check_pair_memory(int(n_mapped), refined=bool(recipe.refinements))
 
 
 def check_frames(n_frames: int, dimensions: Dimensions) -> None:
@@ -353,7 +360,7 @@ def _check_related(configuration: Configuration, options: MethodOptions) -> None
         )
 
 
-def _as_map(
+def as_map(
     configuration: Configuration,
     names: tuple[str, ...],
     mapped: NDArray[np.bool_],

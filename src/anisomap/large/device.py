@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
@@ -11,24 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.dimensions import AUTO, check_dimensions
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import InputError
+from anisomap.mapping import Configuration
+from anisomap.methods import find_method
 from anisomap.numerics import array_api
 from anisomap.numerics.array_api import Array
 from anisomap.options import MethodOptions
-from anisomap.reconstruction import caveats, check_frames, options_provenance
+from anisomap.reconstruction import as_map, check_frames, check_sensors, options_provenance
 from anisomap.recording import check_names, default_names
-from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
 
-DEVICE_METHODS: Mapping[str, tuple[str, Callable[[Array, int], Array]]] = MappingProxyType(
+DEVICE_METHODS: Mapping[str, Callable[[Array, int], Array]] = MappingProxyType(
     {
-        "r-anisomap": ("pearson", lambda x, _: array_api.pearson(x)),
-        "spearman-anisomap": ("spearman", lambda x, _: array_api.spearman(x)),
-        "i-anisomap": ("mutual-information", array_api.mutual_information),
+        "r-anisomap": lambda x, _: array_api.pearson(x),
+        "spearman-anisomap": lambda x, _: array_api.spearman(x),
+        "i-anisomap": array_api.mutual_information,
     }
 )
-"""Methods that run on a device: the name of their similarity, and its function."""
+"""Methods that run on a device, and the functions of readings and bins that compare sensors."""
 
 
 def reconstruct_on_device(
@@ -96,7 +97,7 @@ def reconstruct_on_device(
     check_dimensions(dimensions)
     if str(dimensions) == AUTO:
         raise InputError("dimensions are not chosen on a device: take 2 for flat skins, or 3")
-    similarity, compare = _stages_of(method, chosen)
+    similarity, compare = _comparison(method, chosen)
     if readings.ndim != 2:
         raise InputError(f"readings must be of shape (T, N), got {tuple(readings.shape)}")
     n_frames, n_sensors = readings.shape
@@ -105,13 +106,8 @@ def reconstruct_on_device(
     check_frames(n_frames, dimensions)
     readings = array_api.as_numbers(readings)
     varying = _varying(readings)
-    n_mapped = int(np.count_nonzero(varying))
-    if n_mapped < max(chosen.min_sensors, int(dimensions)):
-        raise InputError(
-            f"a map requires at least {max(chosen.min_sensors, int(dimensions))} sensors that "
-            f"vary, got {n_mapped} of {n_sensors}"
-        )
-    if n_mapped < n_sensors:
+    check_sensors(varying, dimensions, chosen)
+    if not varying.all():
         readings = array_api.select_columns(readings, varying)
     logger.info("comparing all pairs of sensors (%s)", similarity)
     compared = compare(readings, chosen.entropy_bins)
@@ -120,35 +116,32 @@ def reconstruct_on_device(
     logger.info("computing shortest paths")
     metric = array_api.metricise(lengths)
     del lengths
-    logger.info("scaling %d sensors into %d dimensions", n_mapped, dimensions)
+    logger.info("scaling %d sensors into %d dimensions", metric.shape[0], dimensions)
     scaling = array_api.scale(metric, int(dimensions), chosen.smacof)
-    positions = np.full((n_sensors, scaling.positions.shape[1]), np.nan)
-    positions[varying] = scaling.positions
-    component = np.where(varying, 0, UNPLACED)
-    notes = tuple(caveats(component, names, converged=scaling.converged))
-    for note in notes:
-        warnings.warn(note, AnisomapWarning, stacklevel=2)
-    n_iterations = len(scaling.trace) - 1
-    return SensorMap(
-        positions,
-        names=names,
-        component=component,
+    configuration = Configuration(
+        positions=scaling.positions,
+        component=np.zeros(len(scaling.positions), np.intp),
+        stress=scaling.stress,
+        converged=scaling.converged,
+        n_iterations=len(scaling.trace) - 1,
+    )
+    return as_map(
+        configuration,
+        names,
+        varying,
         method=method,
         similarity=similarity,
-        stress=scaling.stress,
-        n_iterations=n_iterations,
-        notes=notes,
+        notes=(),
         provenance=options_provenance(method, chosen)
         | {
             "frames": int(n_frames),
             "similarity": similarity,
             "array_library": array_api.array_namespace(readings).__name__.rpartition(".")[2],
-            "iterations": n_iterations,
         },
     )
 
 
-def _stages_of(method: str, options: MethodOptions) -> tuple[str, Callable[[Array, int], Array]]:
+def _comparison(method: str, options: MethodOptions) -> tuple[str, Callable[[Array, int], Array]]:
     """Return the name and the function of the similarity of a method."""
     if method not in DEVICE_METHODS:
         able = ", ".join(DEVICE_METHODS)
@@ -157,7 +150,7 @@ def _stages_of(method: str, options: MethodOptions) -> tuple[str, Callable[[Arra
         raise InputError(
             "with regularisation 0, unrelated sensors are infinitely far apart; give more than 0"
         )
-    return DEVICE_METHODS[method]
+    return find_method(method).similarity, DEVICE_METHODS[method]
 
 
 def _varying(readings: Array) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError, import_extra
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
-from anisomap.numerics.precision import float_type
+from anisomap.numerics.precision import float_type, slices_of
 from anisomap.numerics.scaling.multidimensional_scaling import (
     Scaling,
     SmacofOptions,
@@ -99,9 +99,8 @@ def as_numbers(readings: Array) -> Array:
 
 def select_columns(readings: Array, chosen: NDArray[np.bool_]) -> Array:
     """Return the readings (T, n) of the sensors of a mask (N,)."""
-    xp, known = array_namespace(readings), _compatibility()
-    numbers = known.to_device(xp.asarray(np.flatnonzero(chosen)), known.device(readings))
-    return xp.take(readings, numbers, axis=1)
+    numbers = _moved(np.flatnonzero(chosen), readings)
+    return array_namespace(readings).take(readings, numbers, axis=1)
 
 
 def pearson(readings: Array) -> Array:
@@ -110,7 +109,7 @@ def pearson(readings: Array) -> Array:
     readings (T, N) -> (N, N).
     """
     xp = array_namespace(readings)
-    parts = (readings[:, columns] for columns in _slices(readings.shape[1], _SENSORS_AT_ONCE))
+    parts = (readings[:, columns] for columns in slices_of(readings.shape[1], _SENSORS_AT_ONCE))
     return _correlation(xp, [_standardised(xp, part, readings.shape[1]) for part in parts])
 
 
@@ -122,7 +121,7 @@ def spearman(readings: Array) -> Array:
     xp = array_namespace(readings)
     n_sensors = readings.shape[1]
     parts = []
-    for columns in _slices(n_sensors, _SENSORS_AT_ONCE):
+    for columns in slices_of(n_sensors, _SENSORS_AT_ONCE):
         numbers = range(columns.start, columns.stop)
         series = xp.stack([readings[:, i] for i in numbers], axis=0)
         ordered = xp.sort(series, axis=1)
@@ -162,14 +161,12 @@ def mutual_information(readings: Array, bins: int) -> Array:
     """
     xp = array_namespace(readings)
     values = maximum_entropy_codes(to_numpy(readings), bins)
-    known = _compatibility()
-    device = known.device(readings)
-    codes = known.to_device(xp.asarray(values.astype(np.int16)), device)  # at most 1,024 bins
+    codes = _moved(values.astype(np.int16), readings)  # at most 1,024 bins
     n_frames, n_sensors = values.shape
     dtype = _dtype(xp, n_sensors)
     on = [xp.astype(codes == code, dtype) for code in range(int(values.max()) + 1)]
-    joint = xp.zeros((n_sensors, n_sensors), dtype=dtype, device=device)
-    for rows in _slices(n_sensors, max(1, _BLOCK_ELEMENTS // n_sensors)):
+    joint = xp.zeros((n_sensors, n_sensors), dtype=dtype, device=_compatibility().device(codes))
+    for rows in slices_of(n_sensors, max(1, _BLOCK_ELEMENTS // n_sensors)):
         for first in on:
             left = xp.matrix_transpose(first[:, rows])
             for second in on:
@@ -224,7 +221,7 @@ def metricise(dissimilarity: Array) -> Array:
     xp = array_namespace(dissimilarity)
     # Products of matrices may round (i, j) and (j, i) differently.
     lengths = xp.minimum(dissimilarity, xp.matrix_transpose(dissimilarity))
-    for middles in _slices(lengths.shape[0], MIDDLES):
+    for middles in slices_of(lengths.shape[0], MIDDLES):
         ways = lengths[middles, :]
         among = ways[:, middles]
         n_steps = 1
@@ -294,7 +291,7 @@ def _classical_scaling(
     """Scale squared distances (N, N) by their leading eigenvectors -> (N, k), and sum them."""
 
     def multiply(vector: NDArray[np.float64]) -> NDArray[np.floating[Any]]:
-        return to_numpy(xp.matmul(squares, _like(xp, vector, squares)))
+        return to_numpy(xp.matmul(squares, _like(vector, squares)))
 
     total = float(multiply(np.ones(squares.shape[0])).sum(dtype=np.float64))
     return classical_scaling(multiply, squares.shape[0], dimensions), total
@@ -307,7 +304,7 @@ def _raw_stress(
 
     def raw_stress(positions: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         n_axes = positions.shape[1]
-        points = _like(xp, positions, targets)
+        points = _like(positions, targets)
         raw, slopes = 0.0, []
         for rows, wanted, _ in _row_blocks(xp, targets, diagonals=False):
             squares = xp.zeros_like(wanted)
@@ -333,7 +330,7 @@ def _row_blocks(
     """Yield blocks of rows of a square matrix: rows, values, and which are on the diagonal."""
     n_rows = matrix.shape[0]
     device = _compatibility().device(matrix)
-    for rows in _slices(n_rows, max(1, _BLOCK_ELEMENTS // n_rows)):
+    for rows in slices_of(n_rows, max(1, _BLOCK_ELEMENTS // n_rows)):
         length = rows.stop - rows.start
         yield (
             rows,
@@ -344,15 +341,15 @@ def _row_blocks(
         )
 
 
-def _slices(n_rows: int, size: int) -> Iterator[slice]:
-    for begin in range(0, n_rows, size):
-        yield slice(begin, min(begin + size, n_rows))
+def _moved(values: NDArray[Any], array: Array) -> Array:
+    """Copy values to the library and the device of an array."""
+    known = _compatibility()
+    return known.to_device(array_namespace(array).asarray(values), known.device(array))
 
 
-def _like(xp: Any, values: NDArray[np.float64], array: Array) -> Array:
+def _like(values: NDArray[np.float64], array: Array) -> Array:
     """Copy values to the library, the device and the type of an array."""
-    moved = xp.asarray(values.astype(np.dtype(str(array.dtype).rpartition(".")[2])))
-    return _compatibility().to_device(moved, _compatibility().device(array))
+    return _moved(values.astype(str(array.dtype).rpartition(".")[2]), array)
 
 
 def _dtype(xp: Any, n_sensors: int) -> Any:

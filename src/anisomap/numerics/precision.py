@@ -38,11 +38,15 @@ def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
     )
 
 
+def slices_of(n_rows: int, size: int) -> Iterator[slice]:
+    """Split rows into slices of a size; the last may be shorter."""
+    for begin in range(0, n_rows, size):
+        yield slice(begin, min(begin + size, n_rows))
+
+
 def row_blocks(n_rows: int) -> Iterator[slice]:
     """Split the rows of a square matrix into blocks of at most 64 MiB of float64."""
-    step = max(1, _BLOCK_BYTES // (8 * max(n_rows, 1)))
-    for begin in range(0, n_rows, step):
-        yield slice(begin, min(begin + step, n_rows))
+    return slices_of(n_rows, max(1, _BLOCK_BYTES // (8 * max(n_rows, 1))))
 
 
 def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 128) -> None:

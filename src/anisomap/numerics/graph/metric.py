@@ -12,7 +12,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.precision import Reals, mirror
+from anisomap.numerics.precision import Reals, mirror, slices_of
 
 TILE_ROWS = 4
 """Rows of tiles per task of `shortest_paths`; few enough for many threads."""
@@ -35,7 +35,7 @@ def shortest_paths(lengths: Reals) -> Reals:
     """
     loops = load_loops("graphs")
     n_nodes, side = len(lengths), loops.SIDE
-    blocks = _blocks(n_nodes, side)
+    blocks = list(slices_of(n_nodes, side))
     pairs = [(rows, columns) for i, rows in enumerate(blocks) for columns in blocks[i:]]
     tiles = _aligned((len(pairs), side, side), lengths.dtype)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
@@ -46,7 +46,7 @@ def shortest_paths(lengths: Reals) -> Reals:
     shape = (TILE_MIDDLES, len(blocks), side, side)
     outwards, inwards = _aligned(shape, lengths.dtype), _aligned(shape, lengths.dtype)
     with parallel_map(n_nodes) as map_threads:
-        for group in _blocks(len(blocks), TILE_MIDDLES):
+        for group in slices_of(len(blocks), TILE_MIDDLES):
             middles = range(group.start, group.stop)
             for done, middle in enumerate(middles):
                 # Other tiles wait until the end of the group.
@@ -58,7 +58,7 @@ def shortest_paths(lengths: Reals) -> Reals:
             def lower(rows: slice, ways: tuple[Reals, Reals] = ways) -> None:
                 loops.lower_rows(tiles, *ways, (rows.start, rows.stop))
 
-            map_threads(lower, _blocks(len(blocks), TILE_ROWS))
+            map_threads(lower, slices_of(len(blocks), TILE_ROWS))
     paths = np.empty_like(lengths)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
         part = tile[: rows.stop - rows.start, : columns.stop - columns.start]
@@ -73,10 +73,6 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Reals:
     memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
     first = -memory.ctypes.data % CACHE_LINE
     return memory[first : first + n_bytes].view(dtype).reshape(shape)
-
-
-def _blocks(n_nodes: int, size: int) -> list[slice]:
-    return [slice(begin, min(begin + size, n_nodes)) for begin in range(0, n_nodes, size)]
 
 
 def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
