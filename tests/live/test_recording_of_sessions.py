@@ -1,5 +1,6 @@
 """What a session writes: every frame, in files that are read at any time."""
 
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -141,6 +142,19 @@ def test_every_frame_that_is_recorded_can_be_read(recorder, tmp_path):
     recorder.close()
     with (tmp_path / "r.csv").open() as stream:
         assert max(map(len, stream)) < 1 << 23
+
+
+def test_frames_that_are_flushed_can_be_read_while_others_arrive(recorder, tmp_path):
+    with ThreadPoolExecutor(1) as pool:
+        arriving = pool.submit(lambda: [recorder.put(frames(9, 40)) for _ in range(400)])
+        while not arriving.done():
+            flushed = recorder.made.flush()
+            if flushed:
+                header = recorder.begun[0].header_bytes
+                tail = JournalTail(tmp_path / "r.csv", 40, header)
+                assert len(tail.read(1 << 30)[0]) >= flushed
+                tail.close()
+    assert recorder.made.flush() == 3600
 
 
 def test_times_increase_whatever_the_clock_of_the_source_does(recorder, tmp_path):

@@ -194,11 +194,12 @@ class Recorder:
         with self._lock:
             self._close()
 
-    def flush(self) -> None:
-        """Hand what was recorded to the operating system."""
+    def flush(self) -> int:
+        """Hand what was recorded to the operating system; return the frames that a reader finds."""
         with self._lock:
             if self._writer is not None:
                 self._writer.flush()
+            return self.n_frames
 
     def close(self) -> None:
         """Write everything and close the files."""

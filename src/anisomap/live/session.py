@@ -519,9 +519,10 @@ class LiveSession:
 
     def _keep_time(self) -> None:
         """Write what is held, prepare the readings for the page, and ask for checked maps."""
+        readable = 0
         while not self._stop.wait(TICK_S):
             try:
-                self.recorder.flush()
+                readable = self.recorder.flush()
             except AnisomapError as error:
                 self._fail(error)
                 self._stop.set()
@@ -531,7 +532,7 @@ class LiveSession:
                     self._first = recent[0]
                 self.levels = read_levels(recent, self._first, self.maps.quick)
             if not self.paused:
-                self.maps.follow(self.recorder.n_frames)
+                self.maps.follow(readable)
             self.tick += 1
             self._announce()
 
