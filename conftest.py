@@ -6,7 +6,8 @@ from hypothesis import HealthCheck, settings
 from sybil import Sybil
 from sybil.parsers.doctest import DocTestParser
 from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
-from tests.documents import collector, run_commands
+
+from documents import collector, run_commands
 
 # One thread for linear algebra and compiled loops, here and in every process that tests start.
 # Matrices of tests are small, and pytest-xdist already runs one process per core: more threads

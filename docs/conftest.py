@@ -3,7 +3,8 @@
 import pytest
 from sybil import Sybil
 from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
-from tests.documents import collector, run_commands
+
+from documents import collector, run_commands
 
 # Pages whose commands run, too: they make the files that they use.
 _RUNNABLE = [

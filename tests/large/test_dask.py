@@ -104,7 +104,7 @@ def cluster(tmp_path: Path):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
-    paths = os.pathsep.join(map(str, [Path(__file__).parents[1], *sys.path]))
+    paths = os.pathsep.join(map(str, [Path(__file__).parents[1] / "helpers", *sys.path]))
     options = {"cwd": tmp_path, "env": os.environ | {"PYTHONPATH": paths}, "stderr": -3}
     started = []
     for arguments in (

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from docs.notebooks import read_notebook, run
 
-NOTEBOOKS = sorted(Path(__file__).parents[1].joinpath("docs").glob("**/*.ipynb"))
+NOTEBOOKS = sorted(Path(__file__).parents[2].joinpath("docs").glob("**/*.ipynb"))
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from anisomap.mapping import dissimilarities
 from anisomap.methods import find_method
 from anisomap.options import MethodOptions
 
-FIXTURES = Path(__file__).parent / "fixtures"
+FIXTURES = Path(__file__).parents[1] / "fixtures"
 
 
 def lattice(rows: int = 6, columns: int = 7) -> NDArray[np.float64]:
@@ -140,5 +140,5 @@ def bombarded_skin() -> Recording:
 
     Readings are whole numbers up to 1000.
     """
-    with np.load(Path(__file__).parent / "fixtures" / "bombarded.npz") as stored:
+    with np.load(Path(__file__).parents[1] / "fixtures" / "bombarded.npz") as stored:
         return Recording(stored["readings"], positions=stored["positions"])

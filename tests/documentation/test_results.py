@@ -23,7 +23,7 @@ from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
 from anisomap.paper import accuracy, bodies, claims
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results"
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 
 HEADERS = {

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "anisomap"
 PAGE = (ROOT / "docs/explanation/architecture.md").read_text("utf-8")
 
