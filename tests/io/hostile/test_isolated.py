@@ -142,7 +142,8 @@ def test_it_ends_with_the_process_that_asks(path: Path, number: int) -> None:
         kill(asks.pid, number)
         assert select.select([works], [], [], 60)[0]
         os.close(works)
-        assert asks.communicate()[1].count(b"Traceback") == (number == signal.SIGINT)
+        said = asks.communicate()[1].decode()
+        assert said.count("Traceback") == (number == signal.SIGINT)
         assert not list(temporary.iterdir())
 
 
