@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import anisomap
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.comparison import COMPARED, compare_methods, spanned_dimensions
-from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
 from benchmarks.harness import frame, markdown_table, measured, options, publish

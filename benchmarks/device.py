@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from anisomap import score
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.large import reconstruct_on_device
 from anisomap.numerics import array_api
 from anisomap.numerics.array_api import MIN_DEVICE_POINTS

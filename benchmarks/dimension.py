@@ -17,8 +17,8 @@ from types import MappingProxyType
 import numpy as np
 
 import anisomap
+from anisomap.base.defaults import MIN_TOUCHES
 from anisomap.comparison import spanned_dimensions, touched
-from anisomap.defaults import MIN_TOUCHES
 from anisomap.errors import InputError
 from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
 from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate, solids

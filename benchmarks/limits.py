@@ -21,8 +21,8 @@ from scipy.spatial.distance import pdist, squareform
 from sklearn.isotonic import IsotonicRegression
 
 import anisomap
+from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.comparison import spanned_dimensions, touched
-from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.evaluation import mantel
 from anisomap.evidence import compare
 from anisomap.mapping import Configuration, dissimilarities, refine_components

@@ -13,8 +13,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import anisomap
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.comparison import RIVALS, compare_methods
-from anisomap.defaults import DEFAULT_METHOD
 from benchmarks.harness import files_in, markdown_table, measured, options, publish
 
 NAMES = ("eeg", "retina")

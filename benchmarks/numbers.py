@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anisomap.errors import FileError
-from anisomap.files import atomic_write
+from anisomap.files.paths import atomic_write
 from benchmarks.harness import markdown_table
 
 _MARKED = re.compile(

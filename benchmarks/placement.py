@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import anisomap
 from anisomap import Recording, SensorMap, align, reconstruct, simulate
+from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
 from anisomap.evaluation import compare_maps, median_spacing
 from anisomap.placement import (
@@ -29,7 +30,6 @@ from anisomap.placement import (
     place,
     suggest_anchors,
 )
-from anisomap.scene import Mesh
 from anisomap.simulation import Body, find_body
 from benchmarks.harness import options, stream
 

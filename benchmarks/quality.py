@@ -17,9 +17,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 import anisomap
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED, RIVALS, Comparison, compare_methods
-from anisomap.defaults import DEFAULT_METHOD
 from anisomap.methods import METHODS
 from benchmarks.harness import (
     COLOURS,

@@ -25,7 +25,7 @@ from sklearn.manifold import smacof as sklearn_smacof
 from sklearn.metrics import mutual_info_score
 
 from anisomap import AnisomapWarning, SensorMap, reconstruct
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.multidimensional_scaling import (

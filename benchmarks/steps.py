@@ -19,8 +19,8 @@ import numpy as np
 
 import anisomap
 from anisomap import evidence
+from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.comparison import spanned_dimensions, touched
-from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.methods import METHODS, Method
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import anisomap
+from anisomap.base.defaults import MIN_TOUCHES
 from anisomap.comparison import spanned_dimensions, touched
-from anisomap.defaults import MIN_TOUCHES
 from anisomap.simulation import BODIES, SCENARIOS, find_body, inject, parse_fault
 from anisomap.simulation.options import options_for
 from benchmarks.faults import DAMAGES, sized

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 import anisomap
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.methods import METHODS
 from anisomap.recording import MissingPolicy, Recording
 

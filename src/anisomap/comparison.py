@@ -22,11 +22,11 @@ from scipy.spatial.distance import cdist
 from scipy.special import entr
 from threadpoolctl import threadpool_limits
 
-from anisomap.defaults import DEFAULT_METHOD, MIN_TOUCHES
+from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
+from anisomap.base.immutable import Immutable
 from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.immutable import Immutable
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.reconstruction import reconstruct

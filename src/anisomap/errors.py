@@ -10,7 +10,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from anisomap.wording import printable, shortened
+from anisomap.base.wording import printable, shortened
 
 MAX_CHARACTERS = 300
 """Maximum length of the message of an error; names from files may be of any length."""

@@ -14,7 +14,7 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from anisomap.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
+from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
 from anisomap.diagnosis.diagnostics import diagnose
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning, InputError

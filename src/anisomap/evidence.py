@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts

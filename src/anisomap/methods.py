@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.evidence import PairStatistics
 from anisomap.numerics.contacts.contact_agreement import shows_single_contacts

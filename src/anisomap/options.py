@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from anisomap.defaults import DEFAULT_BINS, DEFAULT_MU
+from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_MU
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions

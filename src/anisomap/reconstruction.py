@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap._version import __version__
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.wording import join_items, noun_and_items
 from anisomap.dimensions import (
     AUTO,
     SPATIAL,
@@ -36,12 +37,12 @@ from anisomap.dimensions import (
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evidence import PairStatistics
 from anisomap.mapping import Configuration, Stages, compute_stages, configure, dissimilarities
-from anisomap.memory import check_pair_memory
 from anisomap.methods import Method, check_even_spacing, examined_metric, find_method
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
+from anisomap.numerics.memory import check_pair_memory
 from anisomap.numerics.precision import Reals, float_type
 from anisomap.numerics.signals import middle_frames
 from anisomap.options import MethodOptions
@@ -57,7 +58,6 @@ from anisomap.recording import (
     sensor_mask,
 )
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import join_items, noun_and_items
 
 
 def reconstruct(

@@ -12,12 +12,12 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.base.immutable import Immutable
+from anisomap.base.wording import html_table, noun_and_items
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.precision import MAX_SQUARED
 from anisomap.numerics.signals import Signals
-from anisomap.wording import html_table, noun_and_items
 
 Scalar: TypeAlias = str | int | float | bool
 """Values of metadata and provenance: types that every file format can store."""

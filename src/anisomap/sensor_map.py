@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy.special import gammaincinv
 
+from anisomap.base.immutable import Immutable
+from anisomap.base.wording import html_table
 from anisomap.errors import InputError, import_extra
-from anisomap.immutable import Immutable
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
 from anisomap.usability import Verdict
-from anisomap.wording import html_table
 
 UNPLACED = -1
 """The component label of a sensor without a position."""

@@ -9,8 +9,8 @@ from benchmarks import quality
 from benchmarks.quality import FRAMES, SCENARIOS, Result
 
 import anisomap
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.comparison import COMPARED
-from anisomap.defaults import DEFAULT_METHOD
 from skins import flat_skin
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import reader_process
 from anisomap.cli import app
+from anisomap.files import reader_process
 from command_line import call, contents, write_layout
 from skins import flat_skin, lattice
 

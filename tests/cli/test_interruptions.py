@@ -20,11 +20,11 @@ import pytest
 
 import anisomap
 import watched
-from anisomap import reader_process
 from anisomap.cli import main
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, FileError
-from anisomap.files import together
+from anisomap.files import reader_process
+from anisomap.files.paths import together
 from skins import flat_skin
 from watched import COUNT, run_watched
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import anisomap
+from anisomap.base.wording import printable
 from anisomap.cli.app import run as run_here
-from anisomap.wording import printable
 from skins import flat_skin
 
 HOSTILE = "\x1b[31m\x9b2J\x07\u202egnp.\u2066[/bold][red]\r\n"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from anisomap.base.scene import Mesh
 from anisomap.drawing import figures as fig
 from anisomap.drawing.figures import backend, charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
@@ -15,7 +16,6 @@ from anisomap.layout import LayoutCheck
 from anisomap.layout.checking import LayoutFinding
 from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
-from anisomap.scene import Mesh
 from anisomap.sensor_map import SensorMap
 from reports import small_scene
 

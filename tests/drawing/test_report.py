@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from anisomap.base.wording import UNKNOWN, number
 from anisomap.drawing.report import MAX_ROWS, Touches, check_writable, render_report
 from anisomap.drawing.report.interactive import MAX_DOTS
 from anisomap.errors import MissingExtraError
@@ -18,7 +19,6 @@ from anisomap.evaluation import score
 from anisomap.health import STATUSES
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 from anisomap.usability import Verdict
-from anisomap.wording import UNKNOWN, number
 from reports import PNG, assessed, example, page_of, scene_of, summary
 
 

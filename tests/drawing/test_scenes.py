@@ -6,7 +6,8 @@ from PIL import Image
 
 from anisomap.drawing.figures import scenes
 from anisomap.errors import FileError, InputError
-from anisomap.simulation import BODIES, SCENARIOS, mujoco_viewer, run_simulation
+from anisomap.simulation import BODIES, SCENARIOS, run_simulation
+from anisomap.simulation.physics import mujoco_viewer
 from reports import small_scene
 
 pytest.importorskip("matplotlib", reason="needs the extra 'report'")

@@ -6,10 +6,10 @@ from html.parser import HTMLParser
 import numpy as np
 from plotly.offline import get_plotlyjs
 
+from anisomap.base.scene import Mesh, Prop, Scene
 from anisomap.drawing.report import render_report
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth
-from anisomap.scene import Mesh, Prop, Scene
 from anisomap.sensor_map import SensorMap
 
 PNG = b"\x89PNG\r\n\x1a\n not decoded"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.evidence import compare
 from skins import flat_skin
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import special_ortho_group
 
 from anisomap import SensorMap, align
+from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
 from anisomap.numerics.surfaces import TriangleSearch
 from anisomap.placement import (
@@ -22,7 +23,6 @@ from anisomap.placement import (
     surface_normals,
     to_taxels,
 )
-from anisomap.scene import Mesh
 from anisomap.simulation import find_body
 from skins import lattice
 

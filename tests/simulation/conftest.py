@@ -7,8 +7,8 @@ import pytest
 
 from anisomap.simulation import Body
 from anisomap.simulation.bodies import BODIES, sphere
-from anisomap.simulation.bombardment import BombardmentOptions, Flight, simulate_flight
 from anisomap.simulation.kinematic import read_balls
+from anisomap.simulation.physics.bombardment import BombardmentOptions, Flight, simulate_flight
 
 
 @dataclass(frozen=True)

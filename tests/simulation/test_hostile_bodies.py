@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisomap import reader_process
 from anisomap.errors import FileError, InputError
-from anisomap.mesh_files import read_mesh
+from anisomap.files import reader_process
+from anisomap.files.meshes import read_mesh
 from anisomap.simulation import load_body
 
 trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")

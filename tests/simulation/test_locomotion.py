@@ -8,8 +8,8 @@ import pytest
 
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation.bodies import BODIES, cylinder, sphere
-from anisomap.simulation.locomotion import LocomotionOptions, locomotion, simulate_journey
 from anisomap.simulation.options import options_for
+from anisomap.simulation.physics.locomotion import LocomotionOptions, locomotion, simulate_journey
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from anisomap.simulation.locomotion import Terrain, bumpy_terrain
-from anisomap.simulation.physics import add_ground, new_model
+from anisomap.simulation.physics.locomotion import Terrain, bumpy_terrain
+from anisomap.simulation.physics.models import add_ground, new_model
 
 
 def height(terrain, places):

@@ -29,8 +29,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from anisomap.base.wording import join_items, printable, shortened
 from anisomap.errors import MAX_CHARACTERS, FileError
-from anisomap.wording import join_items, printable, shortened
 
 MAX_SHOWN = 50
 """Rows of a table, and names in a line; with --json, all are printed. Chosen by hand."""

@@ -17,11 +17,11 @@ from cyclopts.validators import Number
 from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
+from anisomap.base.wording import join_items, printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.cli.console import console as terminal
 from anisomap.errors import FileError, InputError
 from anisomap.usability import LEVELS
-from anisomap.wording import join_items, printable
 
 if TYPE_CHECKING:
     from anisomap.dimensions import Dimensions

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from anisomap.defaults import LEVEL
+from anisomap.base.defaults import LEVEL
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
-from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity_robustly
 from anisomap.recording import match_names, match_sensors

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.defaults import PERMUTATIONS
+from anisomap.base.defaults import PERMUTATIONS
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.sensor_map import SensorMap
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.defaults import PERMUTATIONS
+from anisomap.base.defaults import PERMUTATIONS
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, Mantel, mantel
 from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded

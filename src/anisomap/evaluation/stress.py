@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.scaling.dissimilarity_scaling import monotone_regression
 

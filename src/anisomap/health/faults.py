@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from anisomap.base.wording import noun_and_items
 from anisomap.health.recording_faults import Found
 from anisomap.health.recording_faults.common_signals import (
     find_common_noise,
@@ -27,7 +28,6 @@ from anisomap.health.recording_faults.transmission import find_gaps, find_glitch
 from anisomap.health.recording_faults.wiring import find_change, find_inverted
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, as_runs, in_range
-from anisomap.wording import noun_and_items
 
 
 @dataclass(frozen=True)

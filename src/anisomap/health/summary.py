@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisomap.base.wording import join_items, number, percent
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.recording import Recording
 from anisomap.sensor_map import FEW_CONTACTS, SILENT, is_faulty
-from anisomap.wording import join_items, number, percent
 
 MIN_FRAMES = 500
 """Frames below which a recording is short: about half of the paper's shortest run (1,054)."""

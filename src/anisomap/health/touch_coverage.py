@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_others
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.recording import Recording, as_runs, match_names
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import join_items
 
 ENOUGH_CONTACTS = 12
 """Contacts of a sensor, or of two neighbours together, above which more gain little.

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.files import open_regular
+from anisomap.files.budget import Budget
+from anisomap.files.paths import open_regular
 from anisomap.io import npz
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import (
@@ -34,7 +35,6 @@ from anisomap.io.parsing.source import (
 from anisomap.io.parsing.tables import is_number, parse_number, read_sample, records
 from anisomap.io.recordings import contact_lists, delimited_text
 from anisomap.io.registry import read
-from anisomap.memory import Budget
 from anisomap.recording import default_names, match_sensors
 
 Rows = list[list[str]]

@@ -27,8 +27,10 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError, error_reason
-from anisomap.files import open_regular
+from anisomap.files.budget import DEFLATE_RATIO, Budget, bytes_kept
+from anisomap.files.paths import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.events import NOUNS, Events, noun_of, stream_events
@@ -40,11 +42,9 @@ from anisomap.io.stream import (
     increasing_times,
     salvage,
 )
-from anisomap.memory import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ACCURACY, UNKNOWN
-from anisomap.wording import join_items
 
 MAGICS, ARRAY_MAGIC = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
 NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import as_text, join_items
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_distinct, check_target, together
+from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
+from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 from anisomap.io import npz
 from anisomap.io.maps import point_files, robot_models, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
@@ -45,10 +47,8 @@ from anisomap.io.stream import (
     rechunk,
     refuse_selection,
 )
-from anisomap.memory import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.recording import Recording, default_names
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import as_text, join_items
 
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 
@@ -63,7 +63,7 @@ class Format:
         first bytes, decompressed; none for a folder. It must not raise.
     contents: ``contents(path, options)`` lists the possible recordings in a file.
     extra: Extra that installs the library that is required. Recordings of formats with an extra
-        are read in another process: see `anisomap.reader_process`.
+        are read in another process: see `anisomap.files.reader_process`.
     in_metres: Whether the format stores metres, so that a map needs a scale.
     signature: First bytes of the files that anisomap writes, which decide before `recognises`,
         since names and notes may contain marks of other formats.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
 from anisomap.evidence import SIMILARITIES
-from anisomap.files import atomic_write, check_target
+from anisomap.files.paths import atomic_write, check_target
 from anisomap.io.npz import NUMBERS, Archive, open_archive, to_json, write_arrays
 from anisomap.io.parsing.facts import check_encodable
 from anisomap.io.parsing.names import distinct_names

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap import reader_process
+from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError
+from anisomap.files import reader_process
 from anisomap.io.parsing.source import warn, warn_of_loss
 from anisomap.recording import Recording, Scalar, default_names
-from anisomap.wording import join_items
 
 
 def increasing_times(

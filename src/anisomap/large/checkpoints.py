@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.files import atomic_write, check_target, open_regular
+from anisomap.files.paths import atomic_write, check_target, open_regular
 from anisomap.numerics.similarity.binning import ValueCounts
 from anisomap.numerics.similarity.correlation import CoOccurrences, Moments, StoredCodes
 

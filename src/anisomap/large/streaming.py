@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, assess
@@ -31,11 +31,11 @@ from anisomap.large.chunks import (
     split_array,
 )
 from anisomap.large.map_reduce import SERIAL, Mapper, WorkerPool, map_reduce
-from anisomap.memory import check_memory, check_pair_memory, check_worker_memory
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.columns import ranks_from_counts
 from anisomap.numerics.geodesic.adjacency import adjacency_graph, unevenness
 from anisomap.numerics.geodesic.path_lengths import MAX_UNEVENNESS
+from anisomap.numerics.memory import check_memory, check_pair_memory, check_worker_memory
 from anisomap.numerics.precision import MAX_SQUARED, Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_bins

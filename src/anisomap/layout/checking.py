@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.defaults import N_SHIFTS
+from anisomap.base.defaults import N_SHIFTS
+from anisomap.base.wording import html_table, join_items
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import find_copies
@@ -32,7 +33,6 @@ from anisomap.numerics.layout.search import Search
 from anisomap.placement.modules import NO_MODULE, Modules
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import html_table, join_items
 
 OK = "ok"
 """Status of a tested sensor that reads as its place says."""

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.layout.congruence import blocks_of_size, rigid_repeats
 from anisomap.numerics.layout.evidence import Move
 from anisomap.numerics.layout.moves import ModuleShapes, shifted_moves, turned_moves
 from anisomap.placement.modules import NO_MODULE, Modules, trailing_numbers
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import join_items
 
 _MIN_SIZE = 3
 _MAX_GAPS = 100  # channels per sensor

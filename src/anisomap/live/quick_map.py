@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import join_items
 from anisomap.drawing.view import MAX_JOINED, neighbour_pairs
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth
@@ -32,7 +33,6 @@ from anisomap.numerics.similarity.rest import Rest
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import Recording
 from anisomap.sensor_map import is_faulty
-from anisomap.wording import join_items
 
 MAX_PLACES = 3
 """Number of places that are marked: what a person can follow while touching."""

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import printable
 from anisomap.errors import FileError
-from anisomap.files import check_target
+from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.delimited_text import header_text
 from anisomap.live.batches import Batch
 from anisomap.recording import default_names
-from anisomap.wording import printable
 
 MAX_SEGMENTS = 50
 """Files of one session, above which frames of another width go to the file of odd frames."""

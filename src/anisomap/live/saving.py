@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.dimensions import AUTO
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError, import_extra
 from anisomap.evaluation import median_spacing
-from anisomap.files import atomic_write
+from anisomap.files.paths import atomic_write
 from anisomap.live.workers import Examination, ExaminationOptions
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement import METRES, Anchors, parse_length, place, scaled_to_spacing

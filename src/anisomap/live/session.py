@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import printable
 from anisomap.diagnosis.chance import MIN_FRAMES
 from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.errors import AnisomapError, InputError
@@ -25,7 +26,6 @@ from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task,
 from anisomap.placement import Anchors
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import LEVELS, UNKNOWN
-from anisomap.wording import printable
 
 MAX_CURVE = 500
 """Points of a curve over time; when there are more, every other one is left out."""

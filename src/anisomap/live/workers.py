@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io, route
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.dimensions import AUTO, SPATIAL, Dimensions
 from anisomap.errors import AnisomapError, InputError
 from anisomap.evaluation import score
@@ -30,7 +30,7 @@ from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.large.chunks import Excerpt
 from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
-from anisomap.memory import check_pair_memory
+from anisomap.numerics.memory import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict

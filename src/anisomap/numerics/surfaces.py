@@ -10,8 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import KDTree
 
+from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
-from anisomap.scene import Mesh
 
 NEIGHBOURS = 8
 """Neighbours used for the tangent plane at a point; a point of a square lattice has 8."""

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.comparison import map_by_rival
-from anisomap.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
 from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import mantel

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.maps import gallery_figure
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case

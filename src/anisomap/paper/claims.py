@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
+from anisomap.base.wording import join_items
 from anisomap.paper.accuracy import ABLATIONS, MORE_BINS, SCORES, all_scores
 from anisomap.paper.cases import CASES, METHODS
 from anisomap.paper.experiment import Row, Settings, Table, Tables, by, experiment
 from anisomap.paper.sensitivity import CLAIMED_NOISE, MEDIAN
-from anisomap.wording import join_items
 
 # The paper gives no numbers for its claims; all bounds are chosen by hand, before the runs.
 REASONABLE, EXCELLENT = 0.7, 0.9  # Mantel r

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist, pdist
 from scipy.stats import spearmanr
 
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel

@@ -40,7 +40,7 @@ from anisomap._version import __version__
 from anisomap.drawing.figures import figure_bytes
 from anisomap.drawing.report import templates
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.files import atomic_write
+from anisomap.files.paths import atomic_write
 from anisomap.paper import accuracy, bodies, claims, patch, sample_data, sensitivity
 from anisomap.paper.experiment import (
     REGISTRY,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import METHOD_LOOKS, CurvePanel, curves_figure
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.correlation import pearson

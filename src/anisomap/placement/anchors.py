@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from anisomap.base.immutable import Immutable
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import Kernel, nearest_others
 from anisomap.numerics.procrustes import SINGULAR, similarity_freedom
 from anisomap.numerics.surfaces import Points
@@ -25,7 +26,6 @@ from anisomap.placement.handedness import (
     krige,
 )
 from anisomap.sensor_map import SensorMap, check_coordinates
-from anisomap.wording import join_items
 
 # Anchors that are suggested; tuned on the iCub hexagon and palm, the plantar recording, and halves
 # of rubbed planes and cylinders, seeds 301 to 306.

@@ -18,8 +18,9 @@ from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
+from anisomap.base.immutable import Immutable
+from anisomap.base.wording import noun_and_items
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import (
     extent,
@@ -30,7 +31,6 @@ from anisomap.numerics.procrustes import (
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import METRES, mirrored
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import noun_and_items
 
 NO_MODULE = -1
 """Index of the module, or of the pad, of a sensor without one."""

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.scene import Mesh
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
@@ -32,9 +34,7 @@ from anisomap.placement.surface import (
     surface_evidence,
 )
 from anisomap.recording import match_names
-from anisomap.scene import Mesh
 from anisomap.sensor_map import UNPLACED, SensorMap
-from anisomap.wording import join_items
 
 # Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on the iCub hexagon and
 # on simulated hexagons, seeds 201 to 203; that of the spacing is a guess on the safe side.

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
+from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import Kernel
 from anisomap.numerics.procrustes import extent, fit_similarity
 from anisomap.numerics.surfaces import Points, TriangleSearch
 from anisomap.placement.handedness import Tied
-from anisomap.scene import Mesh
 from anisomap.sensor_map import MAX_COORDINATE
 
 # Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.

@@ -5,7 +5,6 @@ Running a simulation needs the extra ``simulation`` (MuJoCo); importing the pack
 
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
-from anisomap.simulation.bombardment import BombardmentOptions
 from anisomap.simulation.coverage import CoverageCurve, coverage_curve
 from anisomap.simulation.faults import dead, noisy, saturating
 from anisomap.simulation.imported import (
@@ -30,7 +29,8 @@ from anisomap.simulation.kinematic import (
     RubbingOptions,
     SelfTouchOptions,
 )
-from anisomap.simulation.locomotion import LocomotionOptions
+from anisomap.simulation.physics.bombardment import BombardmentOptions
+from anisomap.simulation.physics.locomotion import LocomotionOptions
 from anisomap.simulation.scenarios import (
     SCENARIOS,
     Simulation,

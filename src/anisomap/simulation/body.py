@@ -12,11 +12,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
+from anisomap.base.immutable import Immutable
+from anisomap.base.scene import frozen
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import nearest_distances, nearest_others
 from anisomap.recording import default_names
-from anisomap.scene import frozen
 from anisomap.simulation.solids import (
     Points,
     Solid,

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.immutable import Immutable
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
 from anisomap.health.touch_coverage import NEIGHBOUR_RADIUS
-from anisomap.immutable import Immutable
 from anisomap.methods import find_method
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest

@@ -18,17 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.files import check_regular, open_regular
-from anisomap.memory import Budget
-from anisomap.mesh_files import read_mesh
+from anisomap.files.budget import Budget
+from anisomap.files.meshes import read_mesh
+from anisomap.files.paths import check_regular, open_regular
+from anisomap.files.reader_process import opened
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.surfaces import estimate_normals
-from anisomap.reader_process import opened
 from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.physics import load_mujoco
+from anisomap.simulation.physics.models import load_mujoco
 from anisomap.simulation.solids import Points, Solid, spread
 
 MESH_SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from anisomap.base.scene import Prop
 from anisomap.errors import InputError
-from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.bodies import fibonacci_cap, great_circles
 from anisomap.simulation.body import Body

@@ -16,9 +16,9 @@ import numpy as np
 from docstring_parser import parse as parse_docstring
 from numpy.typing import NDArray
 
+from anisomap.base.scene import Prop
 from anisomap.errors import InputError
 from anisomap.recording import Scalar
-from anisomap.scene import Prop
 from anisomap.simulation.bodies import sphere
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import POSITIVE, Range

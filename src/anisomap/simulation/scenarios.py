@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from anisomap._version import __version__
+from anisomap.base.scene import Scene
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.recording import Recording
-from anisomap.scene import Scene
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
-from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.checks import COUNT
 from anisomap.simulation.kinematic import (
     PressingOptions,
@@ -36,10 +36,10 @@ from anisomap.simulation.kinematic import (
     rubbing,
     self_touch,
 )
-from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
-from anisomap.simulation.physics import load_mujoco
-from anisomap.wording import join_items
+from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
+from anisomap.simulation.physics.locomotion import LocomotionOptions, can_roll, locomotion
+from anisomap.simulation.physics.models import load_mujoco
 
 DEFAULT_FRAMES = 2000  # as in the paper
 DEFAULT_SEED = 1

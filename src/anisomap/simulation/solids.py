@@ -13,9 +13,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.base.scene import Mesh, frozen
 from anisomap.errors import InputError, import_extra
 from anisomap.numerics.surfaces import TriangleSearch
-from anisomap.scene import Mesh, frozen
 
 Points: TypeAlias = NDArray[np.float64]
 Density: TypeAlias = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from anisomap.defaults import DEFAULT_METHOD
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.evidence import PairStatistics
-from anisomap.immutable import Immutable
-from anisomap.memory import check_pair_memory
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import (
@@ -25,6 +24,7 @@ from anisomap.numerics.contacts.contact_agreement import (
     is_on_off,
     shows_single_contacts,
 )
+from anisomap.numerics.memory import check_pair_memory
 from anisomap.numerics.reliability.split_half import profile_agreement
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from

@@ -10,9 +10,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.evidence import SIMILARITIES, PairStatistics, Similarity
-from anisomap.immutable import Immutable
 from anisomap.numerics.contacts.contact_agreement import (
     agreement_of_sums,
     distinct_contacts,

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from anisomap.base.immutable import Immutable
+from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
 from anisomap.health import assess
-from anisomap.immutable import Immutable
 from anisomap.numerics.neighbours import Kernel, labels_by_size, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
 from anisomap.recording import Recording, as_runs, join_runs, match_names
@@ -32,7 +33,6 @@ from anisomap.tracking.evidence import (
     similarity_of,
     spacing_of,
 )
-from anisomap.wording import join_items
 
 # The corrections of an old map, such as those by a mesh, are taken to change over a few spacings.
 _REACH, _NOISE = 3.0, 0.1

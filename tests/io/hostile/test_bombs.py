@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap import memory as budget
 from anisomap.errors import FileError
+from anisomap.files import budget
 from anisomap.io.maps import robot_models
 
 MIB = 1 << 20

@@ -14,13 +14,14 @@ import pytest
 import scipy
 
 import crashing
-from anisomap import io, reader_process
+from anisomap import io
+from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, DamagedError, FileError, MissingExtraError
+from anisomap.files import reader_process
 from anisomap.io.stream import assemble, contents_isolated, open_isolated
-from anisomap.wording import join_items
 
 READINGS = np.random.default_rng(3).random((50, 4)).round(3)
-WORKS = "sys.modules['anisomap.reader_process']._idle[os.getpid()][0]._process.pid"
+WORKS = "sys.modules['anisomap.files.reader_process']._idle[os.getpid()][0]._process.pid"
 
 
 @pytest.fixture

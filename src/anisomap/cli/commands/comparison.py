@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+from anisomap.base.defaults import MIN_TOUCHES, PERMUTATIONS
+from anisomap.base.wording import printable
 from anisomap.cli import parameters as options
 from anisomap.cli.console import print_warning, progress
-from anisomap.defaults import MIN_TOUCHES, PERMUTATIONS
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_distinct, check_target, together
-from anisomap.wording import printable
+from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 
 if TYPE_CHECKING:
     from anisomap.comparison import Comparison

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.cli import parameters as options
 from anisomap.cli.console import errors, progress
-from anisomap.defaults import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.errors import FileError, import_extra
 
 if TYPE_CHECKING:

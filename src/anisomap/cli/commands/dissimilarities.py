@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
+from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Printer, attributes, progress
 from anisomap.cli.outputs import Outputs, Truth, print_map, record_map
 from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
@@ -23,7 +24,6 @@ from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.recording import sensor_mask
 from anisomap.route import split_names
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,11 +10,11 @@ import numpy as np
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+from anisomap.base.defaults import N_SHIFTS
+from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
-from anisomap.defaults import N_SHIFTS
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
-from anisomap.wording import join_items, number, percent
 
 if TYPE_CHECKING:
     from anisomap.io import ReadOptions

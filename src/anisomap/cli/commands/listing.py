@@ -6,9 +6,9 @@ import inspect
 import textwrap
 from collections.abc import Sequence
 
+from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer
-from anisomap.wording import number
 
 
 def methods(*, printer: options.Printing = options.PRINTER) -> None:

@@ -15,13 +15,13 @@ import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, print_warning, progress
-from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.files import check_target, together
+from anisomap.files.paths import check_target, together
 from anisomap.usability import Verdict
-from anisomap.wording import number, percent
 
 if TYPE_CHECKING:
     from anisomap.live import LiveSession

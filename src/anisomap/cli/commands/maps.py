@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from anisomap.base.defaults import LEVEL
+from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, progress
-from anisomap.defaults import LEVEL
 from anisomap.errors import InputError
-from anisomap.files import together
-from anisomap.wording import number
+from anisomap.files.paths import together
 
 if TYPE_CHECKING:
     from anisomap.evaluation import Difference

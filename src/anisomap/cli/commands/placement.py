@@ -12,15 +12,15 @@ import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
+from anisomap.base.wording import join_items, number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
-from anisomap.wording import join_items, number
 
 if TYPE_CHECKING:
+    from anisomap.base.scene import Mesh
     from anisomap.placement import Anchors, Modules, Placement, SelfTouch, TouchPlacement
     from anisomap.placement.kinematics import KinematicTree
-    from anisomap.scene import Mesh
     from anisomap.sensor_map import SensorMap
 
 
@@ -293,9 +293,9 @@ def place_map(
 
 
 def _read_mesh(path: Path, units: str) -> Mesh:
-    from anisomap.mesh_files import read_mesh
+    from anisomap.base.scene import Mesh
+    from anisomap.files.meshes import read_mesh
     from anisomap.placement import METRES
-    from anisomap.scene import Mesh
 
     if units not in METRES:
         raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from anisomap.cli import parameters as options
-from anisomap.cli.console import print_warning, progress
-from anisomap.defaults import (
+from anisomap.base.defaults import (
     DEFAULT_BINS,
     DEFAULT_METHOD,
     DEFAULT_MU,
@@ -21,6 +19,8 @@ from anisomap.defaults import (
     STRESS_PERMUTATIONS,
     TOLERANCE,
 )
+from anisomap.cli import parameters as options
+from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:

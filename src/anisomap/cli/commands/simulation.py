@@ -10,15 +10,15 @@ import numpy as np
 from cyclopts import Group, Parameter
 from numpy.typing import NDArray
 
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Columns, Printer, print_warning, progress
-from anisomap.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.files import atomic_write, check_target, together
-from anisomap.wording import join_items, number, percent
+from anisomap.files.paths import atomic_write, check_target, together
 
 if TYPE_CHECKING:
-    from anisomap.scene import Scene
+    from anisomap.base.scene import Scene
     from anisomap.sensor_map import SensorMap
     from anisomap.simulation import Body, Simulation
 
@@ -107,7 +107,7 @@ def simulate_body(
     printer.files(files)
     printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
     if view:
-        from anisomap.simulation import mujoco_viewer
+        from anisomap.simulation.physics import mujoco_viewer
 
         try:
             mujoco_viewer.show(simulation.scene)
@@ -150,7 +150,7 @@ def _show(
     """Draw a scene; MuJoCo renders it if asked to, and if there is a display."""
     from anisomap.drawing import figures
     from anisomap.drawing.figures import scenes
-    from anisomap.simulation import mujoco_viewer
+    from anisomap.simulation.physics import mujoco_viewer
 
     named = [(kind, path) for kind, path in (("picture", picture), ("video", video)) if path]
     if renderer == "mujoco" and named:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from anisomap.drawing.view import printable
 from anisomap.errors import FileError, InputError, import_extra
-from anisomap.files import atomic_write, check_target
+from anisomap.files.paths import atomic_write, check_target
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

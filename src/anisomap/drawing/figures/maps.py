@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist
 
+from anisomap.base.wording import join_items
 from anisomap.drawing.figures.backend import (
     FAINT,
     INK,
@@ -52,7 +53,6 @@ from anisomap.evaluation import Score
 from anisomap.evaluation import score as score_map
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.wording import join_items
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.scene import Mesh, Scene
 from anisomap.drawing.figures.backend import (
     FAINT,
     INK,
@@ -25,8 +26,7 @@ from anisomap.drawing.figures.backend import (
     write_title,
 )
 from anisomap.errors import FileError, InputError
-from anisomap.files import atomic_write, check_target
-from anisomap.scene import Mesh, Scene
+from anisomap.files.paths import atomic_write, check_target
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

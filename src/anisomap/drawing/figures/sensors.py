@@ -42,10 +42,10 @@ from anisomap.placement.frames import METRES, in_millimetres, length_shown
 from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
+    from anisomap.base.scene import Mesh
     from anisomap.evaluation import Difference
     from anisomap.layout import LayoutCheck
     from anisomap.placement import Anchors, Placement
-    from anisomap.scene import Mesh
 
 _MAX_LABELS = 12
 _DOT_AREA = 40.0  # chosen by eye

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from anisomap.base.wording import UNKNOWN, join_items, number, percent
 from anisomap.drawing.report.interactive import interactive_views, status_colours
 from anisomap.drawing.view import MAX_JOINED, drawn_components, layout_notes, printable
 from anisomap.errors import FileError, import_extra
 from anisomap.evaluation import Score
 from anisomap.evidence import SIMILARITIES
-from anisomap.files import atomic_write, check_target
+from anisomap.files.paths import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.methods import METHODS
 from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
-from anisomap.wording import UNKNOWN, join_items, number, percent
 
 TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}
 

@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import pdtrc
 
+from anisomap.base.wording import join_items
 from anisomap.health.recording_faults import Found, has_contacts
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
@@ -24,7 +25,6 @@ from anisomap.numerics.signals import (
     standardised,
 )
 from anisomap.recording import Recording
-from anisomap.wording import join_items
 
 _FALSE_ALARMS = 0.01  # expected number of false findings in a recording
 _MANY_SENSORS = 512  # above, fewer frames are compared, for speed

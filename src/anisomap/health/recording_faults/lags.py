@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
+from anisomap.base.wording import join_items
 from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.signals import count_contacts, middle_frames, some_sensors, standardised
 from anisomap.recording import Recording
-from anisomap.wording import join_items
 
 _MAX_LAG = 40  # greatest lag that is searched, in frames; chosen by hand
 _PIECE = 128  # frames whose spectra are multiplied

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, error_reason, import_extra
-from anisomap.files import open_regular
+from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import HEAD_BYTES, file_errors, quote
 from anisomap.placement import METRES, Taxels, to_taxels
 from anisomap.placement.kinematics import SLIDING, TURNING, Joint, KinematicTree, Mimic, transform

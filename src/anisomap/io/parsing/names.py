@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import noun_and_items
 from anisomap.io.parsing.source import quote_if_needed, warn
-from anisomap.wording import noun_and_items
 
 ROWS_LOOKED_AT = 1000
 """Rows at the start of a file that determine the roles of its columns."""

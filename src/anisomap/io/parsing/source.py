@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from anisomap.errors import AnisomapWarning, FileError, InputError, error_reason
-from anisomap.files import open_regular
-from anisomap.memory import Budget
+from anisomap.files.budget import Budget
+from anisomap.files.paths import open_regular
 
 Line = TypeVar("Line", str, bytes)
 

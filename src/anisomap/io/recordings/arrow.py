@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import open_regular
+from anisomap.files.paths import open_regular
 from anisomap.io.parsing.names import (
     ROWS_LOOKED_AT,
     is_time,

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular, read_small
+from anisomap.files.paths import check_regular, read_small
 
 EXTRA = "ros"
 

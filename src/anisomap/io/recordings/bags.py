@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
@@ -39,7 +40,6 @@ from anisomap.io.stream import (
     stack_frames,
 )
 from anisomap.recording import Scalar
-from anisomap.wording import join_items
 
 _LABELS = ("name", "sensor_pos", "cellId", "cell_id")
 _CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}

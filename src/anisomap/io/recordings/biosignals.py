@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular, read_small
+from anisomap.files.paths import check_regular, read_small
 from anisomap.io.parsing.source import is_gzipped, quote, read_head
 from anisomap.io.stream import (
     Content,

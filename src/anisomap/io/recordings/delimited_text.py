@@ -23,7 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
+from anisomap.base.wording import join_items
 from anisomap.errors import FileError, InputError
+from anisomap.files.budget import SENSOR_BYTES, Budget
 from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.names import (
     ROWS_LOOKED_AT,
@@ -60,9 +62,7 @@ from anisomap.io.stream import (
     stack_frames,
     to_float32_if_exact,
 )
-from anisomap.memory import SENSOR_BYTES, Budget
 from anisomap.recording import Recording, Scalar
-from anisomap.wording import join_items
 
 _ROWS_LOOKED_AT = 50
 # A cell of two numbers with a comma may be one number with a decimal comma.

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import FileError
+from anisomap.files.budget import Budget
 from anisomap.io.parsing.names import numbers_of, words_of
 from anisomap.io.parsing.source import read_lines, warn
 from anisomap.io.parsing.tables import (
@@ -32,7 +33,6 @@ from anisomap.io.parsing.tables import (
     records,
 )
 from anisomap.io.stream import Stream, read_in_blocks
-from anisomap.memory import Budget
 from anisomap.recording import Scalar
 
 DEFAULT_BIN_S = 1.0

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular
+from anisomap.files.paths import check_regular
 from anisomap.io.parsing.source import TextLines, open_text, quote, warn
 from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions

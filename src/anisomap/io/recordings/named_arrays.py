@@ -31,7 +31,8 @@ import scipy
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import check_regular, open_regular
+from anisomap.files.budget import Budget, bytes_kept
+from anisomap.files.paths import check_regular, open_regular
 from anisomap.io.parsing.names import is_time, units_per_second
 from anisomap.io.parsing.source import quote
 from anisomap.io.recordings.contact_lists import stream_contacts
@@ -44,7 +45,6 @@ from anisomap.io.stream import (
     increasing_times,
     read_in_blocks,
 )
-from anisomap.memory import Budget, bytes_kept
 from anisomap.recording import Scalar
 
 HDF5_EXTRA, _MAGIC = "hdf5", b"\x89HDF\r\n\x1a\n"

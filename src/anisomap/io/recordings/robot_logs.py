@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
-from anisomap.files import open_regular
+from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
 from anisomap.io.parsing.tables import (
     LineError,

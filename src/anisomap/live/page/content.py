@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
-from anisomap.files import together
+from anisomap.files.paths import together
 from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.saving import EXPORTS, save_report
 from anisomap.live.session import LiveSession

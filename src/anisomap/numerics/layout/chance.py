@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
-from anisomap.defaults import N_SHIFTS
+from anisomap.base.defaults import N_SHIFTS
 from anisomap.errors import InputError
 from anisomap.numerics.layout.evidence import REACH, Evidence, Move
 from anisomap.numerics.precision import Reals

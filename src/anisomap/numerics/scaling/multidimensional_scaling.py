@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 from scipy.linalg.blas import dsymv, ssymv
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
-from anisomap.defaults import MAX_ITERATIONS, TOLERANCE
+from anisomap.base.defaults import MAX_ITERATIONS, TOLERANCE
 from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric, metricise

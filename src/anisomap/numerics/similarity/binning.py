@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.defaults import DEFAULT_BINS
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import columns
 from anisomap.numerics.compiled.parallel import load_loops

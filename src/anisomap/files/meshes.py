@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
-from anisomap.files import open_regular
-from anisomap.reader_process import opened
+from anisomap.files.paths import open_regular
+from anisomap.files.reader_process import opened
 
 # Names of objects, groups and materials: trimesh takes quadratic time to divide a mesh by them.
 _OBJ_GROUPS = re.compile(rb"^[ \t]*+(?:usemtl|mtllib|o|g|s)\b[^\r\n]*+", re.MULTILINE)

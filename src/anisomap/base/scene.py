@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.immutable import Immutable
+from anisomap.base.immutable import Immutable
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.scene import Prop
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.scene import Prop
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT, at_least
@@ -31,7 +31,7 @@ from anisomap.simulation.options import (
     report_frames,
     static_props,
 )
-from anisomap.simulation.physics import add_geom, add_solid, load_mujoco, new_model
+from anisomap.simulation.physics.models import add_geom, add_solid, load_mujoco, new_model
 
 ENERGY_TOLERANCE = 0.02
 """Relative change of energy above which a run is returned with a warning."""

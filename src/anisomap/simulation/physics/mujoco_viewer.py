@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from anisomap.base.scene import Mesh, Prop, Scene
 from anisomap.errors import AnisomapError
-from anisomap.scene import Mesh, Prop, Scene
-from anisomap.simulation.physics import load_mujoco
+from anisomap.simulation.physics.models import load_mujoco
 from anisomap.simulation.solids import coarse_ball
 
 _COLOURS = {

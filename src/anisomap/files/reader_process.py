@@ -41,7 +41,8 @@ from anisomap.errors import (
     FileError,
     error_reason,
 )
-from anisomap.memory import Budget, physical_memory
+from anisomap.files.budget import Budget
+from anisomap.numerics.memory import physical_memory
 
 if sys.platform != "win32":
     import resource
@@ -53,7 +54,7 @@ _WATCH_S = 0.05
 _OUT_OF_MEMORY = 99  # exit code
 _NO_SPACE = (errno.EFBIG, errno.ENOMEM)
 
-_SERVE = "from anisomap.reader_process import serve; serve()"
+_SERVE = "from anisomap.files.reader_process import serve; serve()"
 _ENVIRONMENT = {
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve memory in advance
     "OMP_NUM_THREADS": "1",

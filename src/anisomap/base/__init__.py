@@ -1,0 +1,1 @@
+"""What every package may use: wording, defaults, immutable values, the look of a scene."""

@@ -1,0 +1,1 @@
+"""Scenarios in which bodies move by physics, computed by MuJoCo."""
