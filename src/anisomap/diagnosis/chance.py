@@ -22,7 +22,6 @@ from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.evidence import PairStatistics, compare
 from anisomap.mapping import Stages, configure_pairs
 from anisomap.methods import Method, find_method
-from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram
 from anisomap.numerics.procrustes import fit_similarity
@@ -86,11 +85,10 @@ def part_of(
     positions, components = sensor_map.positions[members], sensor_map.component[sensor_map.placed]
     if stages is None or not np.array_equal(stages.configuration.component, components):
         part = run.select(members)
-        with limited_blas(part.n_sensors):
-            similarity = sensor_map.similarity
-            return MapPart(
-                positions, compare([part], similarity, bins=options.entropy_bins, with_noise=True)
-            )
+        return MapPart(
+            positions,
+            compare([part], sensor_map.similarity, bins=options.entropy_bins, with_noise=True),
+        )
     made, inside = stages.configuration, components == label
     pairs, refined = stages.pairs.select(inside), made.refinements[label]
     # Maps with lengths from heights or from declared spacing are not those of the covariogram.

@@ -229,16 +229,16 @@ def examine(
         told = _part_of(report, done, share)
         if label == 0:
             evidence = replace(evidence, repeatability=math.inf, difference=math.inf)
-        try:
-            part = part_of(sensor_map, label, run, options, stages)
-            deviations = deviations_by_chance(part, sensor_map.method, options, generator, told)
-        except InputError:  # no relation between sensors is left
-            continue
-        positions = part.positions
+        with limited_blas(size):
+            try:
+                part = part_of(sensor_map, label, run, options, stages)
+                deviations = deviations_by_chance(part, sensor_map.method, options, generator, told)
+            except InputError:  # no relation between sensors is left
+                continue
+            positions = part.positions
+            differences = differences_from_steps(part.pairs, positions)
         chance = covariances(deviations, positions)
         repeatability = error_in_spacings(chance, positions)
-        with limited_blas(size):
-            differences = differences_from_steps(part.pairs, positions)
         difference = rms_in_spacings(differences, positions)
         if label == 0:
             evidence = replace(evidence, repeatability=repeatability, difference=difference)
