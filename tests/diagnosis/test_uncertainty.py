@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import special_ortho_group
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
@@ -121,6 +122,18 @@ def test_a_seed_repeats_and_longer_recordings_have_smaller_ellipses():
 
 
 @quiet
+def test_resamples_of_small_maps_leave_linear_algebra_on_one_thread():
+    recording = flat_skin(seed=2, n_frames=400)
+    made, threads = reconstruct(recording, dimensions=2), []
+
+    def count(_share):
+        threads.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
+
+    with threadpool_limits(2, user_api="blas"):
+        estimate_uncertainty(made, recording, progress=count)
+    assert set(threads) == {1}
+
+
 def test_small_components_have_no_ellipses():
     skin, made = flat_skin(n_frames=300), flat_map(n_frames=300)
     component = np.where(np.arange(42) < 36, 0, 1)
