@@ -229,7 +229,7 @@ def examine(
         told = _part_of(report, done, share)
         if label == 0:
             evidence = replace(evidence, repeatability=math.inf, difference=math.inf)
-        with limited_blas(size):
+        with limited_blas(1):  # products are those of short blocks of frames, or of few sensors
             try:
                 part = part_of(sensor_map, label, run, options, stages)
                 deviations = deviations_by_chance(part, sensor_map.method, options, generator, told)

@@ -186,8 +186,9 @@ def fit_covariogram(
     compiled = len(positions) >= MIN_COMPILED_ROWS
     problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision, compiled)
     size = chosen.block if one_block else max(3, chosen.block // 2)
-    blocks = [Block(sensors, problem) for sensors in overlapping_blocks(positions, size)]
     with _parallel_blocks(len(positions)) as map_blocks:
+        members = overlapping_blocks(positions, size)
+        blocks = map_blocks(lambda sensors: Block(sensors, problem), members)
         found = minimise(
             blocks,
             positions,
