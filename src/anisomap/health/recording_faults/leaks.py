@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrc
+from scipy.special import bdtrc, ndtr
 
 from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.columns import columns
@@ -24,6 +24,7 @@ _MAX_EXCERPT = 16384  # frames
 _MAX_CHANNELS = 256  # the first ones, in which a leak is searched for
 _MIN_LEVELS = 8  # distinct values, for a share to be visible
 _MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
+_APART = range(6, 26)  # differences of channels between which nothing leaks; chosen by hand
 _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
 
 
@@ -34,8 +35,11 @@ def find_leak(recording: Recording) -> Iterator[Found]:
     channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise this
     share in both directions alike, and a leak in one direction: a sign test of the differences
     tells them apart. If the order of channels follows the skin, contacts raise even the lowest
-    readings, and a leak is not found. The reading that leaks is that of the previous channel with
-    or without its own leak, whichever repair leaves less of earlier channels.
+    readings, and a leak is not found. Differences of adjacent pairs then also depend on each other,
+    since one contact reaches several of them: those of channels that are further apart, between
+    which nothing leaks, show by how much more their sum varies than that of independent ones. The
+    reading that leaks is that of the previous channel with or without its own leak, whichever
+    repair leaves less of earlier channels.
     """
     n_sensors = min(recording.n_sensors, _MAX_CHANNELS)
     excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
@@ -46,6 +50,8 @@ def find_leak(recording: Recording) -> Iterator[Found]:
         n_forward = np.count_nonzero(gains > 0)
         # One-sided binomial test.
         if not 0 < start < _MAX_SHARE or bdtrc(n_forward - 1, n_pairs, 0.5) > _LEVEL:
+            continue
+        if ndtr(-_score(gains) / depths.excess(start)) > _LEVEL:
             continue
         share, error = depths.share(start)
         if not share > 0:
@@ -144,6 +150,19 @@ class _Depths:
         gains = np.array(found or [[0.0] * len(_QUANTILES)]).T
         return np.where(np.abs(gains) < _TOLERANCE, 0, gains)
 
+    def excess(self, share: float) -> float:
+        """Return the deviation of the scores of channels between which nothing leaks, at least 1.
+
+        share: A leak of channels with their own leak passes on a share of a share.
+        """
+        scores = [
+            min(abs(_score(gains)), abs(_score(gains - share**offset)))
+            for offset in _APART
+            if offset < len(self.raised) - 1
+            for gains in self.compare(offset)
+        ]
+        return max(1.0, float(np.median(scores or [0])) / 0.6745)
+
     def share(self, start: float) -> tuple[float, float]:
         """Return the most frequent ratio of adjacent channels near a first one, and its error."""
         ratios = [self.ratios(i, i - 1, (0.5,)) for i in range(1, len(self.raised))]
@@ -160,6 +179,12 @@ class _Depths:
                 break  # contacts outweigh the leak: keep the mode
             share, near = centre, inside
         return share, float(np.std(near) / np.sqrt(max(1, near.size)))
+
+
+def _score(gains: NDArray[np.float64]) -> float:
+    """Return the score of a sign test, of unit variance if the gains, (P,), are independent."""
+    signs = np.sign(gains[gains != 0])
+    return float(signs.sum() / np.sqrt(max(1, signs.size)))
 
 
 def _asymmetry(readings: NDArray[Any], rest: Rest) -> float:
