@@ -91,6 +91,16 @@ def test_a_sensor_whose_changes_float32_does_not_resolve_hides_no_fault(name):
     assert kinds(found) == kinds(find_faults(bad))
 
 
+@pytest.mark.parametrize("name", ["", "drift", "spikes", "inverted"])
+def test_faults_do_not_depend_on_a_large_zero_of_each_sensor(name):
+    sound = wired_at_random(301)
+    readings = (spoilt(sound, *FOUND[name], seed=301) if name else sound).readings
+    rng = np.random.default_rng(0)
+    readings = readings + 0.01 * rng.normal(size=readings.shape) * (name != "inverted")
+    zeros = np.round(1e7 * rng.uniform(-1, 1, sound.n_sensors))
+    assert kinds(find_faults(Recording(readings.astype(np.float64) + zeros))) == {name} - {""}
+
+
 @pytest.mark.parametrize("name", ["common-noise", "hum"])
 def test_faults_of_readings_whose_squares_float32_does_not_hold_are_found(name):
     bad = spoilt(wired_at_random(), *FOUND[name])
@@ -150,6 +160,19 @@ def test_contacts_among_sensors_with_noise_are_no_glitches(form, course, n_frame
     """They are far beyond the noise of all other sensors."""
     recording = Case("plane", course, form, 600, n_frames).draw(seed=5)
     assert list(CHECKS["glitches"].find(recording)) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_comes_close_once_is_no_glitch(seed):
+    """Readings of a sensor of proximity rise with the cube of the distance, by degrees."""
+    rng, places = np.random.default_rng(seed), lattice(8, 9)
+    path = np.cumsum(rng.normal(size=(700, 2)), axis=0)
+    path = 9 - np.abs(9 - np.abs(path % 36 - 9))
+    path[335:366] = places[36]
+    height = np.minimum(1 + rng.random(700), 0.2 * 1.3 ** np.abs(np.arange(700) - 350.0))
+    square = ((places - path[:, None]) ** 2).sum(axis=2) + height[:, None] ** 2
+    readings = square**-1.5 + 1e-3 * rng.normal(size=square.shape)
+    assert "glitches" not in kinds(find_faults(Recording(readings)))
 
 
 @pytest.mark.parametrize("slope", [1, -30])
@@ -231,6 +254,20 @@ def test_a_leak_is_subtracted_exactly(share, chained):
     assert finding.kind == "leak"
     assert finding.size == pytest.approx(share, rel=0.02)
     np.testing.assert_allclose(found.recording.readings, clean, atol=0.01 * share)
+
+
+@pytest.mark.parametrize("seed", [31, 66, 102])
+def test_large_contacts_that_reach_many_channels_are_no_leak(seed):
+    """One contact raises a dozen channels in a row, so the signs of a dozen pairs agree."""
+    rng, places = np.random.default_rng(seed), lattice(12, 12)
+    readings = np.zeros((300, 144))
+    for begin in range(0, 300, 15):
+        path = rng.uniform(0, 11, 2) + np.linspace(0, 1, 12)[:, None] * rng.normal(size=2)
+        apart = np.linalg.norm(places - path[:, None], axis=2)
+        rise = np.sin(np.linspace(0.1, np.pi - 0.1, 12))
+        readings[begin : begin + 12] = rise[:, None] * np.maximum(0, 1 - (apart / 5) ** 2)
+    readings += 0.004 * rng.normal(size=readings.shape)
+    assert "leak" not in kinds(find_faults(Recording(readings)))
 
 
 @given(inverted=st.sets(st.integers(0, 71), min_size=1, max_size=30))

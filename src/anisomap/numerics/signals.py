@@ -222,11 +222,9 @@ def unit_rows(readings: NDArray[np.floating]) -> NDArray[np.float32]:
 
 def standardised(readings: NDArray[Any]) -> NDArray[np.float32]:
     """Scale each sensor to mean 0 and variance 1; constant sensors become 0."""
-    values = readings.astype(np.float32)
-    values -= values.mean(axis=0)
-    deviation = values.std(axis=0)
-    values /= np.where(deviation > 0, deviation, 1)
-    return values
+    values = unit_rows(readings)
+    values *= np.sqrt(np.float32(values.shape[1]))
+    return values.T
 
 
 def middle_frames(n_frames: int, most: int = MAX_FRAMES) -> slice:

@@ -11,7 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import betainc
 
 from anisomap.health.recording_faults import Found, in_readings
-from anisomap.numerics.columns import transposed
+from anisomap.numerics.columns import centred_rows
 from anisomap.recording import Recording
 
 _N_BLOCKS = 20  # of frames, whose levels at rest are compared; chosen by hand
@@ -50,18 +50,22 @@ def find_drift(recording: Recording) -> Iterator[Found]:
     readings, step = recording.readings, -(-size // _MAX_BLOCK)
     frames = np.arange(size * _N_BLOCKS).reshape(_N_BLOCKS, size)[:, ::step]
     side = _contact_side(readings, chosen)
-    values = transposed(readings[frames.ravel()])[chosen].astype(np.float32)
+    values = centred_rows(readings[frames.ravel()][:, chosen])
     values *= side[:, None].astype(np.float32)
     values = values.reshape(chosen.size, *frames.shape)
     values.sort(axis=2)
     levels = values[:, :, round(_LEVEL / 100 * (values.shape[2] - 1))]
     left = (values - levels[:, :, None]).var(axis=2, dtype=np.float64).mean(axis=1) ** 0.5
-    judged = levels.std(axis=1) >= _MIN_SIZE * left
     lowest = np.sort(np.argsort(levels, axis=1, kind="stable")[:, :_N_AT_REST], axis=1)
     at_rest = np.take_along_axis(levels, lowest, axis=1)
-    drifting = _discoveries(np.where(judged, _chances(at_rest), 1), _FALSE_RECORDINGS)
+
+    def found(some: NDArray[np.float32], share: float) -> NDArray[np.bool_]:
+        judged = some.std(axis=1) >= _MIN_SIZE * left
+        return _discoveries(np.where(judged, _chances(some), 1), share)
+
+    drifting = found(at_rest, _FALSE_RECORDINGS)
     if drifting.any():
-        drifting |= _discoveries(np.where(judged, _chances(levels), 1), _FALSE_DISCOVERIES)
+        drifting |= found(levels, _FALSE_DISCOVERIES)
         drift = float(np.median((np.ptp(levels, axis=1) / np.maximum(left, 1e-300))[drifting]))
         sensors = chosen[drifting]
         yield Found(
@@ -140,7 +144,7 @@ def _width_at_rest(left: NDArray[np.float64]) -> float:
 
 def _contact_side(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the sign of the skewness of fast changes of some sensors: 1 or -1, shape (n,)."""
-    values = transposed(readings[:: -(-len(readings) // 4096)])[sensors].astype(np.float32)
+    values = centred_rows(readings[:: -(-len(readings) // 4096)][:, sensors])
     window = max(3, values.shape[1] // _N_BLOCKS) | 1
     values -= _running_mean(values, window)
     return np.where(np.einsum("nt,nt,nt->n", values, values, values) < 0, -1.0, 1.0)

@@ -154,10 +154,12 @@ _MAX_GLITCHES = 0.01  # of the readings of a sensor: more are saturation, or con
 
 
 def find_glitches(recording: Recording) -> Iterator[Found]:
-    """Find readings far beyond all others of their sensor and of the sensors that were touched.
+    """Find readings that jump far beyond all others of their sensor and of sensors in contact.
 
     A contact is also far beyond the noise of other sensors, so nothing is found unless some sensors
-    were touched several times.
+    were touched several times. What approaches a sensor raises its readings steeply, but by
+    degrees: there are readings halfway beside the highest ones, on a logarithmic scale. Runs of
+    high readings at the beginning or end of the recording may be parts of contacts.
     """
     readings, n_frames = recording.readings, recording.n_frames
     count = int(_MAX_GLITCHES * n_frames)
@@ -174,7 +176,12 @@ def find_glitches(recording: Recording) -> Iterator[Found]:
     far = np.flatnonzero(reach > _FAR * typical)
     deviation = np.abs(readings[:, far] - middle[far])
     own = np.partition(deviation, n_frames - 1 - count, axis=0)[n_frames - 1 - count]
-    wrong = deviation > _FAR * np.maximum(own, typical)
+    limit = _FAR * np.maximum(own, typical)
+    wrong = deviation > limit
+    for i, halfway in enumerate((deviation > limit / math.sqrt(_FAR)).T):
+        by_degrees = halfway & ~wrong[:, i]
+        by_degrees[[0, -1]] = True  # a contact may begin or end there
+        wrong[:, i] &= ~_in_runs_with(by_degrees, halfway)
     affected, number = far[wrong.any(axis=0)], np.count_nonzero(wrong)
     if number:
         yield Found(
@@ -183,6 +190,12 @@ def find_glitches(recording: Recording) -> Iterator[Found]:
             f"{number} readings of {affected.size} sensors are far beyond all others",
             in_readings(lambda readings: _interpolated(readings, far, wrong)),
         )
+
+
+def _in_runs_with(some: NDArray[np.bool_], frames: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark runs of frames, (T,), that contain some of them."""
+    run = np.cumsum(np.diff(frames, prepend=False))  # odd within runs
+    return np.asarray(frames & np.isin(run, run[some]))
 
 
 def _interpolated(
@@ -241,7 +254,9 @@ def _jumps(readings: NDArray[Any], sensors: NDArray[np.intp], frames: slice) -> 
     jumps = np.zeros((sensors.size, len(range(len(readings))[frames])), dtype=np.float32)
     for begin in range(0, sensors.size, _SENSORS_AT_ONCE):
         part = slice(begin, begin + _SENSORS_AT_ONCE)
-        values = readings.T[sensors[part], frames].astype(np.float32)
+        values = readings.T[sensors[part], frames]
+        # Single precision would lose small changes of large readings.
+        values = (values - values[:, :1]).astype(np.float32, copy=False)
         beside = np.maximum(values[:, :-2], values[:, 2:])
         np.subtract(values[:, 1:-1], beside, out=beside)
         np.maximum(beside, 0, out=jumps[part, 1:-1])
@@ -280,7 +295,7 @@ def _shared(recording: Recording, members: NDArray[np.intp]) -> Iterator[Found]:
         tall.append(jumps[:, found])
     frames, heights = np.concatenate(often), np.concatenate(tall, axis=1)
     around = np.clip(frames + np.array([[-2], [-1], [1], [2]]), 0, n_frames - 1)
-    beside = readings[around[..., None], members].astype(np.float32)
+    beside = readings[around[..., None], members]
     changes = np.maximum(np.abs(beside[1] - beside[0]), np.abs(beside[2] - beside[3]))
     steep = np.median(heights, axis=0) > _STEEP * np.median(changes, axis=1)
     frames, (height, equal) = frames[steep], _equal(heights[:, steep])
