@@ -158,8 +158,8 @@ def find_glitches(recording: Recording) -> Iterator[Found]:
 
     A contact is also far beyond the noise of other sensors, so nothing is found unless some sensors
     were touched several times. What approaches a sensor raises its readings steeply, but by
-    degrees: there are readings halfway beside the highest ones, on a logarithmic scale. Runs of
-    high readings at the beginning or end of the recording may be parts of contacts.
+    degrees: there are readings as high as other contacts beside the highest ones. High readings at
+    the beginning or end of the recording may be parts of contacts.
     """
     readings, n_frames = recording.readings, recording.n_frames
     count = int(_MAX_GLITCHES * n_frames)
@@ -176,12 +176,14 @@ def find_glitches(recording: Recording) -> Iterator[Found]:
     far = np.flatnonzero(reach > _FAR * typical)
     deviation = np.abs(readings[:, far] - middle[far])
     own = np.partition(deviation, n_frames - 1 - count, axis=0)[n_frames - 1 - count]
-    limit = _FAR * np.maximum(own, typical)
-    wrong = deviation > limit
-    for i, halfway in enumerate((deviation > limit / math.sqrt(_FAR)).T):
-        by_degrees = halfway & ~wrong[:, i]
+    usual = np.maximum(own, typical)
+    wrong = deviation > _FAR * usual
+    # Beside a glitch may be a contact, but none of a hundredth of the highest glitches.
+    least = np.maximum(usual, deviation.max(axis=0, initial=0) / _FAR**2)
+    for i, high in enumerate((deviation > least).T):
+        by_degrees = high & ~wrong[:, i]
         by_degrees[[0, -1]] = True  # a contact may begin or end there
-        wrong[:, i] &= ~_in_runs_with(by_degrees, halfway)
+        wrong[:, i] &= ~_in_runs_with(by_degrees, high)
     affected, number = far[wrong.any(axis=0)], np.count_nonzero(wrong)
     if number:
         yield Found(
