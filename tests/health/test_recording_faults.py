@@ -256,6 +256,27 @@ def test_a_leak_is_subtracted_exactly(share, chained):
     np.testing.assert_allclose(found.recording.readings, clean, atol=0.01 * share)
 
 
+def test_a_few_touches_of_a_piezoelectric_skin_are_not_of_one_period():
+    """Its readings are changes of pressure, and few touches of like lengths come at even times."""
+    for seed in range(20):
+        rng, places = np.random.default_rng(seed), lattice(3, 4)
+        starts = np.cumsum(rng.integers(6, 11, 9))
+        pressure = np.zeros((51, 12))
+        for begin, after in zip(starts[:-1], starts[1:], strict=True):
+            width = min(after, 51) - begin
+            if width > 0:
+                rise = np.sin(np.pi * np.arange(width) / width) ** 2
+                apart = np.linalg.norm(places - rng.uniform(0, [2, 3]), axis=1)
+                pressure[begin : begin + width] = rise[:, None] * np.exp(-(apart**2) / 4)
+        assert "one-period" not in kinds(find_faults(Recording(np.diff(pressure, axis=0))))
+
+
+@pytest.mark.parametrize("period", [2.5, 12, 50])
+def test_sines_have_nothing_to_map(period):
+    turns = np.arange(400)[:, None] / period + np.random.default_rng(0).random(20)
+    assert kinds(find_faults(Recording(np.sin(2 * np.pi * turns)))) == {"one-period"}
+
+
 @pytest.mark.parametrize("seed", [31, 66, 102])
 def test_large_contacts_that_reach_many_channels_are_no_leak(seed):
     """One contact raises a dozen channels in a row, so the signs of a dozen pairs agree."""
