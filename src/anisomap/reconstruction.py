@@ -16,9 +16,10 @@ refinement     `anisomap.mapping.refine_components`  positions refined by S
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,7 +45,6 @@ from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.memory import check_pair_memory
 from anisomap.numerics.precision import Reals, float_type
-from anisomap.numerics.signals import middle_frames
 from anisomap.options import MethodOptions
 from anisomap.recording import (
     Recording,
@@ -97,9 +97,9 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a reading is missing, fewer than 3 sensors vary or are related, the method or a sensor
-        is unknown, `dimensions` is less than 1 or more than the number of sensors that are
-        mapped, or the matrices of all pairs do not fit in memory.
+        If a reading is missing, fewer than 3 sensors vary or are related, all read the same but for
+        offset and gain, the method or a sensor is unknown, `dimensions` is less than 1 or more than
+        the number of sensors that are mapped, or the matrices of all pairs do not fit in memory.
 
     Warns
     -----
@@ -154,7 +154,7 @@ def reconstruct_with_stages(
     check_frames(joined.n_frames, dimensions)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
-    _check_unlike(complete)
+    check_unlike(*(run.readings for run in complete))
     stages = compute_stages(complete, recipe, dimensions, options)
     pairs, configuration, plan = stages.pairs, stages.configuration, stages.plan
     _check_related(configuration, options)
@@ -264,6 +264,7 @@ def reconstruct_from(
     with limited_blas(len(matrix)):
         if pairs is not None:
             matrix = dissimilarities(pairs, method, options)
+            check_unlike(pairs.similarity, rows_of=np.transpose)
         semi_metric = check_semi_metric(matrix)
         computed = semi_metric if stage == "metric" else recipe.metric(semi_metric)
         chosen = dimensions == AUTO
@@ -338,10 +339,15 @@ def check_frames(n_frames: int, dimensions: Dimensions) -> None:
         )
 
 
-def _check_unlike(runs: Sequence[Recording]) -> None:
-    """Check that sensors differ by more than offset, gain and sign: else all maps are alike."""
+def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_rows) -> None:
+    """Check that sensors differ by more than offset, gain and sign: else all maps are alike.
+
+    runs: Readings, each (T, n), or other matrices that have a column for each sensor.
+    rows_of: Takes some columns, and returns what is alike in such sensors, up to its size.
+    """
     for run, count in product(runs, (2, None)):  # nearly always, two sensors differ
-        rows = centred_rows(run.readings[middle_frames(run.n_frames, _N_COMPARED), :count])
+        rows = rows_of(run[:, :count])
+        rows = rows / np.maximum(np.abs(rows).max(axis=1), np.finfo(rows.dtype).tiny)[:, None]
         signs = np.sign(rows @ rows[0])[:, None]
         if (np.abs(signs * rows - rows[0]) > _ALIKE).any():
             return
@@ -447,7 +453,6 @@ def options_provenance(method: str, options: MethodOptions) -> dict[str, Scalar]
     return facts | asdict(options.smacof)
 
 
-_N_COMPARED = 4096  # frames in which sensors must differ
 _ALIKE = 1e-5  # difference of readings in [-1, 1] by rounding, in float32
 _MAX_SINGLE = 1e15  # squares of numbers up to this, and down to its inverse, fit into float32
 

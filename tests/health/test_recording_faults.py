@@ -2,6 +2,7 @@
 
 import warnings
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -262,7 +263,7 @@ def test_a_few_touches_of_a_piezoelectric_skin_are_not_of_one_period():
         rng, places = np.random.default_rng(seed), lattice(3, 4)
         starts = np.cumsum(rng.integers(6, 11, 9))
         pressure = np.zeros((51, 12))
-        for begin, after in zip(starts[:-1], starts[1:], strict=True):
+        for begin, after in pairwise(starts.tolist()):
             width = min(after, 51) - begin
             if width > 0:
                 rise = np.sin(np.pi * np.arange(width) / width) ** 2

@@ -12,6 +12,7 @@ import anisomap
 from anisomap import Recording, SensorMap, diagnose, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evidence import SIMILARITIES
+from anisomap.large import reconstruct_approximately, reconstruct_chunks, reconstruct_on_device
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
@@ -275,6 +276,39 @@ def test_sensors_that_all_read_the_same_are_refused(method, noise):
     readings = course * gains + rng.uniform(-5, 5, 12) + noise * rng.normal(size=(500, 12))
     with pytest.raises(InputError, match="all sensors read the same"):
         reconstruct(readings, method)
+
+
+ROUTES = {
+    "memory": reconstruct,
+    "similarity": lambda x, *how: anisomap.reconstruct_from(
+        similarity=np.corrcoef(x.T), method=how[0], dimensions=how[1]
+    ),
+    "chunks": lambda x, *how: reconstruct_chunks(iter_chunks(x), *how),
+    "approximate": lambda x, *how: reconstruct_approximately(x, how[1]),
+    "device": reconstruct_on_device,
+}
+
+
+def iter_chunks(readings):
+    return lambda: iter(np.array_split(readings, 7))
+
+
+@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize("n_sensors", [12, 200])
+def test_sensors_that_all_read_the_same_are_refused_on_every_route(route, n_sensors):
+    rng = np.random.default_rng(3)
+    course = np.maximum(0, rng.normal(size=(5000, 1)))
+    gains = rng.uniform(0.5, 2, n_sensors) * rng.choice([-1, 1], n_sensors)
+    readings = course * gains + rng.uniform(-5, 5, n_sensors)
+    with pytest.raises(InputError, match="all sensors read the same"):
+        quietly(ROUTES[route], readings, "r-anisomap", 2)
+
+
+def test_a_long_pause_in_the_middle_of_a_recording_is_no_fault_of_it():
+    readings = flat_skin().readings
+    rest = np.repeat(readings[:1] * 0, 9000, axis=0)
+    paused = np.concatenate([readings[:1000], rest, readings[1000:]])
+    assert quietly(reconstruct, paused, "r-anisomap", 2).placed.all()
 
 
 def test_two_sensors_that_read_the_same_are_mapped():

@@ -37,7 +37,7 @@ from anisomap.large.sensor_graph import (
 )
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.options import MethodOptions
-from anisomap.reconstruction import caveats
+from anisomap.reconstruction import caveats, check_unlike
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
 
@@ -111,8 +111,8 @@ def reconstruct_approximately(
     Raises
     ------
     InputError
-        If a reading is missing, too few sensors vary or are related, chunks differ in their number
-        of sensors, or a sensor is unknown.
+        If a reading is missing, too few sensors vary or are related, all read the same, chunks
+        differ in their number of sensors, or a sensor is unknown.
 
     Warns
     -----
@@ -254,8 +254,10 @@ def _candidates(
             "an approximate map requires at least 2 sensors that vary and are not dropped, got "
             f"{sensors.size} of {len(sketch.mean)}"
         )
+    projections = sketch.projections[sensors]
+    check_unlike(projections.T, rows_of=np.transpose)
     count = min(options.n_candidates, len(sensors) - 1)
-    found, _ = most_similar(sketch.projections[sensors], count)
+    found, _ = most_similar(projections, count)
     firsts, seconds = pairs_of(found)
     return sensors[firsts], sensors[seconds]
 

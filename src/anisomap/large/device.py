@@ -15,8 +15,15 @@ from anisomap.mapping import Configuration
 from anisomap.methods import find_method
 from anisomap.numerics import array_api
 from anisomap.numerics.array_api import Array
+from anisomap.numerics.columns import centred_rows
 from anisomap.options import MethodOptions
-from anisomap.reconstruction import as_map, check_frames, check_sensors, options_provenance
+from anisomap.reconstruction import (
+    as_map,
+    check_frames,
+    check_sensors,
+    check_unlike,
+    options_provenance,
+)
 from anisomap.recording import check_names, default_names
 from anisomap.sensor_map import SensorMap
 
@@ -66,8 +73,9 @@ def reconstruct_on_device(
     Raises
     ------
     InputError
-        If a reading is not finite, if fewer than `min_sensors` sensors vary, if `regularisation` is
-        0, or if the method, the dimensions, the number of frames or the names are invalid.
+        If a reading is not finite, if fewer than `min_sensors` sensors vary, if all read the same
+        but for offset and gain, if `regularisation` is 0, or if the method, the dimensions, the
+        number of frames or the names are invalid.
     MissingExtraError
         If the compatibility layer of the array API standard (extra ``gpu``) is not installed.
 
@@ -109,6 +117,7 @@ def reconstruct_on_device(
     check_sensors(varying, dimensions, chosen)
     if not varying.all():
         readings = array_api.select_columns(readings, varying)
+    check_unlike(readings, rows_of=lambda some: centred_rows(array_api.to_numpy(some)))
     logger.info("comparing all pairs of sensors (%s)", similarity)
     compared = compare(readings, chosen.entropy_bins)
     lengths = array_api.regularised_reciprocal(compared, chosen.regularisation)
