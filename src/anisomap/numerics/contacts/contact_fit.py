@@ -242,10 +242,10 @@ def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tu
         steps = _WARM_UP_STEPS if step <= _WARM_UP_ROUNDS else 1
         located = locate(contacts, _rounded(positions), states, profile, steps=steps)
         roots = Roots.of(contacts, located)
-        scores = located.scores / np.bincount(contacts.owners)
+        scores = located.scores / contacts.counts
         lowest, median, upper = np.quantile(scores, [_MAX_DROPPED, 0.5, 0.75])
         kept = scores >= min(median - _OUTLIER_FACTOR * (upper - median), lowest)
-        included = kept[contacts.owners]
+        included = contacts.spread(kept)
         inside = leave_one_out(located, roots)
         fitted = fit_profile(contacts.levels, inside, included, profile)
         if step == last:
@@ -278,12 +278,8 @@ def _follow(contacts: Contacts, located: LocatedContacts, roots: Roots, moves: M
     """Move the states of contacts along with the sensors, to first order, (E, k + 1)."""
     moved = moves.T.astype(located.directions.dtype)[:, contacts.sensors]
     changes = np.einsum("km,km->m", located.directions[:-1], moved) * located.curvatures
-    sums = [np.add.reduceat(changes * row, contacts.starts) for row in located.directions]
-    gradients = (located.gradients + np.stack(sums, axis=1))[:, :, None]
-    inverse = roots.of_contacts
-    return np.asarray(
-        located.states + (inverse.transpose(0, 2, 1) @ (inverse @ gradients))[:, :, 0]
-    )
+    sums = np.add.reduceat(located.directions * changes, contacts.starts, axis=1)
+    return located.states + roots.solve(located.gradients.T + sums).T
 
 
 def _centre_radii(

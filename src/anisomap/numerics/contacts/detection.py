@@ -7,6 +7,8 @@ a peak in one frame, with the sensors at rest around it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -66,6 +68,16 @@ class Contacts:
     owners: Indices
     starts: Indices
     max_level: int
+
+    @cached_property
+    def counts(self) -> Indices:
+        """Number of readings of each contact, (E,)."""
+        return np.diff(self.starts, append=len(self.sensors))
+
+    def spread(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the value of the contact of each reading, (..., E) -> (..., M)."""
+        # Indices, such as `owners`, take several times as long.
+        return np.repeat(values, self.counts, axis=-1)
 
 
 def assign_levels(

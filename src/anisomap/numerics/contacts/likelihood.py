@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
-from scipy.sparse import bsr_array
-from scipy.sparse.linalg import aslinearoperator, cg
+from scipy.sparse import bsr_array, csr_array
+from scipy.sparse.linalg import LinearOperator, cg
 
 from anisomap.numerics.contacts.detection import Contacts
 from anisomap.numerics.precision import Reals
@@ -111,15 +110,15 @@ def evaluate(
 
     Arrays with a value for each reading have the data type of the positions.
     """
-    k, owners = positions.shape[1], contacts.owners
+    k = positions.shape[1]
     # Rows of contiguous numbers, one for each coordinate: sums over them take a third of the time.
     rows = np.ones((k + 1, len(contacts.sensors)), positions.dtype)
-    known = states.T.astype(positions.dtype)
+    known = contacts.spread(states.T.astype(positions.dtype))
     for row, given, centres in zip(rows, positions.T, known[:k], strict=False):
-        np.subtract(np.take(given, contacts.sensors), np.take(centres, owners), out=row)
+        np.subtract(np.take(given, contacts.sensors), centres, out=row)
     distances = np.sqrt(np.einsum("km,km->m", rows[:k], rows[:k]) + _MIN_DISTANCE**2)
     rows[:k] /= distances
-    inside = np.take(known[k], owners) - distances
+    inside = known[k] - distances
     score, slopes, curvatures = level_log_likelihood(contacts.levels, inside, profile)
     deviations = (states[:, k] - profile.radius) / profile.radius_sd
     gradients = np.empty(states.shape)
@@ -153,7 +152,7 @@ def locate(
         moves = np.linalg.solve(damped, located.gradients[:, :, None])[:, :, 0]
         trial = evaluate(contacts, positions, located.states + moves, profile)
         worse = trial.scores <= located.scores
-        of_readings = worse[contacts.owners]
+        of_readings = contacts.spread(worse)
         for field, new, old in zip(LocatedContacts._fields, trial, located, strict=True):
             # Masks apply to the last axis: that of readings, or of contacts after transposition.
             if field in _OF_CONTACTS:
@@ -182,8 +181,13 @@ class Roots(NamedTuple):
         directions = located.directions
         rows, entries = np.zeros_like(directions), roots.astype(directions.dtype)
         for i, j in zip(*np.tril_indices(len(rows)), strict=True):
-            rows[i] += np.take(entries[:, i, j], contacts.owners) * directions[j]
+            rows[i] += contacts.spread(entries[:, i, j]) * directions[j]
         return cls(roots, rows)
+
+    def solve(self, gradients: Reals) -> Reals:
+        """Return the products of C^-1 with vectors of the contacts, (k + 1, E) each."""
+        halved = np.einsum("eij,je->ie", self.of_contacts, gradients)
+        return np.asarray(np.einsum("eji,je->ie", self.of_contacts, halved))
 
 
 def leave_one_out(located: LocatedContacts, roots: Roots) -> Matrix:
@@ -268,35 +272,40 @@ def sensor_steps(
         curvature  P' w (h - h Q C^-1 Q' h) P
     """
     n_sensors, k = deviations.shape
-    dtype = located.directions.dtype
-    root = np.sqrt(np.asarray(weights, dtype=dtype))
-    towards = -located.directions[:k]  # columns of P
-    # B = w^(1/2) L Q' h P with L'L = C^-1, whose product with its transpose is the second term.
-    own = roots.of_readings * (np.take(root, contacts.owners) * located.curvatures)
-    response = np.einsum("eij,ej->ei", roots.of_contacts, located.gradients) * root[:, None]
-    by_contact = bsr_array(
-        (own.T[:, :, None] * towards.T[:, None], contacts.sensors,
-         np.append(contacts.starts, len(contacts.sensors))),
-        shape=(response.size, deviations.size),
-    )  # fmt: skip
-    weight = np.take(root**2, contacts.owners)
-
-    def summed(values: Matrix) -> Matrix:
-        return np.asarray(np.bincount(contacts.sensors, weight * values, n_sensors), np.float64)
-
-    gradient = np.stack([summed(located.slopes * axis) for axis in towards], axis=1)
-    fixed = np.empty((n_sensors, k, k))
-    for i, j in combinations_with_replacement(range(k), 2):
-        fixed[:, i, j] = fixed[:, j, i] = summed(located.curvatures * towards[i] * towards[j])
-    prior = prior_sd**-2
-    fixed += prior * np.eye(k)
-    back = by_contact.T
-    target = gradient.ravel() - back @ response.ravel().astype(dtype) - prior * deviations.ravel()
-    rows = np.arange(n_sensors + 1)
-    direct, inverse = (
-        bsr_array((one.astype(dtype), rows[:-1], rows), shape=(deviations.size,) * 2)
-        for one in (fixed + _DAMPING * fixed * np.eye(k), np.linalg.inv(fixed))
+    directions, curvatures = located.directions, located.curvatures
+    dtype, n_readings = directions.dtype, len(contacts.sensors)
+    columns = contacts.sensors[:, None] * k + np.arange(k)
+    by_sensors = csr_array(  # P
+        (-directions[:k].T.ravel(), columns.ravel(), np.arange(n_readings + 1) * k),
+        shape=(n_readings, deviations.size),
     )
-    curvature = aslinearoperator(direct) - aslinearoperator(back) @ aslinearoperator(by_contact)
+    back = by_sensors.T  # without a copy; blocks of both would be copied for each product
+    shares = contacts.spread(np.asarray(weights, dtype))
+
+    def by_contacts(gradients: Reals) -> Reals:
+        """Return Q C^-1 c. gradients c (k + 1, E) -> (M,)."""
+        settled = roots.solve(gradients).astype(dtype, copy=False)
+        return np.asarray(np.einsum("im,im->m", directions, contacts.spread(settled)))
+
+    def bent(moves: Reals) -> Reals:
+        """Return the product of the damped curvature and moves, each (N k,)."""
+        slopes = curvatures * (by_sensors @ moves)
+        sums = np.add.reduceat(directions * slopes, contacts.starts, axis=1)
+        undamped = back @ (shares * (slopes - curvatures * by_contacts(sums)))
+        return np.asarray(undamped + damped * moves)
+
+    slopes = located.slopes - curvatures * by_contacts(located.gradients.T)
+    prior = prior_sd**-2
+    target = back @ (shares * slopes) - prior * deviations.ravel()
+    fixed = np.stack(
+        [back @ (shares * curvatures * -axis) for axis in directions[:k]], axis=1
+    ).reshape(n_sensors, k, k)
+    fixed += prior * np.eye(k)
+    rows = np.arange(n_sensors + 1)
+    inverse = bsr_array(
+        (np.linalg.inv(fixed).astype(dtype), rows[:-1], rows), shape=(deviations.size,) * 2
+    )
+    damped = prior + _DAMPING * np.einsum("nii->ni", fixed).ravel()
+    curvature = LinearOperator(inverse.shape, bent, dtype=dtype)
     found, _ = cg(curvature, target.astype(dtype), rtol=_STEP_TOLERANCE, M=inverse)
     return np.asarray(found.reshape(n_sensors, k), dtype=np.float64)
