@@ -34,6 +34,7 @@ _MIN_GAIN = 0.8  # correlation restored, over what equal lags would cost links w
 _MIN_GROUP = 3.0  # sensors per group, on average
 _CLEARLY_MORE = 1.005  # correlation by which groups that are not adjacent must explain more
 _MAX_ROUNDS = 3  # of the fit of lags
+_STEPS = np.array([[0], *([s * lag] for lag in range(1, _MAX_LAG + 1) for s in (1, -1))])  # by size
 
 
 def find_lags(recording: Recording) -> Iterator[Found]:
@@ -226,21 +227,28 @@ class _Fit:
 
     def refitted(self, curves: NDArray[np.float32]) -> NDArray[np.intp]:
         """Fit the lag of each group to the correlations of its links, in turn."""
-        lags = self.lags.copy()
-        steps = np.arange(-_MAX_LAG, _MAX_LAG + 1)
-        begins, ends = self.groups[self.i], self.groups[self.j]
+        lags, groups = self.lags.copy(), self.groups
+        # Links to other groups, seen from either end, by the group at that end.
+        own, other = np.concatenate([self.i, self.j]), np.concatenate([self.j, self.i])
+        order = np.argsort(groups[own], kind="stable")
+        order = order[groups[own[order]] != groups[other[order]]]
+        own, other = own[order], other[order]
+        values = np.concatenate([curves[:, ::-1], curves])[order].ravel()
+        middles = np.arange(order.size) * (2 * _MAX_LAG + 1) + _MAX_LAG
+        edges = np.searchsorted(groups[own], np.arange(groups.max() + 2)).tolist()
+        due = np.ones(len(edges) - 1, dtype=bool)  # unless nothing beside a group moved since
         for _ in range(_MAX_ROUNDS):
-            before = lags.copy()
-            for group in np.unique(self.groups).tolist():
-                leaving, arriving = begins == group, ends == group
-                across = np.flatnonzero(leaving != arriving)
-                apart = lags[self.j[across]] - lags[self.i[across]]
-                sign = np.where(arriving[across], 1, -1).astype(np.intp)
-                sums = _at(curves[across], apart + sign * steps[:, None]).sum(axis=1)
-                best = steps[np.lexsort((-np.abs(steps), sums.round(6)))[-1]]
-                lags[self.groups == group] += best
-            if (lags == before).all():
-                break
+            for group in range(due.size):
+                if not due[group]:
+                    continue
+                links = slice(edges[group], edges[group + 1])
+                at = lags[own[links]] - lags[other[links]] + _STEPS
+                at = np.maximum(np.minimum(at, _MAX_LAG), -_MAX_LAG) + middles[links]
+                step = _STEPS[values.take(at).sum(axis=1).round(6).argmax(), 0]
+                due[group] = step != 0
+                if step:
+                    lags[groups == group] += step
+                    due[groups[other[links]]] = True
         return lags - _most_frequent(lags)
 
     @property
