@@ -45,22 +45,22 @@ class Similarity:
     compute: ``compute(readings, bins)`` returns the similarity, shape (n, n).
     scores: ``scores(readings)`` returns the values, shape (T, n), whose linear correlation the
         similarity is; its sampling variance is theirs. The readings by default.
-    blend: ``blend(readings)`` returns the similarity, its sampling variance and what it was blended
-        from, if it is not the correlation of any scores.
+    blend: ``blend(readings, rest)`` returns the similarity, its sampling variance and what it was
+        blended from, if it is not the correlation of any scores; rest may be None.
     shared: ``shared(signals)`` returns what `compute` would, if other analyses need it, too.
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
     scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
-    blend: Callable[[ArrayLike], Blend] | None = None
+    blend: Callable[[ArrayLike, Rest | None], Blend] | None = None
     refer: Callable[[NDArray[Any]], tuple[NDArray[Any], float]] | None = None
     shared: Callable[[Signals], Reals] | None = None
 
     def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
         """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
         if self.blend is not None:
-            found = self.blend(readings)
+            found = self.blend(readings, None)
             return found.similarity, found.variance
         scores = readings if self.scores is None else self.scores(readings)
         return self.compute(readings, bins), sampling_variance(scores)
@@ -272,8 +272,10 @@ def compare(
         if not with_noise:
             found = statistic.compute(statistic.referred(readings)[0], bins)
             return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)
-        readings, share = statistic.referred(readings[:: thinning(readings)])
-        return replace(_examined(readings, similarity, bins), common_share=share)
+        step = thinning(readings)
+        readings, share = statistic.referred(readings[::step])
+        rest = runs[0].signals.rest if len(runs) == 1 and step == 1 and share == 0 else None
+        return replace(_examined(readings, similarity, bins, rest), common_share=share)
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     shared = _shared_runs(runs, names)
     values, noise = np.eye(len(names)), np.ones(shared.shape)
@@ -294,11 +296,16 @@ def compare(
     )
 
 
-def _examined(readings: NDArray[Any], similarity: str, bins: int) -> PairStatistics:
-    """Compare the readings of sensors, shape (T, n), which stay at hand for refinements."""
+def _examined(
+    readings: NDArray[Any], similarity: str, bins: int, rest: Rest | None = None
+) -> PairStatistics:
+    """Compare the readings of sensors, shape (T, n), which stay at hand for refinements.
+
+    rest: Of the readings, if it is known.
+    """
     statistic = SIMILARITIES[similarity]
     readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
-    blended = None if statistic.blend is None else statistic.blend(readings)
+    blended = None if statistic.blend is None else statistic.blend(readings, rest)
     if blended is None:
         found, variance = statistic.with_variance(readings, bins)
     else:

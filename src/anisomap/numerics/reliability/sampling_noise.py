@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
@@ -55,9 +53,13 @@ def sampling_variance(readings: ArrayLike) -> Reals:
     n_frames, n_sensors = values.shape
     if n_frames < 2:
         raise InputError(f"a sampling variance needs at least 2 frames, got {n_frames}")
-    window = min(n_frames - 1, max(_MIN_WINDOW, _WINDOW_FACTOR * correlation_time(values)))
-    found: NDArray[Any] = _autocorrelation(values, window, np.arange(n_sensors))
-    found = found.astype(float_type(n_sensors))
+    lag, sampled, known = _fading(values)
+    window = min(n_frames - 1, max(_MIN_WINDOW, _WINDOW_FACTOR * lag))
+    others = np.ones(n_sensors, dtype=bool)
+    found = np.empty((window + 1, n_sensors), float_type(n_sensors))
+    if window < len(known):
+        found[:, sampled], others[sampled] = known[: window + 1], False
+    found[:, others] = _autocorrelation(values, window, np.flatnonzero(others))
     taper = 2 * (1 - np.arange(window + 1) / (window + 1))
     taper[0] = 1.0  # all other lags are doubled, for their negatives
     found *= np.sqrt(taper / n_frames)[:, None]
@@ -94,7 +96,7 @@ def thinning(readings: ArrayLike) -> int:
     values = np.asarray(readings)
     if len(values) < 2 * _MIN_THINNED:
         return 1
-    lag, found = _fading(values)
+    lag, _, found = _fading(values)
     squares = np.square(found[: _WINDOW_FACTOR * lag + 1]).mean(axis=1)
     squares[1:] *= 2  # for the negative lags
     of_all = _MAX_VARIANCE * float(squares.sum())
@@ -102,10 +104,12 @@ def thinning(readings: ArrayLike) -> int:
     return next((step for step in steps if step * float(squares[::step].sum()) <= of_all), 1)
 
 
-def _fading(readings: NDArray[np.generic]) -> tuple[int, NDArray[np.float32]]:
+def _fading(
+    readings: NDArray[np.generic],
+) -> tuple[int, NDArray[np.intp], NDArray[np.float32]]:
     """Find the lag at which the median autocorrelation of sampled sensors fades.
 
-    readings (T, N) -> lag, autocorrelations (L, n).
+    readings (T, N) -> lag, the sampled sensors (n,), their autocorrelations (L, n).
     """
     n_frames, n_sensors = readings.shape
     sampled = np.linspace(0, n_sensors - 1, min(n_sensors, _SAMPLED_SENSORS)).astype(np.intp)
@@ -116,7 +120,7 @@ def _fading(readings: NDArray[np.generic]) -> tuple[int, NDArray[np.float32]]:
         faded = np.flatnonzero(np.median(found, axis=1) < _FADED)
         if faded.size and _WINDOW_FACTOR * int(faded[0]) <= lags:
             break
-    return (int(faded[0]) if faded.size else len(found)), found
+    return (int(faded[0]) if faded.size else len(found)), sampled, found
 
 
 def _autocorrelation(

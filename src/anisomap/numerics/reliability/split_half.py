@@ -171,17 +171,17 @@ class Blend:
         )
 
 
-def blend(readings: ArrayLike) -> Blend:
+def blend(readings: ArrayLike, rest: Rest | None = None) -> Blend:
     """Compute `blended_correlation` and its sampling variance, with what they are computed from.
 
-    readings (T, N).
+    readings (T, N); their rest is estimated if it is not given.
 
     The variance is ``(w sd(r) + (1 - w) sd(rho))^2``, with the standard deviations of
     `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for the
     ranks: the errors of r and rho are taken to be proportional, as they nearly are.
     """
     values = np.asarray(readings)
-    rest = estimate_rest(values)
+    rest = estimate_rest(values) if rest is None else rest
     ranks = ranks_of_depths(values, rest, single=True)
     similarity, weight = _blended(*(correlation_and_reliability(one) for one in (values, ranks)))
     deviation = weight * np.sqrt(sampling_variance(values))
