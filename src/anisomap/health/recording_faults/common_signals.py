@@ -30,10 +30,12 @@ _MIN_SENSORS = 0.8  # share of the sensors that hum, or have one period; chosen 
 _N_PHASES = 8  # parts of a period, for quantiles
 _LOW_AND_HIGH = (0.25, 0.75)
 _MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
+_MIN_CYCLES = 3  # of a recording that is one sine
 _HALF_LINE = 2  # frequencies on each side that belong to a line
-# Of one sine: a line is narrow, compared to its frequency and to all frequencies. Of 720 recordings
-# of 50 frames without a period, 11 had such a wide one (measured).
-_MIN_CYCLES, _MIN_FREQUENCIES = 4 * _HALF_LINE, 10 * (2 * _HALF_LINE + 1)
+# Of a sine. At a lower frequency, or among fewer ones, a line is as wide as the spectrum of
+# contacts, and must hold all variance: of 720 clean recordings of 50 frames, 11 had .7, 2 had .95.
+_MIN_NARROW, _MIN_FREQUENCIES = 4 * _HALF_LINE, 10 * (2 * _HALF_LINE + 1)
+_ALL_OF_IT = 0.95
 _MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
 _MIN_GROUP = 3  # sensors of a board
 # In fewer frames, one or two strokes over the sensors look like a signal that they share: of such
@@ -113,9 +115,9 @@ def find_hum(recording: Recording) -> Iterator[Found]:
 
 def find_one_period(recording: Recording) -> Iterator[Found]:
     """Find that almost all of the readings is one sine."""
-    power = recording.signals.spectra[1]
-    if len(power) <= _MIN_FREQUENCIES:
+    if recording.n_frames < 8 * _MIN_CYCLES:
         return
+    power = recording.signals.spectra[1]
     power = power[:, power.any(axis=0)]
     if power.shape[1] < 3:
         return
@@ -124,7 +126,9 @@ def find_one_period(recording: Recording) -> Iterator[Found]:
     line = (power * near).sum(axis=0) / power[1:].sum(axis=0)
     usual = int(np.median(peak))
     share = float(np.median(line))
-    same = np.mean((np.abs(peak - usual) <= 1) & (line >= _MIN_LINE_SHARE))
+    narrow = usual >= _MIN_NARROW and len(power) > _MIN_FREQUENCIES
+    least = _MIN_LINE_SHARE if narrow else _ALL_OF_IT
+    same = np.mean((np.abs(peak - usual) <= 1) & (line >= least))
     if usual >= _MIN_CYCLES and same >= _MIN_SENSORS:
         period = recording.n_frames / usual
         yield Found(
