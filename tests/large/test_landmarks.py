@@ -31,7 +31,7 @@ from anisomap.large.sensor_graph import (
 from anisomap.numerics.compiled import stress as loops
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
 from anisomap.numerics.graph import neighbour_graphs as search
-from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, all_products, most_similar
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from skins import lattice, rubbed
 
@@ -101,6 +101,9 @@ def test_the_most_similar_have_the_greatest_products(n_sensors, queries, count, 
     products[groups[queries][:, None] == groups] = -np.inf
     expected = np.sort(products, axis=1)[:, ::-1][:, :count]
     found, values = most_similar(rows, count, groups=groups, sensors=np.array(queries))
+    known = all_products(rows)
+    again = most_similar(rows, count, groups=groups, sensors=np.array(queries), whole=known)
+    np.testing.assert_allclose(again[1], values, atol=1e-5)
     np.testing.assert_allclose(values, expected, atol=1e-5)
     there = found != NO_SENSOR
     np.testing.assert_array_equal(there, np.isfinite(expected))

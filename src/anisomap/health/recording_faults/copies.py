@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,12 @@ from scipy.special import pdtrc
 from anisomap.base.wording import join_items
 from anisomap.health.recording_faults import Found, has_contacts
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
+from anisomap.numerics.graph.neighbour_graphs import (
+    MAX_WHOLE,
+    NO_SENSOR,
+    all_products,
+    most_similar,
+)
 from anisomap.numerics.signals import (
     MAX_FRAMES,
     middle_frames,
@@ -156,12 +162,22 @@ class _Excerpt:
         part = readings[middle_frames(len(readings), most)]
         self.rows = np.ascontiguousarray(standardised(part[:, sensors]).T)
         self.others = some_sensors(sensors.size)
-        self.covariance = self.rows @ self.rows[self.others].T / self.rows.shape[1]
+        self.whole = all_products(self.rows) if sensors.size <= MAX_WHOLE else None
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float32]:
+        """Covariances of all sensors with the others, (n, K)."""
+        found = (
+            self.rows @ self.rows[self.others].T
+            if self.whole is None
+            else self.whole[:, self.others]
+        )
+        return np.asarray(found / np.float32(self.rows.shape[1]))
 
     def similar_pairs(self) -> NDArray[np.intp]:
         """Return pairs of similar sensors, each once, the lower index first, shape (P, 2)."""
         n_sensors, n_frames = self.rows.shape
-        found, products = most_similar(self.rows, min(_N_PARTNERS, n_sensors - 1))
+        found, products = most_similar(self.rows, min(_N_PARTNERS, n_sensors - 1), whole=self.whole)
         close = (products >= _MIN_CORRELATION * n_frames) & (found != NO_SENSOR)
         first, which = np.nonzero(close)
         ordered = np.sort(np.column_stack([first, found[first, which]]), axis=1)
