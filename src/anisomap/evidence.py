@@ -182,7 +182,7 @@ class PairStatistics:
         )
 
     @cached_property
-    def changes(self) -> Reals | None:
+    def rank_changes(self) -> Reals | None:
         """Correlation of the changes of ranks between frames, shape (n, n); None without them."""
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
             return None

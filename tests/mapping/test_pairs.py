@@ -11,7 +11,9 @@ from skins import flat_skin
 
 def changes_of(readings):
     recording = anisomap.Recording(readings)
-    found = compare([recording], "blended-correlation", bins=DEFAULT_BINS, with_noise=True).changes
+    found = compare(
+        [recording], "blended-correlation", bins=DEFAULT_BINS, with_noise=True
+    ).rank_changes
     return found[np.triu_indices(len(found), 1)]
 
 

@@ -229,6 +229,7 @@ def test_a_fit_near_another_starts_from_its_exponent_and_curvature():
         first, 7 * near.positions, 7 * metric, noise=1 / 2000, options=whole, near=near
     )
     assert again.iterations <= 5
+    assert not any(array.flags.writeable for array in (near.factor, near.positions))
     np.testing.assert_allclose(pdist(again.positions), pdist(near.positions), atol=0.01)
     ended = fit_covariogram(second, start, metric, noise=1 / 2000, options=whole)
     few = replace(whole, max_iterations=5)

@@ -51,5 +51,14 @@ def test_contacts_of_two_widths_stay_unexplained(seed):
     assert unexplained_share(similarity, places, 1e-4) > 0.1
 
 
+@pytest.mark.parametrize("unit", [2.0**-700, 2.0**700])
+def test_what_is_left_unexplained_does_not_depend_on_the_unit(unit):
+    places = scattered(0, 120)
+    width = np.where(places[:, 0] < 2.5, 0.5, 1.5)
+    similarity = np.exp(-cdist(places, places) / np.sqrt(np.outer(width, width)))
+    found = [unexplained_share(similarity, one, 1e-4) for one in (places, unit * places)]
+    assert found[0] == found[1]
+
+
 def test_few_pairs_determine_no_share():
     assert unexplained_share(np.eye(5), np.arange(10.0).reshape(5, 2), 0.01) == 0

@@ -92,7 +92,7 @@ def differences_from_steps(
         return np.full(positions.shape, math.inf)
     readings = np.asarray(pairs.readings)
     graph = adjacency_graph(
-        readings, positions, similarity=pairs.correlation, changes=pairs.changes
+        readings, positions, similarity=pairs.correlation, changes=pairs.rank_changes
     )
     steps = shortest_path(graph.astype(np.float64), unweighted=True)
     # Classical scaling as start: this map must not inherit a fold of the given one. Sensors with

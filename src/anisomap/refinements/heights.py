@@ -87,7 +87,7 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
     if len(some) < n_sensors:
         heights, sharing = _heights(pairs, np.arange(n_sensors))
     by_readings = adjacency_graph(
-        np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.changes
+        np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.rank_changes
     )
     # Readings tell neighbours on regular columns, heights elsewhere: see the documentation.
     candidates = [

@@ -21,6 +21,7 @@ from scipy.spatial.distance import pdist, squareform
 from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError
+from anisomap.immutable import Immutable
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
     MapFunction,
@@ -73,7 +74,7 @@ _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 
 
 @dataclass(frozen=True, eq=False)
-class Covariogram:
+class Covariogram(Immutable):
     """A fitted covariogram, ``amplitude exp(-d^exponent) + offset``, and the positions.
 
     Attributes
@@ -201,10 +202,8 @@ def fit_covariogram(
     terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
     products = np.sum([term.products for term in terms], axis=0)
     amplitude, offset = solve_amplitude_and_offset(products)
-    fitted = found.positions - found.positions.mean(axis=0)
-    fitted.setflags(write=False)
     return Covariogram(
-        positions=fitted,
+        positions=found.positions - found.positions.mean(axis=0),
         amplitude=amplitude,
         exponent=float(np.exp(found.log_exponent)),
         offset=offset,
@@ -458,7 +457,9 @@ def unexplained_share(
     values, points = np.asarray(similarity), np.asarray(positions)
     step = -(-len(values) // _MAX_SENSORS)
     values, points = values[::step, ::step], points[::step]
-    distances = pdist(points)
+    # Only ratios of distances count; squares of huge or tiny ones would overflow or underflow.
+    unit = int(np.frexp(np.abs(points).max(initial=0))[1])
+    distances = pdist(np.ldexp(points.astype(np.float64), -unit))
     correlations = squareform(values.astype(np.float64), checks=False)
     if known is not None and not np.all(known):
         among = squareform(np.asarray(known)[::step, ::step].astype(np.float64), checks=False) > 0

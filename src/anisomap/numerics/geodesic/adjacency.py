@@ -37,7 +37,8 @@ def adjacency_graph(
     """Link adjacent sensors, with few links between sensors that are not adjacent.
 
     readings (T, N), positions (N, k), similarity (N, N), changes (N, N) -> (N, N), symmetric and
-    connected. By default, `changes` is the similarity of the differences between frames.
+    connected. `changes` is the similarity of changes between frames, by default of the readings;
+    those of ranks serve as well.
 
     With the partial correlations Q of S, sensors i and j are linked if ``Q_ij > 0`` and
 
