@@ -20,8 +20,8 @@ from scipy.optimize import Bounds, isotonic_regression, minimize
 from scipy.spatial.distance import pdist, squareform
 from threadpoolctl import threadpool_limits
 
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.immutable import Immutable
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
     MapFunction,
