@@ -134,6 +134,7 @@ def test_resamples_of_small_maps_leave_linear_algebra_on_one_thread():
     assert set(threads) == {1}
 
 
+@quiet
 def test_small_components_have_no_ellipses():
     skin, made = flat_skin(n_frames=300), flat_map(n_frames=300)
     component = np.where(np.arange(42) < 36, 0, 1)
