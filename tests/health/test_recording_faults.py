@@ -358,6 +358,20 @@ def test_a_sensor_that_a_slow_finger_stays_on_is_not_inverted(seed):
     assert list(CHECKS["inverted"].find(Recording(np.round(1000 * readings)))) == []
 
 
+@pytest.mark.parametrize("seed", [39, 43, 44, 52])
+def test_a_sensor_that_rises_with_a_rarely_touched_one_is_not_inverted(seed):
+    """Long presses of one place at a time: sensors far apart fall when the others rise."""
+    rng, places = np.random.default_rng(seed), lattice(10, 10)
+    readings, begin = np.zeros((120, 100)), 0
+    while begin < 120:
+        length = int(rng.integers(20, 60))
+        apart = np.linalg.norm(places - rng.uniform(0, 9, 2), axis=1)
+        readings[begin : begin + length] += np.exp(-(apart**2) / 3) * rng.uniform(0.5, 1)
+        begin += length + int(rng.integers(1, 15))
+    readings = np.round(1000 * readings + 1.5 * rng.normal(size=readings.shape))
+    assert "inverted" not in kinds(find_faults(Recording(readings)))
+
+
 @pytest.mark.parametrize(("frames", "board"), [(1, 18), (4, 12), (10, 24)])
 def test_boards_are_aligned(frames, board):
     clean = wired_at_random()

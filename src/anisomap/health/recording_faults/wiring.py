@@ -21,6 +21,7 @@ from anisomap.numerics.signals import (
     normal_maximum,
     some_sensors,
     standardised,
+    unit_rows,
 )
 from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.recording import Recording
@@ -42,7 +43,8 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     negative between the parts, and positive within them. If most readings are not skewed or do not
     rest, such as those of sensors that are often in contact, the signs of the correlations along a
     maximum spanning tree give the parts, which must then be mixed. Sensors with fewer than 5
-    contacts, or that resemble no other, are not judged, since their signs may be due to chance.
+    contacts, or that resemble no other, are not judged, since their signs may be due to chance;
+    but a sensor that rises with one of them, and resembles that one most, is not inverted.
     """
     judged = np.flatnonzero(_often_touched(recording))
     readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
@@ -71,12 +73,24 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     fewer = lowered if 2 * np.count_nonzero(lowered) <= judged.size else ~lowered
     found = judged[_confirmed(correlation, fewer)]
     if found.size:
+        found = found[~_rise_with_others(recording, found)]
+    if found.size:
         yield Found(
             found,
             found.size / recording.n_sensors,
             f"contact has the opposite sign in {found.size} of {recording.n_sensors} sensors",
             lambda recording: _mirrored(recording, found),
         )
+
+
+def _rise_with_others(recording: Recording, suspects: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return whether suspects have their strongest correlation, above 0, with another sensor."""
+    rows = unit_rows(recording.readings[:: -(-recording.n_frames // MAX_FRAMES)])
+    correlation = rows[suspects] @ rows.T
+    correlation[np.arange(suspects.size), suspects] = 0
+    strongest = np.abs(correlation).argmax(axis=1)
+    positive = correlation[np.arange(suspects.size), strongest] > 0
+    return np.asarray(positive & ~np.isin(strongest, suspects))
 
 
 def _are_equal(raised: NDArray[np.bool_]) -> bool:
