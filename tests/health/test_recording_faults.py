@@ -155,6 +155,19 @@ def test_sensors_that_show_noise_alone_have_no_contacts():
     assert contacts[:40].all()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_sensors_that_are_loaded_half_of_the_time_do_not_lack_contacts(seed):
+    """Below a person who shifts on a seat, some sensors are never at rest, as their neighbours."""
+    rng, places = np.random.default_rng(seed), lattice(7, 7)
+    path = lfilter([1], [1, -0.97], rng.normal(size=(2000, 2)), axis=0)
+    path = 3 + 0.8 * path / path.std(axis=0)
+    apart = np.linalg.norm(places - path[:, None], axis=2)
+    readings = np.exp(-(apart**2) / 5) + 0.002 * rng.normal(size=apart.shape)
+    restless = np.flatnonzero(~Signals(readings).rest.known)
+    health = assess(Recording(readings))
+    assert {health[i].status for i in restless} == {"ok"}
+
+
 @pytest.mark.parametrize("form", ["noise of 1 %", "integers with noise"])
 @pytest.mark.parametrize(("course", "n_frames"), [("jumps", 30), ("jumps", 120), ("strokes", 300)])
 def test_contacts_among_sensors_with_noise_are_no_glitches(form, course, n_frames):

@@ -26,6 +26,7 @@ MAX_PAIRED = 2048
 _FRAMES_AT_ONCE = 256  # whose intermediate arrays stay in the cache
 _LEAST_SQUARE = 1e-20
 _EXCEEDED = 0.01  # probability with which a normal maximum is exceeded
+_HALF_IN_COMMON = 0.5**0.5  # r of sensors that have half of their variance in common
 _N_LISTENED = 64  # sensors whose spectra are computed
 
 
@@ -90,7 +91,7 @@ class Signals:
         """Whether readings are clearly beyond rest, at twice the threshold, shape (T, N).
 
         Normal noise exceeds it once in 8 million frames. Sensors without a rest are always touched,
-        or show noise alone; among others that have a rest, they show noise.
+        or show noise alone. Among others that have a rest, they are if they resemble some of them.
         """
         rest = self.rest
         restless = np.flatnonzero(~rest.known)
@@ -99,6 +100,8 @@ class Signals:
         touched = replace(rest, threshold=2 * rest.threshold).active(self.readings)
         if 2 * restless.size > rest.known.size:
             restless = restless[~_exceed_noise(self.readings, restless)]
+        elif restless.size:
+            restless = restless[~_resemble_others(self.readings, restless)]
         touched[:, restless] = False
         return touched
 
@@ -189,6 +192,15 @@ def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[
     itself = np.abs(np.einsum("nt,nt->n", rows[:, 1:], rows[:, :-1]))
     least = normal_maximum(2 * sensors.size * (some.size + 1)) / np.sqrt(rows.shape[1])
     return np.asarray((itself > least) | (others.max(axis=1, initial=0) > least))
+
+
+def _resemble_others(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return whether sensors share half of their variance with one of some others, (n,)."""
+    some = some_sensors(readings.shape[1])
+    part = readings[middle_frames(len(readings))]
+    r = np.abs(unit_rows(part[:, sensors]) @ unit_rows(part[:, some]).T)
+    r[sensors[:, None] == some] = 0
+    return np.asarray(r.max(axis=1) > _HALF_IN_COMMON)
 
 
 def count_contacts(active: ArrayLike) -> NDArray[np.intp]:
