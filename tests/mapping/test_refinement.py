@@ -128,6 +128,20 @@ def test_heights_change_rolling_cylinders_and_not_bombarded_spheres():
     assert not left_alone(stored("rolling-columns-1").readings, 3)
 
 
+def walked(places, seed, n_steps=50):
+    """Return readings of a sole that rolls from heel to toe, with another load in each step."""
+    rng = np.random.default_rng(seed)
+    along, across = ((places - places.min(axis=0)) / np.ptp(places, axis=0)).T
+    time = np.tile(np.linspace(0, 1.4, 40), n_steps)[:, None]
+    load, sway = (np.repeat(rng.normal(x, 0.2, n_steps), 40)[:, None] for x in (1, 0.5))
+    pressure = 1 - ((along - time) / 0.35) ** 2 - ((across - sway) / 0.9) ** 2
+    return load * np.maximum(0, pressure) * (time < 1)
+
+
+def test_heights_of_steps_do_not_change_soles():
+    assert all(left_alone(walked(lattice(10, 10), seed), 2) for seed in range(3))
+
+
 @pytest.mark.parametrize("skin", [flat_skin, seeing_patch])
 def test_heights_do_not_change_flat_skins(skin):
     assert all(left_alone(skin(seed=seed).readings, 2) for seed in range(3))

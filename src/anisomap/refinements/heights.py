@@ -27,6 +27,14 @@ hold. Maps explained at most .40 of the heights on rolling cylinders, and at lea
 simulated skins.
 """
 
+_MAX_LINKS = 1.3
+"""Links of a sensor by heights, on average and divided by the root of the number of sensors, up to
+which heights tell neighbours.
+
+The root is the number of sensors across a skin. Rolling cylinders of 30 to 400 sensors and a bar
+had .6 to 1.1, simulated soles of 30 to 400 sensors 1.6 to 6.6.
+"""
+
 _MIN_SHARING = 0.05  # correlation of readings above which two sensors share contacts
 _CURVE_DIMENSION = 1.5  # between those of a curve and of a surface
 _MAX_EXAMINED = 100  # evenly chosen sensors; their 4,950 pairs tell whether heights contradict
@@ -86,22 +94,24 @@ def _corrected(pairs: PairStatistics, given: Reals) -> Reals | None:
         return None
     if len(some) < n_sensors:
         heights, sharing = _heights(pairs, np.arange(n_sensors))
+    alike = height_links(heights.compare())
+    # All sensors share the load of a step, so that heights on feet do not tell neighbours.
+    if np.count_nonzero(alike) > _MAX_LINKS * n_sensors**1.5:
+        return None
     by_readings = adjacency_graph(
         np.asarray(pairs.readings), given, similarity=pairs.correlation, changes=pairs.rank_changes
     )
     # Readings tell neighbours on regular columns, heights elsewhere: see the documentation.
     candidates = [
         lengths
-        for links in (height_links(heights.compare()), by_readings)
+        for links in (alike, by_readings)
         if (lengths := _relative_lengths(heights, links)) is not None
     ]
     # In three dimensions, also of flat maps: those of a body that rolls look flat.
     maps = [fit_path_lengths(lengths, SPATIAL) for lengths in candidates]
     shares = [explained_share(heights.halves, one, sharing).share for one in maps]
-    if not shares:
-        return None
-    best = int(np.argmax(np.nan_to_num(shares, nan=-np.inf)))
-    if not shares[best] > explained.share:
+    best = int(np.argmax(np.nan_to_num([explained.share, *shares], nan=-np.inf))) - 1
+    if best < 0:
         return None
     k = given.shape[1]
     return _scaled(maps[best] if k == SPATIAL else fit_path_lengths(candidates[best], k), given)
