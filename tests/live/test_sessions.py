@@ -3,6 +3,7 @@
 import os
 import signal
 import socket
+import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -175,6 +176,28 @@ def is_closed(port):
     with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=LONGEST_S):
         return False
     return True
+
+
+INTERRUPTED_WITH_A_LOCK = """
+import os, signal, sys, threading
+from anisomap.cli import main
+
+def interrupt(frame, event, _):
+    # The session waits for its end by an event, which takes the lock of a condition.
+    waits = frame.f_code is threading.Condition.__enter__.__code__ and frame.f_back.f_back
+    if event == "return" and waits and waits.f_code.co_name == "_print_lines":
+        sys.setprofile(None)
+        os.kill(os.getpid(), signal.SIGINT)
+
+sys.setprofile(interrupt)
+main(sys.argv[1:])
+"""
+
+
+def test_an_interruption_keeps_no_lock(tmp_path):
+    command = [sys.executable, "-c", INTERRUPTED_WITH_A_LOCK, "live", "-", *METHOD, *FILE]
+    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE) as process:
+        assert process.wait(LONGEST_S) == 0
 
 
 def test_a_second_interruption_leaves_out_the_final_map(session, tmp_path):

@@ -6,11 +6,12 @@ import gc
 import os
 import signal
 import sys
+import threading
+import time
 import warnings
-from _thread import interrupt_main
+from _thread import interrupt_main, start_new_thread
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from threading import Timer, current_thread, main_thread
 from types import CodeType, FrameType, MappingProxyType
 
 from cyclopts import App, CycloptsError, Parameter
@@ -160,12 +161,13 @@ def _failed(message: str, code: int) -> int:
 
 _AGAIN_S = 0.01  # short for a user, long for a processor
 _EXTENSIONS, _CALLBACK = "ExtensionFileLoader.", "_get_module_lock.<locals>.cb"  # of importlib
+_LOCKING = ("__enter__", "__exit__", "_acquire_restore", "_release_save")  # of threading.Condition
 
 
 def run_process(arguments: list[str] | None) -> None:
     """Run a command, and end the process with its exit code."""
     signals = _Signals()
-    is_main = current_thread() is main_thread()
+    is_main = threading.current_thread() is threading.main_thread()
     if is_main:
         signals.handle()
     code = INTERRUPTED
@@ -209,20 +211,27 @@ class _Signals:
 
 
 def _deferred(number: int, frame: FrameType | None) -> bool:
-    """Return whether an exception would be lost here; if so, the signal comes again.
+    """Return whether an exception would be lost, or keep a lock; if so, the signal comes again.
 
     Extension modules replace an exception within their import by an ImportError, and Python
-    ignores one within the callback of the locks of imports.
+    ignores one within the callback of the locks of imports. One at the end of taking the lock of an
+    event would keep it, and all threads that use the event would wait for ever.
     """
     while frame is not None and not _loses_exceptions(frame.f_code):
         frame = frame.f_back
     if frame is not None:
-        again = Timer(_AGAIN_S, interrupt_main, (number,))
-        again.daemon = True
-        again.start()
+        # Objects of `threading` take locks, which the interrupted thread may hold.
+        start_new_thread(_signal_again, (number,))
     return frame is not None
 
 
+def _signal_again(number: int) -> None:
+    time.sleep(_AGAIN_S)
+    interrupt_main(signal.Signals(number))
+
+
 def _loses_exceptions(code: CodeType) -> bool:
+    if code.co_filename == threading.__file__:
+        return code.co_name in _LOCKING
     in_import = code.co_filename.startswith("<frozen importlib")
     return in_import and code.co_qualname.startswith((_EXTENSIONS, _CALLBACK))
