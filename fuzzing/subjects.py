@@ -29,7 +29,7 @@ from anisomap.tracking import gather_evidence
 
 Tree: TypeAlias = Mapping[str, bytes]
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
 examples: Any = import_module("example_files")
 
 _MODELS = (

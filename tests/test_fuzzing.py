@@ -1,5 +1,7 @@
 """Files that once failed, whole and damaged files of every format, and the fuzzer itself."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,12 @@ HANG_S = 60
 @pytest.fixture(scope="module")
 def formats() -> dict[str, Subject]:
     return {subject.name: subject for subject in subjects()}
+
+
+def test_the_fuzzer_is_a_command():
+    """It finds the files of the tests without the search path of pytest."""
+    root = Path(__file__).parents[1]
+    subprocess.run([sys.executable, "-m", "fuzzing", "--help"], cwd=root, check=True)
 
 
 @pytest.fixture
