@@ -323,9 +323,7 @@ def _initial_contacts(contacts: Contacts, positions: Matrix) -> tuple[Matrix, Pr
     starts = [centres]
     if k > 2:
         # The normal is the direction of least variance of the sensors around a contact.
-        around = (
-            points - (sums[:, k + 1 :] / np.bincount(contacts.owners)[:, None])[contacts.owners]
-        )
+        around = points - (sums[:, k + 1 :] / contacts.counts[:, None])[contacts.owners]
         squares = np.add.reduceat(around[:, :, None] * around[:, None], contacts.starts)
         offset = _SURFACE_OFFSET * extents[:, None] * np.linalg.eigh(squares)[1][:, :, 0]
         starts = [centres + offset, centres - offset]
