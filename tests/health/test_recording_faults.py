@@ -84,6 +84,15 @@ def test_faults_do_not_depend_on_the_unit(name):
     assert named[0]
 
 
+@pytest.mark.parametrize("name", ["lags", "spikes"])
+def test_a_pause_in_the_middle_hides_no_fault(name):
+    bad = spoilt(wired_at_random(301), *FOUND[name], seed=301).readings
+    half = len(bad) // 2
+    pause = np.tile(np.median(bad, axis=0), (9000, 1))
+    paused = Recording(np.concatenate([bad[:half], pause, bad[half:]]))
+    assert name.partition(",")[0] in kinds(find_faults(paused))
+
+
 @pytest.mark.parametrize("name", ["drift", "hum"])
 def test_a_sensor_whose_changes_float32_does_not_resolve_hides_no_fault(name):
     bad = spoilt(wired_at_random(), *FOUND[name])

@@ -22,7 +22,7 @@ from anisomap.numerics.reliability.significance import LEAST_RATIO, outlying
 from anisomap.numerics.signals import (
     MAX_PAIRED,
     Signals,
-    middle_frames,
+    excerpt_frames,
     some_sensors,
     squares_and_lagged,
     unit_rows,
@@ -72,7 +72,7 @@ class Behaviour:
     def _excerpt(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
         """Standard deviations, (n,), second differences, and where there is no contact, (t, n)."""
         signals = self.signals
-        frames = middle_frames(len(signals.readings))
+        frames = excerpt_frames(signals.readings)
         readings = signals.readings[frames]
         squares, _ = squares_and_lagged(readings, readings[0])  # exact for constant ones
         if squares.max() > _FLOAT32_RANGE:
@@ -128,7 +128,7 @@ class Behaviour:
     def rows(self) -> NDArray[np.float32]:
         """Readings of an excerpt, of mean 0 and norm 1, shape (n, t)."""
         readings = self.signals.readings
-        return unit_rows(readings[middle_frames(len(readings))])
+        return unit_rows(readings[excerpt_frames(readings)])
 
     def shared(self, sensor: int) -> float:
         """Return the share of a sensor's variance that those most similar to it explain."""
@@ -383,7 +383,7 @@ def _saturating(b: Behaviour) -> dict[int, str]:
 def _isolated(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(np.nan_to_num(b.best_match)))
     return {
-        i: f"resembles no other sensor: its highest r is {b.best_match[i]:.2f} "
+        i: f"resembles other sensors less than most do: its highest r is {b.best_match[i]:.2f} "
         f"(typical: {typical:.2f})"
         for i in np.flatnonzero(b.unlike).tolist()
     }

@@ -75,7 +75,7 @@ class TouchCoverage:
     Attributes
     ----------
     contacts : ndarray of int, shape (N,)
-        Separate contacts of each sensor: runs of frames beyond rest.
+        Separate contacts of each sensor: runs of frames clearly beyond rest, as in `assess`.
     pairs : ndarray of int, shape (P, 2)
         Pairs of neighbours on the map; see `neighbouring_sensors`.
     together : ndarray of int, shape (P,)
@@ -138,12 +138,12 @@ def touch_coverage(
     contacts = np.zeros(sensor_map.n_sensors, dtype=np.intp)
     together = np.zeros(len(pairs), dtype=np.intp)
     for run in runs:
-        active = run.complete("interpolate").signals.active & np.isfinite(run.readings)
+        touched = run.complete("interpolate").signals.touched & np.isfinite(run.readings)
         rows = match_names(run.names, sensor_map.names)
-        contacts[rows] += count_contacts(active)
+        contacts[rows] += count_contacts(touched)
         column = match_names(sensor_map.names, run.names)
         inside = (column[pairs] >= 0).all(axis=1)
-        together[inside] += count_joint_contacts(active, column[pairs[inside]])
+        together[inside] += count_joint_contacts(touched, column[pairs[inside]])
     need = needed_evidence(contacts, pairs, together, sensor_map.component)
     places = next_places(
         sensor_map.positions, need, component=sensor_map.component, n_places=n_places

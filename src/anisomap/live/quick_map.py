@@ -70,12 +70,12 @@ def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]
 
 def advise(
     positions: NDArray[np.float64],
-    active: NDArray[np.bool_],
+    touched: NDArray[np.bool_],
     names: Sequence[str],
     drop: Collection[int] = (),
 ) -> Advice:
-    """Advise where to touch next. positions (N, k); active (T, N): which sensors are touched."""
-    contacts = count_contacts(active)
+    """Advise where to touch next. positions (N, k); touched (T, N)."""
+    contacts = count_contacts(touched)
     wanted = np.ones(len(names), dtype=bool)
     wanted[list(drop)] = False
     placed = np.isfinite(positions).all(axis=1)
@@ -83,7 +83,7 @@ def advise(
     if not placed.any():
         return Advice(untouched=untouched)
     pairs = neighbouring_sensors(positions)
-    need = needed_evidence(contacts, pairs, count_joint_contacts(active, pairs))
+    need = needed_evidence(contacts, pairs, count_joint_contacts(touched, pairs))
     places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
     enough = wanted.any() and not (places or untouched)
     return Advice(places, untouched, bool(enough), _in_words(places, untouched, names))
@@ -174,15 +174,15 @@ class QuickMapper:
                 positions = self._positions(recording)
             except InputError as error:
                 reason = str(error)
-        rest, active = recording.signals.rest, recording.signals.active
+        rest, touched = recording.signals.rest, recording.signals.touched
         side_of_contact = np.where(rest.side > 0, *recording.extremes[::-1])
         return QuickMap(
             positions=positions,
             n_frames=self.sample.n_frames,
             seconds=time.monotonic() - begun,
-            contacts=count_contacts(active),
+            contacts=count_contacts(touched),
             pairs=neighbour_lines(positions),
-            advice=advise(positions, active, self.names, self.drop),
+            advice=advise(positions, touched, self.names, self.drop),
             rest=rest,
             highest_depth=rest.depth(side_of_contact[None])[0],
             names=tuple(self.names),

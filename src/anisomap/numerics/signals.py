@@ -27,6 +27,7 @@ _FRAMES_AT_ONCE = 256  # whose intermediate arrays stay in the cache
 _LEAST_SQUARE = 1e-20
 _EXCEEDED = 0.01  # probability with which a normal maximum is exceeded
 _HALF_IN_COMMON = 0.5**0.5  # r of sensors that have half of their variance in common
+_MAX_PARTS, _N_LOOKED_AT = 17, 512  # parts of a recording, and frames of each, that are looked at
 _N_LISTENED = 64  # sensors whose spectra are computed
 
 
@@ -185,7 +186,7 @@ def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[
 
     Noise alone does so in 1 % of the recordings.
     """
-    rows = unit_rows(readings[middle_frames(len(readings))][:, sensors])
+    rows = unit_rows(readings[excerpt_frames(readings)][:, sensors])
     some = some_sensors(sensors.size)
     others = np.abs(rows @ rows[some].T)
     others[some, np.arange(some.size)] = 0
@@ -197,7 +198,7 @@ def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[
 def _resemble_others(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return whether sensors share half of their variance with one of some others, (n,)."""
     some = some_sensors(readings.shape[1])
-    part = readings[middle_frames(len(readings))]
+    part = readings[excerpt_frames(readings)]
     r = np.abs(unit_rows(part[:, sensors]) @ unit_rows(part[:, some]).T)
     r[sensors[:, None] == some] = 0
     return np.asarray(r.max(axis=1) > _HALF_IN_COMMON)
@@ -239,10 +240,24 @@ def standardised(readings: NDArray[Any]) -> NDArray[np.float32]:
     return values.T
 
 
-def middle_frames(n_frames: int, most: int = MAX_FRAMES) -> slice:
-    """Return consecutive frames from the middle of a recording."""
-    start = max(0, (n_frames - most) // 2)
-    return slice(start, start + most)
+def excerpt_frames(readings: NDArray[Any], most: int = MAX_FRAMES) -> slice:
+    """Return consecutive frames for an excerpt: the middle ones, unless the skin rests there.
+
+    It rests where fewer than half as many sensors change as in the busiest part of that length. A
+    sensor changes in a part if its readings there span half of those of all parts. readings (T, N).
+    """
+    middle = max(0, (len(readings) - most) // 2)
+    starts = np.linspace(0, 2 * middle, min(_MAX_PARTS, 2 * (len(readings) // most) + 1))
+    starts[len(starts) // 2] = middle
+    parts = [readings[begin : begin + most] for begin in starts.astype(np.intp).tolist()]
+    some = [part[:: max(1, len(part) // _N_LOOKED_AT)] for part in parts]
+    spans = np.stack([np.ptp(part, axis=0) for part in some])
+    changing = np.count_nonzero((2 * spans >= spans.max(axis=0)) & (spans > 0), axis=1)
+    chosen = len(starts) // 2
+    if 2 * changing[chosen] < changing.max():
+        chosen = int(changing.argmax())
+    begin = int(starts[chosen])
+    return slice(begin, begin + most)
 
 
 def some_sensors(n_sensors: int, most: int = MAX_SENSORS) -> NDArray[np.intp]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.signals import middle_frames, unit_rows
+from anisomap.numerics.signals import excerpt_frames, unit_rows
 from anisomap.recording import Recording
 
 
@@ -66,7 +66,7 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
     eigenvalues of their correlations, down to the first one that chance explains. Chance is what
     the same readings give if each sensor is shifted in time, by its own number of frames.
     """
-    rows = unit_rows(recording.readings[middle_frames(recording.n_frames, _N_COMPARED)])
+    rows = unit_rows(recording.readings[excerpt_frames(recording.readings, _N_COMPARED)])
     most = members[recording.signals.contacts[members].argmax()]
     near = rows[np.argsort(-np.abs(rows @ rows[most]), kind="stable")[:_N_NEAR]]
     eigenvalues = np.linalg.eigvalsh(near @ near.T)[::-1]

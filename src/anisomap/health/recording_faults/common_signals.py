@@ -16,8 +16,8 @@ from anisomap.health.recording_faults import (
 )
 from anisomap.numerics.signals import (
     deviation_from_median,
+    excerpt_frames,
     medians,
-    middle_frames,
     some_sensors,
     unit_rows,
 )
@@ -155,7 +155,7 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
     n_frames, n_sensors = _SCREENED
     if free.size < _MIN_GROUP or len(readings) < _MIN_FRAMES:
         return
-    excerpt = readings[middle_frames(len(readings), n_frames)]
+    excerpt = readings[excerpt_frames(readings, n_frames)]
     for group in _groups(readings, free):
         if _noise_of(excerpt[:, group[some_sensors(group.size, n_sensors)]]) is None:
             continue
@@ -234,7 +234,7 @@ def _sine_gains(readings: NDArray[Any], course: NDArray[np.float64]) -> NDArray[
 
 def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     """Yield groups of linked sensors whose fast noise has one dominant component."""
-    values = readings[middle_frames(len(readings), _SCREENED[0])][:, free]
+    values = readings[excerpt_frames(readings, _SCREENED[0])][:, free]
     fast = np.diff(values, 2, axis=0)
     scale = deviation_from_median(fast)
     noisy = scale > _MIN_NOISE * values.std(axis=0)

@@ -25,7 +25,7 @@ from anisomap.numerics.graph.neighbour_graphs import (
 )
 from anisomap.numerics.signals import (
     MAX_FRAMES,
-    middle_frames,
+    excerpt_frames,
     normal_maximum,
     some_sensors,
     standardised,
@@ -159,7 +159,7 @@ class _Excerpt:
     """Standardised readings of n sensors in some frames, and their covariances with some."""
 
     def __init__(self, readings: NDArray[Any], sensors: NDArray[np.intp], most: int) -> None:
-        part = readings[middle_frames(len(readings), most)]
+        part = readings[excerpt_frames(readings, most)]
         self.rows = np.ascontiguousarray(standardised(part[:, sensors]).T)
         self.others = some_sensors(sensors.size)
         self.whole = all_products(self.rows) if sensors.size <= MAX_WHOLE else None

@@ -15,7 +15,7 @@ from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.signals import count_contacts, middle_frames, some_sensors, standardised
+from anisomap.numerics.signals import count_contacts, excerpt_frames, some_sensors, standardised
 from anisomap.recording import Recording
 
 _MAX_LAG = 40  # greatest lag that is searched, in frames; chosen by hand
@@ -109,7 +109,7 @@ def _lags(
     """
     lags = np.zeros(readings.shape[1], dtype=np.intp)
     chosen = judged[some_sensors(judged.size, _MAX_SENSORS)]
-    part = readings[middle_frames(len(readings), max(1024, _MAX_VALUES // max(1, chosen.size)))]
+    part = readings[excerpt_frames(readings, max(1024, _MAX_VALUES // max(1, chosen.size)))]
     if chosen.size < _MIN_SENSORS or len(part) < 8 * _MAX_LAG:
         return lags
     fit = _Fit.of(part[:, chosen])

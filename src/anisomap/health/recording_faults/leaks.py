@@ -12,7 +12,7 @@ from scipy.special import bdtrc, ndtr
 
 from anisomap.health.recording_faults import Found, in_readings
 from anisomap.numerics.columns import columns
-from anisomap.numerics.signals import middle_frames
+from anisomap.numerics.signals import excerpt_frames
 from anisomap.numerics.similarity.rest import Rest
 from anisomap.recording import Recording
 
@@ -42,7 +42,7 @@ def find_leak(recording: Recording) -> Iterator[Found]:
     repair leaves less of earlier channels.
     """
     n_sensors = min(recording.n_sensors, _MAX_CHANNELS)
-    excerpt = recording.readings[middle_frames(recording.n_frames, _MAX_EXCERPT), :n_sensors]
+    excerpt = recording.readings[excerpt_frames(recording.readings, _MAX_EXCERPT), :n_sensors]
     rest = recording.signals.rest
     depths = _Depths(excerpt, rest)
     for gains in depths.compare(1):

@@ -21,8 +21,8 @@ from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.signals import (
     count_contacts,
+    excerpt_frames,
     medians,
-    middle_frames,
     some_sensors,
     standardised,
     unit_rows,
@@ -238,7 +238,7 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
     if n_frames < 100 or n_sensors < _MIN_GROUP:
         return
     chosen = some_sensors(n_sensors, _MAX_SENSORS)
-    jumps = _jumps(recording.readings, chosen, middle_frames(n_frames))
+    jumps = _jumps(recording.readings, chosen, excerpt_frames(recording.readings))
     jumping = np.count_nonzero(jumps, axis=1) >= _MIN_SPIKES
     if np.count_nonzero(jumping) < _MIN_GROUP:
         return
