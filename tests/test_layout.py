@@ -294,6 +294,30 @@ def test_bad_input_is_refused(recording, change, expected):
         check_layout(layout, readings, **dict(*options))
 
 
+def test_most_electrodes_are_not_moved_for_the_sake_of_one(hard_recordings_folder):
+    """Fourteen electrodes of a retina fitted a place without electrodes, next to a single one."""
+    whole = anisomap.read(hard_recordings_folder / "retina_macc2.npz")
+    near = np.flatnonzero((np.asarray(whole.positions) > [1500, 1000]).all(axis=1))
+    part = whole.select(near)
+    layout = SensorMap(np.asarray(part.positions), names=part.names, units=part.units)
+    assert check_layout(layout, part).consistent
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2001, 2005))
+def test_a_moved_patch_accuses_no_half_of_a_head(hard_recordings_folder, seed):
+    whole = anisomap.read(hard_recordings_folder / "nao_head.npz")
+    truth = np.asarray(whole.positions)
+    spacing = np.sort(np.linalg.norm(truth[:, None] - truth, axis=2), axis=1)[:, 1].mean()
+    rng = np.random.default_rng(seed)
+    away = rng.normal(size=3)
+    patch = np.argsort(np.linalg.norm(truth - truth[rng.integers(len(truth))], axis=1))[:5]
+    stated = truth.copy()
+    stated[patch] += rng.uniform(4, 10) * spacing * away / np.linalg.norm(away)
+    found = check_layout(SensorMap(stated, names=whole.names), whole)
+    assert not np.delete(found.accused, patch).any()
+
+
 @pytest.mark.slow
 def test_two_triangles_of_the_torso_are_turned(recordings_folder):
     """Their pads read like those of adjacent triangles 16 to 25 mm from their stated places.

@@ -84,6 +84,36 @@ def test_faults_do_not_depend_on_the_unit(name):
     assert named[0]
 
 
+def pressed(positions, n_frames, *, seed, n_places):
+    """Return readings under one press after another, at some places in random order."""
+    rng = np.random.default_rng(seed)
+    places = positions[rng.integers(len(positions), size=n_places)]
+    readings, frame = np.zeros((n_frames, len(positions))), 0
+    while frame < n_frames:
+        place = places[rng.integers(n_places)] + rng.normal(0, 0.3, 2)
+        length = int(rng.integers(5, 15))
+        height = rng.uniform(0.6, 1.4) * np.sin(np.pi * np.arange(1, length + 1) / (length + 1))
+        depth = np.maximum(0, 2 - np.linalg.norm(positions - place, axis=1))
+        readings[frame : frame + length] = np.outer(height, depth)[: n_frames - frame]
+        frame += length + int(rng.integers(1, 8))
+    return readings
+
+
+@pytest.mark.parametrize("seed", [1, 6, 9])
+def test_sensors_that_recover_slowly_did_not_change(seed):
+    readings = pressed(lattice(9, 10), 1400, seed=seed, n_places=30)
+    left = lfilter([2.5 / 200], [1, 1 / 200 - 1], readings, axis=0)
+    assert "changed" not in kinds(find_faults(Recording(readings + 0.15 * left)))
+
+
+def test_sensors_that_one_press_reached_are_no_copies_if_they_recover_slowly():
+    bump, readings = np.sin(np.pi * np.arange(1, 10) / 10), np.zeros((900, 40))
+    for i in range(20):  # no press reaches other sensors than these two
+        readings[20 + 40 * i : 29 + 40 * i, [2 * i, 2 * i + 1]] = np.outer(bump, [1, 0.8])
+    left = lfilter([2.5 / 200], [1, 1 / 200 - 1], readings, axis=0)
+    assert "copies" not in kinds(find_faults(Recording(readings + 0.15 * left)))
+
+
 @pytest.mark.parametrize("name", ["lags", "spikes"])
 def test_a_pause_in_the_middle_hides_no_fault(name):
     bad = spoilt(wired_at_random(301), *FOUND[name], seed=301).readings

@@ -143,23 +143,33 @@ class Behaviour:
 
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
-        """Sensors with contacts that resemble no other sensor as others with contacts do."""
+        """Sensors with contacts that resemble no other sensor as similar ones with contacts do."""
         found = self.contacts >= MIN_CONTACTS
         if found.any():
             best = np.nan_to_num(self.best_match[found])
-            least = _HARMFUL_MATCH * np.median(best)
-            low = np.flatnonzero(best < least)
+            typical = np.full(best.size, np.median(best))
+            low = np.flatnonzero(best < _HARMFUL_MATCH * typical)
             if not low.size:
                 return np.zeros_like(found)
+            # Where sensors are far apart, all of them resemble others less.
+            rows = self.rows[found]
+            similar = np.abs(rows[low] @ rows.T)
+            similar[np.arange(low.size), low] = -1
+            partners = np.argsort(-similar, axis=1)[:, :_N_PARTNERS]
+            weights = np.maximum(np.take_along_axis(similar, partners, axis=1), _LEAST_R)
+            around = np.average(best[partners], axis=1, weights=weights)
+            typical[low] = np.minimum(typical[low], around)
             # Weak contacts hardly exceed the noise of a sensor, which lowers its r.
             share = noise_share(self.noise(np.flatnonzero(found)[low]))
             r = best.copy()
             r[low] /= np.sqrt(np.maximum(1 - share, 0.1))
             # One contact that differs would be seen: n of them resolve no r closer to 1.
-            r = np.clip(r, _LEAST_R, 1 - 0.5 / self.contacts[found])
+            most = 1 - 0.5 / self.contacts[found]
+            r, typical = (np.clip(one, _LEAST_R, most) for one in (r, typical))
             # Variance that is not explained, over that which is; Fisher's z has the variance 1 / n.
-            unlikely = outlying(r**-2 - 1, 4 / np.median(r) ** 2 / self.contacts[found])
-            found[found] = unlikely & (r < least)
+            levels = (r**-2 - 1) / (typical**-2 - 1)
+            unlikely = outlying(levels, 4 / typical**2 / self.contacts[found])
+            found[found] = unlikely & (r < _HARMFUL_MATCH * typical)
         return np.asarray(found)
 
 

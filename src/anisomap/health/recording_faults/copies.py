@@ -50,6 +50,7 @@ _MIN_POWER = 2.0
 _MIN_FAILED = 5  # pairs from which the distances of sensors are estimated
 _MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely; chosen by hand
 _EXACT = 1e-3  # share of noise in the variance below which copies are exact
+_MIN_TURNING = 1 / 3  # share of frames at which noise turns: half of that of white noise
 
 
 @dataclass(frozen=True)
@@ -70,15 +71,19 @@ class Copies:
 def find_copied(recording: Recording) -> Iterator[Found]:
     """Find groups of sensors that read one wire.
 
-    Sensors that always differ from rest and agree in every frame have their noise in common. Others
-    must have been in contact, and in contacts of several kinds: sensors that one place of contact
-    touches alike read the same, too.
+    Noisy sensors that always differ from rest and agree in every frame have their noise in common.
+    Others must have been in contact, and in contacts of several kinds: sensors that one place of
+    contact touches alike read the same, too.
     """
     names, signals = recording.names, recording.signals
     groups = [
         one
         for one in find_copies(recording.readings, *recording.extremes)
-        if (one.noise == 0 and np.isin(one.sensors, signals.never_at_rest).all())
+        if (
+            one.noise == 0
+            and np.isin(one.sensors, signals.never_at_rest).all()
+            and _is_noisy(recording.readings[:, one.sensors[0]])
+        )
         or (
             signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
             and has_contacts(recording, np.array(one.sensors))
@@ -100,6 +105,12 @@ def find_copied(recording: Recording) -> Iterator[Found]:
             else f"{names[copies.kept]} was kept, and {listed} left out, since their positions are "
             "unknown",
         )
+
+
+def _is_noisy(readings: NDArray[Any]) -> bool:
+    """Return whether readings turn as often as those with noise do, and contacts do not. (T,)."""
+    rises = np.diff(readings) > 0
+    return bool(np.mean(rises[1:] != rises[:-1]) >= _MIN_TURNING)
 
 
 def _leave_out(names: frozenset[str]) -> Callable[[Recording], Recording]:

@@ -15,7 +15,14 @@ from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import ranked
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.signals import count_contacts, excerpt_frames, some_sensors, standardised
+from anisomap.numerics.reliability.sampling_noise import sampling_variance
+from anisomap.numerics.signals import (
+    count_contacts,
+    excerpt_frames,
+    normal_maximum,
+    some_sensors,
+    standardised,
+)
 from anisomap.recording import Recording
 
 _MAX_LAG = 40  # greatest lag that is searched, in frames; chosen by hand
@@ -112,7 +119,7 @@ def _lags(
     part = readings[excerpt_frames(readings, max(1024, _MAX_VALUES // max(1, chosen.size)))]
     if chosen.size < _MIN_SENSORS or len(part) < 8 * _MAX_LAG:
         return lags
-    fit = _Fit.of(part[:, chosen])
+    fit = _Fit.of(part[:, chosen]).of_related_groups()
     if not fit.is_clear():
         return lags
     lags[chosen] = fit.lags
@@ -255,6 +262,21 @@ class _Fit:
     def expected(self) -> NDArray[np.intp]:
         """Lag of each link."""
         return np.asarray(self.lags[self.j] - self.lags[self.i])
+
+    def of_related_groups(self) -> _Fit:
+        """Set the lags of groups without a significant link to other groups to 0.
+
+        The highest correlation at any lag, of any of their links, must be one that unrelated
+        readings with the same autocorrelations reach with probability 1 %.
+        """
+        variance = sampling_variance(np.concatenate(self.parts))[self.i, self.j]
+        across = self.groups[self.i] != self.groups[self.j]
+        ends = np.concatenate([self.groups[end][across] for end in (self.i, self.j)])
+        count = np.bincount(ends, minlength=int(self.groups.max()) + 1)
+        strongest = np.zeros(count.size)
+        np.maximum.at(strongest, ends, np.tile((self.peak / np.sqrt(variance))[across], 2))
+        related = strongest > normal_maximum(count * (2 * _MAX_LAG + 1))
+        return replace(self, lags=np.where(related[self.groups], self.lags, 0))
 
     def found_again(self) -> Iterator[float]:
         """Yield the share of the links for which each part of the recording gives the same lags."""

@@ -14,6 +14,7 @@ from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.reliability.sampling_noise import BLOCK_FACTOR, correlation_time
 from anisomap.numerics.reliability.significance import FALSE_ALARMS
 from anisomap.numerics.signals import (
     MAX_FRAMES,
@@ -220,6 +221,8 @@ def find_change(recording: Recording) -> Iterator[Found]:
     step = -(-n_frames // _MAX_COMPARED)
     rest = recording.signals.rest.select(chosen)
     ranks = ranks_of_depths(recording.readings[::step][:, chosen], rest, single=True)
+    if len(ranks) < _N_BLOCKS * BLOCK_FACTOR * correlation_time(ranks):
+        return
     # A column of ones turns products into sums and counts as well.
     values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])
     moments = np.array([block.T @ block for block in np.array_split(values, _N_BLOCKS)])

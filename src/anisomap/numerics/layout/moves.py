@@ -253,6 +253,18 @@ def patches(evidence: Evidence) -> list[NDArray[np.intp]]:
     return _held_together(evidence, np.flatnonzero(evidence.usable))
 
 
+def without_smaller_patches(evidence: Evidence, move: Move) -> Evidence:
+    """Return the evidence of the moved sensors, and of patches that are no smaller than they are.
+
+    Similarities to a smaller patch are explained as well if that one is at a wrong place.
+    """
+    usable = np.zeros_like(evidence.usable)
+    for patch in patches(evidence):
+        usable[patch] = len(patch) >= len(move.sensors)
+    usable[move.sensors] = evidence.usable[move.sensors]
+    return replace(evidence, usable=usable)
+
+
 def is_possible(evidence: Evidence, move: Move) -> bool:
     """Return whether a patch moves far enough, to where no other sensors are."""
     spacing = evidence.falloff.spacing

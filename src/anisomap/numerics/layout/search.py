@@ -30,6 +30,7 @@ from anisomap.numerics.layout.moves import (
     is_possible,
     patch_moves,
     single_moves,
+    without_smaller_patches,
 )
 
 _MAX_ROUNDS = 12
@@ -60,6 +61,7 @@ class Verdict:
     median_gain: Such increase of the median sensor; 0 if less than half of all stay in place.
     """
 
+    n_sensors: int
     gain: float
     half_gains: tuple[float, ...]
     agreement_gain: float
@@ -74,7 +76,7 @@ class Verdict:
         all of them were moved.
         """
         return (
-            self.gain >= MIN_GAIN
+            self.gain >= MIN_GAIN * max(1, self.n_sensors / 2)
             and min(self.half_gains) > 0
             and self.agreement_gain > max(self.chance, 0.0)
             and self.median_gain > 0
@@ -157,7 +159,12 @@ class Search:
         *,
         rigid: bool = False,
     ) -> Verdict:
-        """Weigh the evidence for a move."""
+        """Weigh the evidence for a move.
+
+        rigid: Whether to places that no sensor has.
+        """
+        if rigid:
+            evidence = without_smaller_patches(evidence, move)
         halves = tuple(
             evidence.with_similarity(half).gain(move) for half in self._statistics.halves
         )
@@ -174,4 +181,4 @@ class Search:
         of_all = agreement_gain(evidence, move)
         # Few sensors should not outweigh the others of a group that is moved as a whole.
         of_all = min(of_all, of_median) if alternatives or rigid else of_all
-        return Verdict(evidence.gain(move), halves, of_all, chance, of_median)
+        return Verdict(len(move.sensors), evidence.gain(move), halves, of_all, chance, of_median)

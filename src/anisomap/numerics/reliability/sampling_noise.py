@@ -148,7 +148,8 @@ MAX_BLOCKS = 100
 MIN_BLOCKS = 8
 """Minimum number of blocks: fewer have hardly different resamples; chosen by hand."""
 
-_BLOCK_FACTOR = 4  # block length / lag at which autocorrelations fade; see `block_edges`
+BLOCK_FACTOR = 4
+"""Length of a block, relative to the lag at which autocorrelations fade; see `block_edges`."""
 
 
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
@@ -161,7 +162,7 @@ def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     times that lag gave about equal variances on simulated skins, seeds 201 to 212.
     """
     values = np.asarray(readings)
-    length = _BLOCK_FACTOR * max(1, correlation_time(values))
+    length = BLOCK_FACTOR * max(1, correlation_time(values))
     count = min(max(len(values) // length, MIN_BLOCKS), MAX_BLOCKS, len(values))
     return np.linspace(0, len(values), count + 1).astype(np.intp)
 
