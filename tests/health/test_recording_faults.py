@@ -106,6 +106,15 @@ def test_sensors_that_recover_slowly_did_not_change(seed):
     assert "changed" not in kinds(find_faults(Recording(readings + 0.15 * left)))
 
 
+@pytest.mark.parametrize(("seed", "n_places"), [(1, 9), (7, 15), (20, 8), (74, 12)])
+def test_few_places_that_are_pressed_again_and_again_are_no_fault(seed, n_places):
+    strip = np.array([(i, j) for i in range(30) for j in range(4)], dtype=float)
+    readings = pressed(strip, 850, seed=seed, n_places=n_places)
+    for before, after in pairwise(readings):  # each rises at once, and recovers slowly
+        after[:] = np.where(after > before, after, 0.85 * before + 0.15 * after)
+    assert not find_faults(Recording(readings))
+
+
 def test_sensors_that_one_press_reached_are_no_copies_if_they_recover_slowly():
     bump, readings = np.sin(np.pi * np.arange(1, 10) / 10), np.zeros((900, 40))
     for i in range(20):  # no press reaches other sensors than these two

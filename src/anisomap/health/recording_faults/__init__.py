@@ -51,6 +51,7 @@ def in_readings(
 _MIN_PATTERNS = 3
 _N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
 _N_COMPARED = 2048  # frames of which patterns are counted
+_MIN_TURNING = 1 / 3  # share of the frames
 _N_SHIFTED = 19  # shifts, of which the largest is exceeded by chance with probability 1 / 20
 
 
@@ -75,6 +76,16 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
         shifted = np.stack([np.roll(row, n) for row, n in zip(near, shifts, strict=True)])
         by_chance = np.maximum(by_chance, np.linalg.eigvalsh(shifted @ shifted.T)[::-1])
     return bool((eigenvalues > by_chance)[:_MIN_PATTERNS].all() and len(near) >= _MIN_PATTERNS)
+
+
+def turns_like_noise(course: NDArray[np.floating]) -> bool:
+    """Return whether a signal, (T,), has half as many turning points as white noise, or more.
+
+    Two thirds of the frames of white noise are turning points (Bienayme 1874); contacts that are
+    sampled well have few of them.
+    """
+    rises = np.diff(course) > 0
+    return bool(np.mean(rises[1:] != rises[:-1]) >= _MIN_TURNING)
 
 
 def linked_groups(

@@ -13,6 +13,7 @@ from anisomap.health.recording_faults import (
     has_contacts,
     in_readings,
     linked_groups,
+    turns_like_noise,
 )
 from anisomap.numerics.signals import (
     deviation_from_median,
@@ -256,6 +257,8 @@ def _noise_of(
     values = readings.astype(np.float64)
     gains, course = _common_course(values)
     if (gains <= 0).any() or gains.max() > _MAX_GAIN_RATIO * gains.min():
+        return None
+    if not turns_like_noise(course):
         return None
     left = values - np.outer(course, gains)
     before, after = (deviation_from_median(np.diff(part, 2, axis=0)) for part in (values, left))

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.special import pdtrc
 
 from anisomap.base.wording import join_items
-from anisomap.health.recording_faults import Found, has_contacts
+from anisomap.health.recording_faults import Found, has_contacts, turns_like_noise
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import (
     MAX_WHOLE,
@@ -50,7 +50,6 @@ _MIN_POWER = 2.0
 _MIN_FAILED = 5  # pairs from which the distances of sensors are estimated
 _MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely; chosen by hand
 _EXACT = 1e-3  # share of noise in the variance below which copies are exact
-_MIN_TURNING = 1 / 3  # share of frames at which noise turns: half of that of white noise
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ def find_copied(recording: Recording) -> Iterator[Found]:
         if (
             one.noise == 0
             and np.isin(one.sensors, signals.never_at_rest).all()
-            and _is_noisy(recording.readings[:, one.sensors[0]])
+            and turns_like_noise(recording.readings[:, one.sensors[0]])
         )
         or (
             signals.contacts[list(one.sensors)].min() >= MIN_CONTACTS
@@ -105,12 +104,6 @@ def find_copied(recording: Recording) -> Iterator[Found]:
             else f"{names[copies.kept]} was kept, and {listed} left out, since their positions are "
             "unknown",
         )
-
-
-def _is_noisy(readings: NDArray[Any]) -> bool:
-    """Return whether readings turn as often as those with noise do, and contacts do not. (T,)."""
-    rises = np.diff(readings) > 0
-    return bool(np.mean(rises[1:] != rises[:-1]) >= _MIN_TURNING)
 
 
 def _leave_out(names: frozenset[str]) -> Callable[[Recording], Recording]:
