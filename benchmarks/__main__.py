@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import astuple
 from pathlib import Path
 
-from benchmarks.comparison import Row, run
 from benchmarks.harness import columns, write_csv
+from benchmarks.measuring import Row, run
 from benchmarks.stages import STAGES
 from benchmarks.tables import draw, markdown, significant
 

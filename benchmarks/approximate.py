@@ -25,7 +25,7 @@ from anisomap import SensorMap, read, reconstruct_from, score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.harness import files_in, markdown_table, quietly
-from benchmarks.inputs import directions
+from benchmarks.inputs import directions, sphere_radius
 
 Matrix = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def on_a_square(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matr
 
 def on_a_sphere(n_points: int, n_sensors: int, rng: np.random.Generator) -> Matrix:
     """Draw points on a sphere of the same area."""
-    return np.asarray((n_sensors / (4 * np.pi)) ** 0.5 * directions(n_points, rng))
+    return sphere_radius(n_sensors) * directions(n_points, rng)
 
 
 SKINS = (

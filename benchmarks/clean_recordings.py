@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product, starmap
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
-from benchmarks.inputs import directions
+from benchmarks.inputs import directions, sphere, sphere_radius
 
 Floats = NDArray[np.float64]
 
@@ -23,26 +22,16 @@ _FRAMES_PER_STROKE = 25
 _N_PRESSES = 12
 
 
-def _sphere(n: int, _: np.random.Generator) -> Floats:
-    turn = np.pi * (1 + 5**0.5) * (np.arange(n) + 0.5)
-    height = 1 - 2 * (np.arange(n) + 0.5) / n
-    radius = np.sqrt(1 - height**2)
-    places = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])
-    return np.asarray(places * np.sqrt(n / (4 * np.pi)))
-
-
 def _plane(n: int, _: np.random.Generator) -> Floats:
     side = round(n**0.5)
     return np.array([[x, y, 0.0] for x, y in product(range(side), repeat=2)])
 
 
-def _scattered(n: int, rng: np.random.Generator) -> Floats:
-    return np.asarray(directions(n, rng) * np.sqrt(n / (4 * np.pi)))
-
-
-BODIES: Mapping[str, Callable[[int, np.random.Generator], Floats]] = MappingProxyType(
-    {"sphere": _sphere, "plane": _plane, "scattered": _scattered}
-)
+BODIES: Mapping[str, Callable[[int, np.random.Generator], Floats]] = {
+    "sphere": lambda n, rng: sphere(n, rng) * sphere_radius(n),
+    "plane": _plane,
+    "scattered": lambda n, rng: directions(n, rng) * sphere_radius(n),
+}
 """Positions of n sensors, (n, 3), in spacings."""
 
 
@@ -74,11 +63,12 @@ def _one_place(places: Floats, t: int, rng: np.random.Generator) -> tuple[Floats
     return np.tile(at, (t, 1)), np.maximum(force, 0)
 
 
-COURSES: Mapping[str, Callable[[Floats, int, np.random.Generator], tuple[Floats, Floats]]] = (
-    MappingProxyType(
-        {"jumps": _jumps, "strokes": _strokes, "presses": _presses, "one place": _one_place}
-    )
-)
+COURSES: Mapping[str, Callable[[Floats, int, np.random.Generator], tuple[Floats, Floats]]] = {
+    "jumps": _jumps,
+    "strokes": _strokes,
+    "presses": _presses,
+    "one place": _one_place,
+}
 
 
 def _gained(x: Floats, rng: np.random.Generator) -> Floats:
@@ -87,17 +77,15 @@ def _gained(x: Floats, rng: np.random.Generator) -> Floats:
     return x * rng.lognormal(0, 0.3, n) + rng.normal(0, 0.01, x.shape) + rng.uniform(0, 5, n)
 
 
-FORMS: Mapping[str, Callable[[Floats, np.random.Generator], Floats]] = MappingProxyType(
-    {
-        "exact": lambda x, _: x,
-        "noise of 1 %": lambda x, rng: x + rng.normal(0, 0.01, x.shape),
-        "noise of 10 %": lambda x, rng: x + rng.normal(0, 0.1, x.shape),
-        "8 bits": lambda x, _: np.round(x * 255),
-        "integers with noise": lambda x, rng: np.round(100 * x + rng.normal(200, 1, x.shape)),
-        "binary": lambda x, _: np.asarray(x > 0.3, dtype=np.float64),
-        "gains, noise of 1 %": _gained,
-    }
-)
+FORMS: Mapping[str, Callable[[Floats, np.random.Generator], Floats]] = {
+    "exact": lambda x, _: x,
+    "noise of 1 %": lambda x, rng: x + rng.normal(0, 0.01, x.shape),
+    "noise of 10 %": lambda x, rng: x + rng.normal(0, 0.1, x.shape),
+    "8 bits": lambda x, _: np.round(x * 255),
+    "integers with noise": lambda x, rng: np.round(100 * x + rng.normal(200, 1, x.shape)),
+    "binary": lambda x, _: np.asarray(x > 0.3, dtype=np.float64),
+    "gains, noise of 1 %": _gained,
+}
 
 
 class Case(NamedTuple):

@@ -6,19 +6,20 @@ the skin for 0.3 s before each bout. Uncoached, it rubs without a pause as in th
 "rubbing", in which strokes lead to the parts that were rubbed least, as of a person who remembers
 them. The errors of the quick maps of both are compared at several numbers of frames.
 
-Rows are written as they are made; ``--read`` joins those of several runs. ``--evenness FOLDER``
-compares how evenly the uncoached hand touches with recordings of rubbed skins in a folder.
+Rows are written as they are made. ``--evenness FOLDER`` compares how evenly the uncoached hand
+touches with recordings of rubbed skins in a folder.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from anisomap import read as read_recording
@@ -31,7 +32,7 @@ from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
 from benchmarks.contacts import contacts_by_frame
-from benchmarks.harness import frame, options, read_rows, write_csv, write_rows
+from benchmarks.harness import frame, options, write_csv, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D
@@ -145,18 +146,10 @@ def error_of(positions: NDArray[np.float64], body: Body) -> float:
     return float(np.sqrt(squares.mean()))
 
 
-def frames_to(rows: Sequence[Row], goal: float) -> float:
-    """Return the number of frames after which the median error stays at or below a goal."""
-    medians = frame(rows).groupby("n_frames").error.median()
-    below = medians.index[medians[::-1].cummax()[::-1] <= goal]
-    return int(below[0]) if len(below) else float("nan")
-
-
-def frames_to_all(rows: Sequence[Row]) -> float:
-    """Return the number of frames after which half of the runs or more touched every sensor."""
-    medians = frame(rows).groupby("n_frames").touched.median()
-    whole = medians.index[medians == 1]
-    return int(whole[0]) if len(whole) else float("nan")
+def frames_until(reached: Any) -> float:
+    """Return the number of frames from which on a goal is reached, a series by this number."""
+    lasting = reached.index[reached[::-1].cummin()[::-1]]
+    return int(lasting[0]) if len(lasting) else float("nan")
 
 
 @dataclass(frozen=True)
@@ -173,23 +166,23 @@ class Goal:
 
 
 def summary(rows: Sequence[Row]) -> list[Goal]:
-    """Compare the frames that both ways take to touch every sensor, and to errors.
+    """Compare the frames after which half of the runs of both ways have reached a goal.
 
-    The goals are an error of 1 spacing, and the error that the uncoached hand ends with.
+    The goals are to touch every sensor, an error of 1 spacing, and the error that the uncoached
+    hand ends with.
     """
     found: list[Goal] = []
-    longest = max(row.n_frames for row in rows)
+    medians = frame(rows).groupby(["body", "stimulus", "way", "n_frames"])[["error", "touched"]]
+    medians = medians.median()
     for body, stimulus in dict.fromkeys((row.body, row.stimulus) for row in rows):
-        chosen = [row for row in rows if (row.body, row.stimulus) == (body, stimulus)]
-        ways = [[row for row in chosen if row.way == way] for way in WAYS]
-        last = float(np.median([row.error for row in ways[1] if row.n_frames == longest]))
-        goals: dict[str, tuple[float | str, Callable[[Sequence[Row]], float]]] = {
-            "every sensor touched": ("", frames_to_all),
-            "error of 1 spacing": (1.0, partial(frames_to, goal=1.0)),
-            "last error": (round(last, 3), partial(frames_to, goal=last)),
-        }
-        for goal, (spacings, frames_of) in goals.items():
-            coached, uncoached = map(frames_of, ways)
+        ways = [medians.loc[body, stimulus, way] for way in WAYS]
+        last = float(ways[1].error.iloc[-1])
+        for goal, spacings, reached in (
+            ("every sensor touched", "", [way.touched == 1 for way in ways]),
+            ("error of 1 spacing", 1.0, [way.error <= 1 for way in ways]),
+            ("last error", round(last, 3), [way.error <= last for way in ways]),
+        ):
+            coached, uncoached = map(frames_until, reached)
             ratio = round(coached / uncoached, 2)
             found.append(Goal(body, stimulus, goal, spacings, coached, uncoached, ratio))
     return found
@@ -200,21 +193,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = options(__doc__, "coach", recordings=False)
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS))
     parser.add_argument("--bodies", nargs="*", default=list(BODIES))
-    parser.add_argument("--read", type=Path, nargs="*", help="rows of earlier runs, to be joined")
     parser.add_argument("--evenness", type=Path, help="folder of recordings of rubbed skins")
     given = parser.parse_args(arguments)
     given.output.mkdir(exist_ok=True)
-    rows = [row for path in given.read or () for row in read_rows(path, Row)]
     if given.evenness is not None:
         evenly = evenness_table(given.evenness, given.seeds[:3])
         write_csv(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, evenly)
         return
-    for name in () if rows else given.bodies:
+    rows: list[Row] = []
+    for name in given.bodies:
         body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
         for stimulus, seed, way in itertools.product(STIMULI, given.seeds, WAYS):
             rows += rows_of(body, dimensions, stimulus, way, seed=seed)
             write_rows(given.output / "coach.csv", rows)
-    write_rows(given.output / "coach.csv", rows)
     results = summary(rows)
     write_rows(given.output / "coach-summary.csv", results)
     print(*results, sep="\n")
@@ -223,8 +214,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Draw the median error over frames, with quartiles."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 (takes a second)
-
     bodies = list(dict.fromkeys(row.body for row in rows))
     figure = Figure(figsize=(3.2 * len(bodies), 5.6), layout="constrained")
     axes = figure.subplots(len(STIMULI), len(bodies), sharex=True, sharey="col", squeeze=False)

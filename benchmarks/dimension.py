@@ -12,7 +12,6 @@ import argparse
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -86,9 +85,11 @@ def half_cylinder() -> Body:
     return covered("half-cylinder", [solid], 60, lambda p: (p[:, 0] > 0) & (np.abs(p[:, 2]) < top))
 
 
-ROLLED_OUT: Mapping[str, Body] = MappingProxyType(
-    {"line": flat("line", 24, 1), "strip": flat("strip", 20, 3), "half-cylinder": half_cylinder()}
-)
+ROLLED_OUT: Mapping[str, Body] = {
+    "line": flat("line", 24, 1),
+    "strip": flat("strip", 20, 3),
+    "half-cylinder": half_cylinder(),
+}
 """Shapes that can be rolled out, beside those in `BODIES`."""
 
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -42,39 +41,37 @@ FIRST_SEED = 301
 FRAMES = 2000
 
 
-DAMAGES: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "5 % of the sensors are copies": ("copies", "duplicated:5%"),
-        "10 % are copies, other gains, 10 % noise": ("copies", "duplicated:10%,factor=3,level=0.1"),
-        "10 % are copies, other gains, 40 % noise": ("copies", "duplicated:10%,factor=3,level=0.4"),
-        "5 % leak into the next channel": ("leak", "leaking:*,share=0.05"),
-        "20 % leak into the next channel": ("leak", "leaking:*,share=0.2"),
-        "boards of 12 lag by 1 frame each": ("lags", "lagging:*,board=12,frames=1"),
-        "boards of 12 lag by 3 frames each": ("lags", "lagging:*,board=12,frames=3"),
-        "boards of 12 lag by 10 frames each": ("lags", "lagging:*,board=12,frames=10"),
-        "half of the sensors lag by 10 frames": ("lags", "lagging:50%,frames=10"),
-        "half of the sensors lag by 30 frames": ("lags", "lagging:50%,frames=30"),
-        "30 % of the sensors are inverted": ("inverted", "inverted:30%"),
-        "50 % of the sensors are inverted": ("inverted", "inverted:50%"),
-        "common noise of 1 sd": ("common-noise", "common-noise:*,level=1"),
-        "common noise of 3 sd": ("common-noise", "common-noise:*,level=3"),
-        "noise of boards of 12, 1 sd": ("board-noise", "common-noise:*,level=1,board=12"),
-        "spikes of boards of 12 in 2 % of the frames": ("spikes", "spiking:*,board=12"),
-        "hum of 1 sd": ("hum", "humming:*,level=1"),
-        "hum of 3 sd": ("hum", "humming:*,level=3"),
-        "baselines wander by 0.5 sd": ("drift", "drifting:*,level={sd}0.5"),
-        "baselines wander by 1 sd": ("drift", "drifting:*,level={sd}1"),
-        "baselines warm up by 1 sd": ("drift", "warming:*,level={sd}1"),
-        "half of the readings of 30 % interpolated": ("gaps", "bridged-gaps:30%"),
-        "half of the readings of 30 % missing": ("gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"),
-        "30 % of the sensors clipped at 0.3": ("saturation", "clipped:30%,level=0.3"),
-        "readings of 10 % at 1,000 times the range": ("glitches", "glitching:10%,level=1000"),
-        "wires of 5 % exchanged half-way": ("changed", "rewired:5%"),
-        "wires of 20 % exchanged after a third": ("changed", "rewired:20%,share=0.33"),
-        "two regions touched one after the other": ("separate-regions", "separate-regions"),
-        "sines of one period": ("one-period", "cycling:*"),
-    }
-)
+DAMAGES: Mapping[str, tuple[str, str]] = {
+    "5 % of the sensors are copies": ("copies", "duplicated:5%"),
+    "10 % are copies, other gains, 10 % noise": ("copies", "duplicated:10%,factor=3,level=0.1"),
+    "10 % are copies, other gains, 40 % noise": ("copies", "duplicated:10%,factor=3,level=0.4"),
+    "5 % leak into the next channel": ("leak", "leaking:*,share=0.05"),
+    "20 % leak into the next channel": ("leak", "leaking:*,share=0.2"),
+    "boards of 12 lag by 1 frame each": ("lags", "lagging:*,board=12,frames=1"),
+    "boards of 12 lag by 3 frames each": ("lags", "lagging:*,board=12,frames=3"),
+    "boards of 12 lag by 10 frames each": ("lags", "lagging:*,board=12,frames=10"),
+    "half of the sensors lag by 10 frames": ("lags", "lagging:50%,frames=10"),
+    "half of the sensors lag by 30 frames": ("lags", "lagging:50%,frames=30"),
+    "30 % of the sensors are inverted": ("inverted", "inverted:30%"),
+    "50 % of the sensors are inverted": ("inverted", "inverted:50%"),
+    "common noise of 1 sd": ("common-noise", "common-noise:*,level=1"),
+    "common noise of 3 sd": ("common-noise", "common-noise:*,level=3"),
+    "noise of boards of 12, 1 sd": ("board-noise", "common-noise:*,level=1,board=12"),
+    "spikes of boards of 12 in 2 % of the frames": ("spikes", "spiking:*,board=12"),
+    "hum of 1 sd": ("hum", "humming:*,level=1"),
+    "hum of 3 sd": ("hum", "humming:*,level=3"),
+    "baselines wander by 0.5 sd": ("drift", "drifting:*,level={sd}0.5"),
+    "baselines wander by 1 sd": ("drift", "drifting:*,level={sd}1"),
+    "baselines warm up by 1 sd": ("drift", "warming:*,level={sd}1"),
+    "half of the readings of 30 % interpolated": ("gaps", "bridged-gaps:30%"),
+    "half of the readings of 30 % missing": ("gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"),
+    "30 % of the sensors clipped at 0.3": ("saturation", "clipped:30%,level=0.3"),
+    "readings of 10 % at 1,000 times the range": ("glitches", "glitching:10%,level=1000"),
+    "wires of 5 % exchanged half-way": ("changed", "rewired:5%"),
+    "wires of 20 % exchanged after a third": ("changed", "rewired:20%,share=0.33"),
+    "two regions touched one after the other": ("separate-regions", "separate-regions"),
+    "sines of one period": ("one-period", "cycling:*"),
+}
 """Kind of the finding that is right, and fault as for ``anisomap spoil``, by what it does.
 
 ``{sd}`` stands for one standard deviation of the median sensor as a share of the range of the

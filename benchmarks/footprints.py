@@ -9,7 +9,6 @@ hand, walking feet, regions touched in turn, waves in tissue, sources seen throu
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,18 +103,16 @@ def conducted_sources(places: Floats, n_frames: int, rng: np.random.Generator) -
     return np.asarray(signal + 0.1 * signal.std() * rng.standard_normal(signal.shape))
 
 
-FOOTPRINTS: Mapping[str, Callable[[Floats, int, np.random.Generator], Floats]] = MappingProxyType(
-    {
-        "bars": bars,
-        "bars-of-all-directions": bars_of_all_directions,
-        "unlike-sizes": unlike_sizes,
-        "grasp": grasp,
-        "regions-in-turn": regions_in_turn,
-        "walking": walking,
-        "waves": waves,
-        "conducted-sources": conducted_sources,
-    }
-)
+FOOTPRINTS: Mapping[str, Callable[[Floats, int, np.random.Generator], Floats]] = {
+    "bars": bars,
+    "bars-of-all-directions": bars_of_all_directions,
+    "unlike-sizes": unlike_sizes,
+    "grasp": grasp,
+    "regions-in-turn": regions_in_turn,
+    "walking": walking,
+    "waves": waves,
+    "conducted-sources": conducted_sources,
+}
 """Functions ``readings(places, n_frames, rng)`` of places, shape (N, 3)."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,63 @@ from anisomap.numerics.similarity.correlation import pearson
 
 Matrix = NDArray[np.floating[Any]]
 Readings = NDArray[np.float32]
+Places = NDArray[np.float64]
 
 _REACH = 2.5
 _TOUCHES_PER_SENSOR = 8
 _SENSOR_NOISE = 0.5  # standard deviation; the deepest contact reads 2.5
 _OVERLAP = 0.25
 _BLOCK_FRAMES = 256
+
+
+def directions(n_directions: int, rng: np.random.Generator) -> Places:
+    """Draw unit vectors in space, shape (n, 3)."""
+    drawn = rng.normal(size=(n_directions, 3))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+def sphere_radius(n_sensors: int) -> float:
+    """Return the radius of a sphere with one unit of area per sensor."""
+    return float(np.sqrt(n_sensors / (4 * np.pi)))
+
+
+def sphere(n: int, _: np.random.Generator, power: float = 1.0) -> Places:
+    """Place sensors on a golden spiral; a power above 1 crowds them at the equator."""
+    i = np.arange(n) + 0.5
+    z = 1 - 2 * i / n
+    z = np.sign(z) * np.abs(z) ** power
+    turn, radius = np.pi * (1 + 5**0.5) * i, np.sqrt(1 - z**2)
+    return np.column_stack([np.cos(turn) * radius, np.sin(turn) * radius, z])
+
+
+@dataclass(frozen=True)
+class Press:
+    """How contacts press: width in frames, length along x, and the profile over distance."""
+
+    width: int
+    length: float
+    profile: int
+
+    def onto(
+        self,
+        readings: Matrix,
+        offsets: Places,
+        at: int,
+        height: float,
+        radius: float,
+    ) -> None:
+        """Add a contact to readings, shape (T, N), given the offsets of sensors, shape (N, 3)."""
+        away = np.linalg.norm(offsets / [self.length, 1, 1], axis=1) / radius
+        shape = (
+            np.maximum(0, 1 - away**2),
+            np.maximum(0, 1 - away),
+            np.exp(-2 * away**2) * (away < 1.6),
+        )[self.profile]
+        frames = np.arange(max(0, at - self.width), min(len(readings), at + self.width + 1))
+        course = np.cos((frames - at) / self.width * np.pi / 2) ** 2
+        near = np.flatnonzero(shape)
+        part = np.ix_(frames, near)
+        readings[part] = np.maximum(readings[part], height * course[:, None] * shape[near])
 
 
 @lru_cache(maxsize=1)
@@ -74,15 +126,8 @@ def flat_skin(n_sensors: int) -> Matrix:
 def round_skin(n_sensors: int) -> Matrix:
     """Return dissimilarities of a spherical skin, which embeds in 3D with low stress."""
     rng = np.random.default_rng(0)
-    radius = (n_sensors / (4 * np.pi)) ** 0.5
-    points = radius * directions((1 + _TOUCHES_PER_SENSOR) * n_sensors, rng)
+    points = sphere_radius(n_sensors) * directions((1 + _TOUCHES_PER_SENSOR) * n_sensors, rng)
     return _touched(points[:n_sensors], points[n_sensors:], rng)
-
-
-def directions(n_directions: int, rng: np.random.Generator) -> Matrix:
-    """Draw unit vectors in space, shape (n, 3)."""
-    drawn = rng.normal(size=(n_directions, 3))
-    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
 def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matrix:

@@ -28,6 +28,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.harness import write_csv
 
@@ -227,8 +228,6 @@ def write_memory(memory: Sequence[Memory], path: Path) -> None:
 
 def draw_memory(memory: Sequence[Memory], path: Path) -> None:
     """Draw the memory of each process over time."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 (takes a second)
-
     figure = Figure(figsize=(6, 3), layout="constrained")
     ax = figure.subplots()
     looks = (("#0b5394", "-"), ("#b35000", "--"), ("#4d5b69", ":"))

@@ -8,13 +8,14 @@ of touching, noise, quantisation and, in 3 of 10 recordings, a fault.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 import anisomap
 from anisomap.evaluation import median_spacing
+from benchmarks.inputs import Press, sphere
 from benchmarks.trust_recordings import Case
 
 Floats = NDArray[np.float64]
@@ -28,32 +29,13 @@ FAULTY = 0.3
 MOST_FRAMES = 12_000
 
 
-def sphere(n: int, _: np.random.Generator, power: float = 1.0) -> Floats:
-    """Place sensors on a golden spiral; a power above 1 crowds them at the equator."""
-    i = np.arange(n) + 0.5
-    z = 1 - 2 * i / n
-    z = np.sign(z) * np.abs(z) ** power
-    turn, radius = np.pi * (1 + 5**0.5) * i, np.sqrt(1 - z**2)
-    return np.column_stack([np.cos(turn) * radius, np.sin(turn) * radius, z])
-
-
-def uneven_sphere(n: int, rng: np.random.Generator) -> Floats:
-    """Place sensors on a sphere, densest at the equator."""
-    return sphere(n, rng, 1.5)
-
-
 def lattice(n: int, rng: np.random.Generator, jitter: float = 0.0) -> Floats:
-    """Place sensors on a flat triangular lattice."""
+    """Place sensors on a flat triangular lattice, or beside it."""
     width = int(np.sqrt(n * rng.uniform(0.6, 1.6)))
     x, y = np.meshgrid(np.arange(width), np.arange(max(3, n // width)))
     places = np.column_stack([(x + 0.5 * (y % 2)).ravel(), 0.866 * y.ravel(), np.zeros(x.size)])
     places[:, :2] += rng.uniform(-jitter, jitter, (len(places), 2))
     return places
-
-
-def plane(n: int, rng: np.random.Generator) -> Floats:
-    """Place sensors on a plane, a quarter of a spacing beside a lattice."""
-    return lattice(n, rng, 0.25)
 
 
 def cylinder(n: int, rng: np.random.Generator, angle: float = 2 * np.pi) -> Floats:
@@ -64,11 +46,6 @@ def cylinder(n: int, rng: np.random.Generator, angle: float = 2 * np.pi) -> Floa
     u, v = np.meshgrid(np.arange(columns), np.arange(rows))
     turn = ((u + 0.5 * (v % 2)) * angle / columns).ravel()
     return np.column_stack([np.cos(turn), np.sin(turn), v.ravel() * length / rows])
-
-
-def half_cylinder(n: int, rng: np.random.Generator) -> Floats:
-    """Place sensors on half a cylinder."""
-    return cylinder(n, rng, np.pi)
 
 
 def torus(n: int, rng: np.random.Generator) -> Floats:
@@ -106,41 +83,16 @@ def saddle(n: int, rng: np.random.Generator) -> Floats:
 
 SURFACES: dict[str, Callable[[int, np.random.Generator], Floats]] = {
     "sphere": sphere,
-    "uneven-sphere": uneven_sphere,
-    "plane": plane,
+    "uneven-sphere": partial(sphere, power=1.5),
+    "plane": partial(lattice, jitter=0.25),
     "lattice": lattice,
     "cylinder": cylinder,
-    "half-cylinder": half_cylinder,
+    "half-cylinder": partial(cylinder, angle=np.pi),
     "torus": torus,
     "hand": hand,
     "saddle": saddle,
 }
 FLAT = ("plane", "lattice")
-
-
-@dataclass(frozen=True)
-class Press:
-    """How contacts press: width in frames, length along x, and the profile over distance."""
-
-    width: int
-    length: float
-    profile: int
-
-    def onto(
-        self, readings: Floats, offsets: Floats, at: int, height: float, radius: float
-    ) -> None:
-        """Add a contact to readings, shape (T, N), given the offsets of sensors, shape (N, 3)."""
-        away = np.linalg.norm(offsets / [self.length, 1, 1], axis=1) / radius
-        shape = (
-            np.maximum(0, 1 - away**2),
-            np.maximum(0, 1 - away),
-            np.exp(-2 * away**2) * (away < 1.6),
-        )[self.profile]
-        frames = np.arange(max(0, at - self.width), min(len(readings), at + self.width + 1))
-        course = np.cos((frames - at) / self.width * np.pi / 2) ** 2
-        near = np.flatnonzero(shape)
-        part = np.ix_(frames, near)
-        readings[part] = np.maximum(readings[part], height * course[:, None] * shape[near])
 
 
 def touched(places: Floats, touch: str, flat: bool, rng: np.random.Generator) -> Floats:

@@ -7,20 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
-from benchmarks.inputs import directions
+from benchmarks.inputs import Press, directions
 
 Readings = NDArray[np.float32]
 
 _SPACINGS = 2.2  # radius of the touched caps, in spacings of the sensors
 _WIDE = 0.6  # radius of the caps that touch a tenth of the skin
-_PULSE = 20  # frames from the begin of a contact to its peak
+_PULSE = Press(width=20, length=1.0, profile=0)  # contacts may begin before the first frame
 _FRAMES_PER_CONTACT = 10
 _NOISE = 0.01  # standard deviation; peaks of contacts are .5 to 1.5
 _PARTS = 8  # separate skins
@@ -39,22 +38,16 @@ def touched(
     sensors = directions(n_sensors, rng)
     count = contacts or max(5, n_frames // _FRAMES_PER_CONTACT)
     typical = _SPACINGS * np.sqrt(4 * np.pi / n_sensors) if radius is None else radius
-    course = np.cos(np.linspace(-1, 1, 2 * _PULSE + 1) * np.pi / 2) ** 2
-    # Frames before and after the recording, so that contacts may begin and end outside.
-    readings = np.zeros((n_frames + 2 * _PULSE, n_sensors), np.float32)
-    for place, first, height, reach in zip(
+    readings = np.zeros((n_frames, n_sensors), np.float32)
+    for place, at, height, reach in zip(
         directions(count, rng),
         rng.integers(n_frames, size=count).tolist(),
         rng.uniform(0.5, 1.5, count),
         typical * rng.uniform(0.7, 1.3, count),
         strict=True,
     ):
-        apart = np.linalg.norm(sensors - place, axis=1)
-        near = np.flatnonzero(apart < reach)
-        pulse = np.outer(height * course, 1 - (apart[near] / reach) ** 2)
-        part = readings[first : first + len(course)]
-        part[:, near] = np.maximum(part[:, near], pulse)
-    return readings[_PULSE : _PULSE + n_frames]
+        _PULSE.onto(readings, sensors - place, at, height, reach)
+    return readings
 
 
 def _noise(n: int, t: int, rng: np.random.Generator) -> Readings:
@@ -85,24 +78,20 @@ def _ramps(n: int, t: int, rng: np.random.Generator) -> Readings:
     return np.outer(np.arange(t), rng.uniform(0.1, 1, n)).astype(np.float32) + _noisy(n, t, rng)
 
 
-MEMBERS: Mapping[str, Callable[[int, int, np.random.Generator], Readings]] = MappingProxyType(
-    {
-        "noise in every reading": _noisy,
-        "8 bits, exact rest": lambda n, t, rng: np.round(255 / 1.5 * touched(n, t, rng)),
-        "binary": lambda n, t, rng: (touched(n, t, rng) > 0).astype(np.float32),
-        "100,000 levels": lambda n, t, rng: np.round(1e5 * _noisy(n, t, rng)),
-        "wide contacts": partial(_noisy, radius=_WIDE),
-        "rare contacts": lambda n, t, rng: _noisy(n, t, rng, contacts=max(20, n // 2)),
-        "drifting rest": _drifting,
-        "eight skins": _components,
-        "30 % missing, interpolated": _incomplete,
-        "every sensor twice": lambda n, t, rng: np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[
-            :, :n
-        ],
-        "pure noise": _noise,
-        "ramps": _ramps,
-    }
-)
+MEMBERS: Mapping[str, Callable[[int, int, np.random.Generator], Readings]] = {
+    "noise in every reading": _noisy,
+    "8 bits, exact rest": lambda n, t, rng: np.round(255 / 1.5 * touched(n, t, rng)),
+    "binary": lambda n, t, rng: (touched(n, t, rng) > 0).astype(np.float32),
+    "100,000 levels": lambda n, t, rng: np.round(1e5 * _noisy(n, t, rng)),
+    "wide contacts": partial(_noisy, radius=_WIDE),
+    "rare contacts": lambda n, t, rng: _noisy(n, t, rng, contacts=max(20, n // 2)),
+    "drifting rest": _drifting,
+    "eight skins": _components,
+    "30 % missing, interpolated": _incomplete,
+    "every sensor twice": lambda n, t, rng: np.repeat(_noisy(-(-n // 2), t, rng), 2, axis=1)[:, :n],
+    "pure noise": _noise,
+    "ramps": _ramps,
+}
 """Function of each member: takes numbers of sensors and frames and a generator, returns (T, N)."""
 
 

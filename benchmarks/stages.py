@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,7 +36,6 @@ from anisomap.numerics.scaling.multidimensional_scaling import (
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import information_from_codes
-from benchmarks.comparison import Comparison, Reference
 from benchmarks.inputs import (
     flat_skin,
     noisy_metric,
@@ -48,6 +46,7 @@ from benchmarks.inputs import (
     rubbed_skin,
     tiled_torso,
 )
+from benchmarks.measuring import Comparison, Reference
 
 Matrix = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint16]
@@ -414,20 +413,16 @@ def _map(readings: Matrix, method: str) -> SensorMap:
         return reconstruct(readings, method, _DIMENSIONS)
 
 
-STAGES: Mapping[str, tuple[str, Callable[[int, int, Path | None], Iterator[Comparison]]]] = (
-    MappingProxyType(
-        {
-            "pearson": ("Similarity", correlations),
-            "spearman": ("Similarity", rank_correlations),
-            "co-activation": ("Similarity", coincidences),
-            "mutual-information": ("Similarity", information),
-            "metricising": ("Shortest paths", shortest_paths),
-            "torgerson": ("Scaling", classical_scaling),
-            "smacof": ("Scaling", scaling),
-            "whole": ("Whole maps", whole_maps),
-        }
-    )
-)
+STAGES: Mapping[str, tuple[str, Callable[[int, int, Path | None], Iterator[Comparison]]]] = {
+    "pearson": ("Similarity", correlations),
+    "spearman": ("Similarity", rank_correlations),
+    "co-activation": ("Similarity", coincidences),
+    "mutual-information": ("Similarity", information),
+    "metricising": ("Shortest paths", shortest_paths),
+    "torgerson": ("Scaling", classical_scaling),
+    "smacof": ("Scaling", scaling),
+    "whole": ("Whole maps", whole_maps),
+}
 """Panel of the figure and function of each stage, by its name for ``--stages``.
 
 Functions take numbers of sensors and frames, and a real recording, if there is one, to be tiled.

@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from unittest.mock import patch
 
 import numpy as np
@@ -42,12 +41,10 @@ SIMULATED = (
     ("touched by itself", "sphere", "self-touch"),
     ("touched by itself", "hand", "self-touch"),
 )
-REAL = MappingProxyType(
-    {
-        "icub": "iCub, real", "nao": "Nao, real", "insole": "feet, real", "plantar": "feet, real",
-        "retina": "retinas, real", "eeg": "EEG, real",
-    }
-)  # fmt: skip
+REAL = {
+    "icub": "iCub, real", "nao": "Nao, real", "insole": "feet, real", "plantar": "feet, real",
+    "retina": "retinas, real", "eeg": "EEG, real",
+}  # fmt: skip
 """Kind by the beginning of the name of the file."""
 
 _DEFAULT = METHODS[DEFAULT_METHOD]
@@ -70,16 +67,14 @@ def _without(step: str) -> Method:
     return replace(_DEFAULT, refinements=kept)
 
 
-VARIANTS: Mapping[str, Method] = MappingProxyType(
-    {
-        "nothing": _DEFAULT,
-        "common signal": _DEFAULT,
-        "kappa": replace(_DEFAULT, contact_similarity=None),
-        **{step: _without(step) for step in ("covariogram", "heights", "paths", "contacts")},
-        # Without any step, the noise that the first stages use would not be computed either.
-        "all refinements": replace(_DEFAULT, refinements={"none": lambda *_: None}),
-    }
-)
+VARIANTS: Mapping[str, Method] = {
+    "nothing": _DEFAULT,
+    "common signal": _DEFAULT,
+    "kappa": replace(_DEFAULT, contact_similarity=None),
+    **{step: _without(step) for step in ("covariogram", "heights", "paths", "contacts")},
+    # Without any step, the noise that the first stages use would not be computed either.
+    "all refinements": replace(_DEFAULT, refinements={"none": lambda *_: None}),
+}
 """Methods by what they leave out of the default method."""
 
 

@@ -14,9 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_info
 
-from benchmarks.comparison import Row
 from benchmarks.harness import COLOURS, markdown_table
-from benchmarks.measuring import n_cores
+from benchmarks.measuring import Row, n_cores
 
 _HEADER = (
     "N",

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks import (
-    comparison,
     contacts,
     dimension,
     limits,
@@ -23,9 +22,8 @@ from benchmarks import (
     updating,
 )
 from benchmarks.__main__ import main
-from benchmarks.comparison import Comparison, Reference, Row, run
 from benchmarks.inputs import flat_skin, rubbed_skin
-from benchmarks.measuring import measure, threads
+from benchmarks.measuring import Comparison, Reference, Row, measure, run, threads
 from benchmarks.tables import markdown
 from threadpoolctl import threadpool_info
 
@@ -47,7 +45,7 @@ def recordings(tmp_path):
 @pytest.fixture
 def small_shares(monkeypatch):
     monkeypatch.setattr(measuring, "MIN_SECONDS", 0)
-    monkeypatch.setattr(comparison, "n_cores", lambda: 1)
+    monkeypatch.setattr(measuring, "n_cores", lambda: 1)
     for name, value in {"N_PAIRS": 20, "MAX_REFERENCE_SENSORS": 30, "MAX_ONE_HOT": 100}.items():
         monkeypatch.setattr(stages, name, value)
 

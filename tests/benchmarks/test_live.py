@@ -1,6 +1,7 @@
 """The benchmark of the coach: what its summary says."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from benchmarks import coach
 from benchmarks.coach import Row
@@ -19,9 +20,9 @@ def rows(errors, way):
 
 
 def test_the_summary_compares_the_frames_to_each_goal():
-    found = rows({100: 0.9, 200: 2.0, 400: 0.8, 800: 0.7}, "coached")
+    errors = pd.Series({100: 0.9, 200: 2.0, 400: 0.8, 800: 0.7})
     for goal, frames in ((1.0, 400), (0.75, 800), (0.1, np.nan)):  # where the error stays below
-        np.testing.assert_equal(coach.frames_to(found, goal), frames)
+        np.testing.assert_equal(coach.frames_until(errors <= goal), frames)
     found = rows({100: 3.0, 200: 1.0, 400: 0.5}, "coached")
     touched, one, last = coach.summary(found + rows({100: 4.0, 200: 2.0, 400: 0.8}, "uncoached"))
     for row, expected in (
