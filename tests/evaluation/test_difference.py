@@ -8,18 +8,12 @@ from scipy.stats import ortho_group
 
 from anisomap import SensorMap
 from anisomap.errors import InputError
-from anisomap.evaluation import align, compare_maps
+from anisomap.evaluation import compare_maps
 from anisomap.numerics.procrustes import fit_similarity, fit_similarity_robustly
-from skins import lattice
+from skins import lattice, moved_freely
 
 seeds = st.integers(0, 10_000)
 few = settings(max_examples=15)
-
-
-def moved_freely(points, rng, factor=3.0):
-    """Turn, scale, shift and maybe mirror."""
-    turn = ortho_group.rvs(points.shape[1], random_state=rng)
-    return factor * points @ turn.T + rng.normal(size=points.shape[1])
 
 
 def two_maps(seed, *, noise=0.05, rows=9, columns=10):
@@ -68,21 +62,6 @@ def test_a_robust_fit_is_not_bent_by_points_that_moved(seed, share):
     fit = fit_similarity_robustly(points, target)
     still = np.setdiff1d(np.arange(60), far)
     assert np.abs(fit.apply(points[still]) - target[still]).max() < 1e-3
-
-
-@given(seeds)
-@few
-def test_an_alignment_applies_to_other_points(seed):
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(20, 2))
-    truth = moved_freely(points, rng)
-    found = align(points[:8], truth[:8])
-    np.testing.assert_allclose(found.apply(points), truth, atol=1e-9)
-    np.testing.assert_array_equal(found.apply(points[:8]), found.aligned)
-    in_space = align(points[:8], np.pad(truth[:8], ((0, 0), (0, 1))))
-    np.testing.assert_allclose(in_space.apply(points)[:, :2], truth, atol=1e-9)
-    with pytest.raises(InputError, match="k at most 2"):
-        found.apply(np.zeros((3, 3)))
 
 
 def test_maps_that_differ_by_chance_do_not_differ():

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import ortho_group
 
 from anisomap import Recording, SensorMap, io, reconstruct, score
 from anisomap.errors import AnisomapWarning
@@ -39,6 +40,14 @@ def rubbed(
     distances = np.linalg.norm(touch[:, None] - positions, axis=2)
     pressure = rng.uniform(0.6, 1.4, (n_frames, 1))
     return np.maximum(0, reach - distances) * pressure
+
+
+def moved_freely(
+    points: NDArray[np.float64], rng: np.random.Generator, factor: float = 3.0
+) -> NDArray[np.float64]:
+    """Turn, scale, shift and maybe mirror points, shape (N, k)."""
+    turn = ortho_group.rvs(points.shape[1], random_state=rng)
+    return factor * points @ turn.T + rng.normal(size=points.shape[1])
 
 
 @cache

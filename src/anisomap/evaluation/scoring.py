@@ -19,7 +19,7 @@ from anisomap.sensor_map import SensorMap, check_coordinates
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
+class Alignment(Similarity):
     """The similarity transform that best aligns a configuration with the truth.
 
     ``aligned = scale * positions @ rotation.T + translation``, in the units of the truth. If
@@ -41,10 +41,6 @@ class Alignment:
         Distance of each sensor from its true position.
     """
 
-    rotation: NDArray[np.float64]
-    scale: float
-    translation: NDArray[np.float64]
-    reflected: bool
     aligned: NDArray[np.float64]
     errors: NDArray[np.float64]
 
@@ -77,8 +73,7 @@ class Alignment:
                 f"positions must have shape (n, k) with k at most {len(self.translation)}, got "
                 f"{points.shape}"
             )
-        fit = Similarity(self.rotation, self.scale, self.translation)
-        return fit.apply(padded(points, len(self.translation)))
+        return super().apply(padded(points, len(self.translation)))
 
 
 def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
@@ -118,14 +113,8 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
         raise InputError("all positions coincide, so an alignment is undefined")
     fit = fit_similarity(x, y)
     aligned = fit.apply(x)
-    return Alignment(
-        rotation=fit.rotation,
-        scale=fit.scale,
-        translation=fit.translation,
-        reflected=fit.reflected,
-        aligned=aligned,
-        errors=np.linalg.norm(aligned - y, axis=1),
-    )
+    errors = np.linalg.norm(aligned - y, axis=1)
+    return Alignment(fit.rotation, fit.scale, fit.translation, aligned, errors)
 
 
 NEIGHBOURS = 6

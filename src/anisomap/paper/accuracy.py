@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from anisomap.paper.cases import (
     PATCH_RUNS,
     Case,
     patch_run,
-    patch_seed,
+    patch_runs,
     true_positions,
 )
 from anisomap.paper.experiment import (
@@ -38,6 +37,7 @@ from anisomap.paper.experiment import (
     Tables,
     by,
     experiment,
+    joined,
     mean_by,
     provide,
 )
@@ -89,10 +89,9 @@ def _simulated(case: Case, settings: Settings) -> Iterator[Row]:
 
 def _patch(settings: Settings) -> Iterator[Row]:
     """Score all maps of the five runs of the simulated patch without the failing sensor."""
-    options: dict[str, Any] = {"exclude": [FAILING], "more_bins": MORE_BINS}
-    for number in PATCH_RUNS:
-        run, seed = patch_run(settings, number), patch_seed(settings, number)
-        yield from score_rows(str(number), run, seed, (2, 3), settings, **options)
+    excluding: dict[str, Any] = {"exclude": [FAILING], "more_bins": MORE_BINS}
+    for number, run, seed in patch_runs(settings):
+        yield from score_rows(str(number), run, seed, (2, 3), settings, **excluding)
 
 
 SCORES = (
@@ -107,7 +106,7 @@ SCORES = (
 
 def all_scores(tables: Tables) -> list[Mapping[str, Any]]:
     """Return all rows of scores, each with the ``group`` over which means are taken."""
-    rows = [row for name in SCORES for row in tables[name].records()]
+    rows = joined(tables, SCORES).records()
     simulated = {case.name for case in CASES}
     for row in rows:
         if row["run"] not in simulated:
@@ -212,13 +211,11 @@ def _gaussian(similarity: Reals, _: Reals) -> Reals:
 
 ABLATIONS = ("r-anisomap, neighbours", "r-anisomap, not metricised")
 
-_METRICS: Mapping[str, Callable[[Reals, Reals], Reals]] = MappingProxyType(
-    {
-        ABLATIONS[0]: _neighbours,
-        ABLATIONS[1]: lambda _similarity, dissimilarity: dissimilarity,
-        "gaussian, neighbours": _gaussian,
-    }
-)
+_METRICS: Mapping[str, Callable[[Reals, Reals], Reals]] = {
+    ABLATIONS[0]: _neighbours,
+    ABLATIONS[1]: lambda _similarity, dissimilarity: dissimilarity,
+    "gaussian, neighbours": _gaussian,
+}
 """Metrics by name: functions of the correlations r (N, N) and of the dissimilarities 1 / r."""
 
 RIVALS = (*METHODS, *_METRICS, "som-on-r", "isomap-on-r")
@@ -256,9 +253,8 @@ def _rivals_simulated(case: Case, settings: Settings) -> Iterator[Row]:
 
 def _rivals_patch(settings: Settings) -> Iterator[Row]:
     """Score all rivals on the runs of the patch without a failing sensor, in 2D."""
-    for number in PATCH_RUNS:
-        run = patch_run(settings, number, fails=False)
-        yield from score_rivals("patch, 2D", run, number, 2)
+    for _number, run, seed in patch_runs(settings, fails=False):
+        yield from score_rivals("patch, 2D", run, seed, 2)
 
 
 def _provide_rivals(case: Case) -> str:
@@ -288,14 +284,13 @@ _RIVAL_SCORES = (
 )
 def rivals_table(_: Settings, tables: Tables) -> Iterator[Table]:
     """Average the scores of all rivals."""
-    scores = [row for name in _RIVAL_SCORES for row in tables[name].records()]
+    scores = joined(tables, _RIVAL_SCORES, "rival-scores", "Scores of all runs.")
     rows: list[Row] = []
-    for run, found in by(scores, "run").items():
+    for run, found in by(scores.records(), "run").items():
         means = mean_by(found, "method", "mantel_r")
         rows.append((run, len(found) // len(RIVALS), *(means[method] for method in RIVALS)))
     yield Table("rivals", "Mean Mantel r of prior work and ablations.", RIVALS_COLUMNS, rows)
-    every = [tuple(row.values()) for row in scores]
-    yield Table("rival-scores", "Scores of all runs.", _RIVAL_COLUMNS, every, shown=False)
+    yield scores
 
 
 DIMENSIONS_COLUMNS = {

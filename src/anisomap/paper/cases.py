@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -93,6 +94,14 @@ def patch_run(
         units="mm",
         source=f"simulated patch, run {number}, seed {seed}",
     )
+
+
+def patch_runs(
+    settings: Settings, *, fails: bool | None = None
+) -> Iterator[tuple[int, Recording, int]]:
+    """Yield number, recording and seed of the runs of the patch, see `patch_run`."""
+    for number in PATCH_RUNS:
+        yield number, patch_run(settings, number, fails=fails), patch_seed(settings, number)
 
 
 def true_positions(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:

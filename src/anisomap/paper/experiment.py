@@ -110,6 +110,14 @@ class Document:
 Tables: TypeAlias = Mapping[str, Table]
 """Tables of other experiments, by name."""
 
+
+def joined(tables: Tables, names: Iterable[str], name: str = "", caption: str = "") -> Table:
+    """Join tables of the same columns to one that the page only links to."""
+    parts = [tables[one] for one in names]
+    rows = [row for part in parts for row in part.rows]
+    return Table(name, caption, parts[0].columns, rows, shown=False)
+
+
 Compute: TypeAlias = Callable[[Settings, Tables], Iterable[Picture | Table | Document]]
 
 

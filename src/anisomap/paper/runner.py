@@ -2,12 +2,7 @@
 
 Each experiment has a folder with its figures (PNG and SVG), tables (CSV), texts, and a record
 (JSON) with captions, a digest of every file and a fingerprint of its inputs. A result is valid
-while fingerprint and digests match.
-
-`joblib.Memory` is not used: it stores pickles, which are unsafe to load from a folder that was
-received from others; it would not notice changes in functions that an experiment calls; and the
-files written here are the output in any case. The page shows all results, in the order of the
-paper.
+while fingerprint and digests match. The page shows all results, in the order of the paper.
 """
 
 from __future__ import annotations
@@ -258,12 +253,10 @@ def load(folder: Path, name: str, inputs: str) -> dict[str, Any] | None:
         )
         if record["fingerprint"] != inputs or any(damaged):
             return None
-        tables = [_read_table(folder / name, entry) for entry in record["tables"]]
         return {
             "seconds": float(record["seconds"]),
-            "pictures": [{**entry} for entry in record["pictures"]],
-            "documents": [{**entry} for entry in record["documents"]],
-            "tables": tables,
+            **{kind: [{**entry} for entry in record[kind]] for kind in ("pictures", "documents")},
+            "tables": [_read_table(folder / name, entry) for entry in record["tables"]],
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

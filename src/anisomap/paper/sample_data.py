@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from anisomap._version import __version__
-from anisomap.paper.cases import FAILING, PATCH_RUNS, SILENT, Case, patch_run, patch_seed
+from anisomap.paper.cases import FAILING, SILENT, Case, patch_runs
 from anisomap.paper.experiment import Document, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
 from anisomap.simulation import find_body, find_scenario
@@ -64,12 +64,11 @@ def sample_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     "The runs of the simulated patch, in the same format.",
     cost=8,
 )
-def patch_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
+def sample_patch(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     """Write Data S7 to S11 and Text S2."""
     rows: list[Row] = []
-    for number in PATCH_RUNS:
-        recording = patch_run(settings, number)
-        name, seed = f"data-s{6 + number}.txt", patch_seed(settings, number)
+    for number, recording, seed in patch_runs(settings):
+        name = f"data-s{6 + number}.txt"
         what = f"simulated patch, run {number}"
         text = to_text(f"Data S{6 + number}: {what}", recording)
         yield Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from anisomap.paper.experiment import (
     by,
     curve,
     experiment,
+    joined,
     mean_by,
     provide,
 )
@@ -114,7 +114,8 @@ def draw_curves(
     parameter: Parameter, name: str, needs: Sequence[str], settings: Settings, tables: Tables
 ) -> Iterator[Picture | Table]:
     """Draw the scores of all scenarios for all values of a parameter."""
-    scores = [row for need in needs for row in tables[need].records()]
+    every = joined(tables, needs, name, f"Scores by {parameter.label}.")
+    scores = every.records()
     figure = curves_figure(
         f"Mantel r by {parameter.label}",
         _panels(scores, "value", parameter.default),
@@ -126,8 +127,7 @@ def draw_curves(
         "experiments."
     )
     yield Picture(name, caption, figure)
-    rows = [tuple(row.values()) for row in scores]
-    yield Table(name, f"Scores by {parameter.label}.", _COLUMNS, rows, shown=False)
+    yield every
     values = sorted({row["value"] for row in scores})
     means: list[Row] = []
     for run, of_run in by(scores, "run").items():
@@ -316,8 +316,8 @@ _UNLIKE = tuple(
 )
 def unlike_responses(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw the scores of skins with both kinds of sensors."""
-    scores = [row for name in _UNLIKE for row in tables[name].records()]
-    panels = _panels((row for row in scores if not row["noise"]), "optimum")
+    scores = joined(tables, _UNLIKE, "unlike-responses", "Sensors of unlike response.")
+    panels = _panels((row for row in scores.records() if not row["noise"]), "optimum")
     figure = curves_figure("Maps of skins with sensors of unlike response", panels, x_label=_LABEL)
     caption = (
         "Mantel r of 3D maps. On each skin, half of the sensors, chosen at random, respond "
@@ -326,24 +326,20 @@ def unlike_responses(settings: Settings, tables: Tables) -> Iterator[Picture | T
         "increases everywhere."
     )
     yield Picture("unlike-responses", caption, figure)
-    rows = [tuple(row.values()) for row in scores]
-    caption = "Sensors of unlike response."
-    yield Table("unlike-responses", caption, _RESPONSE_COLUMNS, rows, shown=False)
+    yield scores
 
 
 CYLINDER = "sensitivity-cylinder"
 
 _LENGTH = "length"
-_CYLINDER_PARAMETERS: Mapping[str, tuple[str, tuple[float, ...]]] = MappingProxyType(
-    {
-        "correlation": ("correlation length of the ground", (0.45, 0.55, 0.75, 1, 2, 4)),
-        "roughness": ("height of the ground", (0.2, 0.5, 1, 1.5)),
-        "friction": ("friction; with less, it slips", (0.1, 0.3, 1)),
-        "frame_interval": ("time between frames", (0.5, 1, 2)),
-        _LENGTH: ("length of the cylinder over its radius", (0.5, 0.75, 1, 1.5)),
-        "detection_radius": ("detection radius", (0.5, 0.7, 1, 1.4)),
-    }
-)
+_CYLINDER_PARAMETERS: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "correlation": ("correlation length of the ground", (0.45, 0.55, 0.75, 1, 2, 4)),
+    "roughness": ("height of the ground", (0.2, 0.5, 1, 1.5)),
+    "friction": ("friction; with less, it slips", (0.1, 0.3, 1)),
+    "frame_interval": ("time between frames", (0.5, 1, 2)),
+    _LENGTH: ("length of the cylinder over its radius", (0.5, 0.75, 1, 1.5)),
+    "detection_radius": ("detection radius", (0.5, 0.7, 1, 1.4)),
+}
 """Label of each parameter, and its values relative to the default."""
 
 _CYLINDER_QUICK_VALUES = (0.75, 1)
@@ -415,12 +411,10 @@ _CYLINDER_SCORES = {
 def rolling_cylinder(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw accuracy, order and compression for all values of all parameters."""
     panels: list[CurvePanel] = []
-    rows: list[Row] = []
     for parameter, (label, _values) in _CYLINDER_PARAMETERS.items():
-        found = tables[_CYLINDER_SCORES[parameter]]
-        rows += found.rows
-        x, _ = curve(found.records(), "value")
-        curves = {name: curve(found.records(), "value", name)[1] for name in _MEASURES}
+        found = tables[_CYLINDER_SCORES[parameter]].records()
+        x, _ = curve(found, "value")
+        curves = {name: curve(found, "value", name)[1] for name in _MEASURES}
         means = {name: values.mean(axis=1) for name, values in curves.items()}
         ordered = np.minimum(means["order_around"], means["order_along"]) > _KEPT
         holds = ordered & (means["local_axial_scale"] < 1)
@@ -440,4 +434,5 @@ def rolling_cylinder(settings: Settings, tables: Tables) -> Iterator[Picture | T
         "in the paper."
     )
     yield Picture(CYLINDER, caption, figure)
-    yield Table(CYLINDER, "Scores of the rolling cylinder.", _CYLINDER_COLUMNS, rows, shown=False)
+    caption = "Scores of the rolling cylinder."
+    yield joined(tables, _CYLINDER_SCORES.values(), CYLINDER, caption)
