@@ -77,7 +77,6 @@ quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDI
 	$(BIN)/python -m benchmarks.contacts -o quality
 	$(BIN)/python -m benchmarks.steps -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
 	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.limits -o quality --recordings $(RECORDINGS))
-	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.neural -o quality --recordings $(RECORDINGS))
 
 tables: $(READY)  ## update the tables of accuracy in README, paper and docs from the results of make quality, faults and trust
 	cp quality/*-table.md docs/

@@ -1,12 +1,16 @@
-"""What recordings allow the default method to reach (part of ``make quality``).
+"""What real recordings allow the default method to reach (part of ``make quality``).
 
-The table shows, beside the default map of each real recording,
+One table shows, beside the default map of each recording,
 
 - the map if the method starts from the true positions: where it is no better, a better start does
   not help, and only another model could do better;
 - Mantel r between the true distances and the decreasing function of the similarity that predicts
   them best (isotonic regression): how far the similarity itself is a function of distance;
 - Mantel r of the maps of both halves of the recording with each other, and of each with the truth.
+
+The other shows what maps of electrodes are worth by the length of the recording, whose first
+eighth, quarter, half and whole are mapped: beside r-ANISOMAP and the best stock method, and with
+the verdict, which is made without the positions.
 """
 
 from __future__ import annotations
@@ -14,6 +18,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +28,14 @@ from sklearn.isotonic import IsotonicRegression
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
-from anisomap.comparison import spanned_dimensions, touched
+from anisomap.comparison import RIVALS, compare_methods, spanned_dimensions, touched
 from anisomap.evaluation import mantel
 from anisomap.evidence import compare
 from anisomap.mapping import Configuration, dissimilarities, refine_components
 from anisomap.methods import METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from benchmarks.harness import files_in, markdown_table, options, stream
+from benchmarks.harness import files_in, markdown_table, measured, options, publish
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""
@@ -59,15 +65,19 @@ class Limits:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure all recordings and write the table."""
-    chosen = options(__doc__, "quality").parse_args(arguments)
-    found = (limits_of(anisomap.read(path), path.stem) for path in files_in(chosen.recordings))
-    results = stream(chosen.output / "limits.csv", found)
-    (chosen.output / "limits-table.md").write_text(markdown(results), encoding="utf-8")
+    """Measure all recordings and write the tables."""
+    chosen = options(__doc__, "quality", workers=True).parse_args(arguments)
+    files = files_in(chosen.recordings)
+    limits = measured(limits_of, files, chosen.workers)
+    publish(chosen.output, "limits", limits, limits_table(limits))
+    electrodes = [path for path in files if path.stem.startswith(ELECTRODES)]
+    rows = measured(electrodes_of, electrodes, chosen.workers)
+    publish(chosen.output, "neural", rows, electrodes_table(rows))
 
 
-def limits_of(recording: Recording, name: str) -> Limits:
+def limits_of(path: Path) -> list[Limits]:
     """Measure one recording with known positions."""
+    recording = anisomap.read(path)
     truth = np.asarray(recording.positions)
     k = spanned_dimensions(truth)
     active = np.flatnonzero(touched(recording, MIN_TOUCHES))
@@ -75,19 +85,10 @@ def limits_of(recording: Recording, name: str) -> Limits:
     largest = made.component == 0
     part, places = recording.select(active[largest]), truth[active[largest]]
     similarity, from_truth = _map_from(part, places)
-    first, second, between = _halves(part, places, k)
-    return Limits(
-        name,
-        len(places),
-        recording.n_frames,
-        k,
-        default=_r(made.positions[largest], places),
-        started_from_truth=_r(from_truth, places),
-        function_of_similarity=_isotonic(similarity, places),
-        first_half=first,
-        second_half=second,
-        between_halves=between,
-    )
+    default, started = _r(made.positions[largest], places), _r(from_truth, places)
+    function = _isotonic(similarity, places)
+    size = len(places), recording.n_frames, k
+    return [Limits(path.stem, *size, default, started, function, *_halves(part, places, k))]
 
 
 def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
@@ -134,7 +135,7 @@ def _r(first: Array, second: Array) -> float:
     return mantel(first, second, permutations=0).r
 
 
-def markdown(results: Sequence[Limits]) -> str:
+def limits_table(results: Sequence[Limits]) -> str:
     """Format the results as a table."""
     rows = []
     for found in results:
@@ -142,6 +143,75 @@ def markdown(results: Sequence[Limits]) -> str:
         cells = (f"{value:.3f}" if math.isfinite(value) else "-" for value in values)
         rows.append((name, f"{sensors} x {frames}", f"{k}D", *cells))
     return "\n".join(markdown_table(HEADER, rows)) + "\n"
+
+
+ELECTRODES = ("eeg", "retina")
+SHARES = tuple(Fraction(1, part) for part in (8, 4, 2, 1))
+
+
+@dataclass(frozen=True)
+class Electrodes:
+    """Scores of the maps of the beginning of a recording.
+
+    r, error, kept: Mantel r, RMS error in spacings and share of neighbours kept, by default.
+    level, expected: The verdict, and the error in spacings that it expects.
+    """
+
+    recording: str
+    frames: int
+    dimensions: int
+    scored: int
+    r: float
+    error: float
+    kept: float
+    level: str
+    expected: float
+    paper: float
+    stock: str
+    stock_r: float
+
+
+def electrodes_of(path: Path) -> list[Electrodes]:
+    """Map the beginnings of a recording."""
+    whole = anisomap.read(path)
+    rows = []
+    for share in SHARES:
+        n_frames = int(whole.n_frames * share)
+        part = anisomap.Recording(
+            whole.readings[:n_frames], positions=whole.positions, rate_hz=whole.rate_hz
+        )
+        compared = compare_methods(part, (DEFAULT_METHOD, "r-anisomap", *RIVALS))
+        own, paper, *_ = compared.scores
+        stock = compared.best(stock=True)
+        if own.sensor_map is None or stock is None:
+            print(f"skipped {n_frames} frames of {path.stem}: {own.reason}")
+            continue
+        mapped = part.select([part.names.index(name) for name in own.sensor_map.names])
+        verdict = anisomap.diagnose(own.sensor_map, mapped, rng=0).verdict
+        kept = anisomap.score(own.sensor_map, mapped, permutations=0).neighbours_kept
+        scores = own.mantel_r, own.rms_in_spacings, kept
+        judged = verdict.level, verdict.expected_error
+        others = paper.mantel_r, stock.method, stock.mantel_r
+        size = n_frames, compared.dimensions, len(compared.sensors)
+        rows.append(Electrodes(path.stem, *size, *scores, *judged, *others))
+    return rows
+
+
+def electrodes_table(rows: Sequence[Electrodes]) -> str:
+    """Format the rows as a table."""
+    header = (
+        "recording", "frames", "map", "scored", "default", "error", "neighbours kept", "verdict",
+        "expected error", "r-anisomap", "best stock method",
+    )  # fmt: skip
+    cells = [
+        (
+            row.recording, f"{row.frames:,}", f"{row.dimensions}D", row.scored, f"{row.r:.3f}",
+            f"{row.error:.2f}", f"{row.kept:.0%}", row.level, f"{row.expected:.2f}",
+            f"{row.paper:.3f}", f"{row.stock_r:.3f} ({row.stock})",
+        )
+        for row in rows
+    ]  # fmt: skip
+    return "\n".join(markdown_table(header, cells)) + "\n"
 
 
 if __name__ == "__main__":

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from benchmarks import journeys
 from benchmarks.harness import quietly
-from benchmarks.journeys import Journey, exponents, main, markdown, travel
-from benchmarks.recorded_family import MEMBERS, draw
+from benchmarks.journeys import MEMBERS, Journey, draw, exponents, main, markdown, travel
 
 
 def journey(member, n_sensors, n_frames, cpu):
