@@ -70,13 +70,13 @@ format: $(READY)  ## format the code
 
 bench: $(READY)  ## time stages, maps and verdicts against other libraries, in bench/ (LARGE=1, SEED=1)
 	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
-	$(BIN)/python -m benchmarks.journeys $(if $(LARGE),--large) $(if $(SEED),--seed $(SEED))
+	$(BIN)/python -m benchmarks.speed.journeys $(if $(LARGE),--large) $(if $(SEED),--seed $(SEED))
 
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
-	$(BIN)/python -m benchmarks.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
-	$(BIN)/python -m benchmarks.contacts -o quality
-	$(BIN)/python -m benchmarks.steps -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
-	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.limits -o quality --recordings $(RECORDINGS))
+	$(BIN)/python -m benchmarks.accuracy.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
+	$(BIN)/python -m benchmarks.accuracy.contacts -o quality
+	$(BIN)/python -m benchmarks.accuracy.steps -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
+	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.accuracy.limits -o quality --recordings $(RECORDINGS))
 
 tables: $(READY)  ## update the tables of accuracy in README, paper and docs from the results of make quality, faults and trust
 	cp quality/*-table.md docs/
@@ -88,13 +88,13 @@ tables: $(READY)  ## update the tables of accuracy in README, paper and docs fro
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
 
 faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
-	$(BIN)/python -m benchmarks.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))
+	$(BIN)/python -m benchmarks.verdicts.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
 trust: $(READY)  ## compare verdicts with the errors of 500 maps, in trust/ (RECORDINGS=folders, ARGS="--seeds 20")
-	$(BIN)/python -m benchmarks.trust -o trust $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
+	$(BIN)/python -m benchmarks.verdicts.trust -o trust $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
 dimension: $(READY)  ## measure how often the number of dimensions is right, in dimension/ (RECORDINGS=folders)
-	$(BIN)/python -m benchmarks.dimension -o dimension $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
+	$(BIN)/python -m benchmarks.accuracy.dimension -o dimension $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
 fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/, and time growing ones (ARGS="--cases 5000 --formats npz")
 	$(BIN)/python -m fuzzing $(ARGS)

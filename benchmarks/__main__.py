@@ -12,9 +12,9 @@ from dataclasses import astuple
 from pathlib import Path
 
 from benchmarks.harness import columns, write_csv
-from benchmarks.measuring import Row, run
-from benchmarks.stages import STAGES
-from benchmarks.tables import draw, markdown, significant
+from benchmarks.speed.measuring import Row, run
+from benchmarks.speed.stages import STAGES
+from benchmarks.speed.tables import draw, markdown, significant
 
 SIZES = (256, 1000)
 LARGE = (4000, 20_000)

@@ -82,10 +82,10 @@ class Source:
     Attributes
     ----------
     body, stimulus : str
-        Body, and scenario of `anisomap.simulation` or stimulus of `benchmarks.footprints`.
+        Body, and scenario of `anisomap.simulation` or stimulus of `benchmarks.skins.footprints`.
     n_sensors, n_frames : int
     fault : str
-        As for ``anisomap spoil``; ``{sd}`` is that of `benchmarks.faults.DAMAGES`.
+        As for ``anisomap spoil``; ``{sd}`` is that of `benchmarks.verdicts.faults.DAMAGES`.
     dtype : str
         Of the stored readings.
     skins : int

@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from benchmarks.faults import sized
-from benchmarks.footprints import FOOTPRINTS
+from benchmarks.skins.footprints import FOOTPRINTS
+from benchmarks.verdicts.faults import sized
 
 from anisomap.recording import Recording
 from anisomap.simulation import SCENARIOS, find_body, inject, parse_fault, simulate

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks import approximate
+from benchmarks.speed import approximate
 from scipy.spatial.distance import cdist
 
 

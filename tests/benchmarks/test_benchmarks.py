@@ -7,23 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import (
-    contacts,
-    dimension,
-    limits,
-    measuring,
-    placement,
-    quality,
-    self_touch,
-    stages,
-    steps,
-    trust,
-    updating,
-)
 from benchmarks.__main__ import main
-from benchmarks.inputs import flat_skin, rubbed_skin
-from benchmarks.measuring import Comparison, Reference, Row, measure, run, threads
-from benchmarks.tables import markdown
+from benchmarks.accuracy import contacts, dimension, limits, quality, steps
+from benchmarks.placing import placement, self_touch, updating
+from benchmarks.skins.inputs import flat_skin, rubbed_skin
+from benchmarks.speed import measuring, stages
+from benchmarks.speed.measuring import Comparison, Reference, Row, measure, run, threads
+from benchmarks.speed.tables import markdown
+from benchmarks.verdicts import trust
 from threadpoolctl import threadpool_info
 
 import anisomap

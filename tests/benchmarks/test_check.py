@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.check import (
+from benchmarks.accuracy.check import (
     LAYOUT_FAULTS,
     MIN_SWAPPED,
     MOVED,

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks import journeys
 from benchmarks.harness import quietly
-from benchmarks.journeys import MEMBERS, Journey, draw, exponents, main, markdown, travel
+from benchmarks.speed import journeys
+from benchmarks.speed.journeys import MEMBERS, Journey, draw, exponents, main, markdown, travel
 
 
 def journey(member, n_sensors, n_frames, cpu):

@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks import coach
-from benchmarks.coach import Row
+from benchmarks.live import coach
+from benchmarks.live.coach import Row
 
 from anisomap.simulation import find_body
 from anisomap.simulation.kinematic import GuidedHand, RubbingOptions

@@ -5,8 +5,8 @@ import math
 import sys
 
 import numpy as np
-from benchmarks import quality
-from benchmarks.quality import FRAMES, SCENARIOS, Result
+from benchmarks.accuracy import quality
+from benchmarks.accuracy.quality import FRAMES, SCENARIOS, Result
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.footprints import FOOTPRINTS
 from benchmarks.harness import write_csv
-from benchmarks.trust import COLUMNS, LEVELS, draw, judged, read_outcomes, table
-from benchmarks.trust_recordings import FAULTS, Case, damaged, settings
+from benchmarks.skins.footprints import FOOTPRINTS
+from benchmarks.verdicts.trust import COLUMNS, LEVELS, draw, judged, read_outcomes, table
+from benchmarks.verdicts.trust_recordings import FAULTS, Case, damaged, settings
 
 import anisomap
 from anisomap.simulation import BODIES, FRAME_FAULTS, SCENARIOS

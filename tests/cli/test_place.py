@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks import self_touch
+from benchmarks.placing import self_touch
 
 import anisomap
 from anisomap import io

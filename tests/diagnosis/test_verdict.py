@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.footprints import FOOTPRINTS
+from benchmarks.skins.footprints import FOOTPRINTS
 from golden.cases import FOLDER
 from hypothesis import given
 from hypothesis import strategies as st

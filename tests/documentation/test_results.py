@@ -4,20 +4,11 @@ import csv
 from pathlib import Path
 
 import pytest
-from benchmarks import (
-    check,
-    coach,
-    dimension,
-    faults,
-    limits,
-    live,
-    placement,
-    quality,
-    self_touch,
-    trust,
-    updating,
-)
+from benchmarks.accuracy import check, dimension, limits, quality
 from benchmarks.harness import columns
+from benchmarks.live import coach, session
+from benchmarks.placing import placement, self_touch, updating
+from benchmarks.verdicts import faults, trust
 
 from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.comparison import COMPARED
@@ -40,7 +31,7 @@ HEADERS = {
     "figure-4": bodies.AXIAL_COLUMNS,
     "figure-7": bodies.ROUNDNESS_COLUMNS,
     "limits": columns(limits.Limits),
-    "live-memory": live.MEMORY_COLUMNS,
+    "live-memory": session.MEMORY_COLUMNS,
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns(COMPARED),

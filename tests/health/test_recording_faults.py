@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from benchmarks.clean_recordings import COURSES, FORMS, Case, cases
+from benchmarks.skins.clean_recordings import COURSES, FORMS, Case, cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.self_touch import JOINTS, URDF
+from benchmarks.placing.self_touch import JOINTS, URDF
 
 from anisomap.errors import FileError, InputError
 from anisomap.io import read_robot

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from benchmarks.live_film import browser, find_chromium
+from benchmarks.live.film import browser, find_chromium
 
 from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Names

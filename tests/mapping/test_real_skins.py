@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from benchmarks.inputs import tiled_places, tiled_torso
+from benchmarks.skins.inputs import tiled_places, tiled_torso
 
 from anisomap import io, reconstruct, reconstruct_from
 from anisomap.comparison import compare_methods

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from benchmarks.placement import outline
+from benchmarks.placing.placement import outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import special_ortho_group

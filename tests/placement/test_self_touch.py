@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from benchmarks.self_touch import RADII, SPACING, URDF, simulate
+from benchmarks.placing.self_touch import RADII, SPACING, URDF, simulate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import special_ortho_group

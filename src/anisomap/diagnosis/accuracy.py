@@ -4,7 +4,7 @@ Resamples of a recording show what chance does to a map, but not what bends all 
 that rests on another assumption shows this: the numbers of steps between sensors on a graph of
 neighbours assume nothing of contacts, but that neighbours are equally far apart. The accuracy of
 maps of known skins followed these two measurements. The constants are fitted to them by
-``python -m benchmarks.calibration``, which also leaves out each kind of skin in turn.
+``python -m benchmarks.verdicts.calibration``, which also leaves out each kind of skin in turn.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ _RANGE_QUANTILE = 0.998  # of the depths of a patch; excludes glitches
 _MIN_SENSORS = 3  # active on each patch; the centre of fewer is known to a spacing only
 _APART = 1.0  # spacings between contacts of one run of frames
 _NEIGHBOURS = 6  # contacts that a contact is compared with
-# Tuned on the simulations of `benchmarks.self_touch`, seeds 1 to 20.
+# Tuned on the simulations of `benchmarks.placing.self_touch`, seeds 1 to 20.
 _SYSTEMATIC = 0.02  # share of the variance of contacts that is alike for all, as by curvature
 _INCONSISTENT = 3.0  # medians of the misfits of contacts
 # A permutation test at the lowest level that this number of shuffles can show.

@@ -1,4 +1,4 @@
-"""Accuracy of placed maps and of comparisons of maps (``python -m benchmarks.placement``).
+"""Accuracy of placed maps and of comparisons of maps (``python -m benchmarks.placing.placement``).
 
 Fits were tuned on the iCub hexagon and palm, the plantar recording, and simulations of seeds 201 to
 203 and 301 to 306; the figures are of the iCub torso and of simulations from seed 401 on. Results

@@ -1,6 +1,6 @@
 """What users wait for: faults, health, map and verdict of a family of recordings.
 
-``python -m benchmarks.journeys`` times them on one thread beside ``numpy.corrcoef`` with
+``python -m benchmarks.speed.journeys`` times them on one thread beside ``numpy.corrcoef`` with
 scikit-learn's Isomap on the same recordings, and commands from the shell; ``make bench`` runs it.
 The members of the family differ in what makes recordings plain or awkward: contacts are smooth
 pulses at random places of a sphere. Each member is drawn from a seed.
@@ -31,9 +31,9 @@ from anisomap.errors import InputError
 from anisomap.health import assess, find_faults
 from anisomap.reconstruction import reconstruct_with_stages
 from benchmarks.harness import markdown_table, options, quietly, write_rows
-from benchmarks.inputs import Press, directions
-from benchmarks.measuring import MAX_REPEATED_SECONDS, measure, threads
-from benchmarks.tables import growth_exponent, machine, seconds, significant
+from benchmarks.skins.inputs import Press, directions
+from benchmarks.speed.measuring import MAX_REPEATED_SECONDS, measure, threads
+from benchmarks.speed.tables import growth_exponent, machine, seconds, significant
 
 SIZES = ((60, 4000), (256, 4000), (256, 30_000), (1000, 4000), (1000, 30))
 LARGE = ((1000, 30_000), (4000, 4000), (5000, 3))

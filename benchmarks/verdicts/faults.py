@@ -20,7 +20,6 @@ import anisomap
 from anisomap.comparison import spanned_dimensions
 from anisomap.sensor_map import is_faulty
 from anisomap.simulation import inject, parse_fault
-from benchmarks.clean_recordings import TRUE_OF_CLEAN, Case, cases
 from benchmarks.harness import (
     files_in,
     frame,
@@ -29,6 +28,7 @@ from benchmarks.harness import (
     options,
     write_rows,
 )
+from benchmarks.skins.clean_recordings import TRUE_OF_CLEAN, Case, cases
 
 BODIES = (
     ("sphere", "bombardment"),

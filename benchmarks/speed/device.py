@@ -1,7 +1,7 @@
 """Times of the stages of exact maps on a GPU, of the second of two runs, and on the processor.
 
-``python -m benchmarks.device -o FOLDER`` prints the table of ``docs/device-table.md`` and writes it
-to the folder. ``--library numpy`` tries the benchmark without a GPU.
+``python -m benchmarks.speed.device -o FOLDER`` prints the table of ``docs/device-table.md`` and
+writes it to the folder. ``--library numpy`` tries the benchmark without a GPU.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
-from benchmarks.approximate import SKINS, touch
 from benchmarks.harness import markdown_table, options, quietly
-from benchmarks.tables import machine
+from benchmarks.speed.approximate import SKINS, touch
+from benchmarks.speed.tables import machine
 
 SKIN = SKINS[2]  # a sphere with one contact, in 3D
 

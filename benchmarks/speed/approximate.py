@@ -1,8 +1,8 @@
 """Accuracy and cost of approximate maps, compared with exact maps.
 
-``python -m benchmarks.approximate`` prints the tables of ``docs/explanation/large-recordings.md``;
-``--large`` prints those of sizes for which only approximate maps are possible, and ``--recordings
-FOLDER`` those of real recordings (NPZ archives with ``readings`` and ``positions``).
+``python -m benchmarks.speed.approximate`` prints the table of ``explanation/large-recordings.md``,
+``--large`` that of sizes for which only approximate maps are possible, and ``--recordings FOLDER``
+that of real recordings (NPZ archives with ``readings`` and ``positions``).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from anisomap import SensorMap, read, reconstruct_from, score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.harness import files_in, markdown_table, quietly
-from benchmarks.inputs import directions, sphere_radius
+from benchmarks.skins.inputs import directions, sphere_radius
 
 Matrix = NDArray[np.float64]
 

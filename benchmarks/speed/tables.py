@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from threadpoolctl import threadpool_info
 
 from benchmarks.harness import COLOURS, markdown_table
-from benchmarks.measuring import Row, n_cores
+from benchmarks.speed.measuring import Row, n_cores
 
 _HEADER = (
     "N",

@@ -19,8 +19,8 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.comparison import COMPARED, compare_methods, spanned_dimensions
 from anisomap.errors import InputError
 from anisomap.numerics.similarity.rest import estimate_rest
+from benchmarks.accuracy.quality import Result, all_scores
 from benchmarks.harness import frame, markdown_table, measured, options, publish
-from benchmarks.quality import Result, all_scores
 
 SKINS = (
     ("sphere", "bombardment"),

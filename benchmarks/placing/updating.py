@@ -1,4 +1,4 @@
-"""Accuracy of updated maps (``python -m benchmarks.updating``).
+"""Accuracy of updated maps (``python -m benchmarks.placing.updating``).
 
 The first half of a recording lacks a tenth of the sensors, chosen at random; the map of it is
 updated by the second half, in which all sensors are connected. No constant of an update was tuned
@@ -19,7 +19,7 @@ import anisomap
 from anisomap import Recording, SensorMap, align, gather_evidence, reconstruct, simulate, update_map
 from anisomap.evaluation import median_spacing
 from benchmarks.harness import options, stream
-from benchmarks.placement import Figure, Measured, figures, placed
+from benchmarks.placing.placement import Figure, Measured, figures, placed
 
 REAL = {"icub_hexagon": 2, "icub_palm": 3, "icub_torso": 2, "plantar": 2}
 SIMULATED = {"plane": 2, "sphere": 3, "cylinder": 3}

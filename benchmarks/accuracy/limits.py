@@ -189,11 +189,11 @@ def electrodes_of(path: Path) -> list[Electrodes]:
         mapped = part.select([part.names.index(name) for name in own.sensor_map.names])
         verdict = anisomap.diagnose(own.sensor_map, mapped, rng=0).verdict
         kept = anisomap.score(own.sensor_map, mapped, permutations=0).neighbours_kept
-        scores = own.mantel_r, own.rms_in_spacings, kept
-        judged = verdict.level, verdict.expected_error
-        others = paper.mantel_r, stock.method, stock.mantel_r
-        size = n_frames, compared.dimensions, len(compared.sensors)
-        rows.append(Electrodes(path.stem, *size, *scores, *judged, *others))
+        rows.append(
+            Electrodes(path.stem, n_frames, compared.dimensions, len(compared.sensors),
+                       own.mantel_r, own.rms_in_spacings, kept, verdict.level,
+                       verdict.expected_error, paper.mantel_r, stock.method, stock.mantel_r)
+        )  # fmt: skip
     return rows
 
 

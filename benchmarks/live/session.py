@@ -1,4 +1,4 @@
-"""What a live session keeps up with: ``python -m benchmarks.live --sensors 1000 --rate 100``.
+"""What a session keeps up with: ``python -m benchmarks.live.session --sensors 1000 --rate 100``.
 
 Another process sends frames of a simulated skin over TCP, at a rate in Hz or as fast as they are
 taken (``--rate 0``). Printed are the frames that were recorded, the states of the readings that a

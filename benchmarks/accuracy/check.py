@@ -9,7 +9,7 @@ Sensors that are not tested are neither.
 Everything is repeated with the first half of the frames. Faults are drawn from seeds that were not
 used for tuning (1 to 300 were).
 
-Usage: ``python -m benchmarks.check RECORDING... -o docs/results/check.csv --table
+Usage: ``python -m benchmarks.accuracy.check RECORDING... -o docs/results/check.csv --table
 docs/check-table.md``. Scores of other recordings in the CSV file are kept; without a recording,
 only the table is written.
 """

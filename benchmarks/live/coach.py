@@ -1,4 +1,4 @@
-"""Frames that a coached hand saves: ``python -m benchmarks.coach -o coach``.
+"""Frames that a coached hand saves: ``python -m benchmarks.live.coach -o coach``.
 
 A simulated palm or fingertip rubs a body. Coached, it rubs in bouts of 2 s the first place that the
 coach of `anisomap live` names, and its strokes lead to sensors that were never touched; it is off
@@ -31,7 +31,7 @@ from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
-from benchmarks.contacts import contacts_by_frame
+from benchmarks.accuracy.contacts import contacts_by_frame
 from benchmarks.harness import frame, options, write_csv, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")

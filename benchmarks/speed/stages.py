@@ -36,7 +36,7 @@ from anisomap.numerics.scaling.multidimensional_scaling import (
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import information_from_codes
-from benchmarks.inputs import (
+from benchmarks.skins.inputs import (
     flat_skin,
     noisy_metric,
     noisy_readings,
@@ -46,7 +46,7 @@ from benchmarks.inputs import (
     rubbed_skin,
     tiled_torso,
 )
-from benchmarks.measuring import Comparison, Reference
+from benchmarks.speed.measuring import Comparison, Reference
 
 Matrix = NDArray[np.floating[Any]]
 Codes = NDArray[np.uint16]

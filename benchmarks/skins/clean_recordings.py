@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording
-from benchmarks.inputs import directions, sphere, sphere_radius
+from benchmarks.skins.inputs import directions, sphere, sphere_radius
 
 Floats = NDArray[np.float64]
 

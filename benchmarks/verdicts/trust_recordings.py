@@ -20,8 +20,8 @@ from anisomap.base.defaults import MIN_TOUCHES
 from anisomap.comparison import spanned_dimensions, touched
 from anisomap.simulation import BODIES, SCENARIOS, find_body, inject, parse_fault
 from anisomap.simulation.options import options_for
-from benchmarks.faults import DAMAGES, sized
-from benchmarks.footprints import FOOTPRINTS
+from benchmarks.skins.footprints import FOOTPRINTS
+from benchmarks.verdicts.faults import DAMAGES, sized
 
 SENSORS = {
     "sphere": 60, "cylinder": 60, "y-shape": 60, "plane": 64, "hexagon": 60, "torus": 80,

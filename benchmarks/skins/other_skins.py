@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 import anisomap
 from anisomap.evaluation import median_spacing
-from benchmarks.inputs import Press, sphere
-from benchmarks.trust_recordings import Case
+from benchmarks.skins.inputs import Press, sphere
+from benchmarks.verdicts.trust_recordings import Case
 
 Floats = NDArray[np.float64]
 

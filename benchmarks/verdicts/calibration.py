@@ -1,7 +1,8 @@
-"""Fit the accuracy of maps to their evidence: ``python -m benchmarks.calibration trust/trust.csv``.
+"""Fit the accuracy of maps to their evidence.
 
-Reads results of ``make trust``. Prints the constants of `anisomap.diagnosis.accuracy`, and a table
-of how well they hold for kinds of skin that were left out of the fit.
+``python -m benchmarks.verdicts.calibration trust/trust.csv`` reads results of ``make trust``. It
+prints the constants of `anisomap.diagnosis.accuracy`, and a table of how well they hold for kinds
+of skin that were left out of the fit.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from benchmarks.harness import markdown_table
-from benchmarks.trust import read_outcomes
+from benchmarks.verdicts.trust import read_outcomes
 
 Floats: TypeAlias = NDArray[np.float64]
 

@@ -31,8 +31,8 @@ from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.usability import ACCURACY
 from benchmarks.harness import in_parallel, markdown_table, options, quietly, write_csv
-from benchmarks.other_skins import cases_of_other
-from benchmarks.trust_recordings import Case, cases_of_file, cases_of_seed
+from benchmarks.skins.other_skins import cases_of_other
+from benchmarks.verdicts.trust_recordings import Case, cases_of_file, cases_of_seed
 
 FIRST_SEED = 3001
 SEEDS = 130

@@ -1,4 +1,4 @@
-"""Accuracy of patches that are placed by self-touch (``python -m benchmarks.self_touch``).
+"""Accuracy of patches that are placed by self-touch (``python -m benchmarks.placing.self_touch``).
 
 A robot of two arms, of three joints each, carries a patch of 60 taxels on the last link of each
 arm, and touches one with the other in random postures. Taxels are 6 mm apart. Readings have noise,

@@ -1,0 +1,1 @@
+"""Accuracy of maps, of dimensions and of checks of layouts."""

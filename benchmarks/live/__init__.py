@@ -1,0 +1,1 @@
+"""What live sessions keep up with and show."""

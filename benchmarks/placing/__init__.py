@@ -1,0 +1,1 @@
+"""Accuracy of maps that are placed and updated."""

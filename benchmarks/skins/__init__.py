@@ -1,0 +1,1 @@
+"""Simulated skins beyond those of the package, and copies of real ones."""

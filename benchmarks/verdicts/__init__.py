@@ -1,0 +1,1 @@
+"""Verdicts on maps, and faults that are found."""
