@@ -1,25 +1,23 @@
-"""The benchmarks run, measure the stated quantities and detect wrong results."""
+"""Benchmarks of speed run, measure the stated quantities and detect wrong results."""
 
 import csv
+import math
 import os
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from benchmarks.__main__ import main
-from benchmarks.accuracy import contacts, dimension, limits, quality, steps
-from benchmarks.placing import placement, self_touch, updating
+from benchmarks.harness import quietly
 from benchmarks.skins.inputs import flat_skin, rubbed_skin
-from benchmarks.speed import measuring, stages
+from benchmarks.speed import approximate, journeys, measuring, stages
+from benchmarks.speed.journeys import MEMBERS, Journey, draw, exponents, travel
 from benchmarks.speed.measuring import Comparison, Reference, Row, measure, run, threads
 from benchmarks.speed.tables import markdown
-from benchmarks.verdicts import trust
+from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_info
 
-import anisomap
 from anisomap.numerics.compiled import parallel
-from skins import flat_skin as flat_touched_skin
 
 
 @pytest.fixture
@@ -138,86 +136,92 @@ def test_slightly_wrong_paths_and_eigenvectors_are_rejected():
     assert not stages.are_eigenvectors(np.random.default_rng(0).normal(size=(60, 3)), right)
 
 
-def measured(benchmark, folder, label, *arguments):
-    """Run a benchmark; return the rows that it wrote, by the value of a column."""
-    benchmark.main([*arguments, "-o", str(folder / "found.csv")])
-    return {row[label]: row for row in rows_of(folder / "found.csv")}
+def journey(member, n_sensors, n_frames, cpu):
+    return Journey(member, n_sensors, n_frames, 0.0, 0.0, cpu, 0.0, 0.1, 0.1, 1.0)
 
 
-RECORDED = {
-    "dimension": (dimension, ["--seeds", "0"]),
-    "limits": (limits, ["--workers", "1"]),  # also of electrodes
-    "quality": (quality, ["--seeds", "0", "--workers", "1"]),
-    "steps": (steps, ["--seeds", "0", "--workers", "1"]),
-    "trust": (trust, ["--seeds", "0", "--workers", "1", "--cases", "skin part, 3D"]),
-}
+def test_the_growth_of_a_power_law_is_its_exponent():
+    sizes = [(100, 1000), (1000, 1000), (100, 4000)]
+    made = [journey("any", n, t, 3 * n**1.5 * t**0.5) for n, t in sizes]
+    assert exponents(made)["any"] == pytest.approx((1.5, 0.5))
+    assert all(math.isnan(value) for value in exponents(made[:1])["any"])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", RECORDED)
-def test_tables_of_recordings_are_written(name, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "umap", None)  # compiling it takes some 10 s
-    recordings, folder = tmp_path / "recordings", tmp_path / "out"
-    recordings.mkdir()
-    anisomap.write(flat_touched_skin(n_frames=1200), recordings / "retina_skin.npz")
-    benchmark, arguments = RECORDED[name]
-    benchmark.main([*arguments, "--recordings", str(recordings), "-o", str(folder)])
-    assert (folder / f"{name}.csv").exists()
-    assert all(map(rows_of, folder.glob("*.csv")))
-    texts = [path.read_text(encoding="utf-8") for path in folder.glob("*-table.md")]
-    assert texts
-    assert all("| --- |" in text for text in texts)
+def test_only_missed_goals_are_marked():
+    made = [journey(name, 100, 1000, 0.5) for name in "abc"]
+    assert "| 5.00 | " in journeys.markdown(made, [], 0)
+    assert "**" not in journeys.markdown(made, [], 0)
+    slow = journeys.markdown([*made, journey("d", 100, 1000, 5.0)], [], 0)
+    assert slow.count("**") == 2
+    assert "| **10.0** | d |" in slow
 
 
-def test_contacts_are_counted_where_they_begin():
-    readings = np.array([[0, 2.0], [3, 2], [3, 0], [0, 0], [4, 0], [0, 1], [0, 0], [0, 0], [0, 0]])
-    found = contacts.contacts_by_frame(readings)
-    assert found[:, 0].tolist() == [0, 1, 1, 1, 2, 2, 2, 2, 2]
-    assert found[:, 1].tolist() == [1, 1, 1, 1, 1, 2, 2, 2, 2]
+@pytest.mark.parametrize("member", MEMBERS)
+def test_members_are_drawn_from_seeds(member):
+    first, again, other = (draw(member, 30, 200, seed).readings for seed in (1, 1, 2))
+    assert first.shape == (200, 30)
+    assert np.isfinite(first).all()
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
 
 
-@pytest.mark.slow
-def test_accuracy_by_contacts_is_measured(tmp_path, monkeypatch):
-    monkeypatch.setattr(contacts, "SKINS", (("hexagon", "rubbing"),))
-    monkeypatch.setattr(contacts, "COMPARED", ("covariogram", "r-anisomap"))
-    contacts.main(["--seeds", "1", "--contacts", "3", "5", "--workers", "1", "-o", str(tmp_path)])
-    rows = [row for row in rows_of(tmp_path / "contacts.csv") if row["method"] == "covariogram"]
-    assert [row["contacts"] for row in rows] == ["3", "5"]
-    assert int(rows[0]["n_frames"]) < int(rows[1]["n_frames"])
-    assert " of 2 points" in (tmp_path / "contacts-table.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("member", ["8 bits, exact rest", "pure noise"])
+def test_all_parts_of_a_journey_are_timed(member):
+    with quietly():
+        parts = travel(draw(member, 30, 600, 0))
+    assert len(parts) == 4
+    assert all(part > 0 for part in parts)
 
 
-def test_every_variant_leaves_one_step_out():
-    whole = steps.VARIANTS["nothing"]
-    for name, step in whole.refinements.items():
-        if name in steps.VARIANTS:
-            others = steps.VARIANTS[name].refinements
-            assert {**others, name: step} == whole.refinements
+def test_neighbours_end_with_the_block():
+    with journeys.busy_neighbours(2) as processes:
+        assert [process.poll() for process in processes] == [None, None]
+    assert all(process.returncode is not None for process in processes)
 
 
 @pytest.mark.slow
-def test_placed_maps_are_measured(tmp_path, monkeypatch):
-    monkeypatch.setattr(placement, "SEEDS", placement.SEEDS[:1])
-    monkeypatch.setattr(placement, "HAND_DRAWS", 5)
-    monkeypatch.setattr(placement, "FLAT", ("hexagon",))
-    found = measured(placement, tmp_path, "measure", "--bodies", "sphere", "--draws", "6")
-    assert 0 < float(found["mesh and 3 anchors: median error (spacings)"]["median"]) < 1
-    right = found["mesh and 3 anchors: share of the right hand where placed"]
-    assert float(right["median"]) > 0.5
+def test_all_journeys_of_small_skins(tmp_path, monkeypatch):
+    monkeypatch.setattr(journeys, "RUNS", 1)
+    commands = {"anisomap --help": ["-m", "anisomap", "--help"]}
+    monkeypatch.setattr(journeys, "shell_commands", lambda *_: commands)
+    members = [*MEMBERS][::7]
+    sizes = ["--sizes", "20x400", "30x400", "30x800", "--seed", "3", "--members", *members]
+    assert journeys.main([*sizes, "-o", str(tmp_path)]) == 0
+    rows = rows_of(tmp_path / "journeys.csv")
+    assert {row["member"] for row in rows} == set(members)
+    assert all(float(row["map"]) > 0 for row in rows)
+    table = (tmp_path / "journeys-table.md").read_text(encoding="utf-8")
+    assert "anisomap --help" in table
+    assert "exponent of N" in table
 
 
-@pytest.mark.slow
-def test_the_accuracy_of_self_touch_is_measured(tmp_path):
-    known = ["--seeds", "1", "--contacts", "30"]
-    found = measured(self_touch, tmp_path, "taxel positions", *known)
-    assert set(found) == {"known", "from a map"}
-    assert all(0 < float(row["in spacings"]) < 1 for row in found.values())
+@pytest.mark.parametrize("skin", approximate.SKINS, ids=lambda skin: skin.name)
+def test_contacts_cover_what_is_near_them(skin):
+    rng = np.random.default_rng(0)
+    sensors = skin.spread(100, 100, rng)
+    readings = np.concatenate(list(approximate.touch(skin, sensors, 700, rng)))
+    assert readings.shape == (700, 100)
+    assert readings.dtype == np.uint8
+    for frame in readings[readings.any(axis=1)][::50] if skin.contacts(100) == 1 else ():
+        on = sensors[frame > 0]
+        assert cdist(on, on).max() < 2 * approximate.REACH
 
 
-@pytest.mark.slow
-def test_the_accuracy_of_updates_is_measured(tmp_path):
-    found = measured(updating, tmp_path, "measure", "--only", "sphere", "--draws", "1")
-    medians = {measure: float(row["median"]) for measure, row in found.items()}
-    assert 0 < medians["new sensors: RMS error in the update (spacings)"] < 1
-    named = medians["2 sensors 3 spacings apart or more exchanged: share named"]
-    assert named > medians["share of unchanged sensors accused"]
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_tables_of_approximate_maps(capsys, tmp_path):
+    skin, rng = approximate.SKINS[0], np.random.default_rng(0)
+    places = skin.spread(60, 60, rng)
+    readings = np.concatenate(list(approximate.touch(skin, places, 800, rng)))
+    np.savez(tmp_path / "skin.npz", readings=readings, positions=places)
+    approximate.losses([80], 600, 1)
+    approximate.real_losses(tmp_path)
+    approximate.costs([60], 600)
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()]
+    first, second, third = (i for i, row in enumerate(rows) if set(row) == {" --- "})
+    assert second - first == 2 + len(approximate.SKINS)
+    assert rows[third + 1][1].strip() == "60 x 600"
+    for row in (*rows[first + 1 : second - 1], *rows[second + 1 : third - 1]):
+        exact, found, lost = map(float, row[2:5])
+        assert lost == pytest.approx(exact - found, abs=2e-4)
+        assert exact > 0.9
+        assert 0.5 < found <= 1

@@ -1,0 +1,115 @@
+"""Pages of the documentation agree with the program: files, messages and columns of tables."""
+
+import ast
+import csv
+import re
+from functools import cache
+from pathlib import Path
+
+import pytest
+from benchmarks.accuracy import check, dimension, limits, quality
+from benchmarks.harness import columns
+from benchmarks.live import coach, session
+from benchmarks.placing import placement, self_touch, updating
+from benchmarks.verdicts import faults, trust
+
+from anisomap.cli.commands import comparison as comparison_tables
+from anisomap.comparison import COMPARED
+from anisomap.paper import accuracy, bodies, claims
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "src" / "anisomap"
+ARCHITECTURE = (ROOT / "docs/explanation/architecture.md").read_text("utf-8")
+TROUBLESHOOTING = (ROOT / "docs/how-to/troubleshooting.md").read_text("utf-8")
+
+
+def named(text: str) -> set[str]:
+    return set(re.findall(r"`([\w/.]+)`", text))
+
+
+def exists(name: str) -> bool:
+    return (PACKAGE / name).exists() or (PACKAGE / f"{name}.py").exists()
+
+
+def test_the_first_table_names_every_package():
+    table = ARCHITECTURE.partition("do not import one another")[0]
+    modules = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
+    public = {name for name in modules if not name.startswith("_")}
+    assert public <= named(table)
+
+
+def test_every_file_that_answers_a_question_exists():
+    answers = ARCHITECTURE.partition("## Where do I find")[2].partition("## Conventions")[0]
+    paths = {name for name in named(answers) if "/" in name or name.endswith(".py")}
+    paths -= {"tests/x/", "tests/test_x.py"}  # placeholders
+    missing = {name for name in paths if not exists(name)}
+    assert len(paths) > 15
+    assert not missing
+
+
+def quotations() -> list[str]:
+    prose = re.sub(r"```.*?```", "", TROUBLESHOOTING, flags=re.DOTALL)
+    return sorted(set(re.findall(r'"([^"]+)"', prose)))
+
+
+@cache
+def messages() -> list[str]:
+    """Return every string of the package in lower case, f-strings without their values."""
+    found = []
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                parts = [part.value for part in node.values if isinstance(part, ast.Constant)]
+                found.append("".join(parts).lower())
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value.lower())
+    return found
+
+
+def contains(message: str, parts: list[str]) -> bool:
+    """Return whether a message contains all parts, in this order."""
+    for part in parts:
+        _, found, message = message.partition(part)
+        if not found:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("quotation", quotations())
+def test_a_quoted_message_exists(quotation):
+    parts = [part for words in quotation.lower().split("…") if (part := words.strip())]
+    assert any(contains(message, parts) for message in messages())
+
+
+HEADERS = {
+    "bins": accuracy.BINS_COLUMNS,
+    "check": columns(check.Result),
+    "claims": claims.COLUMNS,
+    "coach": columns(coach.Row),
+    "coach-evenness": coach.EVENNESS_COLUMNS,
+    "coach-summary": columns(coach.Goal),
+    "dimension": columns(dimension.Row),
+    "dimensions": accuracy.DIMENSIONS_COLUMNS,
+    "faults": columns(faults.Result),
+    "figure-3": accuracy.SUMMARY_COLUMNS,
+    "figure-4": bodies.AXIAL_COLUMNS,
+    "figure-7": bodies.ROUNDNESS_COLUMNS,
+    "limits": columns(limits.Limits),
+    "live-memory": session.MEMORY_COLUMNS,
+    "placement": columns(placement.Figure),
+    "quality": columns(quality.Result),
+    "recordings": comparison_tables.columns(COMPARED),
+    "rivals": accuracy.RIVALS_COLUMNS,
+    "self-touch": self_touch.HEADER,
+    "trust": trust.COLUMNS,
+    "updating": columns(updating.Figure),
+}
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "docs/results").iterdir()), ids=lambda path: path.name
+)
+def test_columns_are_those_that_the_command_writes(path):
+    with path.open(encoding="utf-8", newline="") as file:
+        header = next(csv.reader(file))
+    assert header == list(HEADERS[path.stem])
