@@ -9,7 +9,7 @@ import os
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import astuple, fields
@@ -183,3 +183,14 @@ def markdown_table(
     rule = ["---" if texts is None else ":---" if name in texts else "---:" for name in names]
     for cells in chain([names, rule], rows):
         yield f"| {' | '.join(map(str, cells))} |"
+
+
+def keyed_table(
+    rows: Iterable[Mapping[str, object]], texts: Sequence[str] | None = None
+) -> Iterator[str]:
+    """Yield the lines of a table in Markdown, see `markdown_table`, of rows by column."""
+    remaining = iter(rows)
+    first = next(remaining, None)
+    if first is not None:
+        cells = (row.values() for row in chain([first], remaining))
+        yield from markdown_table([*first], cells, texts)

@@ -32,7 +32,7 @@ from anisomap.layout.checking import NOT_TESTED
 from anisomap.numerics.layout.chance import reading_statistics
 from anisomap.numerics.layout.congruence import congruent, symmetries
 from anisomap.numerics.layout.evidence import neighbour_spacing
-from benchmarks.harness import frame, markdown_table, options, quietly, read_rows, write_rows
+from benchmarks.harness import frame, keyed_table, options, quietly, read_rows, write_rows
 
 FIRST_SEED = 1001
 SHARES = (0.01, 0.05, 0.1)
@@ -40,10 +40,6 @@ MIN_SWAPPED = 3.0  # spacings
 MIN_RUN = 8  # sensors of a shifted cable
 MIN_PATCH = 4
 MOVED = (4.0, 10.0)  # spacings
-HEADER = (
-    "recording", "frames", "fault", "share", "faults", "found", "placed", "right sensors accused",
-)  # fmt: skip
-
 Points = NDArray[np.float64]
 Groups = list[NDArray[np.intp]]
 
@@ -128,7 +124,7 @@ def checks(path: Path, kinds: Sequence[str], seeds: range) -> Iterator[Result]:
                         counts = score_sensors(found, groups)
                     rows.append(Result(path.stem, n_frames, kind, share, seed, *counts))
                     yield rows[-1]
-                print(" ", *cells(frame(rows)), flush=True)
+                print(" ", *cells(frame(rows)).values(), flush=True)
 
 
 def score_places(
@@ -297,22 +293,25 @@ def table(results: Sequence[Result]) -> list[str]:
     order = [*LAYOUT_FAULTS, *READING_FAULTS]
     groups = frame(results).groupby(["recording", "n_frames", "kind"])
     ordered = sorted(groups, key=lambda one: (one[0][0], -one[0][1], order.index(one[0][2])))
-    lines = ((name, f"{n_frames:,}", *cells(rows)) for (name, n_frames, _), rows in ordered)
-    return [*markdown_table(HEADER, lines)]
+    lines = (
+        {"recording": name, "frames": f"{n_frames:,}", **cells(rows)}
+        for (name, n_frames, _), rows in ordered
+    )
+    return [*keyed_table(lines)]
 
 
-def cells(rows: Any) -> tuple[object, ...]:
+def cells(rows: Any) -> dict[str, object]:
     """Return the cells of some results, a data frame, taken together."""
     low, high = rows.share.min(), rows.share.max()
     faults = rows.faults.sum()
     accused = rows.right_accused.sum() / max(1, rows.right_sensors.sum())
-    return (
-        rows.kind.iloc[0],
-        f"{low:.0%}" if low == high else f"{low:.0%} to {high:.0%}",
-        faults,
-        *(f"{rows[name].sum() / max(1, faults):.1%}" for name in ("found", "placed")),
-        f"{accused:.2%}",
-    )
+    return {
+        "fault": rows.kind.iloc[0],
+        "share": f"{low:.0%}" if low == high else f"{low:.0%} to {high:.0%}",
+        "faults": faults,
+        **{name: f"{rows[name].sum() / max(1, faults):.1%}" for name in ("found", "placed")},
+        "right sensors accused": f"{accused:.2%}",
+    }
 
 
 if __name__ == "__main__":

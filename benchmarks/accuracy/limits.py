@@ -35,7 +35,7 @@ from anisomap.mapping import Configuration, dissimilarities, refine_components
 from anisomap.methods import METHODS
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from benchmarks.harness import files_in, markdown_table, measured, options, publish
+from benchmarks.harness import files_in, keyed_table, markdown_table, measured, options, publish
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""
@@ -199,19 +199,23 @@ def electrodes_of(path: Path) -> list[Electrodes]:
 
 def electrodes_table(rows: Sequence[Electrodes]) -> str:
     """Format the rows as a table."""
-    header = (
-        "recording", "frames", "map", "scored", "default", "error", "neighbours kept", "verdict",
-        "expected error", "r-anisomap", "best stock method",
-    )  # fmt: skip
-    cells = [
-        (
-            row.recording, f"{row.frames:,}", f"{row.dimensions}D", row.scored, f"{row.r:.3f}",
-            f"{row.error:.2f}", f"{row.kept:.0%}", row.level, f"{row.expected:.2f}",
-            f"{row.paper:.3f}", f"{row.stock_r:.3f} ({row.stock})",
-        )
+    cells = (
+        {
+            "recording": row.recording,
+            "frames": f"{row.frames:,}",
+            "map": f"{row.dimensions}D",
+            "scored": row.scored,
+            "default": f"{row.r:.3f}",
+            "error": f"{row.error:.2f}",
+            "neighbours kept": f"{row.kept:.0%}",
+            "verdict": row.level,
+            "expected error": f"{row.expected:.2f}",
+            "r-anisomap": f"{row.paper:.3f}",
+            "best stock method": f"{row.stock_r:.3f} ({row.stock})",
+        }
         for row in rows
-    ]  # fmt: skip
-    return "\n".join(markdown_table(header, cells)) + "\n"
+    )
+    return "\n".join(keyed_table(cells)) + "\n"
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import argparse
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -24,7 +24,7 @@ from scipy.spatial import KDTree
 from anisomap import SensorMap, read, reconstruct_from, score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
-from benchmarks.harness import files_in, markdown_table, quietly
+from benchmarks.harness import files_in, keyed_table, quietly
 from benchmarks.skins.inputs import directions, sphere_radius
 
 Matrix = NDArray[np.float64]
@@ -95,37 +95,33 @@ def touch(
         yield block
 
 
-def losses(sizes: Sequence[int], n_frames: int, seeds: int) -> None:
-    """Print scores of exact and approximate maps of the same recordings."""
-    header = (
-        "skin", "sensors", "exact", "approximate", "lost", "worst", "agreement", "exact (s)",
-        "approximate (s)",
-    )  # fmt: skip
-
-    def rows() -> Iterator[tuple[object, ...]]:
-        for skin, n_sensors in product(SKINS, sizes):
-            every = np.array([_loss(skin, n_sensors, n_frames, seed) for seed in range(seeds)])
-            exact, approximate, agreement, slow, fast = every.mean(axis=0)
-            worst = (every[:, 0] - every[:, 1]).max()
-            scores = (exact, approximate, exact - approximate, worst, agreement)
-            times = (f"{slow:.1f}", f"{fast:.1f}")
-            yield (skin.name, n_sensors, *(f"{r:.4f}" for r in scores), *times)
-
-    _print(header, rows())
+Row = dict[str, object]
 
 
-def _loss(
-    skin: Skin, n_sensors: int, n_frames: int, seed: int
-) -> tuple[float, float, float, float, float]:
-    rng = np.random.default_rng(seed)
-    sensors = skin.spread(n_sensors, n_sensors, rng)
-    readings = np.concatenate(list(touch(skin, sensors, n_frames, rng)))
-    return _compare(readings, sensors, skin.dimensions)
+def losses(sizes: Sequence[int], n_frames: int, seeds: int) -> Iterator[Row]:
+    """Yield mean scores of exact and approximate maps of the same recordings."""
+    for skin, n_sensors in product(SKINS, sizes):
+        runs = []
+        for seed in range(seeds):
+            rng = np.random.default_rng(seed)
+            sensors = skin.spread(n_sensors, n_sensors, rng)
+            readings = np.concatenate(list(touch(skin, sensors, n_frames, rng)))
+            runs.append(_compare(readings, sensors, skin.dimensions))
+        mean = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
+        worst = max(run["lost"] for run in runs)
+        yield {"skin": skin.name, "sensors": n_sensors, **_formatted(mean | {"worst": worst})}
 
 
-def _compare(
-    readings: NDArray[np.generic], sensors: Matrix, dimensions: int
-) -> tuple[float, float, float, float, float]:
+def real_losses(folder: Path) -> Iterator[Row]:
+    """Yield scores of exact and approximate 2D maps of real recordings."""
+    for path in files_in([folder]):
+        recording = read(path)
+        if recording.positions is not None:
+            found = _compare(recording.readings, recording.positions, 2)
+            yield {"recording": path.stem, "sensors": recording.n_sensors, **_formatted(found)}
+
+
+def _compare(readings: NDArray[np.generic], sensors: Matrix, dimensions: int) -> dict[str, float]:
     slow, exact = _timed(
         lambda: reconstruct_from(
             method="r-anisomap", dimensions=dimensions, similarity=pearson(readings)
@@ -134,29 +130,21 @@ def _compare(
     fast, found = _timed(lambda: reconstruct_approximately(readings, dimensions))
     pairs = ((exact, sensors), (found, sensors), (found, exact.positions))
     first, second, agreement = (score(*pair, permutations=0).mantel.r for pair in pairs)
-    return first, second, agreement, slow, fast
+    return {
+        "exact": first,
+        "approximate": second,
+        "lost": first - second,
+        "agreement": agreement,
+        "exact (s)": slow,
+        "approximate (s)": fast,
+    }
 
 
-def real_losses(folder: Path) -> None:
-    """Print scores of exact and approximate 2D maps of real recordings."""
-
-    def rows() -> Iterator[tuple[object, ...]]:
-        for path in files_in([folder]):
-            recording = read(path)
-            if recording.positions is not None:
-                exact, approximate, agreement, *_ = _compare(
-                    recording.readings, recording.positions, 2
-                )
-                scores = (exact, approximate, exact - approximate, agreement)
-                yield (path.stem, recording.n_sensors, *(f"{r:.4f}" for r in scores))
-
-    _print(("recording", "sensors", "exact", "approximate", "lost", "agreement"), rows())
-
-
-def _print(names: Sequence[str], rows: Iterable[Iterable[object]]) -> None:
-    """Print the lines of a table as they are made."""
-    for line in markdown_table(names, rows):
-        print(line, flush=True)
+def _formatted(found: dict[str, float]) -> Row:
+    return {
+        name: f"{value:.1f}" if name.endswith("(s)") else f"{value:.4f}"
+        for name, value in found.items()
+    }
 
 
 def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
@@ -165,26 +153,24 @@ def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
     return time.process_time() - begin, made
 
 
-def costs(sizes: Sequence[int], n_frames: int) -> None:
-    """Print time, memory and scores of approximate maps of recordings on disk."""
-    header = (
-        "skin", "sensors x frames", "CPU (s)", "peak memory (GB)", "Mantel r", "neighbours kept"
-    )  # fmt: skip
-
-    def rows() -> Iterator[tuple[object, ...]]:
-        for n_sensors, skin in product(sizes, SKINS[3:]):
-            with tempfile.TemporaryDirectory() as folder:
-                path = Path(folder) / "readings.npy"
-                sensors = _written(path, skin, n_sensors, n_frames)
-                mapped = np.load(path, mmap_mode="r")
-                seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
-            result = score(found, sensors, permutations=0)
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-            cost = (f"{seconds:.0f}", f"{peak:.1f}")
-            kept = f"{result.neighbours_kept:.0%}"
-            yield (skin.name, f"{n_sensors} x {n_frames}", *cost, f"{result.mantel.r:.4f}", kept)
-
-    _print(header, rows())
+def costs(sizes: Sequence[int], n_frames: int) -> Iterator[Row]:
+    """Yield time, memory and scores of approximate maps of recordings on disk."""
+    for n_sensors, skin in product(sizes, SKINS[3:]):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "readings.npy"
+            sensors = _written(path, skin, n_sensors, n_frames)
+            mapped = np.load(path, mmap_mode="r")
+            seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
+        result = score(found, sensors, permutations=0)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        yield {
+            "skin": skin.name,
+            "sensors x frames": f"{n_sensors} x {n_frames}",
+            "CPU (s)": f"{seconds:.0f}",
+            "peak memory (GB)": f"{peak:.1f}",
+            "Mantel r": f"{result.mantel.r:.4f}",
+            "neighbours kept": f"{result.neighbours_kept:.0%}",
+        }
 
 
 def _written(path: Path, skin: Skin, n_sensors: int, n_frames: int) -> Matrix:
@@ -208,13 +194,15 @@ def main() -> None:
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--recordings", type=Path)
     arguments = parser.parse_args()
+    if arguments.large:
+        rows = costs([20_000, 100_000], arguments.frames)
+    elif arguments.recordings:
+        rows = real_losses(arguments.recordings)
+    else:
+        rows = losses(arguments.sensors, arguments.frames, arguments.seeds)
     with quietly():
-        if arguments.large:
-            costs([20_000, 100_000], arguments.frames)
-        elif arguments.recordings:
-            real_losses(arguments.recordings)
-        else:
-            losses(arguments.sensors, arguments.frames, arguments.seeds)
+        for line in keyed_table(rows):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

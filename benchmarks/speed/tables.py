@@ -14,40 +14,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_info
 
-from benchmarks.harness import COLOURS, markdown_table
+from benchmarks.harness import COLOURS, keyed_table
 from benchmarks.speed.measuring import Row, n_cores
 
-_HEADER = (
-    "N",
-    "stage",
-    "input",
-    "CPU, 1 thread (s)",
-    "clock, all cores (s)",
-    "memory (MB)",
-    "reference",
-    "its CPU (s)",
-    "its memory (MB)",
-    "ratio",
-    "goal",
-    "same result",
-)
 _TEXT_COLUMNS = ("N", "stage", "input", "reference", "same result")
 
 
 def markdown(rows: Sequence[Row], n_frames: int) -> str:
     """Return the machine, the times and their growth as Markdown."""
-    lines = [
-        machine(f"{n_frames:,} frames"),
-        "",
-        *markdown_table(_HEADER, map(_cells, rows), _TEXT_COLUMNS),
-    ]
-    if growth := list(_growth(rows)):
-        lines += ["", "Growth of CPU times: exponent of N", ""]
-        lines += markdown_table(
-            ("stage", "input", "from N", "to N", "anisomap", "reference", "its exponent"),
-            growth,
-            _TEXT_COLUMNS,
-        )
+    lines = [machine(f"{n_frames:,} frames"), "", *keyed_table(map(_cells, rows), _TEXT_COLUMNS)]
+    if growth := [*keyed_table(_growth(rows), _TEXT_COLUMNS)]:
+        lines += ["", "Growth of CPU times: exponent of N", "", *growth]
     return "\n".join(lines) + "\n"
 
 
@@ -75,23 +52,23 @@ def _processor() -> str:
     return next(named, platform.processor() or platform.machine())
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: Row) -> dict[str, str]:
     ratio = significant(row.ratio)
     goal = "" if row.goal is None else f"{row.goal:,.0f}"
-    return (
-        f"{row.n_sensors:,}",
-        row.stage,
-        row.dataset,
-        seconds(row.cpu),
-        seconds(row.clock_all_cores),
-        _megabytes(row.memory),
-        f"{row.reference} ({row.details})" if row.details else row.reference,
-        ("≈ " if row.estimated else "") + seconds(row.reference_cpu),
-        _megabytes(row.reference_memory),
-        f"**{ratio}**" if row.missed else ratio,
-        f"{goal} (missed)" if row.missed else goal,
-        "yes" if row.same else "**NO**",
-    )
+    return {
+        "N": f"{row.n_sensors:,}",
+        "stage": row.stage,
+        "input": row.dataset,
+        "CPU, 1 thread (s)": seconds(row.cpu),
+        "clock, all cores (s)": seconds(row.clock_all_cores),
+        "memory (MB)": _megabytes(row.memory),
+        "reference": f"{row.reference} ({row.details})" if row.details else row.reference,
+        "its CPU (s)": ("≈ " if row.estimated else "") + seconds(row.reference_cpu),
+        "its memory (MB)": _megabytes(row.reference_memory),
+        "ratio": f"**{ratio}**" if row.missed else ratio,
+        "goal": f"{goal} (missed)" if row.missed else goal,
+        "same result": "yes" if row.same else "**NO**",
+    }
 
 
 def seconds(value: float) -> str:
@@ -111,7 +88,7 @@ def _megabytes(value: float) -> str:
     return "" if math.isnan(value) else f"{value:,.0f}"
 
 
-def _growth(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
+def _growth(rows: Sequence[Row]) -> Iterator[dict[str, str]]:
     """Yield the growth of times between the two largest sizes, for both implementations."""
     for (stage, dataset, reference), group in grouped(rows).items():
         known = [row for row in group if row.cpu > 0]
@@ -119,15 +96,16 @@ def _growth(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             continue
         before, last = known[-2:]
         sizes = [before.n_sensors, last.n_sensors]
-        yield (
-            stage,
-            dataset,
-            f"{before.n_sensors:,}",
-            f"{last.n_sensors:,}",
-            f"{growth_exponent(sizes, [before.cpu, last.cpu]):.1f}",
-            reference,
-            f"{growth_exponent(sizes, [before.reference_cpu, last.reference_cpu]):.1f}",
-        )
+        theirs = growth_exponent(sizes, [before.reference_cpu, last.reference_cpu])
+        yield {
+            "stage": stage,
+            "input": dataset,
+            "from N": f"{before.n_sensors:,}",
+            "to N": f"{last.n_sensors:,}",
+            "anisomap": f"{growth_exponent(sizes, [before.cpu, last.cpu]):.1f}",
+            "reference": reference,
+            "its exponent": f"{theirs:.1f}",
+        }
 
 
 def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:

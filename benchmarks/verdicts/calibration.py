@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from benchmarks.harness import markdown_table
-from benchmarks.verdicts.trust import read_outcomes
+from benchmarks.harness import keyed_table
+from benchmarks.verdicts.trust import closeness, read_outcomes
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -105,17 +105,8 @@ def table(outcomes: Any) -> str:
         (f"{name}: {kind}", part)
         for (kind, name), part in missed.groupby([outcomes.kind, outcomes.group])
     ]
-    header = ("kind left out", "maps", "expected / true, median", "within 1.5", "within 2")
-    rows = [
-        (
-            label,
-            len(part),
-            f"{np.exp(-part).median():.2f}",
-            *(f"{(part.abs() < math.log(limit)).mean():.0%}" for limit in (1.5, 2)),
-        )
-        for label, part in groups
-    ]
-    return "\n".join(markdown_table(header, rows))
+    rows = ({"kind left out": label, **closeness(np.exp(-part))} for label, part in groups)
+    return "\n".join(keyed_table(rows))
 
 
 if __name__ == "__main__":

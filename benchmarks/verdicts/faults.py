@@ -24,6 +24,7 @@ from benchmarks.harness import (
     files_in,
     frame,
     in_parallel,
+    keyed_table,
     markdown_table,
     options,
     write_rows,
@@ -93,6 +94,10 @@ VARIANTS = {
     "binary": "thresholded:*",
 }
 """Forms of sound recordings, in which whatever is found is a false alarm."""
+
+
+STATES = ("undamaged", "damaged", "repaired")
+"""Of recordings, whose maps are scored."""
 
 
 @dataclass(frozen=True)
@@ -190,19 +195,19 @@ def accuracy(recording: anisomap.Recording, dimensions: int) -> float:
 
 def table(results: Sequence[Result]) -> str:
     """Return a table of all damages, one line each."""
-    header = [
-        "fault", "recordings", "found", "something else found", "r undamaged", "r damaged",
-        "r repaired", "worst loss after repair", "sensors mapped",
-    ]  # fmt: skip
-    lines = []
-    for text, group in frame(results).groupby("damage", sort=False):
-        found = "-" if text == "none" else group.found.sum()
-        medians = group[["undamaged", "damaged", "repaired"]].median()
-        lost = (group.undamaged - group.repaired).max()
-        cells = (text, len(group), found, (group.falsely_found != "").sum())
-        scores = (*(f"{r:.3f}" for r in medians), f"{lost:.3f}")
-        lines.append((*cells, *scores, f"{group.share_of_sensors.mean():.0%}"))
-    return "\n".join(markdown_table(header, lines)) + "\n"
+    rows = (
+        {
+            "fault": text,
+            "recordings": len(group),
+            "found": "-" if text == "none" else group.found.sum(),
+            "something else found": (group.falsely_found != "").sum(),
+            **{f"r {what}": f"{group[what].median():.3f}" for what in STATES},
+            "worst loss after repair": f"{(group.undamaged - group.repaired).max():.3f}",
+            "sensors mapped": f"{group.share_of_sensors.mean():.0%}",
+        }
+        for text, group in frame(results).groupby("damage", sort=False)
+    )
+    return "\n".join(keyed_table(rows)) + "\n"
 
 
 def false_alarms(seeds: Sequence[int]) -> str:

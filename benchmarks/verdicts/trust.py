@@ -30,7 +30,7 @@ from anisomap.diagnosis.diagnostics import examine
 from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.usability import ACCURACY
-from benchmarks.harness import in_parallel, markdown_table, options, quietly, write_csv
+from benchmarks.harness import in_parallel, keyed_table, markdown_table, options, quietly, write_csv
 from benchmarks.skins.other_skins import cases_of_other
 from benchmarks.verdicts.trust_recordings import Case, cases_of_file, cases_of_seed
 
@@ -269,30 +269,33 @@ def ratios_of(outcomes: Any) -> Any:
     return known.expected / known.error
 
 
+def closeness(ratios: Any) -> dict[str, object]:
+    """Return cells on how close expected errors are to true ones, given their ratios."""
+    apart = np.abs(np.log(ratios))
+    within = {f"within {limit:g}": f"{(apart < math.log(limit)).mean():.0%}" for limit in (1.5, 2)}
+    median = f"{ratios.median():.2f}"
+    return {"maps": len(ratios), "expected / true error, median": median, **within}
+
+
 def by_group(outcomes: Any) -> list[str]:
     """Return the lines of a table of how well errors are expected, by group of recordings."""
-    header = (
-        "recordings", "maps", "expected / true error, median", "within 1.5", "within 2",
-        "true error in its interval", "true positions in ellipses of 95 %",
-    )  # fmt: skip
     titles = {"simulated": "simulated", "other": "second simulator", "real": "real skins"}
-    known = outcomes[outcomes.expected.notna()]
+    known = outcomes[outcomes.expected.notna() & (outcomes.error > 0)]
     rows = []
     for name, damaged in product(titles, (False, True)):
         group = known[(known.group == name) & ((known.fault != "") == damaged)]
         if len(group):
-            ratios = ratios_of(group)
-            apart, inside = np.abs(np.log(ratios)), group.inside.mean()
             held = group.error.between(group.expected_error_low, group.expected_error_high)
-            rows.append((
-                f"{titles[name]}, with a fault" if damaged else titles[name],
-                len(group),
-                f"{ratios.median():.2f}",
-                *(f"{(apart < math.log(limit)).mean():.0%}" for limit in (1.5, 2)),
-                f"{held.mean():.0%}",
-                "-" if math.isnan(inside) else f"{inside:.0%}",
-            ))  # fmt: skip
-    return [*markdown_table(header, rows)]
+            inside = "-" if group.inside.isna().all() else f"{group.inside.mean():.0%}"
+            rows.append(
+                {
+                    "recordings": f"{titles[name]}, with a fault" if damaged else titles[name],
+                    **closeness(ratios_of(group)),
+                    "true error in its interval": f"{held.mean():.0%}",
+                    "true positions in ellipses of 95 %": inside,
+                }
+            )
+    return [*keyed_table(rows)]
 
 
 def draw(outcomes: Any, path: Path) -> None:
