@@ -67,9 +67,9 @@ def shortened(text: str, max_characters: int) -> str:
     return f"{text[: max_characters - n_last - len(_CUT)]}{_CUT}{text[-n_last:]}"
 
 
-def noun_and_items(noun: str, items: Sequence[object], max_items: int = 5) -> str:
+def noun_and_items(noun: str, items: Sequence[object]) -> str:
     """Precede `join_items` with a noun, in the plural if there are several: ``frames 3, 4``."""
-    return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, max_items)}"
+    return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, 5)}"
 
 
 def html_table(title: str, rows: Mapping[str, object]) -> str:

@@ -139,10 +139,11 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     limits = []
     for members, fit in groups:
         aligned[members] = fit.apply(pair.after[members])
-        chances = _Chances.of(pair.before[members], aligned[members], level / n_compared)
-        distance[members] = chances.distance
-        p_values[members] = np.minimum(1.0, n_compared * chances.p_values)
-        limits.append(chances.limit)
+        distance[members], chances, limit = _chances(
+            pair.before[members], aligned[members], level / n_compared
+        )
+        p_values[members] = np.minimum(1.0, n_compared * chances)
+        limits.append(limit)
     compared = np.isfinite(distance)
     notes = list(pair.notes)
     left_out = int(np.count_nonzero(pair.placed.all(axis=0) & ~compared))
@@ -216,35 +217,29 @@ def _aligned_groups(pair: _Pair) -> list[tuple[NDArray[np.intp], Similarity]]:
     return [(g, fit_similarity_robustly(pair.after[g], pair.before[g])) for g in groups]
 
 
-@dataclass(frozen=True)
-class _Chances:
-    """Displacements of sensors, their p values, and the distance that has the level as p value."""
+def _chances(
+    before: NDArray[np.float64], after: NDArray[np.float64], level: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Test displacements as they are, and relative to neighbours in the same distortion.
 
-    distance: NDArray[np.float64]
-    p_values: NDArray[np.float64]
-    limit: float
-
-    @classmethod
-    def of(cls, before: NDArray[np.float64], after: NDArray[np.float64], level: float) -> _Chances:
-        """Test displacements as they are, and relative to neighbours in the same distortion.
-
-        The former show patches that moved as a whole, the latter single sensors.
-        """
-        displacement = after - before
-        near = nearest_others(before, _NEIGHBOURS)[1]
-        whole = np.linalg.norm(displacement, axis=1)
-        tests = 2.0
-        of_whole = _Tail.of(whole).p_values(whole)
-        p_values = tests * of_whole
-        for _ in range(_PASSES):
-            reference = np.where((p_values < level)[:, None], np.nan, displacement)[near]
-            known = np.isfinite(reference[:, :, 0]).sum(axis=1) >= _MIN_REFERENCES
-            drift = np.zeros_like(displacement)
-            drift[known] = np.nanmedian(reference[known], axis=1)
-            local = np.linalg.norm(displacement - drift, axis=1)
-            tail = _Tail.of(local)
-            p_values = np.minimum(1.0, tests * np.minimum(of_whole, tail.p_values(local)))
-        return cls(local, p_values, tail.quantile(level / tests))
+    The former show patches that moved as a whole, the latter single sensors. Returns displacements
+    relative to neighbours, p values, and the displacement that has the level as p value.
+    """
+    displacement = after - before
+    near = nearest_others(before, _NEIGHBOURS)[1]
+    whole = np.linalg.norm(displacement, axis=1)
+    tests = 2.0
+    of_whole = _Tail.of(whole).p_values(whole)
+    p_values = tests * of_whole
+    for _ in range(_PASSES):
+        reference = np.where((p_values < level)[:, None], np.nan, displacement)[near]
+        known = np.isfinite(reference[:, :, 0]).sum(axis=1) >= _MIN_REFERENCES
+        drift = np.zeros_like(displacement)
+        drift[known] = np.nanmedian(reference[known], axis=1)
+        local = np.linalg.norm(displacement - drift, axis=1)
+        tail = _Tail.of(local)
+        p_values = np.minimum(1.0, tests * np.minimum(of_whole, tail.p_values(local)))
+    return local, p_values, tail.quantile(level / tests)
 
 
 @dataclass(frozen=True)

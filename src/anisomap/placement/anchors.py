@@ -27,8 +27,7 @@ from anisomap.placement.handedness import (
 )
 from anisomap.sensor_map import SensorMap, check_coordinates
 
-# Anchors that are suggested; tuned on the iCub hexagon and palm, the plantar recording, and halves
-# of rubbed planes and cylinders, seeds 301 to 306.
+# Anchors that are suggested; tuned on real recordings, rubbed planes and cylinders.
 _RING = 12  # neighbours that tell whether a sensor is inside
 _SHARE_INSIDE = 0.5  # of the sensors
 
@@ -180,9 +179,8 @@ COVERAGE = 0.9
 """Probability that a sensor is within its stated error."""
 
 # Distortion of maps as a smooth field: its reach in sizes of the map, and the variance of the rest
-# relative to it. Tuned on the iCub hexagon, the plantar recording and rubbed planes, seeds 301 and
-# 302, with 4 random anchors. Less noise lowers their errors by another 1 %, but the errors of maps
-# with independent errors are then stated too small.
+# relative to it. Tuned on the iCub hexagon, the plantar recording and rubbed planes; with less
+# noise, independent errors would be stated too small.
 _REACH, _NOISE = 1.0, 1.0
 # Other fields that are tried with many anchors, likewise.
 _REACHES, _NOISES = (0.25, 0.5, 1.0), (0.1, 0.3, 1.0)

@@ -27,15 +27,12 @@ from anisomap.sensor_map import SensorMap
 PRIOR_FREEDOM = 4.0
 """Degrees of freedom of the prior of the variance of a map (a scaled inverse chi-squared).
 
-The logarithm of the error of the even maps of `ERROR_EVEN` had a standard deviation of .46; with 4
-degrees of freedom it is .40.
+The logarithm of the errors of even maps then has a standard deviation of .40, against .46 measured.
 """
 
 # RMS error of a coordinate relative to the size of a map, the root of the summed variance of its
-# coordinates. Errors grow with the size of a map more than with its spacing. Medians over 62 maps
-# that are not marked as distorted (`SensorMap.uneven`): the iCub hexagon, palm and torso, and
-# simulated bodies rubbed, struck and rolled, seeds 201 to 203 and 211; and over those that are: the
-# maps of four recordings, plantar, Nao's head and torso, and insole.
+# coordinates: medians over 62 maps that are not marked as distorted (`SensorMap.uneven`), of the
+# iCub and of simulated bodies, and over four that are, of feet and of Nao.
 ERROR_EVEN, ERROR_UNEVEN = 0.06, 0.25
 
 
@@ -179,10 +176,8 @@ of maps are as assumed below.
 # Errors of neighbours are alike: parts of a map are shifted, bent or even mirrored together, so
 # anchors that are close are worth little more than one of them. FIELD_REACH is the reach of the
 # field of errors in sizes of the map, and FIELD_NOISE the variance of independent errors relative
-# to it. Of reaches of .3, .5 and 1, and noises of .03, .1 and .3, the errors of the maps on which
-# `ERROR_EVEN` was measured were most likely with .5 and 1, and .03 and .1. The RMS errors of such
-# fields are the median over even maps, and the root mean square over the four distorted ones, which
-# differ more.
+# to it; both make the errors of the maps of `ERROR_EVEN` likely. The RMS errors of such fields are
+# the median over even maps, and the root mean square over distorted ones, which differ more.
 FIELD_REACH, FIELD_NOISE = 0.5, 0.05
 _FIELD_EVEN, _FIELD_DISTORTED = 0.045, 0.4
 _DOUBT = 0.02
@@ -190,10 +185,8 @@ _DOUBT = 0.02
 succession, since none of those 62 maps was."""
 
 # Normals estimated from maps: concentration about the right ones (von Mises & Fisher), share of
-# reversed ones, and of arbitrary ones. On eight simulated bodies, rubbed, seeds 201 to
-# 203, 15 % were more than 72 degrees off, most of them reversed ones of y-shapes and hands; the
-# concentration of the others was 16, and 8 on cubes. The probability that all normals of a map
-# point inwards is a guess.
+# reversed ones, and of arbitrary ones, by those of rubbed bodies. The probability that all normals
+# of a map point inwards is a guess.
 _CONCENTRATION, _REVERSED, _ASTRAY, _INWARD = 8.0, 0.15, 0.05, 0.1
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +36,8 @@ from anisomap.placement.surface import (
 from anisomap.recording import match_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 
-# Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on the iCub hexagon and
-# on simulated hexagons, seeds 201 to 203; that of the spacing is a guess on the safe side.
+# Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on real and simulated
+# hexagons; that of the spacing is a guess on the safe side.
 _MODULE_SCALE, _SPACING_SCALE = 0.04, 0.2
 
 
@@ -62,11 +62,11 @@ class Placement:
     """
 
     map: SensorMap
-    anchors: tuple[str, ...]
-    residuals: NDArray[np.float64]
-    left_out_errors: NDArray[np.float64]
-    methods: tuple[str, ...]
-    left_out: tuple[str, ...]
+    anchors: tuple[str, ...] = ()
+    residuals: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    left_out_errors: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    methods: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def place(
@@ -203,8 +203,8 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         handed=handed,
         mirrored=mirror,
     )
-    found = Placement(result, (), np.empty(0), np.empty(0), tuple(part.how for part in parts), ())
-    return _with_missing(found, sensor_map)
+    methods = tuple(part.how for part in parts)
+    return _with_missing(Placement(result, methods=methods), sensor_map)
 
 
 def _place_part(
@@ -286,7 +286,7 @@ def _anchored(
         placed_by={"anchors": len(where), "placed_by": methods[0]},
         normals=None if shape.surface is None else normals,
     )
-    found = Placement(result, anchors.names, residuals, left_out, tuple(methods), ())
+    found = Placement(result, anchors.names, residuals, left_out, tuple(methods))
     return _with_missing(found, sensor_map)
 
 

@@ -103,8 +103,7 @@ class TouchPlacement:
     @property
     def placement(self) -> Placement:
         """The same as a placement without anchors, to be drawn."""
-        empty = np.empty(0)
-        return Placement(self.map, (), empty, empty, (self.method,), ())
+        return Placement(self.map, methods=(self.method,))
 
 
 def place_by_self_touch(
