@@ -238,10 +238,7 @@ def _hands(recordings: Sequence[Recording], dimensions: int) -> Iterator[Measure
 
 
 def _same_hand(placed: Points, right: Points, anchors: Indices) -> bool:
-    """Compare the hands of two images of one map, in its plane if it is flat.
-
-    Anchors are not on the map, but where they were measured.
-    """
+    """Compare the hands of two images of one map, in its plane if it is flat."""
     one, other = (np.delete(p, anchors, axis=0) for p in (placed, right))
     one, other = one - one.mean(axis=0), other - other.mean(axis=0)
     _, widths, axes = np.linalg.svd(other, full_matrices=False)

@@ -38,10 +38,9 @@ _EQUAL = 1e-6  # largest difference of coordinates on one line of a lattice, in 
 def straightness(positions: ArrayLike, truth: ArrayLike) -> float:
     """Measure how straight the straight lines of sensors are on a map: 1 is straight.
 
-    positions (N, k), truth (N, 3). For all triples of sensors of which one is midway between the
+    positions (N, k), truth (N, 3). For triples of sensors of which one is midway between the
     others, at least half as far apart as the farthest: the mean ratio of the distance of the outer
-    sensors to that through the middle one; 0.71 for a semicircle. Scaling a map along any axis does
-    not bend lines. NaN without triples.
+    sensors to that through the middle one; 0.71 for a semicircle, NaN without triples.
     """
     points, true = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     first, last = np.triu_indices(len(true), 1)

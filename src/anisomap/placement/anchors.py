@@ -148,11 +148,7 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
 
 
 def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
-    """Choose sensors of which the positions are worth measuring.
-
-    They are far apart, so that they determine the pose well, and inside the skin, where maps are
-    more accurate than at its edge.
-    """
+    """Choose sensors worth measuring: far apart, and inside the skin, where maps are accurate."""
     found: list[str] = []
     for part in sensor_map.split():
         positions, n_sensors = part.positions, part.n_sensors
@@ -220,11 +216,9 @@ class AnchorFit:
 def fit_anchors(
     tied: Tied, known: Known, normals: tuple[Points, Points] | None = None
 ) -> AnchorFit:
-    """Transform a map to the frame of its anchors.
+    """Transform a map to the frame of its anchors, by a similarity and a smooth field.
 
-    A similarity and a smooth field of corrections are fitted together. The scale is weighted by the
-    precision of the anchors and of prior knowledge. With `MIN_LEFT_OUT` anchors or more, another
-    field is used if it predicts anchors that were left out better.
+    With `MIN_LEFT_OUT` anchors or more, the field may be one that predicts left out anchors better.
     """
     x, y = tied.anchors, tied.targets
     _check_spread(x, known.spacing)
@@ -281,12 +275,9 @@ def _check_spread(anchors: Points, spacing: float) -> None:
 def _choose_kernel(
     x: Points, y: Points, known: Known, reflected: bool, kernels: list[Kernel]
 ) -> tuple[Kernel, Points, NDArray[np.float64]]:
-    """Choose a field of corrections by leaving anchors out.
+    """Choose a field of corrections that predicts anchors left out better than the first field.
 
-    Another field than the first is used only if it lowers the squared error of anchors that were
-    left out by more than the standard error of the difference.
-
-    Returns kernel, predictions (n, k), relative (n,).
+    That is, by more than the standard error. Returns kernel, predictions (n, k), relative (n,).
     """
     n = len(x)
     predictions = np.empty((len(kernels), *y.shape))

@@ -273,10 +273,9 @@ def mirror_evidence(
 ) -> float:
     """Compare the residuals of anchors with a map and with its mirror image.
 
-    The variance of the errors is unknown. Its prior is a mixture of two scaled inverse chi-squared
-    distributions, of good and of distorted maps, so the likelihood is a mixture of densities of
-    Student's t (Gelman et al. 2013, Bayesian Data Analysis, section 3.2). Anchors that fit one
-    hand well by chance decide nothing on a map that is known to be distorted, unless they are many.
+    The prior of the variance is a mixture of scaled inverse chi-squared distributions, of good and
+    of distorted maps, so the likelihood is a mixture of densities of Student's t (Gelman et al.
+    2013, Bayesian Data Analysis, section 3.2).
     """
     doubt = 1.0 if uneven else _DOUBT
     prior = PRIOR_FREEDOM * (size * np.array([_FIELD_EVEN, _FIELD_DISTORTED])) ** 2

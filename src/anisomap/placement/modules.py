@@ -364,8 +364,7 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
 def _handedness(positions: Points, offsets: Points, groups: list[NDArray[np.intp]]) -> float:
     """Compare the errors of modules on the map and on its mirror image, as a log likelihood ratio.
 
-    Modules are scaled to the map one by one, so its distortion does not count as an error. The
-    variance of the noise is unknown, which makes the likelihoods those of Student's t.
+    Modules are scaled one by one. The variance is unknown, so likelihoods are those of Student's t.
     """
     squares = np.zeros(2)
     freedom = 0

@@ -291,10 +291,7 @@ class PatchPose(NamedTuple):
 
 
 def fit_pose(places: Points, targets: Points, points: Points) -> PatchPose:
-    """Fit the pose of a rigid patch, with sensors at points, to where it was touched, (C, 3) each.
-
-    Places that a robust fit leaves far off are left out; the others count alike.
-    """
+    """Fit the pose of a rigid patch to where it was touched, (C, 3), without outliers."""
     robust = fit_similarity_robustly(places, targets, scaling=False, reflection=False)
     off = np.linalg.norm(robust.apply(places) - targets, axis=1)
     # Rounding errors of exact places must not exclude any.
@@ -317,8 +314,7 @@ def fit_pose(places: Points, targets: Points, points: Points) -> PatchPose:
 def _check_agreement(places: Points, targets: Points, *, scaling: bool) -> None:
     """Refuse contacts that agree no better than pairs of the places of different contacts.
 
-    A permutation test of the sum of squared residuals. Targets far from the others are left out, as
-    they would dominate the sum; the choice of these targets does not depend on the order.
+    A permutation test of the sum of squared residuals, without targets that would dominate it.
     """
     off = np.linalg.norm(targets - np.median(targets, axis=0), axis=1)
     near = off <= _FAR * noise_scale(off, 3)
@@ -342,8 +338,7 @@ def _check_agreement(places: Points, targets: Points, *, scaling: bool) -> None:
 def _consistent(places: Points, targets: Points) -> NDArray[np.bool_]:
     """Return which contacts are as far from their neighbours in space as on the map.
 
-    No similarity transform takes a map to a bent skin, but among neighbours one nearly does.
-    Distances do not depend on the handedness.
+    No similarity takes a map to a bent skin, but among neighbours one nearly does.
     """
     _, near = nearest_others(places, _NEIGHBOURS)
     on_map, apart = (

@@ -56,10 +56,7 @@ class Surface:
         self.nearest = TriangleSearch(mesh).nearest
 
     def goal(self, placed: Points, tied: Tied) -> Points:
-        """Return where placed sensors ought to be: anchors at their places, others near here.
-
-        Others are projected onto the planes of the nearest drawn points.
-        """
+        """Return the places of anchors, and others on the planes of the nearest drawn points."""
         found = np.asarray(self._tree.query(placed)[1])
         normals = self._normals[found]
         height = np.einsum("nd,nd->n", placed - self._points[found], normals)
@@ -113,13 +110,10 @@ def fit_to_surface(
 
 
 def bend_to_surface(placed: Points, tied: Tied, surface: Surface) -> Points:
-    """Bend a placed map smoothly to a surface and to its anchors.
+    """Bend a placed map, (N, 3), by a smooth field to a surface and to its anchors.
 
-    placed (N, 3) -> (N, 3).
-
-    Maps are distorted smoothly, so the nearest points of the surface tell the field, as in
-    non-rigid iterated closest points (Amberg, Romdhani & Vetter 2007,
-    doi:10.1109/CVPR.2007.383165). Here the field is a Gaussian process of which the reach shrinks.
+    Non-rigid iterated closest points (Amberg, Romdhani & Vetter 2007,
+    doi:10.1109/CVPR.2007.383165), with Gaussian processes of which the reach shrinks.
     """
     size, noise = extent(placed), np.full(len(placed), _BEND_NOISE)
     noise[tied.sensors] = _BEND_NOISE / _BEND_ANCHOR_WEIGHT
