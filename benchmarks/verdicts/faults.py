@@ -13,8 +13,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import anisomap
 from anisomap.comparison import spanned_dimensions
@@ -25,7 +27,7 @@ from benchmarks.harness import (
     frame,
     in_parallel,
     keyed_table,
-    markdown_table,
+    measured,
     options,
     write_rows,
 )
@@ -95,6 +97,9 @@ VARIANTS = {
 }
 """Forms of sound recordings, in which whatever is found is a false alarm."""
 
+
+ALARMS = ("with a fault", "sensors", "called faulty")
+"""What is counted in sound recordings."""
 
 STATES = ("undamaged", "damaged", "repaired")
 """Of recordings, whose maps are scored."""
@@ -210,58 +215,53 @@ def table(results: Sequence[Result]) -> str:
     return "\n".join(keyed_table(rows)) + "\n"
 
 
+def alarms(
+    recording: anisomap.Recording, allowed: frozenset[str] = frozenset()
+) -> dict[str, object]:
+    """Return whether faults are found in a sound recording, its sensors, and the faulty ones."""
+    faulty = sum(is_faulty(sensor.status) for sensor in anisomap.assess(recording))
+    kinds = {one.kind for one in anisomap.find_faults(recording)} - allowed
+    return dict(zip(ALARMS, (bool(kinds), recording.n_sensors, faulty), strict=True))
+
+
 def false_alarms(seeds: Sequence[int]) -> str:
     """Return a table of the faults and faulty sensors that are found in sound recordings."""
-    rows: dict[str, list[tuple[int, int, int]]] = {}
-    for seed in seeds:
-        for body, scenario in SOUND:
-            recording = anisomap.simulate(body, scenario, n_frames=FRAMES, seed=seed)
-            order = np.random.default_rng(seed).permutation(recording.n_sensors)
-            for text, fault in VARIANTS.items():
-                sound = recording.select(order)
-                if fault:
-                    sound = inject(sound, [parse_fault(fault)], seed)
-                faulty = sum(is_faulty(sensor.status) for sensor in anisomap.assess(sound))
-                found = bool(anisomap.find_faults(sound))
-                for kind in (scenario, text):
-                    rows.setdefault(kind, []).append((found, sound.n_sensors, faulty))
-    return counts_table("simulated skins without faults", rows)
+    rows = []
+    for seed, (body, scenario) in product(seeds, SOUND):
+        recording = anisomap.simulate(body, scenario, n_frames=FRAMES, seed=seed)
+        order = np.random.default_rng(seed).permutation(recording.n_sensors)
+        for text, fault in VARIANTS.items():
+            sound = recording.select(order)
+            if fault:
+                sound = inject(sound, [parse_fault(fault)], seed)
+            rows.append({"scenario": scenario, "form": text, **alarms(sound)})
+    return counts_table("simulated skins without faults", rows, {"scenario": "", "form": ""})
 
 
 def clean_table(seeds: Sequence[int], workers: int) -> str:
     """Return a table of what is found in clean recordings of few and of many contacts."""
-    drawn = list(product(cases(), seeds))
-    counted = [one for several in in_parallel(accused, drawn, workers) for one in several]
-    counted.sort(key=lambda one: (one[0].n_frames, one[0].n_sensors))
-    rows: dict[str, list[tuple[int, int, int]]] = {}
-    for field, unit in (
-        ("course", ""),
-        ("form", ""),
-        ("n_frames", " frames"),
-        ("n_sensors", " sensors"),
-    ):
-        for case, counts in counted:
-            rows.setdefault(f"{getattr(case, field)}{unit}", []).append(counts)
-    return counts_table("clean recordings of round contacts", rows)
+    rows = measured(accused, [*product(cases(), seeds)], workers)
+    rows.sort(key=lambda row: (row["n_frames"], row["n_sensors"]))
+    units = {"course": "", "form": "", "n_frames": " frames", "n_sensors": " sensors"}
+    return counts_table("clean recordings of round contacts", rows, units)
 
 
-def accused(drawn: tuple[Case, int]) -> list[tuple[Case, tuple[int, int, int]]]:
-    """Return whether faults are found in a clean recording, its sensors, and the faulty ones."""
+def accused(drawn: tuple[Case, int]) -> list[dict[str, Any]]:
+    """Return what is found in a clean recording, beside the case."""
     case, seed = drawn
-    recording = case.draw(seed)
-    faulty = sum(is_faulty(sensor.status) for sensor in anisomap.assess(recording))
-    kinds = {one.kind for one in anisomap.find_faults(recording)} - TRUE_OF_CLEAN
-    return [(case, (int(bool(kinds)), recording.n_sensors, faulty))]
+    return [{**case._asdict(), **alarms(case.draw(seed), TRUE_OF_CLEAN)}]
 
 
-def counts_table(title: str, rows: Mapping[str, Sequence[tuple[int, int, int]]]) -> str:
-    """Return a table of recordings with a fault, and of sensors called faulty, by kind."""
-    header = [title, "number", "with a fault", "sensors", "called faulty"]
-    lines = (
-        (kind, len(counted), *map(sum, zip(*counted, strict=True)))
-        for kind, counted in rows.items()
+def counts_table(
+    title: str, recordings: Sequence[Mapping[str, object]], units: Mapping[str, str]
+) -> str:
+    """Return a table of recordings with a fault, and of sensors called faulty, by some columns."""
+    rows = (
+        {title: f"{value}{unit}", "number": len(group), **group[[*ALARMS]].sum()}
+        for column, unit in units.items()
+        for value, group in pd.DataFrame(recordings).groupby(column, sort=False)
     )
-    return "\n".join(markdown_table(header, lines)) + "\n"
+    return "\n".join(keyed_table(rows)) + "\n"
 
 
 if __name__ == "__main__":
