@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import call
 from pathlib import Path
 from unittest.mock import patch
 
@@ -87,12 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         partial(rows_of_simulation, *skin, seed) for seed in seeds for skin in SIMULATED
     ]
     sources += [partial(rows_of_file, path) for path in files_in(chosen.recordings)]
-    rows = measured(_called, sources, chosen.workers)
+    rows = measured(call, sources, chosen.workers)
     publish(chosen.output, "steps", rows, tables(rows))
-
-
-def _called(source: Callable[[], list[Row]]) -> list[Row]:
-    return source()
 
 
 def rows_of_simulation(kind: str, body: str, scenario: str, seed: int) -> list[Row]:

@@ -70,7 +70,7 @@ def _update(
     found = update_map(made, evidence, second)
     updated = _ordered(found.map, recording.names)
     for title, one in (("the update", updated), ("a map of everything", whole)):
-        off = _off(one, truth) / spacing
+        off = align(one.positions, truth).errors / spacing
         yield f"new sensors: RMS error in {title} (spacings)", _rms(off[fresh])
         yield f"all sensors: RMS error in {title} (spacings)", _rms(off)
     apart = align(updated.positions, whole.positions).errors
@@ -101,10 +101,6 @@ def _update(
 
 def _ordered(sensor_map: SensorMap, names: Sequence[str]) -> SensorMap:
     return sensor_map.select([sensor_map.names.index(name) for name in names])
-
-
-def _off(sensor_map: SensorMap, truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(align(sensor_map.positions, truth).errors)
 
 
 def _rms(lengths: NDArray[np.float64]) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.comparison import map_by_rival
 from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
-from anisomap.errors import AnisomapWarning
 from anisomap.evaluation import mantel
 from anisomap.mapping import dissimilarities
 from anisomap.numerics.graph.metric import metricise
@@ -333,7 +331,8 @@ def dimensions(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
             share = variances[:_MAX_DIMENSIONS] / variances[variances > 0].sum()
             curves[method] = share[:, None]
             shares += [(name, method, i + 1, float(value)) for i, value in enumerate(share)]
-        rows.append((name, true, _chosen(recording), *chosen))
+        auto = reconstruct(recording, "r-anisomap").dimensions
+        rows.append((name, true, auto, *chosen))
         x = np.arange(1.0, _MAX_DIMENSIONS + 1)
         panels.append(CurvePanel(name, x, curves, float(true)))
     figure = curves_figure(
@@ -349,9 +348,3 @@ def dimensions(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     yield Picture("dimensions", caption, figure)
     yield Table("dimensions", "Dimensions chosen by the largest drop.", DIMENSIONS_COLUMNS, rows)
     yield Table("spectra", "Variance by dimension.", _SPECTRA, shares, shown=False)
-
-
-def _chosen(recording: Recording) -> int:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map are not shown
-        return reconstruct(recording, "r-anisomap").dimensions
