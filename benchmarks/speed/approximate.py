@@ -8,9 +8,7 @@ that of real recordings (NPZ archives with ``readings`` and ``positions``).
 from __future__ import annotations
 
 import argparse
-import resource
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anisomap import SensorMap, read, reconstruct_from, score
+from anisomap import read, reconstruct_from, score
 from anisomap.large import reconstruct_approximately
 from anisomap.numerics.similarity.correlation import pearson
 from benchmarks.harness import files_in, keyed_table, quietly
 from benchmarks.skins.inputs import directions, sphere_radius
+from benchmarks.speed.measuring import measure
 
 Matrix = NDArray[np.float64]
 
@@ -122,12 +121,12 @@ def real_losses(folder: Path) -> Iterator[Row]:
 
 
 def _compare(readings: NDArray[np.generic], sensors: Matrix, dimensions: int) -> dict[str, float]:
-    slow, exact = _timed(
+    slow, exact = measure(
         lambda: reconstruct_from(
             method="r-anisomap", dimensions=dimensions, similarity=pearson(readings)
         )
     )
-    fast, found = _timed(lambda: reconstruct_approximately(readings, dimensions))
+    fast, found = measure(lambda: reconstruct_approximately(readings, dimensions))
     pairs = ((exact, sensors), (found, sensors), (found, exact.positions))
     first, second, agreement = (score(*pair, permutations=0).mantel.r for pair in pairs)
     return {
@@ -135,8 +134,8 @@ def _compare(readings: NDArray[np.generic], sensors: Matrix, dimensions: int) ->
         "approximate": second,
         "lost": first - second,
         "agreement": agreement,
-        "exact (s)": slow,
-        "approximate (s)": fast,
+        "exact (s)": slow.cpu,
+        "approximate (s)": fast.cpu,
     }
 
 
@@ -147,12 +146,6 @@ def _formatted(found: dict[str, float]) -> Row:
     }
 
 
-def _timed(make: Callable[[], SensorMap]) -> tuple[float, SensorMap]:
-    begin = time.process_time()
-    made = make()
-    return time.process_time() - begin, made
-
-
 def costs(sizes: Sequence[int], n_frames: int) -> Iterator[Row]:
     """Yield time, memory and scores of approximate maps of recordings on disk."""
     for n_sensors, skin in product(sizes, SKINS[3:]):
@@ -160,14 +153,13 @@ def costs(sizes: Sequence[int], n_frames: int) -> Iterator[Row]:
             path = Path(folder) / "readings.npy"
             sensors = _written(path, skin, n_sensors, n_frames)
             mapped = np.load(path, mmap_mode="r")
-            seconds, found = _timed(partial(reconstruct_approximately, mapped, skin.dimensions))
+            cost, found = measure(partial(reconstruct_approximately, mapped, skin.dimensions))
         result = score(found, sensors, permutations=0)
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         yield {
             "skin": skin.name,
             "sensors x frames": f"{n_sensors} x {n_frames}",
-            "CPU (s)": f"{seconds:.0f}",
-            "peak memory (GB)": f"{peak:.1f}",
+            "CPU (s)": f"{cost.cpu:.0f}",
+            "memory (GB)": f"{cost.memory / 1e3:.1f}",
             "Mantel r": f"{result.mantel.r:.4f}",
             "neighbours kept": f"{result.neighbours_kept:.0%}",
         }
