@@ -13,7 +13,7 @@ touches with recordings of rubbed skins in a folder.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
 from benchmarks.accuracy.contacts import contacts_by_frame
-from benchmarks.harness import frame, options, write_csv, write_rows
+from benchmarks.harness import frame, options, stream, write_csv, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D
@@ -66,11 +66,11 @@ class Row:
     touched: float
 
 
-def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) -> list[Row]:
+def rows_of(name: str, stimulus: str, seed: int, way: str) -> Iterator[Row]:
     """Rub a body in one way, and map it at several numbers of frames."""
+    body = find_body(name)
     hand = hand_on(body, stimulus, seed)
-    mapper = QuickMapper(body.names, dimensions)
-    found: list[Row] = []
+    mapper = QuickMapper(body.names, DIMENSIONS.get(name, 3))
     path = uncoached(hand, max(LENGTHS)) if way == "uncoached" else np.empty((0, 0), np.float32)
     where: tuple[int, ...] = ()
     touched = np.zeros(body.n_sensors, dtype=bool)
@@ -86,8 +86,7 @@ def rows_of(body: Body, dimensions: int, stimulus: str, way: str, *, seed: int) 
         where, touched = made.advice.next_sensors, made.contacts > 0
         if made.n_frames in LENGTHS:
             error, share = error_of(made.positions, body), float(touched.mean())
-            found.append(Row(body.name, stimulus, way, seed, made.n_frames, error, share))
-    return found
+            yield Row(name, stimulus, way, seed, made.n_frames, error, share)
 
 
 def hand_on(body: Body, stimulus: str, seed: int) -> GuidedHand:
@@ -195,17 +194,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--bodies", nargs="*", default=list(BODIES))
     parser.add_argument("--evenness", type=Path, help="folder of recordings of rubbed skins")
     given = parser.parse_args(arguments)
-    given.output.mkdir(exist_ok=True)
     if given.evenness is not None:
         evenly = evenness_table(given.evenness, given.seeds[:3])
         write_csv(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, evenly)
         return
-    rows: list[Row] = []
-    for name in given.bodies:
-        body, dimensions = find_body(name), DIMENSIONS.get(name, 3)
-        for stimulus, seed, way in itertools.product(STIMULI, given.seeds, WAYS):
-            rows += rows_of(body, dimensions, stimulus, way, seed=seed)
-            write_rows(given.output / "coach.csv", rows)
+    runs = itertools.product(given.bodies, STIMULI, given.seeds, WAYS)
+    found = itertools.chain.from_iterable(rows_of(*run) for run in runs)
+    rows = stream(given.output / "coach.csv", found)
     results = summary(rows)
     write_rows(given.output / "coach-summary.csv", results)
     print(*results, sep="\n")
