@@ -168,12 +168,8 @@ def read_rows(path: Path, kind: Callable[..., Row]) -> list[Row]:
     """Read rows that `write_rows` wrote; none if there is no file."""
     if not path.exists():
         return []
-    types = get_type_hints(kind)
-    with path.open(newline="", encoding="utf-8") as stream:
-        return [
-            kind(**{name: types[name](value) for name, value in row.items()})
-            for row in csv.DictReader(stream)
-        ]
+    found = pd.read_csv(path, dtype=get_type_hints(kind))
+    return [kind(**row) for row in found.to_dict("records")]
 
 
 def markdown_table(
