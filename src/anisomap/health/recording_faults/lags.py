@@ -33,7 +33,8 @@ _MIN_SENSORS, _MAX_SENSORS = 8, 128  # compared; the others take the lag of the 
 _CHANGE_COST = 4.0  # of a new lag along the channels, in frames of misfit; tuned on seeds 1 and 2
 _MAX_MISFIT = 6.0  # frames of misfit of one sensor that count
 _SPREAD = 2  # frames by which the lags of a group may differ before they are made equal
-# Limits of a finding; others decide nothing on 373 recordings of `benchmarks.verdicts.faults`.
+# Limits of a finding; others decide nothing on 373 recordings of `benchmarks.verdicts.faults`,
+# seeds 301 and 302.
 _MIN_RELATIVE = 0.93  # share of links with the lag of their groups: between groups over within
 _MIN_AGAIN = 0.9  # share of the links for which each part of the recording gives the same lags
 _MIN_OWN = 0.9  # share of the sensors whose lag, fitted alone, is exactly that of their group
