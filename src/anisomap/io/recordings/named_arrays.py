@@ -32,9 +32,8 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files.budget import Budget, bytes_kept
-from anisomap.files.paths import check_regular, open_regular
 from anisomap.io.parsing.names import is_time, units_per_second
-from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.source import quote, read_head
 from anisomap.io.recordings.contact_lists import stream_contacts
 from anisomap.io.recordings.events import stream_trains
 from anisomap.io.stream import (
@@ -72,11 +71,9 @@ _RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
 
 @dataclass(frozen=True)
 class Dataset:
-    """A named array in a file.
+    """A named array in a file, whose first axis is frames if it is a recording.
 
     name: Name with groups, such as ``"left/readings"``.
-    shape: The first axis of a recording is frames.
-    dtype: Data type, for display.
     kind: As `numpy.dtype.kind`.
     read: ``read(start, stop)`` reads a range of frames.
     frames_at_once: Number of frames per compressed chunk.
@@ -92,12 +89,7 @@ class Dataset:
     @property
     def key(self) -> str:
         """Name without groups, in lower case."""
-        return self.base.lower()
-
-    @property
-    def base(self) -> str:
-        """Name without groups."""
-        return self.name.rpartition("/")[2]
+        return self.name.rpartition("/")[2].lower()
 
     @property
     def group(self) -> str:
@@ -113,12 +105,8 @@ class Dataset:
 class Lists:
     """Lists of numbers of different lengths, one per contact, channel or unit.
 
-    name: Name to select them by.
-    length: Number of lists.
-    read: Reads the lists.
     members: Names of all arrays that they are in.
     group: Groups in which names and positions of the channels are looked for.
-    names: Default names of the channels.
     certain: Whether they are a recording also beside arrays that can be one.
     contacts: Whether the lists are ids of sensors; otherwise they are times.
     """
@@ -168,14 +156,13 @@ def _trains_in(path: Path, group: str, arrays: Sequence[Dataset]) -> Lists | Non
     # Vectors of equal length are readings or properties of sensors.
     if not (one_each and numbered and len(lengths) > 1):
         return None
-    members, names = (tuple(getattr(each, of) for each in arrays) for of in ("name", "base"))
     return Lists(
         group,
         len(arrays),
         lambda: [each.whole().ravel() for each in arrays],
-        frozenset(members),
+        frozenset(each.name for each in arrays),
         group,
-        names,
+        tuple(each.name.removeprefix(f"{group}/") for each in arrays),
     )
 
 
@@ -241,7 +228,7 @@ def _stream_of(
             times=_times(path, near, n_frames),
             multiple=dataset.frames_at_once,
         ),
-        names=_names(near, n_sensors) or _grid_names(dataset.shape[1:]),
+        names=_names(near, n_sensors) or _indices(dataset.shape[1:]),
         rate_hz=_rate(near),
         positions=_positions(near, n_sensors),
         source=f"{path.name}:{chosen.name}",
@@ -272,26 +259,20 @@ def _stream_of_lists(
 
 
 def _usable(dataset: Dataset) -> bool:
-    fits = dataset.kind in _NUMBERS and len(dataset.shape) >= 2 and dataset.shape[0] > 1
-    return (
-        fits
-        and 0 not in dataset.shape
-        and dataset.key not in _POSITIONS
-        and not _is_time_vector(dataset)
-    )
-
-
-def _is_time_vector(dataset: Dataset) -> bool:
-    """Return whether this is a vector of times, which MATLAB stores as a matrix."""
-    return len(dataset.shape) == 2 and 1 in dataset.shape and is_time(dataset.key)
+    shape = dataset.shape
+    if dataset.kind not in _NUMBERS or len(shape) < 2 or shape[0] == 1 or 0 in shape:
+        return False
+    # MATLAB stores a vector as a matrix.
+    is_clock = len(shape) == 2 and 1 in shape and is_time(dataset.key)
+    return not is_clock and dataset.key not in _POSITIONS
 
 
 def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.float64] | None:
     clocks = {each.key for each in near if is_time(each.key)}
     key, values = _numbers(near, clocks, n_frames)
-    return (
-        None if values is None else increasing_times(values / units_per_second(key, values), path)
-    )
+    if values is None:
+        return None
+    return increasing_times(values / units_per_second(key, values), path)
 
 
 def _names(near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
@@ -304,10 +285,9 @@ def _names(near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
     return ()
 
 
-def _grid_names(frame: tuple[int, ...]) -> tuple[str, ...]:
-    if len(frame) < 2:
-        return ()
-    return tuple(".".join(map(str, index)) for index in np.ndindex(*frame))
+def _indices(frame: tuple[int, ...]) -> tuple[str, ...]:
+    """Name the readings of frames that are matrices by their indices."""
+    return tuple(".".join(map(str, i)) for i in np.ndindex(*frame)) if len(frame) > 1 else ()
 
 
 def _positions(near: Sequence[Dataset], n_sensors: int) -> NDArray[np.float64] | None:
@@ -351,30 +331,49 @@ def is_hdf5(path: Path, head: bytes) -> bool:
     return any(head[offset : offset + len(_MAGIC)] == _MAGIC for offset in offsets)
 
 
-def hdf5_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the datasets of a file."""
-    with open_datasets(path, HDF5_EXTRA) as datasets:
-        return _contents(datasets, find_spike_trains(path, datasets))
+def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
+    """List the datasets or variables of a file, and the lists that are found in them."""
+    with _open(path) as (_, datasets, lists):
+        return _contents(datasets, lists)
 
 
 @contextmanager
-def open_hdf5(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open the dataset `options.select`, given with or without groups, or the only possible one."""
-    with open_datasets(path, HDF5_EXTRA) as datasets:
-        lists = find_spike_trains(path, datasets)
-        yield _stream_of(path, datasets, lists, options, {"format": "HDF5"})
+def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
+    """Open the array or lists `options.select`, given with or without groups, or the only one."""
+    with _open(path) as (name, datasets, lists):
+        yield _stream_of(path, datasets, lists, options, {"format": name})
 
 
 @contextmanager
-def open_datasets(path: Path, extra: str, *, frames_last: bool = False) -> Iterator[list[Dataset]]:
+def _open(path: Path) -> Iterator[tuple[str, list[Dataset], list[Lists]]]:
+    """Open a file: the name of its format, its arrays, and the lists in them."""
+    head = read_head(path)
+    is_matlab = head.startswith(MAT_MAGICS)
+    older = is_matlab or path.suffix.lower() == ".mat"
+    if head.startswith(_MAGIC_73) or is_hdf5(path, head) or not older:
+        with _open_hdf5(path, transposed=is_matlab) as datasets:
+            yield "MATLAB" if is_matlab else "HDF5", datasets, find_spike_trains(path, datasets)
+        return
+    listed = scipy.io.whosmat(path)
+    datasets = [
+        Dataset(name, tuple(shape), kind, _KINDS.get(kind, "V"), _reader(path, name))
+        for name, shape, kind in listed
+    ]
+    cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
+    variables = _load(path, cells) if cells else {}
+    lists = [found for name, value in variables.items() for found in _lists_in(name, value)]
+    yield "MATLAB", datasets, [*lists, *find_spike_trains(path, datasets)]
+
+
+@contextmanager
+def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
     """Open an HDF5 file and list its datasets, without following links to other files."""
-    h5py = import_extra("h5py", "reading HDF5", extra)
-    check_regular(path)
+    h5py = import_extra("h5py", "reading HDF5", MAT_EXTRA if transposed else HDF5_EXTRA)
     with h5py.File(path, "r") as file:
         found = list[Any]()
         file.visititems(lambda _, item: found.append(item))  # stops at anything but None
         yield [
-            _hdf5_dataset(each, frames_last)
+            _hdf5_dataset(each, transposed=transposed)
             for each in found
             if isinstance(each, h5py.Dataset) and not _name_of(each).startswith("/#")
         ]
@@ -385,60 +384,19 @@ def _name_of(item: Any) -> str:
     return item.name if isinstance(item.name, str) else item.name.decode(errors="replace")
 
 
-def _hdf5_dataset(item: Any, frames_last: bool) -> Dataset:
-    name = _name_of(item).lstrip("/")
-    shape = tuple(item.shape or ())
-    chunks = tuple(item.chunks or ())
-    if frames_last:
-        shape, chunks = shape[::-1], chunks[::-1]
+def _hdf5_dataset(item: Any, *, transposed: bool) -> Dataset:
+    name, order = _name_of(item).lstrip("/"), -1 if transposed else 1
+    shape, chunks = (tuple(sizes or ())[::order] for sizes in (item.shape, item.chunks))
 
     def read(start: int, stop: int) -> NDArray[Any]:
         if item.external or item.is_virtual:
             raise OSError(f"dataset {name} is stored in other files, which are not opened")
         if not shape:
             return np.asarray(item[()]).reshape(1)
-        if not frames_last:
-            return np.asarray(item[start:stop])
-        return np.asarray(item[..., start:stop]).T
+        return np.asarray(item[..., start:stop]).T if transposed else np.asarray(item[start:stop])
 
     kind = item.dtype.kind
     return Dataset(name, shape or (1,), str(item.dtype), kind, read, chunks[0] if chunks else 1)
-
-
-def mat_contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the variables of a file."""
-    with _open_mat(path) as (datasets, lists):
-        return _contents(datasets, lists)
-
-
-@contextmanager
-def open_mat(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open the variable `options.select`, or the only one of frames x sensors.
-
-    Contacts and spikes may be in cell arrays, and in fields of structures (``torso/taxels``).
-    """
-    with _open_mat(path) as (datasets, lists):
-        yield _stream_of(path, datasets, lists, options, {"format": "MATLAB"})
-
-
-@contextmanager
-def _open_mat(path: Path) -> Iterator[tuple[list[Dataset], list[Lists]]]:
-    with open_regular(path) as stream:
-        is_73 = stream.read(len(_MAGIC_73)) == _MAGIC_73
-    if is_73:
-        with open_datasets(path, MAT_EXTRA, frames_last=True) as datasets:
-            yield datasets, find_spike_trains(path, datasets)
-        return
-    listed = scipy.io.whosmat(path)
-    datasets = [_dataset(path, *each) for each in listed]
-    cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
-    variables = _load(path, cells) if cells else {}
-    lists = [found for name, value in variables.items() for found in _lists_in(name, value)]
-    yield datasets, [*lists, *find_spike_trains(path, datasets)]
-
-
-def _dataset(path: Path, name: str, shape: tuple[int, ...], kind: str) -> Dataset:
-    return Dataset(name, tuple(shape), kind, _KINDS.get(kind, "V"), _reader(path, name))
 
 
 def _reader(path: Path, name: str) -> Callable[[int, int], NDArray[Any]]:
