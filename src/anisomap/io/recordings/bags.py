@@ -47,26 +47,6 @@ _DEPTHS = {"U": "u", "S": "i", "F": "f"}
 _WRAP = 1 << 16
 
 
-@dataclass(frozen=True)
-class Kind:
-    """How to extract the readings of a message type.
-
-    field: Default path of the readings, such as ``"sensors.taxels.z"``.
-    values: ``values(message, path)`` returns the readings.
-    names: ``names(message, path)`` returns the sensor names.
-    positions: ``positions(message)`` returns positions in metres, or None.
-    wraps: Whether readings are 16-bit counters that overflow.
-    cell: Whether each message holds one skin cell only.
-    """
-
-    field: str
-    values: Callable[[Any, str], NDArray[Any]]
-    names: Callable[[Any, str], tuple[str, ...]]
-    positions: Callable[[Any], NDArray[np.float64] | None] | None = None
-    wraps: bool = False
-    cell: bool = False
-
-
 def values_at(message: Any, path: str) -> NDArray[Any]:
     """Return all numbers at a path, in order."""
     parts = [np.atleast_1d(np.asarray(value)).ravel() for _, value in _walk(message, path)]
@@ -86,6 +66,23 @@ def names_at(message: Any, path: str) -> tuple[str, ...]:
     return tuple(names) if labelled and len(set(names)) == len(names) else ()
 
 
+@dataclass(frozen=True)
+class Kind:
+    """How to extract the readings, names and positions in metres of the sensors of a message.
+
+    field: Default path of the readings, such as ``"sensors.taxels.z"``.
+    wraps: Whether readings are 16-bit counters that overflow.
+    cell: Whether each message holds one skin cell only.
+    """
+
+    field: str
+    values: Callable[[Any, str], NDArray[Any]] = values_at
+    names: Callable[[Any, str], tuple[str, ...]] = names_at
+    positions: Callable[[Any], NDArray[np.float64] | None] | None = None
+    wraps: bool = False
+    cell: bool = False
+
+
 def unwrap_counters(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.float64]:
     """Return 16-bit counters, signed or not, as differences from the first, without overflow."""
     steps = values.astype(np.int64) - first.astype(np.int64)
@@ -99,19 +96,18 @@ def cell_of(message: Any) -> str:
 
 
 def kind_of(message_type: str, fields: list[str]) -> Kind | None:
-    """Return how to read a message type."""
+    """Return how to read a message type with arrays of numbers in some fields."""
     package, _, name = message_type.partition("/msg/")
     known = KINDS.get(f"{package}/{name}") or KINDS.get(name)
     if known or not fields:
         return known
     only = fields[0] if len(fields) == 1 else ""
-    return Kind("data" if "data" in fields and "Array" in name else only, values_at, names_at)
+    return Kind("data" if "data" in fields and "Array" in name else only)
 
 
 def is_tactile(message_type: str) -> bool:
     """Return whether a message type is intended for arrays of sensors."""
-    package, _, name = message_type.partition("/msg/")
-    return f"{package}/{name}" in KINDS or name in KINDS or name.endswith("MultiArray")
+    return kind_of(message_type, []) is not None or message_type.endswith("MultiArray")
 
 
 def _walk(value: Any, path: str, label: str = "") -> Iterator[tuple[str, Any]]:
@@ -166,13 +162,13 @@ def _centres(message: Any) -> NDArray[np.float64] | None:
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
-        "TactileState": Kind("sensors.values", values_at, names_at),
-        "SensStream": Kind("sensors.taxels.z", values_at, names_at, wraps=True),
-        "BiotacAll": Kind("tactiles.electrodes", values_at, names_at),
-        "SkinCellData": Kind("force", values_at, names_at, cell=True),
-        "SkinCellDataArray": Kind("data.force", values_at, names_at),
+        "TactileState": Kind("sensors.values"),
+        "SensStream": Kind("sensors.taxels.z", wraps=True),
+        "BiotacAll": Kind("tactiles.electrodes"),
+        "SkinCellData": Kind("force", cell=True),
+        "SkinCellDataArray": Kind("data.force"),
         "TaxelArray": Kind("values", _lengths, lambda *_: (), positions=_centres),
-        "sensor_msgs/Range": Kind("range", values_at, lambda *_: ("range",)),
+        "sensor_msgs/Range": Kind("range", names=lambda *_: ("range",)),
         "sensor_msgs/Image": Kind(
             "data",
             _pixels,
@@ -205,13 +201,9 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in a bag: a ``.bag``, ``.mcap`` or ``.db3`` file, or a ROS 2 folder.
+    """Open the selected topics (``/xela:sensors.taxels.x``, ``/a,/b``, ``/range/*``) of a bag.
 
-    `options.select` names the topic, with a field after a colon if it is not the default:
-    ``/xela:sensors.taxels.x``. Several topics, separated by commas or given by a pattern
-    (``/range/*``), are joined at the times of the first. `options.definitions` are message
-    definitions for a bag without them. Times start at 0; they are the stamps of the messages, or
-    the times of receipt if the stamps do not increase.
+    Times are the stamps of the messages, or the times of receipt if the stamps do not increase.
     """
     with _open(path, options) as bag:
         if bag.lost:
