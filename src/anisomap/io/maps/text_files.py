@@ -39,6 +39,7 @@ from anisomap.io.parsing.source import file_errors, quote, read_json, read_lines
 from anisomap.io.parsing.tables import (
     LineError,
     empty_columns,
+    field_error,
     find_delimiter,
     guard_formula,
     is_number,
@@ -90,8 +91,9 @@ def read_text(path: Path) -> SensorMap:
             try:
                 values.append(parse(row[index]))
             except ValueError:
-                problem = f", column {index + 1}: {quote(row[index])} is not {expected}"
-                raise LineError(path, line, problem) from None
+                raise field_error(
+                    path, line, index, row[index], problem=f"is not {expected}"
+                ) from None
         return values
 
     def numbers(*indices: int) -> NDArray[np.float64]:

@@ -1,7 +1,4 @@
-"""Tables of text: how fields are separated, which columns they have, and their numbers.
-
-Numbers are parsed fast with numpy, and line by line to locate errors.
-"""
+"""Tables of text: how fields are separated, which columns they have, and their numbers."""
 
 from __future__ import annotations
 
@@ -39,16 +36,25 @@ _BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
 
 
 class LineError(FileError):
-    """A line that cannot be parsed.
-
-    line: From 1.
-    problem: Rest of the message.
-    surplus: Whether it has too many fields, so that it is not truncated.
-    """
+    """A line, from 1, that cannot be parsed; with surplus fields it is not truncated."""
 
     def __init__(self, path: Path, line: int, problem: str, *, surplus: bool = False) -> None:
         super().__init__(f"{path}, line {line}{problem}")
         self.line, self.surplus, self.reason = line, surplus, f"line {line}{problem}"
+
+
+def field_error(
+    path: Path,
+    line: int,
+    column: int,
+    field: str,
+    *,
+    problem: str = "is not a number",
+    name: str = "",
+) -> LineError:
+    """Return the error of a field, with the index of its column and perhaps its name."""
+    label = f" ({name})" if name else ""
+    return LineError(path, line, f", column {column + 1}{label}: {quote(field)} {problem}")
 
 
 def read_undamaged(
@@ -59,10 +65,7 @@ def read_undamaged(
     count: Callable[[Item], int] = lambda _: 1,
     quietly: bool = False,
 ) -> Iterator[Item]:
-    """Yield what is parsed from the lines of a file before any damage, and warn about the rest.
-
-    A truncated last line is dropped with a warning.
-    """
+    """Yield what is parsed before any damage or a truncated last line, and warn about the rest."""
     n_read = 0
     with open_text(path) as lines:
         try:
@@ -87,15 +90,12 @@ def read_undamaged(
 
 @dataclass(frozen=True)
 class Table:
-    """Layout of the numbers in a text file.
+    """Layout of the numbers in a text file; columns of text are read as NaN.
 
-    delimiter: Field separator; None for any run of white space.
-    n_columns: Required number of fields per line.
+    delimiter: None for any run of white space.
     because: Reason for `n_columns` in messages, such as ``"the header names 3"``.
-    first_line: First line of numbers, from 1; earlier lines are skipped.
-    names: Column names, for messages; empty without a header.
+    first_line: First line of numbers, from 1.
     clean: Converts a line to numbers and delimiters; must keep the order of fields.
-    text_columns: Columns of text, which are read as NaN.
     """
 
     path: Path
@@ -113,8 +113,7 @@ def read_blocks(
 ) -> Iterator[tuple[NDArray[np.float64], float]]:
     """Read lines of numbers in blocks, each with the fraction of the file read so far.
 
-    Blank lines and comments, from ``#`` to the end of the line, are skipped; an empty field is
-    NaN. A truncated last line and what is behind damage are dropped with a warning, or `quietly`.
+    Comments begin with ``#``; an empty field is NaN. The rest after damage is dropped as above.
     """
 
     def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
@@ -132,10 +131,7 @@ def read_blocks(
 
 
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
-    """Read the first `n_rows` rows, or all if there are fewer, ignoring damage after them.
-
-    Of tables with thousands of columns, fewer rows are read.
-    """
+    """Read the first `n_rows` rows, or fewer of very wide tables, ignoring damage after them."""
     n_rows = min(n_rows, max(_MIN_FIRST_ROWS, _MAX_FIRST_CELLS // max(table.n_columns, 1)))
     held = [np.empty((0, table.n_columns))]
     for rows, _ in read_blocks(table, quietly=True):
@@ -172,19 +168,13 @@ def line_of(table: Table, row: int) -> str:
 
 
 def is_skipped(line: str, delimiter: str | None = None) -> bool:
-    """Return whether a line is blank or a comment.
-
-    If the delimiter is a tab, a line of tabs is a row of missing readings.
-    """
+    """Return whether a line is blank or a comment; between tabs, readings may be missing."""
     content = line.partition("#")[0]
     return not content.strip() and not (delimiter == "\t" and "\t" in content)
 
 
 def parse_number(field: str, delimiter: str | None = ",") -> float:
-    """Parse a number as numpy does: no underscores, and NaN for an empty field.
-
-    It may have a decimal comma unless commas separate the fields.
-    """
+    """Parse a number as numpy does, with a decimal comma too unless commas separate the fields."""
     text = (field if delimiter == "," else field.replace(",", ".")).strip()
     if not text:
         return math.nan
@@ -202,9 +192,7 @@ def parse_row(
         try:
             values.append(parse_number(fields[column]))
         except ValueError:
-            label = f" ({name})" if name else ""
-            problem = f", column {column + 1}{label}: {quote(fields[column])} is not a number"
-            raise LineError(path, line, problem) from None
+            raise field_error(path, line, column, fields[column], name=name) from None
     return values
 
 
@@ -265,13 +253,13 @@ def _row(line: str, table: Table, number: int) -> list[float]:
         try:
             values.append(_text_to_nan(field) if is_text else parse_number(field))
         except ValueError:
-            name = f" ({quote_if_needed(table.names[column])})" if table.names else ""
+            name = quote_if_needed(table.names[column]) if table.names else ""
             # Cleaning a line may change the number of its fields, such as that of "(1 2),3".
             originals = _fields(line, table.delimiter)
             original = (originals if len(originals) == len(fields) else fields)[column].strip()
             problem = "is a number in a column of text" if is_text else "is not a number"
-            raise LineError(
-                table.path, number, f", column {column + 1}{name}: {quote(original)} {problem}"
+            raise field_error(
+                table.path, number, column, original, problem=problem, name=name
             ) from None
     return values
 
@@ -304,10 +292,7 @@ _MIN_TEXT_CELLS = 2
 
 
 def guard_formula(name: str) -> str:
-    """Precede a name that a spreadsheet would run as a formula with an apostrophe.
-
-    `unguard_formula` restores every name; names of apostrophes before a formula get one more.
-    """
+    """Precede a name that a spreadsheet would run as a formula with one more apostrophe."""
     if len(name) >= csv.field_size_limit():
         raise InputError(f"a name of {len(name)} characters is too long for delimited text")
     return f"'{name}" if name.lstrip("'").startswith(FORMULA_STARTS) else name
@@ -335,10 +320,7 @@ def read_sample(path: Path) -> list[str]:
 
 
 def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
-    """Split lines into records; a quoted field may span several lines.
-
-    Blank lines and lines that start with ``#`` are skipped, except inside a quoted field.
-    """
+    """Split lines that are not skipped into records; a quoted field may span several lines."""
     first = 0  # line of the record that is being read
 
     def filled() -> Iterator[str]:
@@ -362,11 +344,7 @@ def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
 
 
 def find_delimiter(sample: Sequence[str]) -> str | None:
-    """Detect the delimiter.
-
-    The delimiter is the first of semicolon, tab, comma and white space that gives all records the
-    same number of fields. If none does (in a damaged file), it is the one that splits most records.
-    """
+    """Return the first delimiter that gives all records equally many fields, or splits most."""
     splits = Counter[str | None]()
     for delimiter in DELIMITERS:
         first = itertools.islice(_all_records(sample, delimiter), _SAMPLE_RECORDS)
@@ -380,11 +358,7 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
 
 
 def count_preamble(sample: Sequence[str]) -> int:
-    """Count the lines of metadata above the table, as measurement programs export them.
-
-    Metadata are recognised only if several rows of numbers of equal width follow, with more fields
-    than the first line.
-    """
+    """Count the lines of metadata above some equal rows of numbers, wider than the first line."""
     top = sample[:_MAX_PREAMBLE]
     for delimiter in DELIMITERS:
         widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
@@ -414,7 +388,7 @@ def _is_numeric(line: str, delimiter: str | None) -> bool:
 def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = None) -> Table:
     """Detect the layout of a file of numbers; `n_columns` is 0 if there is no line of numbers.
 
-    Files with an own delimiter have a header, no column of text and no metadata above the table.
+    Files of anisomap, with their own delimiter, have a header and nothing but numbers below.
     """
     preamble = count_preamble(sample) if own_delimiter is None else 0
     sample = sample[preamble:]

@@ -26,6 +26,7 @@ from anisomap.io.parsing.source import open_text, quote, read_head, read_json
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     LineError,
+    field_error,
     find_delimiter,
     is_number,
     parse_number,
@@ -262,9 +263,8 @@ def _read_text(path: Path, layout: _Layout) -> Iterator[_Contact]:
             moment, *values = parse_row(path, line, fields, layout.numbers)
             ids = [_whole(text) for text in layout.ids(fields)] if np.isfinite(moment) else []
             if None in ids:
-                wrong = quote(layout.ids(fields)[ids.index(None)])
-                problem = f", column {layout.sensor + 1}: {wrong} must be the id of a sensor"
-                raise LineError(path, line, problem)
+                wrong, problem = layout.ids(fields)[ids.index(None)], "must be the id of a sensor"
+                raise field_error(path, line, layout.sensor, wrong, problem=problem)
             known = [text for text in ids if text]
             # A row without a moment counts as read, so that a truncated line after it is dropped.
             row = names, moment, known, values[0] if values else None
