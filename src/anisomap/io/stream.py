@@ -28,10 +28,7 @@ from anisomap.recording import Recording, Scalar, default_names
 def increasing_times(
     times: NDArray[np.floating], path: Path, locate: Callable[[int], str] | None = None
 ) -> NDArray[np.float64] | None:
-    """Return times if they are finite and strictly increase, else warn and return None.
-
-    times (T,).
-    """
+    """Return times, (T,), if they are finite and strictly increase, else warn and return None."""
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
         raise FileError(f"{path}: times must have shape (T,), got {values.shape}")
@@ -332,10 +329,7 @@ class Frame(NamedTuple):
 
 
 def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
-    """Collect single frames in blocks; those before an error come before it.
-
-    Times are dropped from a block that lacks some.
-    """
+    """Collect frames in blocks, without times that some lack; those before an error come first."""
     held: list[Frame] = []
     try:
         for frame in frames:

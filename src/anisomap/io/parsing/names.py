@@ -50,13 +50,9 @@ _MIN_RISING_FRACTION = 0.99
 
 @dataclass(frozen=True)
 class Roles:
-    """Columns that are not sensors, by index from 0.
+    """Columns that are not sensors, by index from 0; `guessed` are those with an unusual name.
 
-    time: Column of times.
     per_second: Units of `time` per second, such as 1000 for milliseconds.
-    counter: Column of a frame counter.
-    non_sensors: All columns that are not sensors.
-    guessed: The columns of `non_sensors` that were recognised by their values and an unusual name.
     """
 
     time: int | None = None
@@ -67,18 +63,10 @@ class Roles:
 
 
 def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
-    """Find the columns of time and frame counter by name.
+    """Find the columns of time, of which the first counts, and of a frame counter by name.
 
-    - A time column has a name such as time, Zeit, stamp, elapsed or ms, with or without a unit
-      (``time [ms]``, ``stamp_ns``). ``t`` alone denotes time in the first two columns only. If
-      there are several, the first gives the times, and none is a sensor.
-    - A counter is one of the first two columns, has a name such as frame, index or seq, or an
-      empty one, and increases in integers.
-    - A column with a time word in a longer name (``host_time``) is time if it increases. The first
-      remaining column is time or counter if it increases steadily and its name differs from those
-      of all later columns, which differ in numbers only (``s0``, ``s1``). These are guesses.
-
-    Without a unit, times are in seconds, or in the unit that makes them seconds since 1970.
+    A column that increases is guessed to be time if its name has a time word (``host_time``), and
+    time or counter if it is the first and named unlike all later ones (``s0``, ``s1``).
 
     table (t, n_columns).
     """
@@ -91,13 +79,9 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     guessed = []
     if len(table) >= _MIN_FRAMES:
         known = set(times)
-        guessed = [
-            i
-            for i, name in enumerate(header)
-            if i not in known
-            and not _NAMING_TIME.isdisjoint(words_of(name))
-            and _rises(table[:, i])
-        ]
+        others = (i for i in range(len(header)) if i not in known)
+        worded = (i for i in others if not _NAMING_TIME.isdisjoint(words_of(header[i])))
+        guessed = [i for i in worded if _rises(table[:, i])]
         times += guessed
         known = {*times, *counters}
         first = next((i for i in range(len(header)) if i not in known), len(header))
@@ -115,12 +99,9 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
 
 
 def roles_by_content(table: NDArray[np.float64]) -> Roles:
-    """Find the columns of time and frame counter in a table without a header.
+    """Find the columns of time and frame counter in a table without a header, (t, n_columns).
 
-    In at least 8 frames, the first column alone, or the first two alone, must increase throughout.
-    Consecutive integers are a counter, and values with nearly equal steps are times.
-
-    table (t, n_columns).
+    The first column alone, or the first two alone, must increase throughout.
     """
     n_frames, n_columns = table.shape
     if n_frames < _MIN_FRAMES:
@@ -134,22 +115,17 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
         return Roles(counter=0, non_sensors=(0,))
     if not _is_steady(last) or (len(rising) == 2 and not counts):
         return Roles()
-    return Roles(
-        time=rising[-1],
-        per_second=units_per_second("", last),
-        counter=0 if len(rising) == 2 else None,
-        non_sensors=tuple(rising),
-    )
+    counter = 0 if len(rising) == 2 else None
+    return Roles(rising[-1], units_per_second("", last), counter, tuple(rising))
 
 
 def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
     """Warn about columns without a known name that `roles_by_name` took as time or counter."""
     for column in roles.guessed:
         role = "a frame counter" if column == roles.counter else "time"
-        problem = (
-            f"column {column + 1} ({header[column]}) increases steadily and is taken as {role}"
-        )
-        warn(path, f"{problem}; if it is a sensor, name it like the other sensors")
+        taken = f"({header[column]}) increases steadily and is taken as {role}"
+        remedy = "if it is a sensor, name it like the other sensors"
+        warn(path, f"column {column + 1} {taken}; {remedy}")
 
 
 def words_of(name: str) -> list[str]:
@@ -237,11 +213,7 @@ def distinct_names(path: Path, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def match_names(names: Sequence[str], known: Sequence[str]) -> list[int | None]:
-    """Find each name among known names.
-
-    Names that are not equal match by the numbers at their ends (``17`` and ``taxel17``) if no name
-    is equal to a known one, and the numbers are unique in both lists.
-    """
+    """Find each name among known names; if none is there, by unique numbers at the ends."""
     where = {name: i for i, name in enumerate(known)}
     found = [where.get(name) for name in names]
     if any(index is not None for index in found):
@@ -264,12 +236,9 @@ def cells_of(names: Sequence[str], rows: int, columns: int) -> list[int] | None:
     """Return the cells of a grid, in row-major order, that names give."""
     matches = [_CELL.fullmatch(name) for name in names]
     places = [(int(match[1]), int(match[2])) for match in matches if match]
-    cells: list[int] | None
     if len(places) == len(names):
-        inside = all(row < rows and column < columns for row, column in places)
-        cells = [row * columns + column for row, column in places] if inside else None
+        cells = [row * columns + column if column < columns else -1 for row, column in places]
     else:
-        cells = numbers_of(names)
-    if cells is None or len(set(cells)) < len(cells) or max(cells, default=0) >= rows * columns:
-        return None
-    return cells
+        cells = numbers_of(names) or [-1]
+    fit = len(set(cells)) == len(cells) and min(cells) >= 0 and max(cells) < rows * columns
+    return cells if fit else None
