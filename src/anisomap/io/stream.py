@@ -248,7 +248,7 @@ class Stream:
 
 def assemble(stream: Stream, progress: Callable[[float], None] | None = None) -> Recording:
     """Collect a stream into a recording, without copying the readings."""
-    readings, clocks = _GrowingArray(), dict[str, list[NDArray[np.float64]]]()
+    readings, clocks = _GrowingArray(stream.n_sensors), dict[str, list[NDArray[np.float64]]]()
     for block in stream.blocks:
         readings.append(block.readings)
         for name in ("times", "receive_times"):
@@ -354,30 +354,27 @@ def _stacked(frames: list[Frame]) -> Block:
 class _GrowingArray:
     """An array that grows in place, so that appending never needs twice its memory."""
 
-    def __init__(self) -> None:
-        self._array: NDArray[Any] | None = None
+    def __init__(self, n_columns: int) -> None:
+        self._array: NDArray[Any] = np.empty((0, n_columns), np.float32)
         self.n_rows = 0
 
     def append(self, rows: NDArray[Any]) -> None:
         needed = self.n_rows + len(rows)
-        wanted = np.float32 if np.can_cast(rows.dtype, np.float32) else np.float64
-        if self._array is None:
-            self._array = np.empty(rows.shape, wanted)
-        elif self._array.dtype == np.float32 and wanted == np.float64:
-            self._array = self._array.astype(np.float64)
+        if not np.can_cast(rows.dtype, self._array.dtype):
+            self._array = self._array.astype(np.float64, copy=False)
         if needed > len(self._array):
-            capacity = max(needed, int(len(self._array) * (1 + _GROWTH)))
-            # realloc moves pages instead of copying; no other reference to the array exists yet.
-            self._array.resize((capacity, *rows.shape[1:]), refcheck=False)
+            self._resize(max(needed, int(len(self._array) * (1 + _GROWTH))))
         self._array[self.n_rows : needed] = rows
         self.n_rows = needed
 
     def array(self) -> NDArray[Any]:
-        if self._array is None:
-            return np.empty(0)
-        self._array.resize((self.n_rows, *self._array.shape[1:]), refcheck=False)
+        self._resize(self.n_rows)
         self._array.setflags(write=False)
         return self._array
+
+    def _resize(self, n_rows: int) -> None:
+        # realloc moves pages instead of copying; no other reference to the array exists yet.
+        self._array.resize((n_rows, self._array.shape[1]), refcheck=False)
 
 
 def _joined(blocks: list[Block]) -> Block:

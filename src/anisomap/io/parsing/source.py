@@ -94,9 +94,7 @@ class _Gunzipped(gzip.GzipFile):
         self._budget = Budget(path)
 
     def read(self, size: int | None = -1) -> bytes:
-        if size is None or size < 0:
-            return b"".join(iter(lambda: self.read(HEAD_BYTES), b""))
-        content = super().read1(size)  # `read` would discard the data before the damage
+        content = super().read1(-1 if size is None else size)  # `read` discards data before damage
         self._budget.check(self.tell(), "its content")
         return content
 
