@@ -83,10 +83,7 @@ def test_maps_are_recognised_by_content(map_file: Path) -> None:
 
 
 def test_equal_input_gives_equal_bytes(
-    tmp_path: Path,
-    sensor_map: SensorMap,
-    recording: Recording,
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, sensor_map: SensorMap, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scaled = example_map(in_metres=True)
     files = [

@@ -43,10 +43,7 @@ def dome(n_sensors: int = 60) -> SensorMap:
     ring, angle = np.sqrt(1 - height**2), np.pi * (3 - np.sqrt(5)) * turn
     points = np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
     return SensorMap(
-        40 * points,
-        names=tuple(f"taxel{3 * i + 1}" for i in turn),
-        units="mm",
-        frame="l_hand",
+        40 * points, names=tuple(f"taxel{3 * i + 1}" for i in turn), units="mm", frame="l_hand"
     )
 
 

@@ -30,10 +30,7 @@ TRICKY = st.sampled_from(
 WORDS = TEXTS | TRICKY
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)
 VERDICTS = st.builds(
-    Verdict,
-    st.sampled_from([*LEVELS, UNKNOWN]),
-    *3 * [FLOATS],
-    reasons=st.lists(WORDS, max_size=3),
+    Verdict, st.sampled_from([*LEVELS, UNKNOWN]), *3 * [FLOATS], reasons=st.lists(WORDS, max_size=3)
 )
 FINITE = st.floats(-1e9, 1e9)
 SCALARS = WORDS | st.booleans() | st.integers(-(10**30), 10**30) | FLOATS

@@ -34,13 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import (
-    AnisomapError,
-    AnisomapWarning,
-    DamagedError,
-    FileError,
-    error_reason,
-)
+from anisomap.errors import AnisomapError, AnisomapWarning, DamagedError, FileError, error_reason
 from anisomap.files.budget import Budget
 from anisomap.numerics.memory import physical_memory
 

@@ -25,13 +25,7 @@ from anisomap.files.budget import Budget
 from anisomap.files.paths import open_regular
 from anisomap.io import npz
 from anisomap.io.parsing.names import distinct_names
-from anisomap.io.parsing.source import (
-    file_errors,
-    open_text,
-    quote,
-    read_head,
-    read_lines,
-)
+from anisomap.io.parsing.source import file_errors, open_text, quote, read_head, read_lines
 from anisomap.io.parsing.tables import is_number, parse_number, read_sample, records
 from anisomap.io.recordings import contact_lists, delimited_text
 from anisomap.io.registry import read
@@ -184,19 +178,13 @@ def _rows(lines: Sequence[str]) -> Rows:
 
 
 def _names_pairs(pairs: Rows) -> bool:
-    """Return whether rows of a list hold two names and a value, of names that take either place.
-
-    Rows of a recording may hold a time, a sensor and its reading.
-    """
+    """Return whether rows hold two names, which take either place, and a value."""
     first, second = ({row[place] for row in pairs} for place in (0, 1))
     return bool(first & second) and _number(pairs[0][0]) is None
 
 
 def _numbers_pairs(pairs: Rows) -> bool:
-    """Return whether rows of a list hold two whole numbers and a value, and no pair is repeated.
-
-    There are more pairs than numbers, unlike those of frames and readings.
-    """
+    """Return whether rows hold each pair of whole numbers once, and more pairs than numbers."""
     found = {frozenset(row[:2]) for row in pairs}
     numbers = {cell for pair in found for cell in pair}
     once = len(found) == len(pairs) and {*map(len, found)} == {2}
@@ -204,10 +192,7 @@ def _numbers_pairs(pairs: Rows) -> bool:
 
 
 def _may_be_square(file: Path, rows: Rows, n_lines: int) -> bool:
-    """Return whether a file has about as many rows as columns, without reading all of it.
-
-    rows: Those of its first `n_lines` lines; none of an array.
-    """
+    """Return whether a file has about as many rows as columns, by those of its first lines."""
     with suppress(FileError), file_errors(file):
         if rows:
             n_columns = max(map(len, rows))
@@ -223,10 +208,7 @@ def _may_be_square(file: Path, rows: Rows, n_lines: int) -> bool:
 
 
 def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return values, shape (N, N), symmetric and NaN where unknown, and the names of the objects.
-
-    lists: Whether the file may be a list of pairs.
-    """
+    """Return values, (N, N), symmetric and NaN where unknown, and the names of the objects."""
     with file_errors(file):
         if not delimited_text.recognises(file, read_head(file)):
             recording = read(file)

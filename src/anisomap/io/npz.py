@@ -34,14 +34,7 @@ from anisomap.files.paths import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.events import NOUNS, Events, noun_of, stream_events
-from anisomap.io.stream import (
-    BLOCK_BYTES,
-    Block,
-    ReadOptions,
-    Stream,
-    increasing_times,
-    salvage,
-)
+from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasing_times, salvage
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ACCURACY, UNKNOWN
@@ -327,11 +320,7 @@ def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -
 
 @contextmanager
 def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open an array of shape (T, N).
-
-    It is read, not memory-mapped, because the system kills a process that reads a mapped file
-    after it was cut.
-    """
+    """Open an array, (T, N), without mapping it: reading a map of a cut file ends the process."""
     with open_regular(path) as stream:
         shape, _, dtype = header = read_header(stream, "the array")
         if dtype.kind not in NUMBERS:

@@ -25,10 +25,7 @@ UNITS = "spacings"
 
 
 def grid_positions(rows: int, columns: int) -> NDArray[np.float64]:
-    """Return the positions of a rectangular array in row-major order.
-
-    Returns (rows * columns, 2).
-    """
+    """Return the positions, (rows * columns, 2), of a rectangular array in row-major order."""
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     return np.column_stack([x.ravel(), y.ravel()])
 
@@ -65,9 +62,8 @@ def _without_empty_cells(recording: Recording) -> Recording:
     empty = ~np.isfinite(recording.readings).any(axis=0)
     if not empty.any() or empty.all():
         return recording
-    n_empty = np.count_nonzero(empty)
-    problem = f"{n_empty} of {recording.n_sensors} cells of the grid have no reading"
-    warn(recording.source, f"{problem}; they are taken as silent")
+    cells = f"{np.count_nonzero(empty)} of {recording.n_sensors} cells of the grid"
+    warn(recording.source, f"{cells} have no reading; they are taken as silent")
     return replace(recording, readings=np.where(empty, 0, recording.readings))
 
 
@@ -122,11 +118,8 @@ def numbering(recording: Recording, preset: str) -> dict[int, str]:
 def icub(recording: Recording) -> dict[int, str]:
     """Name the pads of an iCub: index = 192 * board + 12 * triangle + k, without thermal pads.
 
-    Pads 6 and 10 of a triangle measure temperature. Absent triangles have constant readings. Ports
-    of hands are passed to `icub_hand`.
-
-    Schmitz et al. (2011), IEEE Transactions on Robotics 27(3): 389-400,
-    doi:10.1109/TRO.2011.2132930.
+    Absent triangles have constant readings. Schmitz et al. (2011), IEEE Transactions on Robotics
+    27(3): 389-400, doi:10.1109/TRO.2011.2132930.
     """
     if _is_hand(recording):
         return icub_hand(recording)
@@ -145,10 +138,7 @@ def icub(recording: Recording) -> dict[int, str]:
 
 
 def icub_hand(recording: Recording) -> dict[int, str]:
-    """Name the pads of an iCub hand: five fingertips of 12 pads, and the palm from value 96.
-
-    The palm has 48 values, of which 11, 23, 35 and 43 are not pads.
-    """
+    """Name the pads of an iCub hand: five fingertips of 12 pads, and the palm."""
     if recording.n_sensors != _BOARD:
         raise InputError(f"an iCub hand has {_BOARD} values, got {recording.n_sensors}")
     parts = {name: range(12 * i, 12 * i + 12) for i, name in enumerate(_FINGERS)}

@@ -57,17 +57,14 @@ _SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 class Format:
     """A file format with its readers and writers, which raise as `read` and `write` do.
 
-    suffixes: In lower case, with the dot. They select the writer, and the reader of files that no
-        format recognises by content.
-    recognises: ``recognises(path, head)`` returns whether other content is of this format, by its
-        first bytes, decompressed; none for a folder. It must not raise.
-    contents: ``contents(path, options)`` lists the possible recordings in a file.
-    extra: Extra that installs the library that is required. Recordings of formats with an extra
-        are read in another process: see `anisomap.files.reader_process`.
+    suffixes: They select the writer, and the reader of files that no format recognises by content.
+    recognises: ``recognises(path, head)`` returns whether a file that begins with none of `magics`
+        is of this format, by its first bytes, decompressed; none for a folder. It must not raise.
+    contents: Lists the possible recordings in a file.
+    extra: Installs the library that reads recordings, in another process.
     in_metres: Whether the format stores metres, so that a map needs a scale.
-    signature: First bytes of the files that anisomap writes, which decide before `recognises`,
-        since names and notes may contain marks of other formats.
-    magics: First bytes of the files of this format.
+    signature: First bytes of files of anisomap, which decide before `recognises`, since names and
+        notes may contain marks of other formats.
     """
 
     name: str
@@ -204,10 +201,7 @@ def read(
 
 @contextmanager
 def open_stream(
-    path: str | os.PathLike[str],
-    *,
-    frames: int = BLOCK_FRAMES,
-    options: ReadOptions | None = None,
+    path: str | os.PathLike[str], *, frames: int = BLOCK_FRAMES, options: ReadOptions | None = None
 ) -> Iterator[Stream]:
     """Open a recording to read it block by block, in constant memory.
 
@@ -330,10 +324,7 @@ def attach_positions(recording: Recording, positions: Path | None) -> Recording:
 
 
 def _with_positions(stream: Stream, file: Path) -> Stream:
-    """Give the sensors of a stream their true positions by name; NaN for those that the file lacks.
-
-    If the stream lists events, sensors that have a position and no event are added: they read 0.
-    """
+    """Give sensors their true positions, or NaN; sensors without an event are added to events."""
     truth = read_map(file)
     names = stream.names or default_names(stream.n_sensors)
     rows, positions = _match(names, truth, stream.path, file)

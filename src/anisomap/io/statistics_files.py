@@ -155,10 +155,7 @@ def _whole(archive: Archive, name: str) -> int:
 
 
 def _flattened(options: MethodOptions) -> dict[str, Scalar]:
-    """Return the options that differ from the defaults, those of a stage as ``stage.name``.
-
-    Defaults are left out, so that the file can be read by versions with other options.
-    """
+    """Return the options, as ``stage.name``, that differ from the defaults of this version."""
     found, usual = dict[str, Scalar](), asdict(MethodOptions())
     for name, value in asdict(options).items():
         if isinstance(value, Mapping):

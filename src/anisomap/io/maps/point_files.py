@@ -215,13 +215,11 @@ def is_icub(path: Path, head: bytes) -> bool:
 
 
 def write_icub(sensor_map: SensorMap, path: Path) -> None:
-    """Write one line per value of a port, in metres.
+    """Write ``x y z nx ny nz`` for each value of a port, in metres, zeros without a taxel.
 
-    Four header lines are followed by ``x y z nx ny nz`` for each value, zeros without a taxel.
-    ``taxel2Repr`` gives the representative taxel of each value, -1 for none. The last line is
-    zeros, because one reader of these files drops it; lines do not start with blanks, which another
-    rejects. If all names end in unique numbers (``taxel97``), these are the indices on the port;
-    otherwise sensors are numbered in order.
+    Unique numbers at the ends of all names (``taxel97``) are the indices on the port. The last line
+    is zeros, because one reader of these files drops it; no line starts with a blank, which another
+    rejects.
     """
     skin = to_taxels(sensor_map, "a file of taxel positions")
     ports = np.array(numbers_of(sensor_map.names) or range(sensor_map.n_sensors))[skin.indices]

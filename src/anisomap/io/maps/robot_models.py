@@ -57,10 +57,7 @@ def _root(head: bytes) -> bytes:
 
 
 def write_urdf(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map with a scale and one component as a link with fixed frames.
-
-    The suffix ``.xacro`` selects a macro with the parent link as parameter.
-    """
+    """Write a link with fixed frames; as ``.xacro``, a macro with the parent link as parameter."""
     skin = _named_taxels(sensor_map, "URDF")
     if len(skin.names) > _MAX_FRAMES:
         warnings.warn(
@@ -97,7 +94,7 @@ def write_urdf(sensor_map: SensorMap, path: Path) -> None:
 
 
 def write_mjcf(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map with a scale and one component as a model of one body with sites."""
+    """Write a model of one body with sites."""
     skin = _named_taxels(sensor_map, "MJCF")
     model = _document("mujoco", {"model": skin.frame}, sensor_map, "site")
     body = SubElement(SubElement(model, "worldbody"), "body", name=skin.frame)
@@ -109,11 +106,7 @@ def write_mjcf(sensor_map: SensorMap, path: Path) -> None:
 
 
 def write_launch(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map with a scale and one component, for ``ros2 launch skin.launch.xml``.
-
-    Each transform is a process, so this format suits tens of sensors. For hundreds, use URDF with
-    ``robot_state_publisher``.
-    """
+    """Write static transforms, each a process of its own, for ``ros2 launch skin.launch.xml``."""
     skin = _named_taxels(sensor_map, "a static transform")
     launch = _document("launch", {}, sensor_map, "frame")
     quaternions = skin.rotations.as_quat()
@@ -158,10 +151,7 @@ def _without_expressions(skin: Taxels, *, escaped: bool) -> Taxels:
 def _document(
     root: str, attributes: dict[str, str], sensor_map: SensorMap, element: str
 ) -> Element:
-    """Create a document with comments about a map: its frame, method, verdict and notes.
-
-    element: What stands for a sensor, in the comments.
-    """
+    """Create a document with comments about a map, whose sensors are elements of a kind."""
     document = Element(root, attributes)
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "

@@ -61,11 +61,7 @@ _SEVERAL = {"reason": "reasons", "note": "notes"}  # comments with a line for ea
 
 
 def read_text(path: Path) -> SensorMap:
-    """Read a map, or true positions, from delimited text.
-
-    Units come from the comments or the header (``x [mm]``), else they are empty. Errors give line
-    and column.
-    """
+    """Read a map, or true positions; units come from the comments or the header (``x [mm]``)."""
     lines = read_lines(path)
     if any(len(line) > _MAX_COLUMNS and _n_marks(line) > _MAX_COLUMNS for line in lines):
         raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
@@ -158,12 +154,7 @@ def _read_comments(lines: Sequence[str], units: str) -> dict[str, Any]:
 
 
 def write_text(sensor_map: SensorMap, path: Path) -> None:
-    """Write a map as comments and one line per sensor; every field is read back equal.
-
-    Names that a spreadsheet would run as formulas are preceded by an apostrophe in the file.
-
-    The suffix ``.tsv`` selects tabs, all others commas.
-    """
+    """Write a map as comments and one line per sensor, with tabs if the suffix is ``.tsv``."""
     known = properties_of(sensor_map)
     provenance = known.pop("provenance")
     several = [(one, value) for one, name in _SEVERAL.items() for value in known.pop(name)]
@@ -312,11 +303,7 @@ def write_json(sensor_map: SensorMap, path: Path) -> None:
 
 
 def read_json_map(path: Path) -> SensorMap:
-    """Read a map from an object with a list ``sensors`` of objects, each with a ``position``.
-
-    All other properties that `write_map` writes are optional; the first sensor tells which there
-    are.
-    """
+    """Read a map; the first sensor tells which properties beside the position there are."""
     document = read_json(path)
     listed = document.get("sensors") if isinstance(document, dict) else None
     if not isinstance(listed, list) or not listed:
@@ -416,11 +403,7 @@ def is_calibration(path: Path, head: bytes) -> bool:
 
 
 def read_calibration(path: Path) -> SensorMap:
-    """Read the taxels of all patches of CySkin, named by their addresses.
-
-    Taxels with address 0, which no module reads, are left out. Repeated addresses are numbered in
-    the order of the file, as in recordings.
-    """
+    """Read the taxels of all patches of CySkin by address; no module reads those of address 0."""
     document = read_json(path)
     skin = document.get("skin") if isinstance(document, dict) else None
     listed = skin.get("taxels") if isinstance(skin, dict) else None

@@ -1,7 +1,4 @@
-"""Facts about maps and recordings as text: checked, and in ``# key: value`` lines.
-
-Whatever is written is read back equal.
-"""
+"""Facts about maps and recordings as text, in ``# key: value`` lines that are read back equal."""
 
 from __future__ import annotations
 
@@ -132,10 +129,7 @@ _ESCAPE = "~"
 
 
 def properties_of(sensor_map: SensorMap) -> dict[str, Any]:
-    """Return what a file states about a map as a whole; `read_properties` reads it back.
-
-    The frame and the flags that are set are part of the provenance.
-    """
+    """Return what a file states about a map; the frame and flags are part of the provenance."""
     flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
     if sensor_map.frame != DEFAULT_FRAME:
         flags["frame"] = sensor_map.frame

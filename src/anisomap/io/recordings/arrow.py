@@ -29,7 +29,6 @@ from anisomap.io.parsing.names import (
 )
 from anisomap.io.parsing.source import quote
 from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose
-from anisomap.recording import Scalar
 
 EXTRA = "parquet"
 
@@ -67,12 +66,7 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in a Parquet or Arrow file.
-
-    `options.select` names a column of lists, or is ``columns`` for all numeric columns, one per
-    sensor. The first column with a name such as ``timestamp`` gives the times, or only the rate if
-    there is a column ``episode_index``.
-    """
+    """Open the column of lists `options.select`, or ``columns`` for all numeric columns."""
     with _open(path) as source:
         name = choose(path, _contents(source), options.select, "column").name
         plain = _plain_columns(source.schema)
@@ -171,8 +165,8 @@ def _plain_columns(schema: Any) -> list[str]:
 
 
 def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
-    if not _list_of_numbers(source.schema.field(name).type):
-        kind = source.schema.field(name).type
+    kind = source.schema.field(name).type
+    if not _list_of_numbers(kind):
         raise FileError(f"{source.path}: column {name} must hold lists of numbers, got {kind}")
     clock = next((column for column in plain if is_time(column)), None)
     columns = [name, *([clock] if clock else []), *([_EPISODE] if _EPISODE in plain else [])]
@@ -183,19 +177,19 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
     def blocks() -> Iterator[Block]:
         for batch, fraction in batches:
             rows = _rows(source.path, batch.column(name), name, n_sensors)
-            stamps = _column(batch.column(times)) if times else None
-            if stamps is not None:
-                stamps = stamps / units_per_second(times or "", stamps)
+            stamps = None
+            if times:
+                stamps = _column(batch.column(times))
+                stamps = stamps / units_per_second(times, stamps)
             yield Block(rows, fraction, stamps)
 
-    metadata: dict[str, Scalar] = {"format": "Arrow", "column": name}
     return Stream(
         source.path,
         n_sensors,
         blocks(),
         rate_hz=rate_hz,
         source=f"{source.path.name}:{name}",
-        metadata=metadata,
+        metadata={"format": "Arrow", "column": name},
     )
 
 

@@ -23,12 +23,7 @@ from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
-from anisomap.io.recordings.bag_files import (
-    EXTRA,
-    METADATA,
-    prepare,
-    register_definitions,
-)
+from anisomap.io.recordings.bag_files import EXTRA, METADATA, prepare, register_definitions
 from anisomap.io.stream import (
     Block,
     Content,

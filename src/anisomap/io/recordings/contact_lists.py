@@ -107,10 +107,7 @@ def _find_columns(names: Sequence[str]) -> tuple[int, int, int] | None:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Columns of a list of contacts, by index from 0; -1 for no values.
-
-    If `ragged`, all fields from the sensor on are sensors.
-    """
+    """Columns of a list of contacts; if `ragged`, all fields from the sensor on are sensors."""
 
     delimiter: str | None
     header: tuple[str, ...]
@@ -131,11 +128,7 @@ class _Layout:
 
 
 def is_text(path: Path, head: bytes) -> bool:
-    """Recognise a header of a time or number and of sensors, above rows of whole numbers or lists.
-
-    Further columns, other than a value, make the file a table of readings. Without a header, rows
-    must hold a number that does not decrease and different whole numbers, and differ in length.
-    """
+    """Recognise a header of a moment, sensors and no more than a value, or rows of many lengths."""
     return _layout_of(head) is not None
 
 
@@ -179,10 +172,7 @@ def selects_columns(select: str) -> bool:
 
 
 def stream_columns(path: Path, options: ReadOptions) -> Stream:
-    """Create a stream of two columns of any table: the moment and the sensor of contacts.
-
-    `options.select` names the columns, or gives their numbers from 1, as ``event:taxel``.
-    """
+    """Create a stream of the moments and sensors in two columns of any table: ``event:taxel``."""
     sample = read_sample(path)
     delimiter = find_delimiter(sample)
     first = next((fields for _, fields in records(sample, delimiter)), [])
@@ -219,10 +209,7 @@ def _find_layout(lines: Sequence[str]) -> _Layout | None:
 
 
 def _find_bare_layout(lines: Sequence[str]) -> _Layout | None:
-    """Return the layout of rows without a header: a moment, and a varying number of sensors.
-
-    A table of readings has rows of equal length, or repeated values in a damaged one.
-    """
+    """Return the layout of rows without a header: a moment, and a varying number of sensors."""
     for delimiter in DELIMITERS:
         rows = _rows(lines, delimiter)
         if len(rows) < _MIN_BARE_ROWS or max(map(len, rows)) < 3:

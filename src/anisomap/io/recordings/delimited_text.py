@@ -93,11 +93,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in delimited text.
-
-    Empty fields are missing readings, NaN. The metadata of the stream names the columns taken as
-    time and frame counter and the skipped columns of text. Errors give line and column.
-    """
+    """Open a recording in delimited text; its metadata names the columns that are no sensors."""
     if contact_lists.selects_columns(options.select):
         yield contact_lists.stream_columns(path, options)
         return
@@ -218,11 +214,7 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as text: comments, a header, and one line per frame.
-
-    Times are the first column, in seconds. Readings, names, times, rate and metadata are read back
-    equal. Positions are not written, with a warning. Suffix ``.tsv`` selects tabs, others commas.
-    """
+    """Write a recording without its positions as text, with tabs if the suffix is ``.tsv``."""
     delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
     if recording.positions is not None:
         problem = "text cannot store positions, so those of the recording are not written"
@@ -254,11 +246,7 @@ def header_text(
     rate_hz: float | None = None,
     metadata: Mapping[str, Scalar] | None = None,
 ) -> str:
-    """Format the lines of a recording before its first frame.
-
-    Each following line is one frame: the time in seconds if `timed`, then one reading per sensor,
-    separated by `delimiter`. A file can therefore be extended frame by frame.
-    """
+    """Format the lines before those of the frames: a time, if `timed`, and the readings."""
     if sum(name.count("\n") for name in names) > _MAX_NAME_LINES:
         raise InputError("the names have too many line ends for a header of text; use .npz")
     fields = next(name for name, mark in _DELIMITERS.items() if mark == delimiter)

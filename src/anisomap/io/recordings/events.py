@@ -26,12 +26,7 @@ from anisomap.errors import FileError
 from anisomap.files.budget import Budget
 from anisomap.io.parsing.names import numbers_of, words_of
 from anisomap.io.parsing.source import read_lines, warn
-from anisomap.io.parsing.tables import (
-    find_delimiter,
-    is_number,
-    parse_number,
-    records,
-)
+from anisomap.io.parsing.tables import find_delimiter, is_number, parse_number, records
 from anisomap.io.stream import Stream, read_in_blocks
 from anisomap.recording import Scalar
 
@@ -60,11 +55,9 @@ _MAX_SHARE_ALONE = 0.9
 class Events:
     """Sensors that were active, and when; an entry is one sensor at one moment.
 
-    moments: Times in seconds, or numbers of events.
+    moments: Seconds if they are `timed`, else numbers of events.
     sensors: Index in `names`; -1 for a moment without an active sensor.
-    names: Names of the sensors.
     values: Readings; 1 by default.
-    timed: Whether `moments` are times.
     """
 
     moments: NDArray[np.float64]
@@ -81,10 +74,7 @@ class Events:
 
 
 class EventList(Generic[_Key]):
-    """Events while they are read, within the budget of their file.
-
-    moments, values: One entry per event; `values` is a second number of each.
-    """
+    """Events while they are read, within the budget of their file; each may have a value."""
 
     def __init__(self, path: Path) -> None:
         self.moments, self.values = array("d"), array("d")
@@ -148,10 +138,7 @@ def stream_events(
     metadata: Mapping[str, Scalar],
     **known: Any,
 ) -> Stream:
-    """Create a stream of frames from events.
-
-    Without bins, a frame is one moment, in order of time; a reading is 1 if the sensor was active,
-    or its value. With bins, a reading is the number of events in the bin, or the last value.
+    """Create a stream of the values at each moment, or the counts or last values in each bin.
 
     spikes: Whether the events need bins; None to decide by how many share a moment.
     known: Further fields of the stream.
@@ -249,10 +236,7 @@ def _frames(
 
 
 def stream_spike_table(path: Path, bin_s: float) -> Stream:
-    """Create a stream of the counts of spikes whose times are in lines or columns.
-
-    Times increase along each channel and have fractions, so that readings are not taken for times.
-    """
+    """Create a stream of the counts of spikes whose times are in lines or columns."""
     lines = read_lines(path)
     delimiter = find_delimiter(lines[:1000])
     rows = [fields for _, fields in records(lines, delimiter)]
@@ -270,7 +254,7 @@ def stream_spike_table(path: Path, bin_s: float) -> Stream:
 
 
 def _trains(channels: Sequence[Sequence[str]]) -> list[tuple[str, list[float]]] | None:
-    """Return the name and times of each channel; None unless all are times that increase."""
+    """Return the name and times of each channel; None unless they increase and have fractions."""
     named = any(not is_number(fields[0]) for fields in channels if fields)
     found = []
     fractions = False

@@ -84,11 +84,7 @@ def is_mat_export(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_mat_export(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording of a pressure mat.
-
-    Sensors are the cells inside the sensor in row-major order. Positions are in the unit of the
-    spacing in the header, or in spacings without one.
-    """
+    """Open a recording of a pressure mat: the cells inside the sensor, in row-major order."""
     header = _read_header(path)
     names = grid_names(header.rows, header.columns)
     positions, units = _positions(header)
@@ -147,10 +143,7 @@ def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, st
 def _rows_of_frames(
     lines: Iterable[str], n_rows: int
 ) -> Iterator[tuple[int, float | None, list[str]]]:
-    """Yield the line, the time of day and the rows of each frame.
-
-    A frame ends with `n_rows` rows, or if this is 0 with a blank line, and before another one.
-    """
+    """Yield line, time of day and rows of each frame: `n_rows`, or if 0 those to a blank line."""
     rows, started = list[str](), 0
     clock, before = None, 0.0
     for number, line in enumerate(lines, start=1):
@@ -240,10 +233,7 @@ def is_folder(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_images(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a folder of images of equal size, in the order of the numbers in their names, or a file.
-
-    Sensors are pixels in row-major order with positions in pixels; colours are converted to grey.
-    """
+    """Open a file of images, or a folder in the order of the numbers in the names of its files."""
     pillow = import_extra("PIL.Image", "reading images", EXTRA)
     if path.is_dir():
         files = _images(path)

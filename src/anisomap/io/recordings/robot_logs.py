@@ -175,10 +175,7 @@ _BRACKETS = str.maketrans("()", "  ")
 
 
 def is_yarp(path: Path, head: bytes) -> bool:
-    """Recognise a log by an increasing count, a non-decreasing stamp, and values.
-
-    A log of a simulator, with stamps from 0, must also have the name ``data.log``.
-    """
+    """Recognise a count, a stamp, from 0 only in a ``data.log``, and values."""
     if path.is_dir():
         return bool(_logs(path))
     lines = head.splitlines()
@@ -204,12 +201,9 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 
 @contextmanager
 def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a data.log, its folder, or one or several ports of a session.
+    """Open a data.log, its folder, or ports of a session; skin parts of a log of contacts.
 
-    `options.select` names the port of a session, or the skin part of a log of contacts; several,
-    separated by commas, are joined, ports at the times of the first. Times are the sender's stamps
-    from 0, or the receiver's if the sender's do not increase. A truncated last line is dropped with
-    a warning.
+    Times are the sender's stamps, or the receiver's if the sender's do not increase.
     """
     wanted = [name.strip() for name in options.select.split(",")]
     if log := _single(path):
@@ -337,10 +331,7 @@ def is_cyskin(path: Path, head: bytes) -> bool:
 
 @contextmanager
 def open_cyskin(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording of CySkin; the sensors are named by their addresses.
-
-    Responses that the acquisition program marks as errors are NaN.
-    """
+    """Open a recording of CySkin; the sensors are named by their addresses, and errors are NaN."""
     with open_text(path) as stream:
         start = [line.split() for _, line in zip(range(4), stream, strict=False)]
     layout = _find_addresses(start)
