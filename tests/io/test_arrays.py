@@ -264,21 +264,6 @@ class TestArchives:
         assert found.names == ("unit4", "unit7")
         np.testing.assert_array_equal(found.readings, [[1, 1], [0, 0], [1, 0]])
 
-    @pytest.mark.parametrize(
-        ("arrays", "message"),
-        [
-            ({"times": [0.5, 1], "ids": [1]}, "must be lists of equal length"),
-            ({"times": [0.5, 1], "ids": [1, -1]}, "ids must be numbers of sensors from 0"),
-            ({"times": [0.5, 1], "ids": [1, 2], "names": ["a", "b"]}, "holds 2, but there are 2"),
-            ({"times": [0.5, 1], "ids": [1, 0.5]}, "it must be integers"),
-            ({"times": [0.5, np.nan], "ids": [1, 2]}, "the time of an event is not finite"),
-        ],
-    )
-    def test_wrong_arrays(self, tmp_path: Path, arrays: dict[str, object], message: str) -> None:
-        np.savez(tmp_path / "x.npz", **arrays)
-        with pytest.raises(FileError, match=message):
-            io.read(tmp_path / "x.npz")
-
 
 class TestSpikeTrains:
     """Times of spikes in HDF5: three layouts, with positions, names and span."""

@@ -83,55 +83,56 @@ def test_times_that_do_not_increase(saved) -> None:
     assert found.times is None
 
 
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"data": READINGS, "labels": [1]}, "'readings' is missing (arrays: data, labels)"),
-        ({"readings": np.arange(3.0)}, "1 dimensions"),
-        ({"readings": np.zeros((2, 3, 4))}, "3 dimensions"),
-        ({"readings": np.zeros((0, 3))}, "readings are empty"),
-        ({"readings": READINGS * 1j}, "complex128; it must be numbers"),
-        ({"readings": READINGS.astype(str)}, "it must be numbers"),
-        ({"readings": READINGS.astype(object)}, "readings is pickled objects"),
-        ({"readings": np.zeros(3, [("a", "f8"), ("b", "i4")])}, "it must be numbers"),
-        ({"readings": np.zeros((2, 2), "M8[s]")}, "it must be numbers"),
-        ({"readings": READINGS, "names": ["a", "b"]}, "3 sensors need 3 names"),
-        ({"readings": READINGS, "names": [["a", "b", "c"]]}, "names has shape"),
-        ({"readings": READINGS, "names": np.array(["a", 1, None])}, "names is pickled objects"),
-        ({"readings": READINGS, "names": [0.5, 1.5, 2.5]}, "it must be text"),
-        ({"readings": READINGS, "positions": np.zeros((2, 2))}, "positions must be of shape"),
-        ({"readings": READINGS, "positions": np.zeros((3, 4))}, "positions must be of shape"),
-        ({"readings": READINGS, "positions": np.zeros((3, 2), complex)}, "it must be numbers"),
-        ({"readings": READINGS, "times": [0.0, 1.0]}, "times must have shape"),
-        ({"readings": READINGS, "times": np.zeros((4, 1))}, "times must have shape"),
-        ({"readings": READINGS, "rate_hz": -1.0}, "rate_hz must be a positive number"),
-        ({"readings": READINGS, "rate_hz": [1.0, 2.0]}, "one value"),
-        ({"readings": READINGS, "rate_hz": "fast"}, "it must be numbers"),
-        ({"readings": READINGS, "units": 3}, "it must be text"),
-    ],
-)
-def test_wrong_arrays(saved, arrays: dict[str, object], message: str) -> None:
-    assert message in error(saved(**arrays))
+WRONG_RECORDINGS = [
+    ({"data": READINGS, "labels": [1]}, "'readings' is missing (arrays: data, labels)"),
+    ({"readings": np.arange(3.0)}, "1 dimensions"),
+    ({"readings": np.zeros((2, 3, 4))}, "3 dimensions"),
+    ({"readings": np.zeros((0, 3))}, "readings are empty"),
+    ({"readings": READINGS * 1j}, "complex128; it must be numbers"),
+    ({"readings": READINGS.astype(str)}, "it must be numbers"),
+    ({"readings": READINGS.astype(object)}, "readings is pickled objects"),
+    ({"readings": np.zeros(3, [("a", "f8"), ("b", "i4")])}, "it must be numbers"),
+    ({"readings": np.zeros((2, 2), "M8[s]")}, "it must be numbers"),
+    ({"readings": READINGS, "names": ["a", "b"]}, "3 sensors need 3 names"),
+    ({"readings": READINGS, "names": [["a", "b", "c"]]}, "names has shape"),
+    ({"readings": READINGS, "names": np.array(["a", 1, None])}, "names is pickled objects"),
+    ({"readings": READINGS, "names": [0.5, 1.5, 2.5]}, "it must be text"),
+    ({"readings": READINGS, "positions": np.zeros((2, 2))}, "positions must be of shape"),
+    ({"readings": READINGS, "positions": np.zeros((3, 4))}, "positions must be of shape"),
+    ({"readings": READINGS, "positions": np.zeros((3, 2), complex)}, "it must be numbers"),
+    ({"readings": READINGS, "times": [0.0, 1.0]}, "times must have shape"),
+    ({"readings": READINGS, "times": np.zeros((4, 1))}, "times must have shape"),
+    ({"readings": READINGS, "rate_hz": -1.0}, "rate_hz must be a positive number"),
+    ({"readings": READINGS, "rate_hz": [1.0, 2.0]}, "one value"),
+    ({"readings": READINGS, "rate_hz": "fast"}, "it must be numbers"),
+    ({"readings": READINGS, "units": 3}, "it must be text"),
+    ({"times": [0.5, 1], "ids": [1]}, "must be lists of equal length"),
+    ({"times": [0.5, 1], "ids": [1, -1]}, "ids must be numbers of sensors from 0"),
+    ({"times": [0.5, 1], "ids": [1, 2], "names": ["a", "b"]}, "holds 2, but there are 2"),
+    ({"times": [0.5, 1], "ids": [1, 0.5]}, "it must be integers"),
+    ({"times": [0.5, np.nan], "ids": [1, 2]}, "the time of an event is not finite"),
+]
+WRONG_MAPS = [
+    ({"component": [0, 0]}, "component must have 3 entries"),
+    ({"component": [[0, 0, 0]]}, "component has shape"),
+    ({"component": [0, 0, 3]}, "numbered from 0"),
+    ({"component": [0, 0, -2]}, "numbered from 0"),
+    ({"component": [0.0, 0.0, 0.0]}, "component is of type"),
+    ({"component": [0, 0, -1]}, "finite position"),
+    ({"health": ["ok"]}, "health must have 3 entries"),
+    ({"stress": "low"}, "it must be numbers"),
+    ({"positions": np.zeros(3)}, "must be of shape (N, k)"),
+    ({"positions": np.array([[None, 1]])}, "positions is pickled objects"),
+]
+CASES = [
+    *((io.read, arrays, message) for arrays, message in WRONG_RECORDINGS),
+    *((io.read_map, {"positions": np.zeros((3, 2)), **a}, message) for a, message in WRONG_MAPS),
+]
 
 
-@pytest.mark.parametrize(
-    ("arrays", "message"),
-    [
-        ({"component": [0, 0]}, "component must have 3 entries"),
-        ({"component": [[0, 0, 0]]}, "component has shape"),
-        ({"component": [0, 0, 3]}, "numbered from 0"),
-        ({"component": [0, 0, -2]}, "numbered from 0"),
-        ({"component": [0.0, 0.0, 0.0]}, "component is of type"),
-        ({"component": [0, 0, -1]}, "finite position"),
-        ({"health": ["ok"]}, "health must have 3 entries"),
-        ({"stress": "low"}, "it must be numbers"),
-        ({"positions": np.zeros(3)}, "must be of shape (N, k)"),
-        ({"positions": np.array([[None, 1]])}, "positions is pickled objects"),
-    ],
-)
-def test_wrong_maps(saved, arrays: dict[str, object], message: str) -> None:
-    found = error(saved(**{"positions": np.zeros((3, 2)), **arrays}), io.read_map)
-    assert message in found
+@pytest.mark.parametrize(("reader", "arrays", "message"), CASES)
+def test_wrong_arrays(saved, reader, arrays: dict[str, object], message: str) -> None:
+    assert message in error(saved(**arrays), reader)
 
 
 def test_nothing_is_unpickled(saved, tmp_path: Path) -> None:

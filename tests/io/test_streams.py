@@ -72,11 +72,6 @@ def _text(readings: np.ndarray, path: Path) -> None:
     path.write_bytes(gzip.compress(text, 1))
 
 
-def _npz(readings: np.ndarray, path: Path) -> None:
-    with path.open("wb") as stream:
-        np.savez(stream, readings=readings)
-
-
 def _hdf5(readings: np.ndarray, path: Path) -> None:
     with pytest.importorskip("h5py").File(path, "w") as file:
         file.create_dataset("readings", data=readings, chunks=(64, 200), compression=1)
@@ -98,7 +93,7 @@ def _mcap(readings: np.ndarray, path: Path) -> None:
 
 LARGE = {
     "skin.csv.gz": _text,
-    "skin.npz": _npz,
+    "skin.npz": lambda readings, path: np.savez(path, readings=readings),
     "skin.npy": lambda readings, path: np.save(path, readings),
     "skin.h5": _hdf5,
     "skin.parquet": _parquet,

@@ -1,7 +1,6 @@
 """Positions written by other programs: tables, JSON and point clouds."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning
+from texts import NAN, compare, hold
 
 POINTS = np.array([[0.5, 1.25, -2], [3, 4, 5], [6, 7.75, 8], [-0.001, 1e-9, 12345]])
 UNNAMED = ("s0", "s1", "s2", "s3")
@@ -27,10 +27,6 @@ def table(k: int, delimiter: str, *, named: bool, headed: bool) -> tuple[str, di
     header = delimiter.join((*(("name",) if named else ()), *"xyz"[:k])) + "\n" if headed else ""
     facts = {"positions": POINTS[:, :k], "names": names or UNNAMED, "units": ""}
     return header + rows(POINTS[:, :k], delimiter, names), facts
-
-
-def hold(text: str, **facts: Any) -> tuple[str, dict[str, Any]]:
-    return text, facts
 
 
 CLOUD = """ply
@@ -52,7 +48,6 @@ end_header
 SCANNED = {"positions": [[0, 0, 0], [1.5, 0, 0], [0, 2.5, 1e-3]], "names": UNNAMED[:3]}
 _LINES = CLOUD.splitlines()
 FACES_FIRST = [*_LINES[:3], *_LINES[8:10], *_LINES[3:8], _LINES[10], _LINES[14], *_LINES[11:14]]
-NAN = math.nan
 TRUTHS = [
     *(
         table(k, delimiter, named=named, headed=headed)
@@ -98,12 +93,7 @@ TRUTHS = [
 
 @pytest.mark.parametrize(("text", "facts"), TRUTHS, ids=range(len(TRUTHS)))
 def test_what_a_file_of_positions_holds(put, text: str, facts: dict[str, Any]) -> None:
-    found = io.read_map(put("truth.txt", text))
-    for fact, expected in facts.items():
-        if fact == "positions":
-            np.testing.assert_array_equal(found.positions, expected)
-        else:
-            assert getattr(found, fact) == expected
+    compare(io.read_map(put("truth.txt", text)), facts)
 
 
 def test_duplicate_names_are_made_distinct(put, tmp_path: Path) -> None:

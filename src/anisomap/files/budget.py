@@ -1,8 +1,4 @@
-"""The budget of memory that a file may unpack to.
-
-A small file can declare, or unpack to, any amount of data. Readers ask a `Budget` with the sizes
-that a file declares before they allocate memory, and with the sizes they find while they unpack.
-"""
+"""The budget of memory that a file may unpack to, for sizes that it declares or that are found."""
 
 from __future__ import annotations
 
@@ -14,12 +10,7 @@ import numpy as np
 from anisomap.errors import FileError
 
 MAX_RATIO = 1000
-"""Maximum ratio of unpacked to packed bytes.
-
-Thresholded readings compress best: of the nine recordings of robot skins, retinas and insoles that
-were tried with deflate and zstd, as bytes and as floating-point numbers, binary iCub readings
-reached 610, and continuous readings 13.
-"""
+"""Maximum ratio of unpacked to packed bytes; binary readings of an iCub reached 610."""
 
 FREE_BYTES = 1 << 27
 """Content up to this size is accepted at any ratio: a skin that nothing touches compresses well."""

@@ -1,9 +1,7 @@
 """Read files by libraries in another process, within limits of memory and time.
 
 Damaged files make libraries take any amount of memory, compute without end, or end their process.
-Such a process reads one file after another. It is started when it is needed first, replaced after
-it has ended, and ends with the process that asks. A request is a line of JSON; an answer is a line
-of JSON, followed by the bytes of its arrays.
+A request is a line of JSON; an answer is a line of JSON, followed by the bytes of its arrays.
 """
 
 from __future__ import annotations
@@ -66,13 +64,15 @@ def opened(function: Callable[..., Any], path: Path, *arguments: Any) -> Iterato
     Arguments and what is yielded are JSON, or arrays in it. Exceptions of libraries, and of values
     that cannot be read, become a `DamagedError`.
     """
-    budget = Budget(path)
+    budget, folder = Budget(path), None
+    with suppress(OSError):  # it may be gone
+        folder = os.getcwd()  # noqa: PTH109
     request = {
         "module": function.__module__,
         "function": function.__name__,
         "path": os.fspath(path),
         "arguments": arguments,
-        "folder": _working_folder(),
+        "folder": folder,
         "memory": min(_COPIES * budget.limit, (physical_memory() or _ANY) // 2),
         "seconds": _SECONDS + budget.size // _BYTES_PER_SECOND,
     }
@@ -93,12 +93,6 @@ def opened(function: Callable[..., Any], path: Path, *arguments: Any) -> Iterato
         yield answers()
     finally:
         reader.close()
-
-
-def _working_folder() -> str | None:
-    with suppress(OSError):  # it may be gone
-        return os.getcwd()  # noqa: PTH109
-    return None
 
 
 class _StoppedError(DamagedError):

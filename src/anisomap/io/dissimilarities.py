@@ -173,8 +173,9 @@ def _sampled(file: Path) -> tuple[Rows, int]:
 
 
 def _rows(lines: Sequence[str]) -> Rows:
-    """Split lines into rows of cells."""
-    return [[cell.strip() for cell in row] for _, row in records(lines, _delimiter(lines))]
+    """Split lines into rows of cells by the mark in half of them, since triangles vary in width."""
+    marks = (mark for mark in ";\t," if 2 * sum(mark in line for line in lines) >= len(lines))
+    return [[cell.strip() for cell in row] for _, row in records(lines, next(marks, None))]
 
 
 def _names_pairs(pairs: Rows) -> bool:
@@ -221,12 +222,6 @@ def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64],
         pairs = _pairs_of(rows) if lists else []
         values, names = _from_list(file, pairs) if pairs else _from_table(file, rows)
         return _symmetric(file, values, distinct_names(file, names))
-
-
-def _delimiter(lines: Sequence[str]) -> str | None:
-    """Return the delimiter: that of half of the lines, since the rows of triangles differ."""
-    candidates = (mark for mark in ";\t," if 2 * sum(mark in line for line in lines) >= len(lines))
-    return next(candidates, None)
 
 
 def _number(cell: str) -> float | None:

@@ -1,11 +1,8 @@
-"""NumPy archives and arrays: recordings, events and maps. Nothing is unpickled.
+"""NumPy archives and arrays: recordings, events and maps.
 
-A recording has ``readings`` (T, N), and may have ``positions``, ``normals``,
-``surface_distances``, ``names``, ``times``, ``rate_hz``, ``units``, ``source``. Scalars of other
-names are its metadata, and other arrays are ignored. A recording of events has ``times`` and
-``taxels``, ``channels`` or the like instead of readings. A map has ``positions`` instead of
-``readings``. Arrays with impossible sizes are not decompressed. A file of one array, ``.npy``,
-holds readings.
+Nothing is unpickled, and arrays of impossible sizes are not decompressed. A recording has
+``readings`` (T, N), or ``times`` and ``taxels`` or the like, and scalars as metadata; a map has
+``positions`` instead.
 """
 
 from __future__ import annotations

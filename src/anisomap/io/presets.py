@@ -121,7 +121,8 @@ def icub(recording: Recording) -> dict[int, str]:
     Absent triangles have constant readings. Schmitz et al. (2011), IEEE Transactions on Robotics
     27(3): 389-400, doi:10.1109/TRO.2011.2132930.
     """
-    if _is_hand(recording):
+    named = f"{recording.source} {recording.metadata.get('port', '')}"
+    if recording.n_sensors == _BOARD and re.search(r"hand(_comp)?\b", named):
         return icub_hand(recording)
     if recording.n_sensors % _TRIANGLE:
         raise InputError(
@@ -151,11 +152,6 @@ def icub_hand(recording: Recording) -> dict[int, str]:
         for index in indices
         if part != "palm" or index - _PALM not in _NO_PALM_PADS
     }
-
-
-def _is_hand(recording: Recording) -> bool:
-    named = f"{recording.source} {recording.metadata.get('port', '')}"
-    return recording.n_sensors == _BOARD and bool(re.search(r"hand(_comp)?\b", named))
 
 
 PRESETS: Mapping[str, Numbering] = MappingProxyType({"icub": icub, "icub-hand": icub_hand})

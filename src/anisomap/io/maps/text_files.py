@@ -1,13 +1,8 @@
 """Maps, true positions and lists of modules as delimited text; maps as JSON; CySkin's calibrations.
 
 A map has comments and a table ``name, x, y, z, component, health``, followed by ``error``,
-``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if the map has errors, covariances and normals. Any table
-with columns x and y (and z) is read, or, without a header, two or three columns of numbers after an
-optional column of names.
-
-A map in JSON has its properties, then one object per sensor; NaN is null. A calibration of CySkin
-has the address, position and normal of each taxel, in metres; normals become unit vectors, and
-those of zero length are unknown.
+``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if it has errors, covariances and normals. In JSON it has
+its properties, then one object per sensor; NaN is null.
 """
 
 from __future__ import annotations
@@ -63,7 +58,8 @@ _SEVERAL = {"reason": "reasons", "note": "notes"}  # comments with a line for ea
 def read_text(path: Path) -> SensorMap:
     """Read a map, or true positions; units come from the comments or the header (``x [mm]``)."""
     lines = read_lines(path)
-    if any(len(line) > _MAX_COLUMNS and _n_marks(line) > _MAX_COLUMNS for line in lines):
+    wide = (line for line in lines if len(line) > _MAX_COLUMNS and not line.startswith("#"))
+    if any(sum(map(line.count, ",;\t ")) > _MAX_COLUMNS for line in wide):
         raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
     delimiter = find_delimiter(lines)
     rows = list(records(lines, delimiter))
@@ -115,11 +111,6 @@ def read_text(path: Path) -> SensorMap:
         normals=numbers(*normals).T if len(normals) == len(_NORMAL) else None,
         **(_read_comments(lines, units) if own else {"units": units}),
     )
-
-
-def _n_marks(line: str) -> int:
-    """Return the number of delimiters in a line; comments, which may be long, have none."""
-    return 0 if line.startswith("#") else sum(map(line.count, ",;\t "))
 
 
 def _find_columns(

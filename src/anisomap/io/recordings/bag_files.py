@@ -1,10 +1,7 @@
 """Prepare files for rosbags: their suffix, missing message definitions, and missing indices.
 
 A missing index, as interrupted recorders leave it, is rebuilt in memory and appended to the last
-complete record; the file is not changed. No library does this: rosbags 0.11 rejects such files
-("Bag is not indexed", "File end magic is invalid"), and ``rosbag reindex`` is part of ROS. The mcap
-package scans unindexed MCAP files, but it would add a second way of decoding messages to replace
-the 15 lines for MCAP.
+complete record, because rosbags 0.11 rejects such files; the file is not changed.
 
 Layouts: MCAP specification, and "Bag File Format, version 2.0" (ROS 1).
 """

@@ -121,7 +121,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         warn(path, f"skipped text in {columns}")
     if not known and table.delimiter != ",":
         _warn_of_commas(path, sample)
-    roles = _own_roles(known) if known else _detected_roles(table, names)
+    roles = Roles() if known else _detected_roles(table, names)
+    if known.get("times") == _IN_FIRST_COLUMN:
+        roles = Roles(time=0, non_sensors=(0,))
     n_sensors = table.n_columns - len(roles.non_sensors)
     if not n_sensors:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -276,11 +278,6 @@ def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Sca
     leading = itertools.takewhile(lambda line: line.startswith("#"), sample)
     entries, metadata = read_comments(leading, "metadata")
     return sample, dict(entries), metadata
-
-
-def _own_roles(known: Mapping[str, Scalar]) -> Roles:
-    timed = known.get("times") == _IN_FIRST_COLUMN
-    return Roles(time=0, non_sensors=(0,)) if timed else Roles()
 
 
 def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:

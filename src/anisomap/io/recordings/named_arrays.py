@@ -1,16 +1,10 @@
 """Files of named arrays: HDF5, and MATLAB of versions 4, 5 and 7.3, the latter with reversed axes.
 
-A recording is any numeric array of frames x sensors, or the times of spikes, of which three layouts
-are known: the times of all units in one vector, beside the number of spikes of each unit
-(``spikes``, ``sCount``: the retinal wave repository, Eglen et al. 2014, GigaScience 3:3,
-doi:10.1186/2047-217X-3-3), or beside the end of each unit in the vector (``spike_times``,
-``spike_times_index``: Neurodata Without Borders), or a group with one vector of times per unit,
-whose names hold numbers.
-
-MATLAB files may also list contacts or spikes in a cell array of vectors, or in a field of a
-structure array (or of a cell array of structures). Whole numbers are the ids of the sensors of each
-contact; other numbers are the spike times of each channel. A matrix of four columns holds
-``x y z id``, one row per sensor of a contact.
+A recording is any numeric array of frames x sensors, or the times of spikes: of all units in one
+vector, beside their numbers (``spikes``, ``sCount``: Eglen et al. 2014, GigaScience 3:3,
+doi:10.1186/2047-217X-3-3) or ends (``spike_times_index``: Neurodata Without Borders), or a vector
+per unit. Cell and structure arrays of MATLAB list the ids of the sensors of each contact, the last
+column of ``x y z id``, or the spike times of each channel.
 
 Source: The MathWorks (2024). MAT-File Level 5 File Format.
 """
