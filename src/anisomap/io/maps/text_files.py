@@ -253,7 +253,6 @@ _MARK = "anisomap map"
 SIGNATURE = f'{{\n "format": "{_MARK}"'.encode()
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
 _INFINITE = "float"
-_VERDICT = ("verdict", *ACCURACY, "reasons")  # properties in an object of their own
 
 
 def is_json(path: Path, head: bytes) -> bool:
@@ -264,7 +263,8 @@ def is_json(path: Path, head: bytes) -> bool:
 def write_json(sensor_map: SensorMap, path: Path) -> None:
     """Write a map as strict JSON; every field is read back equal."""
     known = properties_of(sensor_map)
-    verdict = {"level": known["verdict"], **{key: known[key] for key in _VERDICT[1:]}}
+    rest = {key: known.pop(key) for key in (*ACCURACY, "reasons")}
+    known["verdict"] = {"level": known["verdict"], **rest}
     columns: dict[str, Sequence[Any]] = {
         "name": sensor_map.names,
         "position": sensor_map.positions.tolist(),
@@ -278,11 +278,7 @@ def write_json(sensor_map: SensorMap, path: Path) -> None:
     document = {
         "format": _MARK,
         "known_up_to": sensor_map.known_up_to,
-        **{
-            key: verdict if key == "verdict" else value
-            for key, value in known.items()
-            if key == "verdict" or key not in _VERDICT
-        },
+        **known,
         "dimensions": sensor_map.dimensions,
         "sensors": [
             {k: v for k, v in zip(columns, row, strict=True) if k != "error" or not math.isnan(v)}

@@ -118,12 +118,10 @@ def read_blocks(
 
     def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
         first_line = table.first_line
-        for block, damage in _line_blocks(itertools.islice(text, first_line - 1, None)):
+        for block in _line_blocks(itertools.islice(text, first_line - 1, None)):
             for rows in _parsed(block, table, first_line):
                 yield rows, text.fraction()
             first_line += len(block)
-            if damage:
-                raise damage
 
     return read_undamaged(
         table.path, parse, "frames", count=lambda block: len(block[0]), quietly=quietly
@@ -141,8 +139,8 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
     return np.concatenate(held)[:n_rows]
 
 
-def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | None]]:
-    """Group lines into blocks, each with the decompression error that follows it, if any."""
+def _line_blocks(lines: Iterator[str]) -> Iterator[list[str]]:
+    """Group lines into blocks; those before a decompression error come before it."""
     block: list[str] = []
     characters = 0
     try:
@@ -150,13 +148,13 @@ def _line_blocks(lines: Iterator[str]) -> Iterator[tuple[list[str], Exception | 
             block.append(line)
             characters += len(line)
             if len(block) == _BLOCK_LINES or characters > _BLOCK_CHARACTERS:
-                yield block, None
+                yield block
                 block, characters = [], 0
-    except GZIP_ERRORS as error:
-        yield block, error
-    else:
-        if block:
-            yield block, None
+    except GZIP_ERRORS:
+        yield block
+        raise
+    if block:
+        yield block
 
 
 def line_of(table: Table, row: int) -> str:

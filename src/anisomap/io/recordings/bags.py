@@ -9,12 +9,12 @@ from __future__ import annotations
 import fnmatch
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.recordings.bag_files import EXTRA, METADATA, prepare, register_definitions
 from anisomap.io.stream import (
-    Block,
     Content,
     Frame,
     ReadOptions,
@@ -34,7 +33,6 @@ from anisomap.io.stream import (
     join_streams,
     stack_frames,
 )
-from anisomap.recording import Scalar
 
 _LABELS = ("name", "sensor_pos", "cellId", "cell_id")
 _CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}
@@ -182,6 +180,9 @@ _NUMBERS = {
 _MAX_DEPTH = 4
 _NANOSECONDS = 1e9
 
+_Times: TypeAlias = tuple[float, float]
+"""Seconds from the start of the bag until a message was sent and received."""
+
 
 def recognises(path: Path, head: bytes) -> bool:
     """Recognise a ROS 2 folder by its metadata.yaml."""
@@ -272,8 +273,7 @@ class _Bag:
                 f"{self.path}: choose a field of {topic} ({message_type}) with --select "
                 f"TOPIC:FIELD; fields: {join_items(fields)}"
             )
-        rows = _CellRows if kind.cell else _Rows
-        return rows(self, topic, field, kind).stream()
+        return _Topic(self, topic, message_type, field, kind).stream()
 
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
         """Yield the messages of a topic with their time of receipt in nanoseconds."""
@@ -299,143 +299,116 @@ class _Bag:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """A topic with one frame per message."""
+class _Topic:
+    """A topic of a bag; a frame is a message, or a round of messages of all skin cells."""
 
     bag: _Bag
-    topic: str
+    name: str
+    message_type: str
     field: str
     kind: Kind
 
     def stream(self) -> Stream:
-        """Create a stream with the sensors of the first message."""
-        first = next((m for m, _ in self.bag.messages(self.topic) if self._values(m).size), None)
+        """Create a stream of the sensors of the first message, or of all cells."""
+        first = next(((m, values) for m, values, _ in self._messages() if values.size), None)
         if first is None:
-            raise FileError(f"{self.bag.path}: no message of {self.topic} holds a reading")
-        values = self._values(first)
-        try:
-            names = self.kind.names(first, self.field)
-            positions = self.kind.positions(first) if self.kind.positions else None
-        except (AttributeError, TypeError) as error:
-            what = f"{self.topic} lacks a field of its type"
-            raise FileError(f"{self.bag.path}: {what} ({error})") from error
-        if positions is not None and len(positions) != values.size:
+            raise FileError(f"{self.bag.path}: no message of {self.name} holds a reading")
+        message, values = first
+        positions = None
+        if self.kind.cell:
+            sizes, leader = self._cells()
+            names = tuple(f"{cell}.{i}" for cell, size in sizes.items() for i in range(size))
+            n_sensors, frames = len(names), self._rounds(sizes, leader)
+        else:
+            n_sensors, frames = values.size, self._frames(values)
+            try:
+                names = self.kind.names(message, self.field)
+                positions = self.kind.positions(message) if self.kind.positions else None
+            except (AttributeError, TypeError) as error:
+                what = f"{self.name} lacks a field of its type"
+                raise FileError(f"{self.bag.path}: {what} ({error})") from error
+        if positions is not None and len(positions) != n_sensors:
             positions = None
+        total = max(int(self.bag.reader.topics[self.name].msgcount), 1)
         return Stream(
             self.bag.path,
-            values.size,
-            self._blocks(self._readings(values)),
-            names=names if len(names) == values.size else (),
+            n_sensors,
+            stack_frames(
+                Frame(readings, min(number / total, 1.0), *times)
+                for number, (readings, times) in enumerate(frames, start=1)
+            ),
+            names=names if len(names) == n_sensors else (),
             positions=positions,
             units="" if positions is None else "m" if positions.shape[1] == 3 else "pixels",
-            metadata=self._metadata(),
+            metadata={
+                "format": "ROS bag",
+                "topic": self.name,
+                "message": self.message_type,
+                "field": self.field,
+            },
             from_zero=True,
         )
+
+    def _messages(self) -> Iterator[tuple[Any, NDArray[Any], _Times]]:
+        """Yield the messages, with their readings and times."""
+        start = int(self.bag.reader.start_time)
+        for message, received in self.bag.messages(self.name):
+            stamp = getattr(getattr(message, "header", None), "stamp", None)
+            sent = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+            times = ((sent or received) - start) / _NANOSECONDS, (received - start) / _NANOSECONDS
+            yield message, self._values(message), times
 
     def _values(self, message: Any) -> NDArray[Any]:
         try:
             values = self.kind.values(message, self.field)
         except AttributeError as error:
-            fields = self.bag.array_fields(str(self.bag.reader.topics[self.topic].msgtype))
             raise FileError(
-                f"{self.bag.path}: {self.topic} has no field {self.field!r}; "
-                f"fields with arrays of numbers: {join_items(fields)}"
+                f"{self.bag.path}: {self.name} has no field {self.field!r}; fields with arrays of "
+                f"numbers: {join_items(self.bag.array_fields(self.message_type))}"
             ) from error
         except (ValueError, TypeError) as error:
-            raise FileError(f"{self.bag.path}: {self.topic}: {error}") from error
+            raise FileError(f"{self.bag.path}: {self.name}: {error}") from error
         if values.dtype.kind not in "biuf":
-            raise FileError(
-                f"{self.bag.path}: field {self.field} of {self.topic} does not hold numbers"
-            )
+            problem = f"field {self.field} of {self.name} does not hold numbers"
+            raise FileError(f"{self.bag.path}: {problem}")
         return values
 
-    def _readings(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], int, int]]:
-        """Yield readings with the stamps of sender and receiver in nanoseconds."""
+    def _frames(self, first: NDArray[Any]) -> Iterator[tuple[NDArray[Any], _Times]]:
         convert = partial(unwrap_counters, first=first) if self.kind.wraps else np.asarray
-        for number, (message, received) in enumerate(self.bag.messages(self.topic)):
-            values = self._values(message)
-            if not values.size:
-                continue
-            if values.size != first.size:
-                raise FileError(
-                    f"{self.bag.path}: message {number} of {self.topic} has {values.size} "
-                    f"readings, but the first has {first.size}"
-                )
-            yield convert(values), _sent(message, received), received
+        for number, (_, values, times) in enumerate(self._messages()):
+            if values.size:
+                self._check_size(f"message {number}", values, first.size)
+                yield convert(values), times
 
-    def _blocks(self, readings: Iterator[tuple[NDArray[Any], int, int]]) -> Iterator[Block]:
-        total = max(int(self.bag.reader.topics[self.topic].msgcount), 1)
-        start = int(self.bag.reader.start_time)
-        return stack_frames(
-            Frame(
-                values,
-                min((i + 1) / total, 1.0),
-                (sent - start) / _NANOSECONDS,
-                (received - start) / _NANOSECONDS,
-            )
-            for i, (values, sent, received) in enumerate(readings)
-        )
-
-    def _metadata(self) -> dict[str, Scalar]:
-        kind = str(self.bag.reader.topics[self.topic].msgtype)
-        return {"format": "ROS bag", "topic": self.topic, "message": kind, "field": self.field}
-
-
-@dataclass(frozen=True)
-class _CellRows(_Rows):
-    """A topic with one message per skin cell; a frame is a round of messages of all cells."""
-
-    def stream(self) -> Stream:
-        """Create a stream after reading all messages once to find the cells."""
-        sizes: dict[str, int] = {}
-        counts = Counter[str]()
-        try:
-            for message, _ in self.bag.messages(self.topic):
+    def _cells(self) -> tuple[dict[str, int], str]:
+        """Return the number of readings of each skin cell, and the cell with most messages."""
+        sizes, counts = dict[str, int](), Counter[str]()
+        with suppress(Exception):  # it is raised again when the frames are read
+            for message, values, _ in self._messages():
                 cell = cell_of(message)
-                sizes.setdefault(cell, self._values(message).size)
+                sizes.setdefault(cell, values.size)
                 counts[cell] += 1
-        except Exception:
-            if not sizes:
-                raise
-        names = tuple(f"{cell}.{i}" for cell, size in sizes.items() for i in range(size))
-        if not names:
-            raise FileError(f"{self.bag.path}: no message of {self.topic} holds a reading")
-        return Stream(
-            self.bag.path,
-            len(names),
-            self._blocks(self._rounds(sizes, max(sizes, key=counts.__getitem__))),
-            names=names,
-            metadata=self._metadata(),
-            from_zero=True,
-        )
+        return sizes, max(sizes, key=counts.__getitem__)
 
-    def _rounds(
-        self, sizes: dict[str, int], leader: str
-    ) -> Iterator[tuple[NDArray[Any], int, int]]:
+    def _rounds(self, sizes: dict[str, int], leader: str) -> Iterator[tuple[NDArray[Any], _Times]]:
         """Yield the latest readings of all cells before each message of the `leader`."""
         starts = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
         state = np.full(sum(sizes.values()), np.nan)
-        known: set[str] = set()
-        stamps = (0, 0)
-        for message, received in self.bag.messages(self.topic):
+        known, latest = set[str](), (0.0, 0.0)
+        for message, values, times in self._messages():
             cell = cell_of(message)
             if cell == leader and len(known) == len(sizes):
-                yield state.copy(), *stamps
-            values = self._values(message)
-            if values.size != sizes[cell]:
-                raise FileError(
-                    f"{self.bag.path}: a message of cell {cell} of {self.topic} has {values.size} "
-                    f"readings, but the first has {sizes[cell]}"
-                )
+                yield state.copy(), latest
+            self._check_size(f"a message of cell {cell}", values, sizes[cell])
             state[starts[cell] : starts[cell] + values.size] = values
-            stamps = (_sent(message, received), received)
+            latest = times
             known.add(cell)
         if len(known) == len(sizes):
-            yield state.copy(), *stamps
+            yield state.copy(), latest
 
-
-def _sent(message: Any, received: int) -> int:
-    """Return the stamp of a message, or its time of receipt without one, in nanoseconds."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    sent = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
-    return sent or received
+    def _check_size(self, what: str, values: NDArray[Any], expected: int) -> None:
+        if values.size != expected:
+            raise FileError(
+                f"{self.bag.path}: {what} of {self.name} has {values.size} readings, but the first "
+                f"has {expected}"
+            )
