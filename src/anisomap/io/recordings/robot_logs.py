@@ -162,7 +162,7 @@ def _part(contact: Sequence[str]) -> str | None:
     return PARTS[int(part)] if len(part) < 3 and int(part) < len(PARTS) else f"part{part}"
 
 
-_FILE, _INFO = "data.log", "info.log"
+_FILE, _INFO, _HERE = "data.log", "info.log", "."
 # A line of a log of contacts ends after the stamp if nothing touched the skin.
 _LINE = re.compile(rb"\s*+(\d++)\s++(\d++(?:\.\d*+)?(?:[eE][+-]?\d++)?)(?:\s++([-+.(\dni])|\s*+$)")
 _CONNECTED = "[connected]"
@@ -193,10 +193,10 @@ def is_yarp(path: Path, head: bytes) -> bool:
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
     """List the ports of a session, or the skin parts of a log of contacts; empty for readings."""
-    if log := _single(path):
+    logs = _logs(path)
+    if log := logs.get(_HERE):
         return _skin_parts(_touches(log)) if _is_contact_log(log) else ()
-    logs = _logs(path).items()
-    return tuple(Content(folder, _port(log) or "no info.log") for folder, log in logs)
+    return tuple(Content(folder, _port(log) or "no info.log") for folder, log in logs.items())
 
 
 @contextmanager
@@ -205,12 +205,12 @@ def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
     Times are the sender's stamps, or the receiver's if the sender's do not increase.
     """
-    wanted = [name.strip() for name in options.select.split(",")]
-    if log := _single(path):
+    wanted, logs = [name.strip() for name in options.select.split(",")], _logs(path)
+    if log := logs.get(_HERE):
         source = f"{path.name}/{_FILE}" if path.is_dir() else path.name
         yield replace(_stream(log, options.bin_s, wanted), source=source)
         return
-    ports, logs, streams = contents(path, options), _logs(path), dict[str, Stream]()
+    ports, streams = contents(path, options), dict[str, Stream]()
     for name in wanted:
         named = [content for content in ports if content.summary == name]
         chosen = named[0] if len(named) == 1 else choose(path, ports, name, "port")
@@ -218,12 +218,13 @@ def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
     yield replace(join_streams(streams), source=f"{path.name}/{', '.join(streams)}")
 
 
-def _logs(session: Path) -> dict[str, Path]:
-    """Find the logs of a folder or a session, at most two folders deep, by their folders."""
-    here = session / _FILE
-    deeper = (log for depth in ("*", "*/*") for log in session.glob(f"{depth}/{_FILE}"))
-    logs = [here] if here.is_file() else sorted(deeper)
-    return {log.parent.relative_to(session).as_posix(): log for log in logs}
+def _logs(path: Path) -> dict[str, Path]:
+    """Return a log, or that of a folder, else those of a session by folder, at most two deep."""
+    here = path / _FILE if path.is_dir() else path
+    if here.is_file():
+        return {_HERE: here}
+    deeper = sorted(log for depth in ("*", "*/*") for log in path.glob(f"{depth}/{_FILE}"))
+    return {log.parent.relative_to(path).as_posix(): log for log in deeper}
 
 
 def _port(log: Path) -> str:
@@ -239,13 +240,6 @@ def _port(log: Path) -> str:
         if found and port.startswith("/"):
             return port
     return ""
-
-
-def _single(path: Path) -> Path | None:
-    """Return the log of a file or folder; None for a session."""
-    if not path.is_dir():
-        return path
-    return path / _FILE if (path / _FILE).is_file() else None
 
 
 def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream:
