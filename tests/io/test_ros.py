@@ -2,8 +2,11 @@
 
 import sqlite3
 import warnings
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import starmap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,11 +28,17 @@ def bag(request: pytest.FixtureRequest) -> Bag:
     return Bag(request.param)
 
 
+def written(bag: Bag, folder: Path, topic: str, messages: Iterable[Any]) -> Path:
+    """Write one message per frame."""
+    for i, message in enumerate(messages):
+        bag.add(topic, message, i)
+    return bag.write(folder / f"run.{bag.kind}")
+
+
 def test_arrays(bag: Bag, tmp_path: Path) -> None:
-    for i, row in enumerate(READINGS):
-        bag.add("/skin", bag.array(row), i)
+    for i in range(60):
         bag.add("/log", bag.make("std_msgs/String", data="all is well"), i)
-    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    found = io.read(written(bag, tmp_path, "/skin", map(bag.array, READINGS)))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.source == f"run.{bag.kind}:/skin"
     # Without a stamp, the time of a message is that of its receipt.
@@ -37,19 +46,17 @@ def test_arrays(bag: Bag, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.times, expected, atol=1e-8)
 
 
-def tactile_state(bag: Bag) -> None:
+def tactile_states(bag: Bag) -> Iterator[Any]:
     for i, row in enumerate(READINGS):
         parts = [
             bag.make("sensor_msgs/ChannelFloat32", name=name, values=values.astype(np.float32))
             for name, values in (("palm", row[:4]), ("thumb", row[4:]))
         ]
-        message = bag.make("tactile_msgs/TactileState", header=bag.header(i), sensors=parts)
-        bag.add("/tactile", message, i)
+        yield bag.make("tactile_msgs/TactileState", header=bag.header(i), sensors=parts)
 
 
 def test_tactile_state(bag: Bag, tmp_path: Path) -> None:
-    tactile_state(bag)
-    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+    found = io.read(written(bag, tmp_path, "/tactile", tactile_states(bag)))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.names == ("palm.0", "palm.1", "palm.2", "palm.3", "thumb.0", "thumb.1")
     np.testing.assert_allclose(found.times, np.arange(60) / 50, atol=1e-8)
@@ -58,15 +65,17 @@ def test_tactile_state(bag: Bag, tmp_path: Path) -> None:
 @pytest.mark.parametrize("start", [10, 32_765, 65_500])
 def test_xela_counters_overflow(bag: Bag, tmp_path: Path, start: int) -> None:
     """The server counts from 0 to 65535, and the message declares signed integers."""
-    counters = (start + 40 * READINGS).astype(np.int64).astype(np.uint16).view(np.int16)
-    for i, row in enumerate(counters.tolist()):
-        taxels = [bag.make("xela_server_ros2/Taxel", x=0, y=1, z=value) for value in row]
+
+    def message(counters: list[int]) -> Any:
+        taxels = [bag.make("xela_server_ros2/Taxel", x=0, y=1, z=value) for value in counters]
         sensors = [
             bag.make("xela_server_ros2/SensorFull", sensor_pos=n + 1, taxels=part)
             for n, part in enumerate((taxels[:4], taxels[4:]))
         ]
-        bag.add("/xServTopic", bag.make("xela_server_ros2/SensStream", sensors=sensors), i)
-    path = bag.write(tmp_path / f"run.{bag.kind}")
+        return bag.make("xela_server_ros2/SensStream", sensors=sensors)
+
+    counters = (start + 40 * READINGS).astype(np.int64).astype(np.uint16).view(np.int16)
+    path = written(bag, tmp_path, "/xServTopic", map(message, counters.tolist()))
     found = io.read(path)
     np.testing.assert_array_equal(found.readings, 40 * (READINGS - READINGS[0]))
     assert found.names == ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1")
@@ -75,12 +84,12 @@ def test_xela_counters_overflow(bag: Bag, tmp_path: Path, start: int) -> None:
 
 
 def test_biotac(bag: Bag, tmp_path: Path) -> None:
-    electrodes = np.random.default_rng(0).integers(0, 4096, (40, 5, 19)).astype(np.int16)
-    for i, hand in enumerate(electrodes):
+    def message(i: int, hand: np.ndarray) -> Any:
         tips = [bag.make("sr_robot_msgs/Biotac", pdc=7, electrodes=tip) for tip in hand]
-        message = bag.make("sr_robot_msgs/BiotacAll", header=bag.header(i), tactiles=tips)
-        bag.add("/rh/tactile", message, i)
-    path = bag.write(tmp_path / f"run.{bag.kind}")
+        return bag.make("sr_robot_msgs/BiotacAll", header=bag.header(i), tactiles=tips)
+
+    electrodes = np.random.default_rng(0).integers(0, 4096, (40, 5, 19)).astype(np.int16)
+    path = written(bag, tmp_path, "/rh/tactile", starmap(message, enumerate(electrodes)))
     found = io.read(path)
     np.testing.assert_array_equal(found.readings, electrodes.reshape(40, 95))
     assert found.names[:2] == ("0.0", "0.1")
@@ -112,13 +121,14 @@ def test_one_message_per_skin_cell(bag: Bag, tmp_path: Path) -> None:
 
 
 def test_taxel_arrays_have_positions(bag: Bag, tmp_path: Path) -> None:
-    centres = np.random.default_rng(0).normal(size=(3, 6))
-    normals = centres / np.linalg.norm(centres, axis=0)
-    for i, row in enumerate(READINGS):
+    def message(i: int, row: np.ndarray) -> Any:
         fields = {f"centers_{axis}": centres[n] for n, axis in enumerate("xyz")}
         fields |= {f"values_{axis}": row * normals[n] for n, axis in enumerate("xyz")}
-        bag.add("/skin", bag.make("m3skin_ros/TaxelArray", header=bag.header(i), **fields), i)
-    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+        return bag.make("m3skin_ros/TaxelArray", header=bag.header(i), **fields)
+
+    centres = np.random.default_rng(0).normal(size=(3, 6))
+    normals = centres / np.linalg.norm(centres, axis=0)
+    found = io.read(written(bag, tmp_path, "/skin", starmap(message, enumerate(READINGS))))
     np.testing.assert_allclose(found.readings, READINGS, atol=1e-12)
     np.testing.assert_array_equal(found.positions, centres.T)
     assert found.units == "m"
@@ -132,22 +142,15 @@ def test_images_have_one_sensor_per_pixel(
     bag: Bag, tmp_path: Path, encoded: tuple[str, str, int, int]
 ) -> None:
     encoding, dtype, channels, padding = encoded
-    for i, row in enumerate(READINGS):
+
+    def image(i: int, row: np.ndarray) -> Any:
         pixels = np.repeat(row.astype(dtype).reshape(2, 3, 1), channels, axis=2)
-        lines = pixels.reshape(2, -1).view(np.uint8)
-        data = np.pad(lines, ((0, 0), (0, padding)))
-        image = bag.make(
-            "sensor_msgs/Image",
-            header=bag.header(i),
-            height=2,
-            width=3,
-            encoding=encoding,
-            is_bigendian=0,
-            step=data.shape[1],
-            data=data.ravel(),
-        )
-        bag.add("/camera", image, i)
-    found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
+        lines = np.pad(pixels.reshape(2, -1).view(np.uint8), ((0, 0), (0, padding)))
+        size = {"height": 2, "width": 3, "step": lines.shape[1], "encoding": encoding}
+        data = {"header": bag.header(i), "is_bigendian": 0, "data": lines.ravel()}
+        return bag.make("sensor_msgs/Image", **size, **data)
+
+    found = io.read(written(bag, tmp_path, "/camera", starmap(image, enumerate(READINGS))))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.names[:4] == ("r0c0", "r0c1", "r0c2", "r1c0")
     assert found.positions.tolist()[3] == [0, 1]
@@ -192,10 +195,11 @@ def _fields(bag: Bag, name: str) -> set[str]:
 
 
 def test_fields_of_unknown_messages(bag: Bag, tmp_path: Path) -> None:
-    for i, row in enumerate(READINGS.astype(np.float32)):
-        message = bag.make("lab_msgs/Mixed", skin=row, joints=row[:2], temperature=30.0)
-        bag.add("/lab", message, i)
-    path = bag.write(tmp_path / f"run.{bag.kind}")
+    messages = (
+        bag.make("lab_msgs/Mixed", skin=row, joints=row[:2], temperature=30.0)
+        for row in READINGS.astype(np.float32)
+    )
+    path = written(bag, tmp_path, "/lab", messages)
     with pytest.raises(FileError, match=r"choose a field of /lab .*fields: skin, joints"):
         io.read(path)
     found = io.read(path, options=select("/lab:skin"))
@@ -209,18 +213,16 @@ def test_fields_of_unknown_messages(bag: Bag, tmp_path: Path) -> None:
 
 
 def test_topics_are_listed(bag: Bag, tmp_path: Path) -> None:
-    tactile_state(bag)
     for i in range(3):
         bag.add("/other", bag.make("lab_msgs/Mixed", np.zeros(2, "f4"), np.zeros(3, "f4"), 1.0), i)
-    held = io.contents(bag.write(tmp_path / f"run.{bag.kind}"))
+    held = io.contents(written(bag, tmp_path, "/tactile", tactile_states(bag)))
     assert {(each.name, each.usable) for each in held} == {("/tactile", True), ("/other", False)}
     assert "tactile_msgs/msg/TactileState, 60 messages" in {each.summary for each in held}
 
 
 def test_messages_of_different_length(bag: Bag, tmp_path: Path) -> None:
-    for i, row in enumerate(READINGS):
-        bag.add("/skin", bag.array(row[: 6 - (i == 40)]), i)
-    path = bag.write(tmp_path / f"run.{bag.kind}")
+    rows = (row[: 6 - (i == 40)] for i, row in enumerate(READINGS))
+    path = written(bag, tmp_path, "/skin", map(bag.array, rows))
     with pytest.raises(FileError, match="message 40 of /skin has 5 readings, but the first has 6"):
         io.read(path)
 
@@ -228,9 +230,10 @@ def test_messages_of_different_length(bag: Bag, tmp_path: Path) -> None:
 def test_given_message_definitions(tmp_path: Path) -> None:
     """Bags of older ROS 2 versions lack definitions."""
     bag = Bag("db3")
-    tactile_state(bag)
-    path = bag.write(tmp_path / "run.db3")
-    forget_definitions(path)
+    path = written(bag, tmp_path, "/tactile", tactile_states(bag))
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM message_definitions")
+    database.close()
     with pytest.raises(FileError, match=r"lacks the definition of .*TactileState.*--msg"):
         io.read(path, options=select("/tactile"))
     file = tmp_path / "tactile_msgs" / "msg" / "TactileState.msg"
@@ -249,20 +252,13 @@ def test_given_message_definitions(tmp_path: Path) -> None:
 @pytest.mark.parametrize("stamp", ["noon", b"\xff", 1e300])
 def test_stamps_of_any_type_in_a_database_are_refused(tmp_path: Path, stamp: object) -> None:
     bag = Bag("db3")
-    tactile_state(bag)
-    path = bag.write(tmp_path / "run.db3")
+    path = written(bag, tmp_path, "/tactile", tactile_states(bag))
     with sqlite3.connect(path) as database:
         database.execute("UPDATE messages SET timestamp = ?", (stamp,))
     database.close()
     with pytest.raises(FileError, match=r"run\.db3") as refused:
         io.read(path, options=select("/tactile"))
     assert "operand" not in str(refused.value), "the message of an operation of the library"
-
-
-def forget_definitions(path: Path) -> None:
-    with sqlite3.connect(path) as database:
-        database.execute("DELETE FROM message_definitions")
-    database.close()
 
 
 @pytest.mark.parametrize(
@@ -294,9 +290,7 @@ def test_truncated_bags_give_all_complete_records(tmp_path: Path, kind: str) -> 
 
 def test_unclosed_bags(tmp_path: Path) -> None:
     bag = Bag("bag")
-    for i, row in enumerate(READINGS):
-        bag.add("/skin", bag.array(row), i)
-    path = bag.write(tmp_path / "run.bag")
+    path = written(bag, tmp_path, "/skin", map(bag.array, READINGS))
     whole = path.read_bytes()
     at = whole.index(b"index_pos=") + len("index_pos=")
     end = int.from_bytes(whole[at : at + 8], "little")
