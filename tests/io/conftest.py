@@ -2,14 +2,12 @@
 
 import functools
 import tempfile
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from anisomap.errors import AnisomapWarning
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from example_files import EVENTS, MAPS, RECORDINGS, example_map, example_recording
@@ -68,15 +66,3 @@ def put(tmp_path: Path) -> Callable[[str, str | bytes], Path]:
         return path
 
     return write
-
-
-@pytest.fixture
-def tolerantly() -> Callable[[Callable[[Path], object], Path], object]:
-    """Call a reader with AnisomapWarning ignored and other warnings raised."""
-
-    def call(reader: Callable[[Path], object], path: Path) -> object:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AnisomapWarning)
-            return reader(path)
-
-    return call

@@ -152,6 +152,7 @@ RECORDINGS = [
     ("walk.asf", "ROWS 4\nCOLS 3\nFrame 1\n", "has no frame"),
     ("walk.asc", INSOLE, "line 16 has 2 fields, but the header names 5"),
     ("h.json", taxel(), "holds no recording"),
+    ("x.edf", "a,b\n1,2\n", "is not EDF, BDF, FIF or BrainVision"),
 ]
 
 MAP_HEADER = "name,x,y,component,health\n"

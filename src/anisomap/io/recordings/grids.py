@@ -1,20 +1,7 @@
 """Grids of cells: exports of pressure mats, and images with one sensor per pixel.
 
-An export has a header, and a block of rows x columns per frame::
-
-    ROWS 3
-    COLS 2
-    ROW_SPACING 8.4 mm
-    SECONDS_PER_FRAME 0.01
-    Frame 1
-    0,12
-    3,40
-    B,B
-
-    Frame 2
-    ...
-
-Cells marked ``B`` are outside the sensor.
+An export has a header (``ROWS 3``, ``ROW_SPACING 8.4 mm``, ``SECONDS_PER_FRAME 0.01``), and then
+per frame a line such as ``Frame 1`` and rows of cells, ``B`` for those outside the sensor.
 """
 
 from __future__ import annotations

@@ -1,17 +1,14 @@
 """Text logs of robot skins: of ``yarpdatadumper``, and of CySkin.
 
-YARP writes ``data.log``, its folder, or a session of folders, one per port. A line is
-``sequence stamp value value ...``. With ``--txTime --rxTime`` it has two stamps, the sender's and
-the receiver's. The values may be in brackets. ``info.log`` in the same folder names the port.
+YARP writes ``sequence stamp value value ...`` to ``data.log`` in a folder per port, which
+``info.log`` names; there may be two stamps, the sender's and the receiver's, and brackets.
 
-The port ``skin_events`` of the skin manager of the iCub gives contacts instead of values: lists in
-brackets, each of a list of its number, body part, link and skin part; centre of pressure, force,
-moment, geometric centre and normal, of three numbers each; the list of the active taxels; and the
-mean pressure. Later versions append a list of the names of link and frame.
+The port ``skin_events`` of the iCub gives contacts instead of values: lists in brackets of a list
+of number, body part, link and skin part; five vectors; the list of the active taxels; the mean
+pressure; and in later versions a list of names.
 
-Of CySkin, the recorder of robotskinlib writes a version, the number of taxels, and per frame its
-number, its time in seconds and the addresses beside the responses; the acquisition program writes
-the addresses once, above the frames::
+CySkin's recorder writes a version, the number of taxels, and per frame its number, its time and the
+addresses beside the responses; its acquisition program writes the addresses once::
 
     1                                            17776 17777 17778
     3                                            0 0.600000 0 0 12
