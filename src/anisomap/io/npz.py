@@ -17,7 +17,6 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -31,7 +30,14 @@ from anisomap.files.paths import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.events import NOUNS, Events, noun_of, stream_events
-from anisomap.io.stream import BLOCK_BYTES, Block, ReadOptions, Stream, increasing_times, salvage
+from anisomap.io.stream import (
+    Block,
+    ReadOptions,
+    Stream,
+    increasing_times,
+    read_in_blocks,
+    salvage,
+)
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ACCURACY, UNKNOWN
@@ -133,17 +139,19 @@ class Archive:
             self.budget.check(n_bytes, f"array {name}")
             return header.shape
 
-    def rows(self, name: str) -> Iterator[NDArray[Any]]:
+    def blocks(self, name: str, times: NDArray[np.float64] | None) -> Iterator[Block]:
         """Yield the rows of a 2-D array in blocks; an array in Fortran order is read as a whole."""
         with self._member(name, NUMBERS) as (member, header):
-            row_bytes = header.shape[1] * header.dtype.itemsize
-            if header.fortran_order:
-                yield _whole(member, header)
+            (n_rows, n_columns), fortran_order, dtype = header
+            if fortran_order:
+                yield Block(_whole(member, header), 1.0, times)
                 return
-            n_bytes = max(1, BLOCK_BYTES // max(row_bytes, 1)) * row_bytes
-            # The final read, which returns nothing, makes zipfile verify the checksum.
-            while content := member.read(n_bytes):
-                yield np.frombuffer(content, header.dtype).reshape(-1, header.shape[1])
+
+            def read(start: int, stop: int) -> NDArray[Any]:
+                values = _values(self.path, member, dtype, (stop - start) * n_columns)
+                return values.reshape(-1, n_columns)
+
+            yield from read_in_blocks(read, n_rows, n_columns * dtype.itemsize, times=times)
 
     def texts(self, name: str) -> tuple[str, ...]:
         """Read a 1-D array of strings."""
@@ -255,11 +263,12 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         if len(shape) != 2:
             problem = f"must be frames x sensors (T, N), got {len(shape)} dimensions"
             raise FileError(f"{path}: readings {problem}")
-        times = archive.array("times")
+        if 0 in shape:
+            raise FileError(f"{path}: readings are empty (shape {shape})")
         yield Stream(
             path,
             shape[1],
-            _blocks(archive, shape, None if times is None else increasing_times(times, path)),
+            archive.blocks("readings", _times(archive, shape[0])),
             names=archive.texts("names"),
             rate_hz=archive.number("rate_hz"),
             positions=archive.array("positions"),
@@ -271,17 +280,12 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         )
 
 
-def _blocks(
-    archive: Archive, shape: tuple[int, ...], times: NDArray[np.float64] | None
-) -> Iterator[Block]:
-    if 0 in shape:
-        raise FileError(f"{archive.path}: readings are empty (shape {shape})")
-    if times is not None and len(times) != shape[0]:
-        raise FileError(f"{archive.path}: times must have shape ({shape[0]},), got {times.shape}")
-    stop = 0
-    for rows in archive.rows("readings"):
-        start, stop = stop, stop + len(rows)
-        yield Block(rows, stop / shape[0], None if times is None else times[start:stop])
+def _times(archive: Archive, n_frames: int) -> NDArray[np.float64] | None:
+    stored = archive.array("times")
+    times = None if stored is None else increasing_times(stored, archive.path)
+    if times is not None and len(times) != n_frames:
+        raise FileError(f"{archive.path}: times must have shape ({n_frames},), got {times.shape}")
+    return times
 
 
 def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -> Stream:
@@ -319,44 +323,42 @@ def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -
 def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open an array, (T, N), without mapping it: reading a map of a cut file ends the process."""
     with open_regular(path) as stream:
-        shape, _, dtype = header = read_header(stream, "the array")
+        shape, fortran_order, dtype = read_header(stream, "the array")
         if dtype.kind not in NUMBERS:
             raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
         if len(shape) != 2 or min(shape) < 1:
             raise FileError(f"{path}: the array must be frames x sensors (T, N), got shape {shape}")
-        needed = math.prod(shape) * dtype.itemsize
+        n_frames, n_sensors = shape
+        needed = n_frames * n_sensors * dtype.itemsize
         held = os.fstat(stream.fileno()).st_size - stream.tell()
         if needed > held:
             raise DamagedError(
                 f"{path} is cut short: its array needs {needed} bytes, but {held} follow the header"
             )
-        blocks = salvage(_blocks_of_array(path, stream, header), path)
-        yield Stream(path, shape[1], blocks, source=path.name)
+        first = stream.tell()
 
-
-def _blocks_of_array(path: Path, stream: BufferedReader, header: Header) -> Iterator[Block]:
-    (n_frames, n_sensors), fortran_order, dtype = header
-    first = stream.tell()
-    # In Fortran order, a block takes one read per sensor, so blocks are larger.
-    n_bytes = BLOCK_BYTES << 2 if fortran_order else BLOCK_BYTES
-    step = max(1, n_bytes // (n_sensors * dtype.itemsize))
-    for start in range(0, n_frames, step):
-        count = min(step, n_frames - start)
-        if fortran_order:
-            columns = np.empty((n_sensors, count), dtype)
-            for sensor, column in enumerate(columns):
+        def read(start: int, stop: int) -> NDArray[Any]:
+            if not fortran_order:
+                rows = _values(path, stream, dtype, (stop - start) * n_sensors)
+                return rows.reshape(-1, n_sensors)
+            columns = []
+            for sensor in range(n_sensors):
                 stream.seek(first + (sensor * n_frames + start) * dtype.itemsize)
-                _fill(path, stream, column)
-            rows = columns.T
-        else:
-            rows = np.empty((count, n_sensors), dtype)
-            _fill(path, stream, rows)
-        yield Block(rows, (start + count) / n_frames)
+                columns.append(_values(path, stream, dtype, stop - start))
+            return np.array(columns).T
+
+        # In Fortran order, a block takes one read per sensor, so blocks are larger.
+        frame_bytes = n_sensors * dtype.itemsize >> (2 if fortran_order else 0)
+        blocks = salvage(read_in_blocks(read, n_frames, max(frame_bytes, 1)), path)
+        yield Stream(path, n_sensors, blocks, source=path.name)
 
 
-def _fill(path: Path, stream: BufferedReader, values: NDArray[Any]) -> None:
-    if stream.readinto(values.data.cast("B")) < values.nbytes:
+def _values(path: Path, stream: IO[bytes], dtype: np.dtype[Any], count: int) -> NDArray[Any]:
+    """Read the next values of an array."""
+    content = stream.read(count * dtype.itemsize)
+    if len(content) < count * dtype.itemsize:
         raise DamagedError(f"{path} was cut while it was read")
+    return np.frombuffer(content, dtype)
 
 
 def read_map(path: Path) -> SensorMap:

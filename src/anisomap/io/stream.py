@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.files import reader_process
-from anisomap.io.parsing.source import warn, warn_of_loss
+from anisomap.io.parsing.source import batches, warn, warn_of_loss
 from anisomap.recording import Recording, Scalar, default_names
 
 
@@ -330,25 +330,10 @@ class Frame(NamedTuple):
 
 def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
     """Collect frames in blocks, without times that some lack; those before an error come first."""
-    held: list[Frame] = []
-    try:
-        for frame in frames:
-            held.append(frame)
-            if len(held) * frame.readings.nbytes >= BLOCK_BYTES:
-                yield _stacked(held)
-                held = []
-    except Exception:
-        if held:
-            yield _stacked(held)
-        raise
-    if held:
-        yield _stacked(held)
-
-
-def _stacked(frames: list[Frame]) -> Block:
-    readings, fractions, *clocks = zip(*frames, strict=True)
-    times = (None if None in clock else np.array(clock) for clock in clocks)
-    return Block(to_float32_if_exact(np.array(readings)), fractions[-1], *times)
+    for held in batches(frames, lambda frame: frame.readings.nbytes, BLOCK_BYTES):
+        readings, fractions, *clocks = zip(*held, strict=True)
+        times = (None if None in clock else np.array(clock) for clock in clocks)
+        yield Block(to_float32_if_exact(np.array(readings)), fractions[-1], *times)
 
 
 class _GrowingArray:

@@ -9,7 +9,7 @@ import json
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +18,7 @@ from anisomap.errors import AnisomapWarning, FileError, InputError, error_reason
 from anisomap.files.budget import Budget
 from anisomap.files.paths import open_regular
 
+Item = TypeVar("Item")
 Line = TypeVar("Line", str, bytes)
 
 _MIN_REPORTED_LOSS = 0.005
@@ -194,6 +195,26 @@ def _budgeted(path: Path, lines: Iterator[Line]) -> Iterator[Line]:
         n_bytes += len(line) + _LINE_BYTES
         budget.check(n_bytes, "its text", reachable=max(budget.free, _MAX_TEXT_RATIO * budget.size))
         yield line
+
+
+def batches(
+    items: Iterator[Item], weigh: Callable[[Item], int], limit: int
+) -> Iterator[list[Item]]:
+    """Group items until they weigh as much as a limit; those before an error come before it."""
+    held, weight = list[Item](), 0
+    try:
+        for item in items:
+            held.append(item)
+            weight += weigh(item)
+            if weight >= limit:
+                yield held
+                held, weight = [], 0
+    except Exception:
+        if held:
+            yield held
+        raise
+    if held:
+        yield held
 
 
 def read_head(path: Path) -> bytes:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,9 @@ from numpy.typing import NDArray
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.source import (
     GZIP_ERRORS,
+    Item,
     TextLines,
+    batches,
     open_text,
     quote,
     quote_if_needed,
@@ -28,11 +29,9 @@ from anisomap.io.parsing.source import (
     warn_of_loss,
 )
 
-Item = TypeVar("Item")
-
 # Limits memory for very wide tables; columns are told apart by at least eight rows.
 _MIN_FIRST_ROWS, _MAX_FIRST_CELLS = 8, 1 << 22
-_BLOCK_LINES, _BLOCK_CHARACTERS = 512, 1 << 22
+_BLOCK_CHARACTERS, _LEAST_PER_LINE = 1 << 22, 1 << 13  # so that blocks have at most 512 lines
 
 
 class LineError(FileError):
@@ -118,7 +117,8 @@ def read_blocks(
 
     def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
         first_line = table.first_line
-        for block in _line_blocks(itertools.islice(text, first_line - 1, None)):
+        lines = itertools.islice(text, first_line - 1, None)
+        for block in batches(lines, lambda line: len(line) + _LEAST_PER_LINE, _BLOCK_CHARACTERS):
             for rows in _parsed(block, table, first_line):
                 yield rows, text.fraction()
             first_line += len(block)
@@ -137,24 +137,6 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
         if sum(map(len, held)) >= n_rows:
             break
     return np.concatenate(held)[:n_rows]
-
-
-def _line_blocks(lines: Iterator[str]) -> Iterator[list[str]]:
-    """Group lines into blocks; those before a decompression error come before it."""
-    block: list[str] = []
-    characters = 0
-    try:
-        for line in lines:
-            block.append(line)
-            characters += len(line)
-            if len(block) == _BLOCK_LINES or characters > _BLOCK_CHARACTERS:
-                yield block
-                block, characters = [], 0
-    except GZIP_ERRORS:
-        yield block
-        raise
-    if block:
-        yield block
 
 
 def line_of(table: Table, row: int) -> str:
@@ -212,7 +194,7 @@ def _text_to_nan(field: str) -> float:
 def _parsed(lines: list[str], table: Table, first_line: int) -> Iterator[NDArray[np.float64]]:
     """Yield the rows of some lines, those before a wrong line before its error."""
     cleaned = list(map(table.clean, lines)) if table.clean else lines
-    block, rows = np.empty((0, 0)), list[list[float]]()
+    block = np.empty((0, 0))
     if not all(map(is_skipped, cleaned)):
         with suppress(ValueError):
             block = np.loadtxt(
@@ -228,15 +210,12 @@ def _parsed(lines: list[str], table: Table, first_line: int) -> Iterator[NDArray
     if block.shape[1] == table.n_columns:
         yield block
         return
-    try:
-        for number, line in enumerate(lines, first_line):
-            if not is_skipped(line, table.delimiter):
-                rows.append(_row(line, table, number))
-    except LineError:
-        if rows:
-            yield np.array(rows)
-        raise
-    if rows:
+    filled = (
+        _row(line, table, number)
+        for number, line in enumerate(lines, first_line)
+        if not is_skipped(line, table.delimiter)
+    )
+    for rows in batches(filled, len, _BLOCK_CHARACTERS):
         yield np.array(rows)
 
 

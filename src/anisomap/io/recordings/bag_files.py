@@ -120,9 +120,6 @@ class _Repaired(io.RawIOBase):
         self._at = max({io.SEEK_SET: 0, io.SEEK_CUR: self._at}.get(whence, size) + offset, 0)
         return self._at
 
-    def tell(self) -> int:
-        return self._at
-
     def readinto(self, buffer: Any) -> int:
         start, end = self._repair.start, self._repair.end
         if self._at < len(start):
