@@ -341,11 +341,11 @@ def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
             if not fortran_order:
                 rows = _values(path, stream, dtype, (stop - start) * n_sensors)
                 return rows.reshape(-1, n_sensors)
-            columns = []
-            for sensor in range(n_sensors):
+            columns = np.empty((n_sensors, stop - start), dtype)
+            for sensor, column in enumerate(columns):
                 stream.seek(first + (sensor * n_frames + start) * dtype.itemsize)
-                columns.append(_values(path, stream, dtype, stop - start))
-            return np.array(columns).T
+                column[:] = _values(path, stream, dtype, stop - start)
+            return columns.T
 
         # In Fortran order, a block takes one read per sensor, so blocks are larger.
         frame_bytes = n_sensors * dtype.itemsize >> (2 if fortran_order else 0)

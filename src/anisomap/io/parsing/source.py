@@ -229,6 +229,13 @@ def read_head(path: Path) -> bytes:
         return start
 
 
+def lines_of(head: bytes) -> list[str]:
+    """Return the lines of the first bytes of a text, with their ends; none of binary data."""
+    if b"\0" in head:
+        return []
+    return head.decode("utf-8-sig", "replace").splitlines(keepends=True)
+
+
 def _read_start(stream: io.BufferedReader) -> bytes:
     """Read up to `HEAD_BYTES`, stopping at the first damage."""
     start = b""

@@ -22,7 +22,7 @@ import numpy as np
 
 from anisomap.errors import FileError
 from anisomap.io.parsing.names import is_time, units_per_second, words_of
-from anisomap.io.parsing.source import open_text, quote, read_head, read_json
+from anisomap.io.parsing.source import lines_of, open_text, quote, read_head, read_json
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     LineError,
@@ -134,11 +134,9 @@ def is_text(path: Path, head: bytes) -> bool:
 
 def _layout_of(head: bytes) -> _Layout | None:
     """Return the layout of a list of contacts by its first bytes; see `is_text`."""
-    if b"\0" in head or b"\n" not in head:
-        return None
-    lines = head.decode("utf-8-sig", "replace").splitlines(keepends=True)
-    # The last line may be incomplete.
-    lines = lines if lines[-1].endswith("\n") else lines[:-1]
+    lines = lines_of(head)
+    if lines and not lines[-1].endswith("\n"):  # it may be incomplete
+        del lines[-1]
     try:
         layout = _find_layout(lines)
         if layout is None:

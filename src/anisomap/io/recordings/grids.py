@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular
-from anisomap.io.parsing.source import TextLines, open_text, quote, warn
+from anisomap.io.parsing.source import TextLines, lines_of, open_text, quote, warn
 from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
@@ -61,9 +61,7 @@ class _Header:
 
 def is_mat_export(path: Path, head: bytes) -> bool:
     """Recognise an export by lines that number frames, and by the size in its header."""
-    if b"\0" in head:
-        return False
-    lines = head.decode("utf-8", "replace").splitlines()
+    lines = lines_of(head)
     n_frames = sum(1 for line in lines if _FRAME.match(line))
     sizes = {_SIZES.get(match[1].lower()) for line in lines if (match := _ENTRY.match(line))}
     return n_frames > 1 or (n_frames == 1 and {"rows", "columns"} <= sizes)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError
 from anisomap.files.paths import open_regular
-from anisomap.io.parsing.source import GZIP_ERRORS, open_text, quote
+from anisomap.io.parsing.source import GZIP_ERRORS, lines_of, open_text, quote
 from anisomap.io.parsing.tables import (
     LineError,
     Table,
@@ -295,8 +295,8 @@ def _has_two_stamps(values: NDArray[np.float64]) -> bool:
         return bool(rising and (np.abs(second - first) <= _SAME_CLOCK_S).all())
 
 
-_WHOLE = re.compile(r"\d{1,9}")
-_TIME = re.compile(r"\d{1,15}(?:\.\d{1,15})?(?:e[+-]?\d{1,2})?")
+_WHOLE = re.compile(r"\d{1,9}", re.ASCII)
+_TIME = re.compile(r"\d{1,15}(?:\.\d{1,15})?(?:e[+-]?\d{1,2})?", re.ASCII)
 _MIN_ADDRESSES = 2
 # The acquisition program skips responses from here on as errors of a sensor.
 _FIRST_ERROR = 43_000
@@ -313,11 +313,7 @@ class _Addresses:
 
 def is_cyskin(path: Path, head: bytes) -> bool:
     """Recognise the addresses of taxels, once or in the first frame."""
-    if b"\0" in head:
-        return False
-    # Bytes that are not text become marks, which are no numbers.
-    lines = head.decode("ascii", "replace").splitlines()
-    return _find_addresses([line.split() for line in lines[:4]]) is not None
+    return _find_addresses([line.split() for line in lines_of(head)[:4]]) is not None
 
 
 @contextmanager
