@@ -5,7 +5,7 @@ import json
 import math
 import shutil
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -267,11 +267,11 @@ def _lists(path: Path) -> None:
     path.write_text(f"Timestamp,Frame,Matrix_0,foot\n{rows}")
 
 
-def _images(path: Path) -> None:
-    """Floating-point pixels, one page per frame."""
+def save_pages(path: Path, pages: Iterable[np.ndarray], compression: str | None = None) -> None:
+    """Write a file of images, one page per frame."""
     pillow = pytest.importorskip("PIL.Image")
-    pages = [pillow.fromarray(row[None].astype(np.float32)) for row in _readings()]
-    pages[0].save(path, save_all=True, append_images=pages[1:], compression=None)
+    first, *others = map(pillow.fromarray, pages)
+    first.save(path, save_all=True, append_images=others, compression=compression)
 
 
 def _fif(path: Path) -> None:
@@ -301,7 +301,7 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "run.mcap": ("ros", _bag),
     "run.db3": ("ros", _bag),
     "mat.asf": ("mat-export", _mat_export),
-    "film.tif": ("images", _images),
+    "film.tif": ("images", lambda path: save_pages(path, _readings()[:, None].astype("f4"))),
     "contacts.csv": ("contacts", _contacts),
     "events.log": ("yarp", _skin_events),
     "events.npz": ("npz", _archived_contacts),

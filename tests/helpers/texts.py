@@ -20,6 +20,27 @@ def hold(text: str, **facts: Any) -> tuple[str, dict[str, Any]]:
     return text, facts
 
 
+def table(
+    values: Any, delimiter: str = ",", end: str = "\n", decimal: str = ".", names: Any = None
+) -> str:
+    """Format rows of numbers, with a name before each."""
+    rows = [[f"{value:g}".replace(".", decimal) for value in row] for row in values]
+    if names:
+        rows = [[name, *row] for name, row in zip(names, rows, strict=True)]
+    return "".join(delimiter.join(row) + end for row in rows)
+
+
+def contact(part: int, *taxels: int, names: str = "") -> str:
+    """Format a contact as the skin manager of the iCub does."""
+    vectors = "(0.0 0.0 0.0) (1.5 -2.0 0.0) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.0 0.0 1.0)"
+    return f"((3 2 2 {part}) {vectors} ({' '.join(map(str, taxels))}) 21.5{names})"
+
+
+def touches(*contacts: str) -> str:
+    """Format a log of contacts, one line of them per frame."""
+    return "".join(f"{i} {1.4e9 + i / 8:.6f} {each}\n" for i, each in enumerate(contacts))
+
+
 def check(path: Any, facts: dict[str, Any]) -> None:
     """Check that a file is read as stated."""
     given = {key: facts[key] for key in facts.keys() & {"bin_s", "grid", "select"}}

@@ -9,6 +9,7 @@ import scipy
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
+from example_files import save_pages
 
 h5py = pytest.importorskip("h5py")
 arrow = pytest.importorskip("pyarrow")
@@ -353,14 +354,12 @@ def test_a_folder_of_images_in_the_order_of_their_numbers(tmp_path: Path, pillow
     assert found.names[-1] == "r3c2"
 
 
-def test_images_of_16_bits_and_in_colour(tmp_path: Path, pillow) -> None:
-    deep = [pillow.fromarray((257 * frame).astype(np.uint16)) for frame in FRAMES]
-    deep[0].save(tmp_path / "deep.tif", save_all=True, append_images=deep[1:])
-    found = io.read(tmp_path / "deep.tif")
-    np.testing.assert_array_equal(found.readings, 257 * FRAMES.reshape(30, 12))
-    grey = [pillow.fromarray(np.repeat(f[..., None], 3, 2).astype(np.uint8)) for f in FRAMES]
-    grey[0].save(tmp_path / "grey.tif", save_all=True, append_images=grey[1:])
-    np.testing.assert_array_equal(io.read(tmp_path / "grey.tif").readings, FRAMES.reshape(30, 12))
+def test_images_of_16_bits_and_in_colour(tmp_path: Path) -> None:
+    path = tmp_path / "film.tif"
+    save_pages(path, (257 * FRAMES).astype(np.uint16))
+    np.testing.assert_array_equal(io.read(path).readings, 257 * FRAMES.reshape(30, 12))
+    save_pages(path, np.repeat(FRAMES[..., None], 3, axis=3).astype(np.uint8))
+    np.testing.assert_array_equal(io.read(path).readings, FRAMES.reshape(30, 12))
 
 
 def test_unsuitable_images(tmp_path: Path, pillow) -> None:

@@ -6,18 +6,11 @@ import numpy as np
 import pytest
 
 from anisomap import AnisomapError, io
+from texts import table
 
 RECTANGLE = np.array([[0, 3, 5, 4], [3, 0, 4, 5], [5, 4, 0, 3], [4, 5, 3, 0.0]])
 NAMES = tuple("ABCD")
 UNNAMED = ("s0", "s1", "s2", "s3")
-
-
-def rows(cells, *, names=None, delimiter=",", first=""):
-    """Format rows of numbers, with names in the first column."""
-    lines = [[f"{cell:g}" for cell in row] for row in cells]
-    if names is not None:
-        lines = [[name, *line] for name, line in zip(names, lines, strict=True)]
-    return first + "\n".join(delimiter.join(line) for line in lines) + "\n"
 
 
 def lower(*, diagonal):
@@ -45,26 +38,26 @@ def padded(cells, *, left):
 
 
 FORMS = {
-    "square": (rows(RECTANGLE), UNNAMED),
-    "names in the first row": (rows(RECTANGLE, first="A,B,C,D\n"), NAMES),
-    "names in both": (rows(RECTANGLE, names=NAMES, first='"",A,B,C,D\n'), NAMES),
-    "write.table of R": (rows(RECTANGLE, names=NAMES, delimiter=" ", first="A B C D\n"), NAMES),
+    "square": (table(RECTANGLE), UNNAMED),
+    "names in the first row": ("A,B,C,D\n" + table(RECTANGLE), NAMES),
+    "names in both": ('"",A,B,C,D\n' + table(RECTANGLE, names=NAMES), NAMES),
+    "write.table of R": ("A B C D\n" + table(RECTANGLE, " ", names=NAMES), NAMES),
     "numbers as names": (
-        rows(RECTANGLE, names=("434", "445", "465", "472"), first=",434,445,465,472\n"),
+        ",434,445,465,472\n" + table(RECTANGLE, names=("434", "445", "465", "472")),
         ("434", "445", "465", "472"),
     ),
-    "decimal commas": (rows(RECTANGLE, delimiter=";").replace("3", "3,0"), UNNAMED),
-    "lower triangle": (rows(lower(diagonal=True)), UNNAMED),
-    "lower without diagonal": (rows(lower(diagonal=False)[1:]), UNNAMED),
-    "lower with names": (rows(lower(diagonal=False), names=NAMES), NAMES),
+    "decimal commas": (table(RECTANGLE, ";").replace("3", "3,0"), UNNAMED),
+    "lower triangle": (table(lower(diagonal=True)), UNNAMED),
+    "lower without diagonal": (table(lower(diagonal=False)[1:]), UNNAMED),
+    "lower with names": (table(lower(diagonal=False), names=NAMES), NAMES),
     "dist as R prints it": (
-        rows(lower(diagonal=False)[1:], names="BCD", delimiter=" ", first="  A B C\n"),
+        "  A B C\n" + table(lower(diagonal=False)[1:], " ", names="BCD"),
         NAMES,
     ),
     "lower half of a table": (padded(lower(diagonal=False), left=False), NAMES),
     "upper half of a table": (padded(upper(diagonal=True), left=True), NAMES),
-    "upper triangle": (rows(upper(diagonal=True)), UNNAMED),
-    "upper without diagonal": (rows(upper(diagonal=False)[:3]), UNNAMED),
+    "upper triangle": (table(upper(diagonal=True)), UNNAMED),
+    "upper without diagonal": (table(upper(diagonal=False)[:3]), UNNAMED),
     "list": (pairs(), NAMES),
     "list with a header": (pairs(delimiter="\t", first="from\tto\td\n"), NAMES),
     "list of numbers": (pairs(names=("1", "2", "3", "4")), ("1", "2", "3", "4")),

@@ -9,7 +9,7 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import FileError
-from texts import COUNT, NAN, READINGS, check, hold
+from texts import COUNT, NAN, READINGS, check, contact, hold, touches
 
 SENT = 1_379_926_523.125 + COUNT / 64
 
@@ -24,17 +24,6 @@ def log(*stamps: Any, brackets: bool = False, end: str = "\n", first: int = 0) -
 
 
 LOGGED = {"readings": READINGS, "times": COUNT / 64, "rate_hz": 64}
-VECTORS = "(0.0 0.0 0.0) (1.5 -2.0 0.0) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.0 0.0 1.0)"
-
-
-def contact(part: int, *taxels: int, names: str = "") -> str:
-    return f"((3 2 2 {part}) {VECTORS} ({' '.join(map(str, taxels))}) 21.5{names})"
-
-
-def touches(*contacts: str) -> str:
-    return "".join(f"{i} {1.4e9 + i / 8:.6f} {each}\n" for i, each in enumerate(contacts))
-
-
 BOTH = touches(f"{contact(5, 4)} {contact(2, 8, names=' (l_fore frame)')}", contact(2, 9, names=""))
 HANDLE = (38135, 38136, 38433, 38140, 38433)
 """One address is in two places, as in a published recording of a gripped handle."""

@@ -17,12 +17,7 @@ from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.parsing.tables import parse_number
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from texts import COUNT, NAN, READINGS, check, hold
-
-
-def table(values: Any, delimiter: str = ",", end: str = "\n", decimal: str = ".") -> str:
-    rows = [delimiter.join(f"{value:g}" for value in row) for row in values]
-    return "".join(row.replace(".", decimal) + end for row in rows)
+from texts import COUNT, NAN, READINGS, check, hold, table
 
 
 def beside(*first: Any) -> np.ndarray:

@@ -9,24 +9,17 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning
-from texts import NAN, compare, hold
+from texts import NAN, compare, hold, table
 
 POINTS = np.array([[0.5, 1.25, -2], [3, 4, 5], [6, 7.75, 8], [-0.001, 1e-9, 12345]])
 UNNAMED = ("s0", "s1", "s2", "s3")
 
 
-def rows(points: np.ndarray, delimiter: str = ",", names: tuple[str, ...] = ()) -> str:
-    lines = [delimiter.join(map(str, point)) for point in points.tolist()]
-    if names:
-        lines = [delimiter.join(pair) for pair in zip(names, lines, strict=True)]
-    return "\n".join(lines) + "\n"
-
-
-def table(k: int, delimiter: str, *, named: bool, headed: bool) -> tuple[str, dict[str, Any]]:
+def positions(k: int, delimiter: str, *, named: bool, headed: bool) -> tuple[str, dict[str, Any]]:
     names = ("pad1", "pad2", "pad3", "pad4") if named else ()
     header = delimiter.join((*(("name",) if named else ()), *"xyz"[:k])) + "\n" if headed else ""
     facts = {"positions": POINTS[:, :k], "names": names or UNNAMED, "units": ""}
-    return header + rows(POINTS[:, :k], delimiter, names), facts
+    return header + table(POINTS[:, :k], delimiter, names=names), facts
 
 
 CLOUD = """ply
@@ -50,14 +43,14 @@ _LINES = CLOUD.splitlines()
 FACES_FIRST = [*_LINES[:3], *_LINES[8:10], *_LINES[3:8], _LINES[10], _LINES[14], *_LINES[11:14]]
 TRUTHS = [
     *(
-        table(k, delimiter, named=named, headed=headed)
+        positions(k, delimiter, named=named, headed=headed)
         for k in (2, 3)
         for delimiter in ",;\t "
         for named in (False, True)
         for headed in (False, True)
     ),
     *(
-        hold(f"{header}\n{rows(POINTS)}", positions=POINTS, units=units)
+        hold(f"{header}\n{table(POINTS)}", positions=POINTS, units=units)
         for header, units in (
             *(("x,y,z", ""), ("X [mm],Y [mm],Z [mm]", "mm")),
             *(("x_m,y_m,z_m", "m"), ("x(cm),y(cm),z(cm)", "cm")),

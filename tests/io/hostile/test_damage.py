@@ -15,6 +15,7 @@ from anisomap import io
 from anisomap.errors import AnisomapError
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+from example_files import save_pages
 
 pytestmark = pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 
@@ -72,11 +73,9 @@ def test_a_damaged_matlab_file_that_ends_a_library(tmp_path) -> None:
 
 @pytest.mark.parametrize("compression", ["tiff_lzw", "tiff_adobe_deflate", "jpeg"])
 def test_the_library_of_damaged_images_prints_nothing(tmp_path, capfd, compression):
-    pillow = pytest.importorskip("PIL.Image")
-    values = np.random.default_rng(0).integers(0, 256, (4, 20, 30)).astype("u1")
-    pages = [pillow.fromarray(page) for page in values]
     path = tmp_path / "film.tif"
-    pages[0].save(path, save_all=True, append_images=pages[1:], compression=compression)
+    pages = np.random.default_rng(0).integers(0, 256, (4, 20, 30)).astype("u1")
+    save_pages(path, pages, compression)
     content = path.read_bytes()
     path.write_bytes(content[:8] + b"\xff" * 400 + content[408:])
     with suppress(AnisomapError):

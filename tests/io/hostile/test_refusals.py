@@ -8,6 +8,7 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import FileError
+from texts import contact, touches
 
 
 def log(line: str) -> str:
@@ -17,11 +18,9 @@ def log(line: str) -> str:
     return "\n".join(lines)
 
 
-def touched(taxels: str, part: str = "3 2 2 5") -> str:
+def touched(old: str, new: str) -> str:
     """Return a log of contacts with a changed second line."""
-    vectors = "(0.0 0.0 0.0) (1.5 -2.0 0.0) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.0 0.0 1.0)"
-    lists = [f"((3 2 2 5) {vectors} (3) 21.5)", f"(({part}) {vectors} {taxels} 21.5)"]
-    return "".join(f"{i} {1.4e9 + i / 8:.6f} {text}\n" for i, text in enumerate(lists * 2))
+    return touches(*[contact(5, 3), contact(6, 4, 7)] * 2).replace(old, new)
 
 
 def cyskin(old: str, new: str) -> str:
@@ -137,10 +136,10 @@ RECORDINGS = [
         ("data.log", f"1 1.5 {first}\n2 1.6 {first}\n", "is not a number")
         for first in ("(0.25 0 0.75),1", "(1,2) 3", "0,(1)2")
     ),
-    ("skin.log", touched("(4 seven)"), f"line 2: {CONTACTS}"),
-    ("skin.log", touched("(4 7"), f"line 2: {CONTACTS}"),
-    ("skin.log", touched(""), f"line 2: {CONTACTS}"),
-    ("skin.log", touched("(4 7)", "3 2 2"), f"line 2: {CONTACTS}"),
+    ("skin.log", touched("(4 7)", "(4 seven)"), f"line 2: {CONTACTS}"),
+    ("skin.log", touched("(4 7)", "(4 7"), f"line 2: {CONTACTS}"),
+    ("skin.log", touched("(4 7)", ""), f"line 2: {CONTACTS}"),
+    ("skin.log", touched("2 6)", "2)"), f"line 2: {CONTACTS}"),
     ("data.log", "0 1.4e9\n1 1.5e9\n2 1.6e9\n", "data.log"),
     ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
     ("hand.txt", cyskin("38135", ""), "line 6 has 6 fields, but 2 taxels need 7"),
