@@ -41,7 +41,6 @@ def prepare(path: Path) -> tuple[Path, str]:
         for each in path.iterdir():
             check_regular(each)
         return path, ""
-    check_regular(path)
     with _BagFile(path) as file:
         start = file.read(max(map(len, MAGICS)))
         suffix = next((s for magic, s in MAGICS.items() if start.startswith(magic)), path.suffix)
