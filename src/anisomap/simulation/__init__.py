@@ -3,75 +3,35 @@
 Running a simulation needs the extra ``simulation`` (MuJoCo); importing the package does not.
 """
 
-from anisomap.simulation.bodies import BODIES
-from anisomap.simulation.body import Body
-from anisomap.simulation.coverage import CoverageCurve, coverage_curve
-from anisomap.simulation.faults import dead, noisy, saturating
-from anisomap.simulation.imported import (
-    body_from_mesh,
-    body_from_mjcf,
-    body_from_points,
-    load_body,
-)
-from anisomap.simulation.injection import (
-    FAULTS,
-    FRAME_FAULTS,
-    Fault,
-    fault_mask,
-    inject,
-    injected_faults,
-    parse_fault,
-)
-from anisomap.simulation.kinematic import (
-    PressingOptions,
-    PulsesOptions,
-    RollerOptions,
-    RubbingOptions,
-    SelfTouchOptions,
-)
-from anisomap.simulation.physics.bombardment import BombardmentOptions
-from anisomap.simulation.physics.locomotion import LocomotionOptions
-from anisomap.simulation.scenarios import (
-    SCENARIOS,
-    Simulation,
-    find_body,
-    find_scenario,
-    run_simulation,
-    simulate,
-    simulate_runs,
-)
-
-__all__ = [
-    "BODIES",
-    "FAULTS",
-    "FRAME_FAULTS",
-    "SCENARIOS",
-    "Body",
-    "BombardmentOptions",
-    "CoverageCurve",
-    "Fault",
-    "LocomotionOptions",
-    "PressingOptions",
-    "PulsesOptions",
-    "RollerOptions",
-    "RubbingOptions",
-    "SelfTouchOptions",
-    "Simulation",
-    "body_from_mesh",
-    "body_from_mjcf",
-    "body_from_points",
-    "coverage_curve",
-    "dead",
-    "fault_mask",
-    "find_body",
-    "find_scenario",
-    "inject",
-    "injected_faults",
-    "load_body",
-    "noisy",
-    "parse_fault",
-    "run_simulation",
-    "saturating",
-    "simulate",
-    "simulate_runs",
-]
+from anisomap.simulation.bodies import BODIES as BODIES
+from anisomap.simulation.body import Body as Body
+from anisomap.simulation.coverage import CoverageCurve as CoverageCurve
+from anisomap.simulation.coverage import coverage_curve as coverage_curve
+from anisomap.simulation.faults import dead as dead
+from anisomap.simulation.faults import noisy as noisy
+from anisomap.simulation.faults import saturating as saturating
+from anisomap.simulation.imported import body_from_mesh as body_from_mesh
+from anisomap.simulation.imported import body_from_mjcf as body_from_mjcf
+from anisomap.simulation.imported import body_from_points as body_from_points
+from anisomap.simulation.imported import load_body as load_body
+from anisomap.simulation.injection import FAULTS as FAULTS
+from anisomap.simulation.injection import FRAME_FAULTS as FRAME_FAULTS
+from anisomap.simulation.injection import Fault as Fault
+from anisomap.simulation.injection import fault_mask as fault_mask
+from anisomap.simulation.injection import inject as inject
+from anisomap.simulation.injection import injected_faults as injected_faults
+from anisomap.simulation.injection import parse_fault as parse_fault
+from anisomap.simulation.kinematic import PressingOptions as PressingOptions
+from anisomap.simulation.kinematic import PulsesOptions as PulsesOptions
+from anisomap.simulation.kinematic import RollerOptions as RollerOptions
+from anisomap.simulation.kinematic import RubbingOptions as RubbingOptions
+from anisomap.simulation.kinematic import SelfTouchOptions as SelfTouchOptions
+from anisomap.simulation.physics.bombardment import BombardmentOptions as BombardmentOptions
+from anisomap.simulation.physics.locomotion import LocomotionOptions as LocomotionOptions
+from anisomap.simulation.scenarios import SCENARIOS as SCENARIOS
+from anisomap.simulation.scenarios import Simulation as Simulation
+from anisomap.simulation.scenarios import find_body as find_body
+from anisomap.simulation.scenarios import find_scenario as find_scenario
+from anisomap.simulation.scenarios import run_simulation as run_simulation
+from anisomap.simulation.scenarios import simulate as simulate
+from anisomap.simulation.scenarios import simulate_runs as simulate_runs

@@ -21,12 +21,13 @@ class Range:
     def check(self, name: str, value: float, unit: str = "") -> None:
         """Check that a parameter is within the range."""
         if self.whole:
-            is_integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if is_integer and self.contains(value):
-                return
-            raise InputError(f"{name} must be {self.text}, got {value}")
-        if not (np.isfinite(value) and self.contains(value)):
-            raise InputError(f"{name} must be {self.text}, got {value:g}{unit and ' ' + unit}")
+            valid = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            shown = str(value)
+        else:
+            valid = bool(np.isfinite(value))
+            shown = f"{value:g}{unit and ' ' + unit}"
+        if not (valid and self.contains(value)):
+            raise InputError(f"{name} must be {self.text}, got {shown}")
 
 
 def at_least(low: float, *, whole: bool = False) -> Range:

@@ -144,36 +144,25 @@ class RubbingOptions(StrokeOptions):
         self.at_most("press_depth", thickness, bound, "; reduce it or increase hand_size")
 
 
-@dataclass(frozen=True, eq=False)
 class Palm:
-    """Soft pads of a palm: their centres (P, 3), with the skin at z = 0, and radii (P,)."""
+    """A central soft pad surrounded by others of irregular size and position, on a skin.
 
-    centres: Points
-    radii: NDArray[np.float64]
+    centres (P, 3), radii (P,): Of the pads, with the skin at z = 0.
+    """
 
-    @classmethod
-    def drawn(cls, size: float, rng: np.random.Generator) -> Palm:
-        """Draw a central pad surrounded by others of irregular size and position."""
-        n_outer = _N_PADS - 1
+    def __init__(self, skin: Skin, options: RubbingOptions, rng: np.random.Generator) -> None:
+        self._skin, self._options, self._rng = skin, options, rng
+        n_outer, size = _N_PADS - 1, options.hand_size
         angle = 2 * np.pi * (np.arange(n_outer) + rng.uniform(-0.3, 0.3, n_outer)) / n_outer
         distance = size * rng.uniform(0.5, 1.0, n_outer)
-        radii = size * rng.uniform(*_PAD_RADIUS, _N_PADS)
-        height = radii + size * _PAD_HEIGHT_SPREAD * rng.random(_N_PADS)
+        self.radii = size * rng.uniform(*_PAD_RADIUS, _N_PADS)
+        height = self.radii + size * _PAD_HEIGHT_SPREAD * rng.random(_N_PADS)
         flat = np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
-        return cls(np.column_stack([np.vstack([[0, 0], flat]), height]), radii)
+        self.centres = np.column_stack([np.vstack([[0, 0], flat]), height])
 
-    def moved(
-        self,
-        skin: Skin,
-        n_frames: int,
-        options: RubbingOptions,
-        rng: np.random.Generator,
-        visits: NDArray[np.float64] | None = None,
-    ) -> tuple[Points, int]:
-        """Move the palm along strokes. Returns centres of its pads (T, P, 3), number of strokes.
-
-        visits (N,): see `draw_strokes`.
-        """
+    def move(self, n_frames: int, visits: NDArray[np.float64] | None = None) -> tuple[Points, int]:
+        """Rub along strokes; visits as in `draw_strokes`. Returns pads (T, P, 3), n_strokes."""
+        skin, options, rng = self._skin, self._options, self._rng
         path = draw_strokes(skin, n_frames, options, rng, visits=visits)
         # The hand turns slowly about the normal.
         interval = options.frame_interval
@@ -191,8 +180,8 @@ def rubbing(
     skin = sample_skin(body, rng)
     pads, radii, n_strokes = [], [], 0
     for _ in range(options.n_hands):
-        palm = Palm.drawn(options.hand_size, rng)
-        centres, count = palm.moved(skin, n_frames, options, rng)
+        palm = Palm(skin, options, rng)
+        centres, count = palm.move(n_frames)
         pads.append(centres)
         radii.append(palm.radii)
         n_strokes += count
@@ -205,17 +194,12 @@ def rubbing(
     )
 
 
-@dataclass
 class GuidedHand:
     """A palm that rubs a body in bouts, each of them where it is told."""
 
-    body: Body
-    options: RubbingOptions
-    rng: np.random.Generator
-
-    def __post_init__(self) -> None:
-        self._skin = sample_skin(self.body, self.rng)
-        self._palm = Palm.drawn(self.options.hand_size, self.rng)
+    def __init__(self, body: Body, options: RubbingOptions, rng: np.random.Generator) -> None:
+        self._body, self._sensing = body, options.detection_radius
+        self._palm = Palm(sample_skin(body, rng), options, rng)
 
     def rub(
         self,
@@ -224,8 +208,7 @@ class GuidedHand:
         contacts: NDArray[np.intp] | None = None,
     ) -> NDArray[np.float32]:
         """Rub for some frames. Returns (n_frames, N)."""
-        body, options, radii = self.body, self.options, self._palm.radii
-        visits = np.zeros(body.n_sensors)
+        visits = np.zeros(self._body.n_sensors)
         if contacts is not None:
             visits += contacts
         if sensors:
@@ -233,8 +216,8 @@ class GuidedHand:
             visits[first] = np.minimum(visits[first], 0)
             visits[first[0]] = -1  # the hand is set down at the least visited sensor
         n_rubbing = max(1, n_frames - TRAVEL_FRAMES)
-        pads, _ = self._palm.moved(self._skin, n_rubbing, options, self.rng, visits)
-        touched = read_balls(body.positions, pads, radii, options.detection_radius)
+        pads, _ = self._palm.move(n_rubbing, visits)
+        touched = read_balls(self._body.positions, pads, self._palm.radii, self._sensing)
         return np.pad(touched, ((n_frames - n_rubbing, 0), (0, 0)))
 
 

@@ -21,21 +21,10 @@ from anisomap.base.scene import Scene
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.recording import Recording
+from anisomap.simulation import kinematic
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
 from anisomap.simulation.checks import COUNT
-from anisomap.simulation.kinematic import (
-    PressingOptions,
-    PulsesOptions,
-    RollerOptions,
-    RubbingOptions,
-    SelfTouchOptions,
-    pressing,
-    pulses,
-    roller,
-    rubbing,
-    self_touch,
-)
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
 from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.physics.locomotion import LocomotionOptions, can_roll, locomotion
@@ -107,21 +96,27 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             accepts=can_roll,
         ),
         "rubbing": Scenario(
-            "a palm rubs the skin along lines and circles", RubbingOptions, rubbing
+            "a palm rubs the skin along lines and circles",
+            kinematic.RubbingOptions,
+            kinematic.rubbing,
         ),
-        "roller": Scenario("a roller rolls along the skin", RollerOptions, roller),
+        "roller": Scenario(
+            "a roller rolls along the skin", kinematic.RollerOptions, kinematic.roller
+        ),
         "pressing": Scenario(
-            "a flat surface presses on the body from all sides", PressingOptions, pressing
+            "a flat surface presses on the body from all sides",
+            kinematic.PressingOptions,
+            kinematic.pressing,
         ),
         "self-touch": Scenario(
             "a fingertip strokes the body; the sensors of both are recorded",
-            SelfTouchOptions,
-            self_touch,
+            kinematic.SelfTouchOptions,
+            kinematic.self_touch,
         ),
         "pulses": Scenario(
             "point sources around the body emit pulses; readings fall off with distance",
-            PulsesOptions,
-            pulses,
+            kinematic.PulsesOptions,
+            kinematic.pulses,
         ),
     }
 )

@@ -32,7 +32,7 @@ _LINE_LENGTH = (0.5, 1.5)  # x stroke length
 _CIRCLE_RADIUS = (0.15, 0.35)  # x stroke length
 _CIRCLE_TURNS = (1.0, 2.0)
 _PRESSURE_PERIOD = 0.5  # seconds between independent pressures
-_LIFT_PROFILE = np.array([1, 2, 3]) / 3
+_LIFT_PROFILE = (1 / 3, 2 / 3, 1.0)
 _TOLERANCE = 1e-9  # x radius
 _N_AXIS_POINTS = 9
 _LIFT_HEIGHT = 1.5  # of a lifted stimulus, x detection radius: out of range of all sensors
@@ -145,30 +145,27 @@ def draw_strokes(
     visits: NDArray[np.float64] | None = None,
 ) -> StrokePath:
     """Draw strokes over the skin of a body, towards the least visited sensors. visits (N,)."""
-    body, walk = skin.body, _Walk(skin, options)
+    body, walk = skin.body, _Walk(skin, options, rng)
     if visits is not None:
         walk.visits += visits
-    state = _set_down(walk, rng)
+    state = walk.set_down()
     frames: list[Points] = []
-    lifts: list[NDArray[np.float64]] = []
-    n_done = n_strokes = failures = 0
-    while n_done < n_frames:
-        stroke = _draw_stroke(walk, state, n_frames - n_done, rng)
-        n_strokes += bool(len(stroke))
-        failures = 0 if len(stroke) else failures + 1
-        frames.append(stroke)
-        lifts.append(np.zeros(len(stroke)))
-        n_done += len(stroke)
-        if len(stroke):
-            state = stroke[-1]
-            nearest = np.asarray(walk.sensor_tree.query(stroke[:, 0])[1])
-            walk.visits += np.bincount(nearest, minlength=body.n_sensors)
+    lifts: list[float] = []
+    n_strokes = failures = 0
+    while len(lifts) < n_frames:
+        stroke = walk.draw_stroke(state, n_frames - len(lifts))
+        frames += stroke
+        lifts += [0.0] * len(stroke)
+        failures += 1
+        if stroke:
+            state, failures, n_strokes = stroke[-1], 0, n_strokes + 1
+            walk.visit(stroke)
         if failures == _MAX_FAILURES or rng.random() < options.lift_share:
-            landing = _set_down(walk, rng)
-            frames += [np.repeat(end[None], len(_LIFT_PROFILE), axis=0) for end in (state, landing)]
-            lifts += [_LIFT_PROFILE, _LIFT_PROFILE[::-1]]
-            state, failures, n_done = landing, 0, n_done + 2 * len(_LIFT_PROFILE)
-    places, headings, _ = np.concatenate(frames)[:n_frames].swapaxes(0, 1)
+            landing = walk.set_down()
+            frames += [state] * len(_LIFT_PROFILE) + [landing] * len(_LIFT_PROFILE)
+            lifts += [*_LIFT_PROFILE, *_LIFT_PROFILE[::-1]]
+            state, failures = landing, 0
+    places, headings, _ = np.array(frames[:n_frames]).swapaxes(0, 1)
     presses = smooth_random(n_frames, _PRESSURE_PERIOD / options.frame_interval, rng)
     # One step along the gradient of the distance is exact, except near edges between solids.
     normals = body.normals_at(places)
@@ -177,7 +174,7 @@ def draw_strokes(
     if off.any():
         points[off] = body.project(points[off])
         normals[off] = body.normals_at(points[off])
-    heights = np.concatenate(lifts)[:n_frames]
+    heights = np.array(lifts[:n_frames])
     return StrokePath(points, normals, tangent(headings, normals), heights, presses, n_strokes)
 
 
@@ -193,24 +190,68 @@ def smooth_random(n_frames: int, period: float, rng: np.random.Generator) -> NDA
 class _Walk:
     """Skin and visit counts of a walk. Its state is (point, heading, normal), shape (3, 3)."""
 
-    def __init__(self, skin: Skin, options: StrokeOptions) -> None:
-        body, self.options = skin.body, options
-        self.stride = options.speed * options.frame_interval
-        self.n_steps = count_steps(self.stride, _MAX_STEP * body.reach)
-        self.sensors, self.sensor_normals = body.positions, body.normals
-        self.visits = np.zeros(body.n_sensors)
-        self.sensor_tree = KDTree(body.positions)
+    def __init__(self, skin: Skin, options: StrokeOptions, rng: np.random.Generator) -> None:
+        self._body, self._options, self._rng = skin.body, options, rng
+        self.visits = np.zeros(skin.body.n_sensors)
+        self._stride = options.speed * options.frame_interval
+        self._n_steps = count_steps(self._stride, _MAX_STEP * skin.body.reach)
         self._points, self._normals = skin.points[skin.covered], skin.normals[skin.covered]
-        self._point_tree = KDTree(self._points)
-        gaps = nearest_distances(self._points) if len(self._points) > 1 else [body.reach]
-        self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self.stride / self.n_steps
+        self._sensor_tree, self._point_tree = KDTree(skin.body.positions), KDTree(self._points)
+        gaps = nearest_distances(self._points) if len(self._points) > 1 else [skin.body.reach]
+        self._max_distance = _MAX_HOLE * float(np.median(gaps)) + self._stride / self._n_steps
 
-    def step(self, state: Points, turn: float) -> Points | None:
+    def visit(self, stroke: list[Points]) -> None:
+        """Count the visits of a stroke to the nearest sensors."""
+        _, nearest = self._sensor_tree.query(np.array(stroke)[:, 0])
+        self.visits += np.bincount(np.asarray(nearest), minlength=len(self.visits))
+
+    def set_down(self) -> Points:
+        """Start at the least visited sensor, in a random direction."""
+        sensor = int(np.argmin(self.visits + self._rng.random(len(self.visits))))
+        normal = self._body.normals[sensor]
+        heading = tangent(self._rng.standard_normal(3), normal)
+        return np.array([self._body.positions[sensor], heading, normal])
+
+    def draw_stroke(self, state: Points, max_frames: int) -> list[Points]:
+        """Draw the states of one stroke, which ends early if it leaves the skin."""
+        rng, length, stride = self._rng, self._options.stroke_length, self._stride
+        if rng.random() < self._options.circle_share:
+            radius = length * rng.uniform(*_CIRCLE_RADIUS)
+            n_frames = math.ceil(2 * np.pi * radius * rng.uniform(*_CIRCLE_TURNS) / stride)
+            turn = rng.choice([-1, 1]) * stride / radius / self._n_steps
+        else:
+            n_frames, turn = math.ceil(length * rng.uniform(*_LINE_LENGTH) / stride), 0.0
+            state = np.array([state[0], self._aim(state), state[2]])
+        frames: list[Points] = []
+        for _ in range(min(n_frames, max_frames)):
+            for _ in range(self._n_steps):
+                following = self._step(state, turn)
+                if following is None:
+                    return frames
+                state = following
+            frames.append(state)
+        return frames
+
+    def _aim(self, state: Points) -> Points:
+        """Draw a direction, roughly towards the least visited sensor within a stroke; (3,)."""
+        (point, _, normal), rng, sensors = state, self._rng, self._body.positions
+        length = self._options.stroke_length
+        distance = np.linalg.norm(sensors - point, axis=1)
+        candidates = np.flatnonzero(
+            (distance > _MIN_TARGET_DISTANCE * length) & (distance < _LINE_LENGTH[1] * length)
+        )
+        if not candidates.size:
+            return tangent(rng.standard_normal(3), normal)
+        chosen = candidates[np.argmin(self.visits[candidates] + rng.random(candidates.size))]
+        aimed = tangent(sensors[chosen] - point, normal)
+        return rotate_about(aimed, normal, _AIM_SPREAD * rng.standard_normal())
+
+    def _step(self, state: Points, turn: float) -> Points | None:
         """Take one step; return None if it leaves the skin."""
         point, heading, normal = state
         if turn:
             heading = rotate_about(heading, normal, turn)
-        point = point + self.stride / self.n_steps * heading
+        point = point + self._stride / self._n_steps * heading
         distance, nearest = self._point_tree.query(point)
         if distance > self._max_distance:
             return None
@@ -221,49 +262,6 @@ class _Walk:
             return None
         height = (point - self._points[nearest]) @ normal
         return np.array([point - height * normal, across / length, normal])
-
-
-def _set_down(walk: _Walk, rng: np.random.Generator) -> Points:
-    """Start at the least visited sensor, in a random direction."""
-    sensor = int(np.argmin(walk.visits + rng.random(len(walk.visits))))
-    normal = walk.sensor_normals[sensor]
-    return np.array([walk.sensors[sensor], tangent(rng.standard_normal(3), normal), normal])
-
-
-def _draw_stroke(walk: _Walk, state: Points, max_frames: int, rng: np.random.Generator) -> Points:
-    """Draw one stroke, which ends early if it leaves the skin; (<= max_frames, 3, 3)."""
-    length, stride = walk.options.stroke_length, walk.stride
-    if rng.random() < walk.options.circle_share:
-        radius = length * rng.uniform(*_CIRCLE_RADIUS)
-        n_frames = math.ceil(2 * np.pi * radius * rng.uniform(*_CIRCLE_TURNS) / stride)
-        turn = rng.choice([-1, 1]) * stride / radius / walk.n_steps
-    else:
-        n_frames, turn = math.ceil(length * rng.uniform(*_LINE_LENGTH) / stride), 0.0
-        state = np.array([state[0], _aim(walk, state, rng), state[2]])
-    frames: list[Points] = []
-    for _ in range(min(n_frames, max_frames)):
-        for _ in range(walk.n_steps):
-            following = walk.step(state, turn)
-            if following is None:
-                return np.array(frames).reshape(-1, 3, 3)
-            state = following
-        frames.append(state)
-    return np.array(frames)
-
-
-def _aim(walk: _Walk, state: Points, rng: np.random.Generator) -> Points:
-    """Draw a direction, roughly towards the least visited sensor within a stroke; (3,)."""
-    point, _, normal = state
-    length = walk.options.stroke_length
-    distance = np.linalg.norm(walk.sensors - point, axis=1)
-    candidates = np.flatnonzero(
-        (distance > _MIN_TARGET_DISTANCE * length) & (distance < _LINE_LENGTH[1] * length)
-    )
-    if not candidates.size:
-        return tangent(rng.standard_normal(3), normal)
-    chosen = candidates[np.argmin(walk.visits[candidates] + rng.random(candidates.size))]
-    aimed = tangent(walk.sensors[chosen] - point, normal)
-    return rotate_about(aimed, normal, _AIM_SPREAD * rng.standard_normal())
 
 
 def tangent(directions: Points, normals: Points) -> Points:
