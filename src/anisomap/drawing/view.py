@@ -150,12 +150,10 @@ class Panel:
 def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Panel]:
     """Prepare the connected components of a map for drawing."""
     found = []
-    for label in range(len(sensor_map.component_sizes)):
-        sensors = np.flatnonzero(sensor_map.component == label)
-        if label == 0 and score is not None:
-            found.append(_prepared(sensor_map, sensors, 1, score))
-        elif len(sensors) > 1:
-            found.append(_prepared(sensor_map, sensors, label + 1))
+    for label, size in enumerate(sensor_map.component_sizes):
+        compared = score if label == 0 else None
+        if size > 1 or compared is not None:
+            found.append(_prepared(sensor_map, label, compared))
     return found
 
 
@@ -257,11 +255,10 @@ def printable(text: str, max_length: int | None = None) -> str:
     return clean[: max_length - 1] + "\N{HORIZONTAL ELLIPSIS}"
 
 
-def _prepared(
-    sensor_map: SensorMap, sensors: NDArray[np.intp], number: int, score: Score | None = None
-) -> Panel:
+def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
     """Align a component with the truth, or centre it."""
     dimensions = drawn_dimensions(sensor_map, score)
+    sensors = np.flatnonzero(sensor_map.component == label)
     if score is None:
         points = sensor_map.positions[sensors]
         points = points - points.mean(axis=0)
@@ -291,7 +288,7 @@ def _prepared(
         faulty=np.array([is_faulty(sensor_map.health[i]) for i in sensors], dtype=bool),
         sensors=sensors,
         truth=truth,
-        number=number,
+        number=label + 1,
         covariances=_turned(sensor_map.covariances, sensors, linear, dimensions),
         labels={i: printable(sensor_map.names[sensors[i]], MAX_LABEL) for i in labels},
     )

@@ -73,15 +73,10 @@ class Body(Immutable):
 
     def __post_init__(self) -> None:
         positions, normals = frozen(self.positions), frozen(self.normals)
-        if positions.ndim != 2 or positions.shape[1] != 3 or not len(positions):
+        if not positions.size or normals.shape != positions.shape or positions.shape[1:] != (3,):
             raise InputError(
-                f"sensor positions of the body {self.name} must have shape (N, 3), "
-                f"got {positions.shape}"
-            )
-        if normals.shape != positions.shape:
-            raise InputError(
-                f"normals of the body {self.name} must have the shape of the positions "
-                f"{positions.shape}, got {normals.shape}"
+                f"positions and normals of the sensors of the body {self.name} must have shape "
+                f"(N, 3), got {positions.shape} and {normals.shape}"
             )
         finite = np.isfinite(np.column_stack([positions, normals])).all(axis=1)
         if not finite.all():

@@ -212,10 +212,8 @@ class Group:
         """Median standard deviation of the chosen sensors; 1 if none varies."""
         readings = self.recording.readings[:, self.chosen].astype(np.float64)
         known = np.isfinite(readings)
-        counts = np.maximum(known.sum(axis=0), 1)
-        centred = np.where(known, readings, 0)
-        centred -= centred.sum(axis=0) / counts
-        deviations = np.sqrt(np.where(known, centred**2, 0).sum(axis=0) / counts)
+        seen = known.any(axis=0)
+        deviations = readings[:, seen].std(axis=0, where=known[:, seen])
         varying = deviations[deviations > 0]
         return float(np.median(varying)) if varying.size else 1.0
 
@@ -269,7 +267,6 @@ def _form(
     def with_ranges(**ranges: Range) -> Callable[[Effect], Injector]:
         def enter(effect: Effect) -> Injector:
             kind = effect.__name__.replace("_", "-")
-
             parameters = inspect.signature(effect).parameters.values()
             own = [one for one in parameters if one.kind is one.KEYWORD_ONLY]
             leading = (_RECORDING, _SENSORS, _RNG) if registry is FAULTS else (_RECORDING, _RNG)

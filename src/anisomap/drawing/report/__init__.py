@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -51,12 +51,8 @@ class Touches:
     series_png: bytes | None = None
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """A table cell: its text, and the key by which it is sorted (None is last)."""
-
-    text: str
-    key: str | float | None = None
+_Cell: TypeAlias = tuple[str, float | str]
+"""The text of a cell of a table, and the key by which it is sorted; empty keys are last."""
 
 
 def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
@@ -194,11 +190,11 @@ def _sensor_table(
         numbers = (sensor_map.component[shown] + 1).tolist()
         columns["Component"] = (
             "connected component of the map; 1 is the largest",
-            [_count(label) if label else _Cell("not placed") for label in numbers],
+            [(str(label), label) if label else ("not placed", "") for label in numbers],
         )
     if score is not None:
         unit = f" ({score.units})" if score.units else ""
-        cells = [_numeric(errors.get(i)) for i in shown]
+        cells = [_cell(errors.get(i)) for i in shown]
         columns[f"Error{unit}"] = "distance from the true position", cells
     if sensor_map.covariances is not None:
         units, scale = sensor_map.units, np.ones(len(shown))
@@ -207,12 +203,12 @@ def _sensor_table(
             scale = np.where(sensor_map.component[shown] == 0, score.alignment.scale, np.nan)
         unit = "" if units in UNSCALED else f" ({units})"
         radii = scale * ellipses(sensor_map.covariances[shown])[0].max(axis=1)
-        cells = [_numeric(radius) for radius in radii.tolist()]
+        cells = [_cell(radius) for radius in radii.tolist()]
         columns[f"95 %{unit}"] = "longest half axis of the 95 % ellipse", cells
     if health:
         known = [assessed.get(sensor_map.names[i]) for i in shown]
-        for title, (meaning, attribute, cell) in _MEASURED.items():
-            cells = [cell(getattr(one, attribute)) if one else _Cell(UNKNOWN) for one in known]
+        for title, (meaning, attribute, written) in _MEASURED.items():
+            cells = [_cell(getattr(one, attribute) if one else None, written) for one in known]
             columns[title] = meaning, cells
     rows = [
         {
@@ -248,27 +244,21 @@ def _provenance(
     ]
 
 
-def _count(value: int) -> _Cell:
-    return _Cell(str(value), value)
+_two_digits, _three_digits = partial(number, digits=2), partial(number, digits=3)
 
 
-def _share(value: float) -> _Cell:
-    return _Cell(percent(value) if math.isfinite(value) else UNKNOWN, value)
-
-
-def _numeric(value: float | None, digits: int = 3) -> _Cell:
+def _cell(value: float | None, written: Callable[[Any], str] = _three_digits) -> _Cell:
     if value is None or not math.isfinite(value):
-        return _Cell(UNKNOWN)
-    return _Cell(number(value, digits), float(value))
+        return UNKNOWN, ""
+    return written(value), value
 
 
-_two_digits = partial(_numeric, digits=2)
-_MEASURED: dict[str, tuple[str, str, Callable[[Any], _Cell]]] = {
-    "Min": ("smallest reading", "minimum", _numeric),
-    "Max": ("largest reading", "maximum", _numeric),
-    "Values": ("number of distinct readings", "distinct", _count),
-    "Active": ("share of frames in which the reading is not at rest", "active", _share),
-    "Contacts": ("number of separate contacts", "contacts", _count),
+_MEASURED: dict[str, tuple[str, str, Callable[[Any], str]]] = {
+    "Min": ("smallest reading", "minimum", _three_digits),
+    "Max": ("largest reading", "maximum", _three_digits),
+    "Values": ("number of distinct readings", "distinct", str),
+    "Active": ("share of frames in which the reading is not at rest", "active", percent),
+    "Contacts": ("number of separate contacts", "contacts", str),
     "Lag-1 r": (
         "autocorrelation at a lag of one frame; near 0 for noise",
         "lag_correlation",
@@ -279,10 +269,8 @@ _MEASURED: dict[str, tuple[str, str, Callable[[Any], _Cell]]] = {
 """Columns of the table of sensors that the health of a sensor fills: meaning, attribute, format."""
 
 
-def load_libraries() -> tuple[Any, Any]:
-    """Import jinja2 and plotly."""
-    jinja2 = import_extra("jinja2", "a report", "report")
-    return jinja2, import_extra("plotly.offline", "a report", "report")
+def _load(module: str) -> Any:
+    return import_extra(module, "a report", "report")
 
 
 def _base64(content: bytes) -> str:
@@ -315,7 +303,7 @@ def templates(package: str, finalize: Callable[[object], object] | None = None) 
 
     finalize: Applied to every value first.
     """
-    jinja = import_extra("jinja2", "a report", "report")
+    jinja = _load("jinja2")
     environment = jinja.Environment(
         loader=jinja.PackageLoader(package),
         autoescape=True,
@@ -382,7 +370,7 @@ def render_report(
 
     Names and notes are escaped. The page runs no scripts but its own and sends no requests.
     """
-    _, plotly = load_libraries()
+    plotly = _load("plotly.offline")
     drawn = drawn_components(sensor_map, score)
     statuses = _sensor_statuses(sensor_map, health)
     scene = interactive_views(sensor_map, drawn, score, statuses)
@@ -421,4 +409,5 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a report can be written to a file."""
     if check_target(path).suffix.lower() not in SUFFIXES:
         raise FileError(f"cannot write a report to {path}; the name must end in .html or .htm")
-    load_libraries()
+    _load("jinja2")
+    _load("plotly.offline")

@@ -201,7 +201,7 @@ class Driver:
         self._gain = (inertia + mass * self._radius**2) / (2 * options.frame_interval)
         self._mujoco.mj_forward(self._model, self._data)
         self._goal_limit = options.half_width - 2 * _ARRIVAL_DISTANCE
-        self._set_goal(self._draw_goal())
+        self._draw_goal()
 
     def step(self) -> None:
         """Apply the torque and advance the physics by one step."""
@@ -218,7 +218,7 @@ class Driver:
             or (self._is_cylinder and self._sense * (self._ahead() @ to_goal) < 0)  # passed it
             or self._elapsed > _GOAL_TIMEOUT
         ):
-            self._set_goal(self._draw_goal())
+            self._draw_goal()
         to_goal = self._goal - data.qpos[:2]
         spin = np.array(data.cvel[1, :3])
         torque = self._gain * (self._target_spin(to_goal / np.hypot(*to_goal)) - spin)
@@ -237,19 +237,17 @@ class Driver:
         spin, velocity = np.array(data.cvel[1, :3]), np.array(data.qvel[:3])
         slip = math.nan
         if data.ncon:
-            arms = np.array(data.contact.pos) - centre
-            depths = -np.array(data.contact.dist)
-            slides = velocity + np.cross(spin, arms)
-            normals = np.array(data.contact.frame)[:, :3]
-            slides -= np.einsum("cd,cd->c", slides, normals)[:, None] * normals
-            # The deepest contact carries the load.
-            slip = float(np.linalg.norm(slides[depths.argmax()])) / self._options.speed
+            deepest = data.contact.dist.argmin()  # it carries the load
+            normal = data.contact.frame[deepest, :3]
+            slide = velocity + np.cross(spin, data.contact.pos[deepest] - centre)
+            slide -= (slide @ normal) * normal
+            slip = float(np.linalg.norm(slide)) / self._options.speed
         overlap = max(0.0, -float(data.contact.dist.min(initial=0.0)))
         rotation = np.array(data.xmat[1]).reshape(3, 3)
         return centre, rotation, slip, float(np.linalg.norm(velocity)), overlap
 
-    def _draw_goal(self) -> NDArray[np.float64]:
-        return self._rng.uniform(-self._goal_limit, self._goal_limit, size=2)
+    def _draw_goal(self) -> None:
+        self._set_goal(self._rng.uniform(-self._goal_limit, self._goal_limit, size=2))
 
     def _set_goal(self, goal: NDArray[np.float64]) -> None:
         self._goal = goal
@@ -371,8 +369,7 @@ def simulate_journey(
         raise InputError(
             f"the body {body.name} does not roll; locomotion needs a sphere or a cylinder"
         )
-    least = _MIN_HALF_WIDTH * body.reach
-    if options.half_width < least:
+    if options.half_width < _MIN_HALF_WIDTH * body.reach:
         raise InputError(
             f"half_width must be at least {_MIN_HALF_WIDTH:g} times the reach of the body, got "
             f"{options.half_width / body.reach:g} times"
