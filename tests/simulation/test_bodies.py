@@ -1,14 +1,33 @@
-"""Bodies: sensors on the surface, and invalid arguments."""
+"""Bodies: sensors on their surface, spread over it, and distances along it."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.simulation import Body, find_body, solids
-from anisomap.simulation.bodies import BODIES, CYLINDER_PLACEMENTS, sphere
+from anisomap.simulation.bodies import (
+    BODIES,
+    CYLINDER_PLACEMENTS,
+    MAX_DENSITY,
+    covered,
+    cylinder,
+    great_circles,
+    sphere,
+    uneven_sphere,
+)
+from anisomap.simulation.solids import sample_surface, spread
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    """All bodies by name, made once."""
+    return {name: make() for name, make in BODIES.items()}
 
 
 @pytest.mark.parametrize("name", BODIES)
@@ -87,3 +106,83 @@ def test_placements_of_a_cylinder_cover_its_side(placement):
 def test_unknown_options_of_bodies_are_refused(body, options, message):
     with pytest.raises(InputError, match=message):
         find_body(body, **options)
+
+
+def test_points_are_uniform_on_the_exposed_surface():
+    rng = np.random.default_rng(0)
+    parts = [solids.box((1, 1, 1)), solids.ball(0.8, (1, 0, 0))]
+    points, normals = sample_surface(parts, 40_000, rng)
+    distances = np.array([part.distance(points) for part in parts])
+    np.testing.assert_allclose(distances.min(axis=0), 0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    on_ball = np.abs(distances[1]) < 1e-9
+    # Half of the ball lies inside the box and covers a disc of one face.
+    ball, box = 2 * np.pi * 0.8**2, 24 - np.pi * 0.8**2
+    assert on_ball.mean() == pytest.approx(ball / (ball + box), abs=0.01)
+    upper = ~on_ball & (points[:, 2] > 1 - 1e-9)
+    assert upper.mean() == pytest.approx(4 / (ball + box), abs=0.01)
+
+
+def test_spread_sensors_keep_their_distance_and_leave_no_gap():
+    parts = [solids.ball(1.0)]
+    points, _ = spread(parts, 150, np.random.default_rng(1))
+    nearest = KDTree(points).query(points, k=2)[0][:, 1].min()
+    everywhere, _ = sample_surface(parts, 20_000, np.random.default_rng(2))
+    widest = KDTree(points).query(everywhere)[0].max()
+    # Maximal Poisson disc: the minimum spacing is at least the covering radius, up to sampling.
+    assert widest <= nearest * 1.1
+
+
+def test_sensors_have_the_given_density():
+    body = uneven_sphere(300)
+    height = body.positions[:, 2]
+    upper, lower = np.sum(height > 0), np.sum(height < 0)
+    # The density increases linearly with height; ratio of its means over the two halves.
+    expected = (1 + (MAX_DENSITY - 1) * 0.75) / (1 + (MAX_DENSITY - 1) * 0.25)
+    assert upper / lower == pytest.approx(expected, rel=0.1)
+
+
+def test_there_are_no_sensors_at_zero_density():
+    body = covered("half", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 0.2)
+    assert (body.positions[:, 0] > 0.2).all()
+    with pytest.raises(InputError, match="too small for"):
+        covered("none", [solids.ball(1.0)], 50, lambda points: points[:, 0] > 2)
+
+
+@pytest.mark.parametrize("name", ["hand", "holed-plate"])
+def test_surface_distances_are_a_metric_no_shorter_than_straight_lines(name, bodies):
+    body = bodies[name]
+    found = body.surface_distances
+    straight = squareform(pdist(body.positions))
+    np.testing.assert_array_equal(found, found.T)
+    assert (np.diag(found) == 0).all()
+    assert np.isfinite(found).all()
+    assert (found >= straight * (1 - 1e-3)).all()
+    # Triangle inequality.
+    assert (found[:, :, None] + found[None] >= found[:, None] * (1 - 1e-6) - 1e-9).all()
+
+
+def test_shortest_paths_agree_with_closed_forms():
+    pairs = np.triu_indices(60, 1)
+    ball = sphere()
+    found = replace(ball, geodesic=None).surface_distances
+    np.testing.assert_allclose(found[pairs], great_circles(ball.positions)[pairs], rtol=0.02)
+    tube = cylinder()
+    x, y, z = tube.positions.T
+    turn = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x)[:, None] - np.arctan2(y, x)))))
+    side = np.hypot(0.5 * turn, z[:, None] - z)
+    found = tube.surface_distances
+    # Paths over an end of the cylinder can be shorter, except between the two middle rows.
+    middle = np.abs(z) < 0.5
+    near = np.ix_(middle, middle)
+    np.testing.assert_allclose(found[near], side[near], rtol=0.02, atol=1e-12)
+    assert (found <= side * 1.02 + 1e-12).all()
+
+
+def test_surface_distances_go_around_a_hole(bodies):
+    body = bodies["holed-plate"]
+    found = body.surface_distances
+    ratio = found / np.maximum(squareform(pdist(body.positions)), 1e-9)
+    far = squareform(pdist(body.positions)) > 0.85
+    assert ratio.max() > 1.3
+    assert ratio[far].min() < 1.03  # beside the hole, the shortest path is straight

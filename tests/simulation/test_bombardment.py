@@ -11,6 +11,7 @@ from scipy.spatial.distance import pdist
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation import Body, solids
 from anisomap.simulation.bodies import holed_plate, sphere
+from anisomap.simulation.kinematic import read_balls
 from anisomap.simulation.options import options_for
 from anisomap.simulation.physics.bombardment import (
     BombardmentOptions,
@@ -21,15 +22,17 @@ from anisomap.simulation.physics.models import add_geom, add_solid, new_model
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 
-STEP = 0.001
-OPTIONS = BombardmentOptions(n_balls=30, timestep=STEP, frame_interval=STEP)
+BODY, STEP, DEFAULT = sphere(), 0.001, BombardmentOptions()
+
+
+def fly(options, n_frames, seed, body=BODY):
+    return simulate_flight(body, n_frames, options, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
-def stepped():
-    """Every step of four seconds of physics, with 30 balls around the sphere."""
-    assert OPTIONS.steps_per_frame == 1
-    return simulate_flight(sphere(), 4000, OPTIONS, np.random.default_rng(5))
+def flight():
+    """The default run: 2,000 frames of a sphere with 60 sensors."""
+    return fly(DEFAULT, 2000, 1)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +50,6 @@ def assembly():
     return body.scaled(1 / body.reach)
 
 
-def wall_gaps(centres, options):
-    return options.box_half_width - options.ball_radius - np.abs(centres)
-
-
-def body_gaps(centres, options):
-    return np.asarray(np.linalg.norm(centres, axis=-1) - 1 - options.ball_radius)
-
-
 def ball_gaps(centres, options):
     return np.array([pdist(balls) for balls in centres]) - 2 * options.ball_radius
 
@@ -64,9 +59,8 @@ def lag_correlation(readings):
     return float(np.mean((centred[1:] * centred[:-1]).mean(axis=0) / centred.var(axis=0)))
 
 
-def test_energy_is_conserved(bombarded):
-    flight = bombarded.flight
-    start = bombarded.options.n_balls * bombarded.options.speed**2 / 2
+def test_energy_is_conserved(flight):
+    start = DEFAULT.n_balls * DEFAULT.speed**2 / 2
     assert flight.energies[0] == pytest.approx(start, rel=1e-12)
     relative = flight.energies / start - 1
     assert np.abs(relative).max() < 0.02
@@ -79,7 +73,7 @@ def test_energy_is_conserved(bombarded):
 
 def test_energy_is_conserved_when_balls_touch_several_objects_at_once():
     options = BombardmentOptions(n_balls=60, box_half_width=2.0)
-    flight = simulate_flight(sphere(), 200, options, np.random.default_rng(4))
+    flight = fly(options, 200, 4)
     crowded = (ball_gaps(flight.centres, options) < 0).sum(axis=1) > 1
     assert crowded.mean() > 0.5
     assert np.abs(flight.energies / flight.energies[0] - 1).max() < 0.02
@@ -87,7 +81,7 @@ def test_energy_is_conserved_when_balls_touch_several_objects_at_once():
 
 def test_contacts_with_solids_of_all_kinds_conserve_energy(assembly):
     options = options_for(BombardmentOptions, assembly, {"box_half_width": 2.0})
-    flight = simulate_flight(assembly, 250, options, np.random.default_rng(5))
+    flight = fly(options, 250, 5, assembly)
     assert flight.energy_drift < 0.02
     clearances = assembly.distance(flight.centres.reshape(-1, 3)) - options.ball_radius
     assert (clearances < 0).sum() > 5
@@ -120,23 +114,27 @@ def test_mujoco_finds_the_contacts_of_the_exact_distance(assembly):
     assert (expected > 0).sum() > 20
 
 
-def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other(stepped):
+def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other():
+    options = BombardmentOptions(n_balls=30, timestep=STEP, frame_interval=STEP)
+    assert options.steps_per_frame == 1
+    flight = fly(options, 4000, 5)
     # Depth is proportional to the square root of the speed, which is bounded by that of one ball
     # (or two colliding balls) with all the energy.
-    deepest = OPTIONS.softness * OPTIONS.n_balls**0.25
-    assert wall_gaps(stepped.centres, OPTIONS).min() > -deepest
-    assert body_gaps(stepped.centres, OPTIONS).min() > -deepest
-    assert ball_gaps(stepped.centres, OPTIONS).min() > -deepest * 2**0.25
-    assert OPTIONS.softness / 2 < stepped.overlaps.max() < deepest * 2**0.25
+    deepest = options.softness * options.n_balls**0.25
+    centres, radius = flight.centres, options.ball_radius
+    assert (options.box_half_width - radius - np.abs(centres)).min() > -deepest
+    assert (np.linalg.norm(centres, axis=2) - 1 - radius).min() > -deepest
+    assert ball_gaps(centres, options).min() > -deepest * 2**0.25
+    assert options.softness / 2 < flight.overlaps.max() < deepest * 2**0.25
 
 
-def test_velocities_follow_the_maxwell_distribution(bombarded):
+def test_velocities_follow_the_maxwell_distribution(flight):
     # A ball that bounces within a frame appears slower; quantiles hardly depend on these.
-    late = np.diff(bombarded.flight.centres[1000:], axis=0).reshape(-1, 3)
-    speeds = np.abs(late) / bombarded.options.frame_interval
+    late = np.diff(flight.centres[1000:], axis=0).reshape(-1, 3)
+    speeds = np.abs(late) / DEFAULT.frame_interval
     half = 0.6745  # quantiles of the absolute value of a normal variable
     median = np.median(speeds, axis=0)
-    np.testing.assert_allclose(median, half * bombarded.options.speed / np.sqrt(3), rtol=0.2)
+    np.testing.assert_allclose(median, half * DEFAULT.speed / np.sqrt(3), rtol=0.2)
     for share, quantile in ((0.25, 0.3186), (0.9, 1.6449), (0.99, 2.5758)):
         ratio = np.quantile(speeds, share) / np.median(speeds)
         assert ratio == pytest.approx(quantile / half, rel=0.15)
@@ -145,7 +143,7 @@ def test_velocities_follow_the_maxwell_distribution(bombarded):
 def test_energy_is_equipartitioned_among_balls_of_different_sizes():
     options = BombardmentOptions(size_ratio=3.0, n_balls=30)
     assert options.radii.max() / options.radii.min() == pytest.approx(3)
-    flight = simulate_flight(sphere(), 1000, options, np.random.default_rng(2))
+    flight = fly(options, 1000, 2)
     assert flight.energy_drift < 0.02
     speeds = np.linalg.norm(np.diff(flight.centres, axis=0), axis=2) / options.frame_interval
     kinetic = options.masses * np.median(speeds, axis=0) ** 2
@@ -156,13 +154,14 @@ def test_energy_is_equipartitioned_among_balls_of_different_sizes():
     assert (away > 1 + options.radii - 6 * options.softness).all()
 
 
-def test_readings_on_the_sphere_are_isotropic_and_stationary(bombarded):
-    body, readings = bombarded.body, bombarded.readings
+def test_readings_on_the_sphere_are_isotropic_and_stationary(flight):
+    radii = DEFAULT.ball_radius, DEFAULT.detection_radius
+    readings, normals = read_balls(BODY.positions, flight.centres, *radii), BODY.normals
     mean_reading = readings.mean(axis=0)
     # Of a half that is not reached, these would be 0.5, 1 and 0.
-    assert np.linalg.norm(mean_reading @ body.normals) / mean_reading.sum() < 0.25
+    assert np.linalg.norm(mean_reading @ normals) / mean_reading.sum() < 0.25
     assert mean_reading.std() < 0.5 * mean_reading.mean()
-    quadrupole = body.normals.T @ (body.normals * mean_reading[:, None]) / mean_reading.sum()
+    quadrupole = normals.T @ (normals * mean_reading[:, None]) / mean_reading.sum()
     np.testing.assert_allclose(quadrupole, np.eye(3) / 3, atol=0.1)
     # Springs that slowly gain energy take the correlation to 0.
     early, late = readings[:1000], readings[1000:]
@@ -174,12 +173,7 @@ def test_readings_on_the_sphere_are_isotropic_and_stationary(bombarded):
 
 def test_the_frame_interval_does_not_change_the_physics():
     coarse, fine = (
-        simulate_flight(
-            sphere(),
-            n_frames,
-            BombardmentOptions(timestep=STEP, frame_interval=interval),
-            np.random.default_rng(1),
-        ).centres
+        fly(BombardmentOptions(timestep=STEP, frame_interval=interval), n_frames, 1).centres
         for n_frames, interval in ((6, 0.1), (26, 0.02))
     )
     np.testing.assert_allclose(fine[::5], coarse, atol=1e-6)
