@@ -58,19 +58,18 @@ def test_sites_of_a_model_become_sensors(folder):
 
 
 def test_given_sensors_near_the_surface_are_projected_onto_it():
-    outline = solids.ball(1.0).outline
-    exact = sphere(40).positions
-    body = body_from_mesh(
-        outline.vertices, outline.faces, exact, names=[f"n{i}" for i in range(40)]
-    )
+    outline, exact = solids.ball(1.0).outline, sphere(40).positions
+    names = [f"n{i}" for i in range(40)]
+    body = body_from_mesh(outline.vertices, outline.faces, exact, names=names)
     assert np.linalg.norm(body.positions - exact, axis=1).max() < 0.01
     assert body.names[3] == "n3"
-    with pytest.raises(InputError, match=r"sensor s7 is 0\.5.* off the surface of mesh"):
-        body_from_mesh(outline.vertices, outline.faces, np.vstack([exact[:7], 1.5 * exact[7:8]]))
-    with pytest.raises(InputError, match="check that they use the frame and unit of the body"):
-        body_from_mesh(outline.vertices, outline.faces, 1000 * exact)
-    with pytest.raises(InputError, match=r"sensors must have shape \(N, 3\), got \(40, 2\)"):
-        body_from_mesh(outline.vertices, outline.faces, exact[:, :2])
+    for sensors, message in (
+        (np.vstack([exact[:7], 1.5 * exact[7:8]]), r"sensor s7 is 0\.5.* off the surface of mesh"),
+        (1000 * exact, "check that they use the frame and unit of the body"),
+        (exact[:, :2], r"sensors must have shape \(N, 3\), got \(40, 2\)"),
+    ):
+        with pytest.raises(InputError, match=message):
+            body_from_mesh(outline.vertices, outline.faces, sensors)
 
 
 def test_a_body_from_points_leaves_all_sensors_exposed():
@@ -133,17 +132,12 @@ def test_an_invalid_file_raises_an_error(folder, name, sensors, error, message):
         load_body(folder / name, sensors)
 
 
-@pytest.mark.parametrize(
-    ("positions", "message"),
-    [
-        (np.zeros((3, 3)), r"\(N, 3\) with N at least 4"),
-        (np.zeros((9, 2)), r"\(N, 3\) with N at least 4"),
-        (np.vstack([np.eye(3), [[1, 0, 0]]]), "sensors 0 and 3 coincide"),
-    ],
-)
-def test_invalid_positions_raise_an_error(positions, message):
-    with pytest.raises(InputError, match=message):
-        body_from_points(positions)
+def test_invalid_positions_raise_an_error():
+    for positions in (np.zeros((3, 3)), np.zeros((9, 2))):
+        with pytest.raises(InputError, match=r"\(N, 3\) with N at least 4"):
+            body_from_points(positions)
+    with pytest.raises(InputError, match="sensors 0 and 3 coincide"):
+        body_from_points(np.vstack([np.eye(3), [[1, 0, 0]]]))
 
 
 def test_errors_about_meshes_are_short(tmp_path):

@@ -49,24 +49,21 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(body, scenari
     assert shares[-1] == 1
     assert (np.diff(shares) > 0).all()
     own = slice(made.n_sensors)  # self-touch adds the sensors of a fingertip
-    assert len(recording.readings) == 40
     np.testing.assert_array_equal(recording.positions[own], made.positions)
-    assert (recording.readings >= 0).all()
-    assert (recording.readings > 0).any()
     np.testing.assert_array_equal(recording.normals[own], made.normals)
     assert recording.names[own] == made.names
-    assert recording.units == "m"
-    assert recording.rate_hz is not None
-    assert body in recording.source
-    assert scenario in recording.source
-    metadata = recording.metadata
-    assert (metadata["body"], metadata["scenario"], metadata["seed"]) == (body, scenario, 3)
-    assert metadata["anisomap"] == __version__
+    assert len(recording.readings) == 40
+    assert recording.readings.max() > recording.readings.min() >= 0
+    assert (recording.units, recording.rate_hz) == ("m", 20)
+    assert recording.source == f"simulated {scenario} of {body}, seed 3"
+    metadata = dict(recording.metadata)
+    known = {"body": body, "scenario": scenario, "seed": 3, "anisomap": __version__}
     if SCENARIOS[scenario].uses_mujoco:
-        assert metadata["mujoco"] == sys.modules["mujoco"].__version__
+        known["mujoco"] = sys.modules["mujoco"].__version__
+    assert known.items() <= metadata.items()
     assert all(type(value) in (str, int, float, bool) for value in metadata.values())
-    for name, default in vars(SCENARIOS[scenario].options()).items():
-        assert name in metadata or default is None
+    defaults = vars(SCENARIOS[scenario].options())
+    assert {name for name, value in defaults.items() if value is not None} <= metadata.keys()
     # The same seed gives the same bytes, another seed other readings.
     assert same_bytes(recording, short(made, scenario, seed=3))
     assert not np.array_equal(recording.readings, short(made, scenario, seed=4).readings)
@@ -81,10 +78,8 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(body, scenari
 
 def test_parallel_runs_equal_single_runs():
     together = simulate_runs("sphere", "bombardment", [3, 4], workers=2, n_frames=20)
-    assert all(
-        same_bytes(run, simulate(n_frames=20, seed=seed))
-        for run, seed in zip(together, (3, 4), strict=True)
-    )
+    for run, seed in zip(together, (3, 4), strict=True):
+        assert same_bytes(run, simulate(n_frames=20, seed=seed))
 
 
 def test_effective_parameters_are_in_the_metadata():
@@ -93,9 +88,8 @@ def test_effective_parameters_are_in_the_metadata():
     recording = simulate(n_frames=1, n_sensors=33, **given)
     assert recording.n_sensors == 33
     assert recording.rate_hz == pytest.approx(25)
-    assert recording.metadata["n_balls"] == 7
-    assert recording.metadata["detection_radius"] == 0.3
-    assert recording.metadata["timestep"] == options.step
+    effective = {"n_balls": 7, "detection_radius": 0.3, "timestep": options.step}
+    assert effective.items() <= dict(recording.metadata).items()
     assert 0 <= float(recording.metadata["energy_drift"]) < 0.02
     assert 0 <= float(recording.metadata["deepest_overlap"]) < 0.1
 
@@ -111,9 +105,9 @@ def test_a_recording_from_a_generator_can_be_reproduced():
 
 
 def test_sensors_do_not_affect_the_dynamics():
-    few, many = (simulate(n_frames=60, n_sensors=n) for n in (20, 300))
-    same = ("energy_drift", "deepest_overlap", "timestep")
-    assert [few.metadata[name] for name in same] == [many.metadata[name] for name in same]
+    few, many = (simulate(n_frames=60, n_sensors=n).metadata for n in (20, 300))
+    assert few == many
+    assert {"energy_drift", "deepest_overlap", "timestep"} <= few.keys()
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
