@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, plot_touches, save_figure
+from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.maps import MAX_VECTOR_DOTS
 from anisomap.drawing.view import (
     MAX_JOINED,
@@ -24,20 +24,8 @@ from anisomap.drawing.view import (
 )
 from anisomap.errors import InputError
 from anisomap.evaluation import score
-from anisomap.health import touch_coverage
-from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap
-
-UNFRIENDLY = (
-    "$\\frac{$",
-    "a_b^c$",
-    "日本",
-    "line\nbreak",
-    "\x00\u202e\ud800",
-    "<b>",
-    "n" * 300,
-    "%s{}",
-)
+from reports import UNFRIENDLY
 
 
 def spread(n_sensors, dimensions, seed=0):
@@ -87,9 +75,8 @@ def test_truth_and_map_have_the_same_limits_and_one_scale(true_k, k):
     assert len(spaces(figure)) == (2 if "z" in names else 0)
     limits = [[getattr(axes, f"get_{axis}lim")() for axis in names] for axes in panels]
     assert limits[0] == limits[1]
-    assert [getattr(panels[0], f"get_{axis}label")() for axis in names] == [
-        f"{axis} (mm)" for axis in names
-    ]
+    for axis in names:
+        assert getattr(panels[0], f"get_{axis}label")() == f"{axis} (mm)"
     if "z" in names:
         ratios = np.ptp(limits[1], axis=1) / panels[1]._box_aspect
         assert ratios == pytest.approx(ratios[0])
@@ -105,15 +92,10 @@ def test_truth_and_map_have_the_same_limits_and_one_scale(true_k, k):
 
 def test_every_sensor_is_drawn_at_its_position_in_one_colour():
     sensor_map, scored = compared(40, 2, 2)
-    figure = map_figure(sensor_map, scored)
-    drawn = []
-    for axes in figure.axes[:2]:
-        (dots,) = axes.collections
-        drawn.append((np.asarray(dots.get_offsets()), dots.get_facecolor()))
-    (true_places, true_colours), (places, colours) = drawn
-    np.testing.assert_allclose(true_places, scored.truth)
-    np.testing.assert_allclose(places, scored.alignment.aligned)
-    np.testing.assert_array_equal(true_colours, colours)
+    (true_dots,), (dots,) = (axes.collections for axes in map_figure(sensor_map, scored).axes[:2])
+    np.testing.assert_allclose(true_dots.get_offsets(), scored.truth)
+    np.testing.assert_allclose(dots.get_offsets(), scored.alignment.aligned)
+    np.testing.assert_array_equal(true_dots.get_facecolor(), dots.get_facecolor())
 
 
 def test_no_panel_is_empty_or_cut_off():
@@ -121,11 +103,10 @@ def test_no_panel_is_empty_or_cut_off():
     picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
     height, width, _ = picture.shape
     assert width > 1500
-    colourful = np.ptp(picture.astype(int), axis=2) > 40
+    inner = picture[height // 5 : -height // 5].astype(int)
+    colourful = (np.ptp(inner, axis=2) > 40).mean(axis=0)
     for left, right in ((0.05, 0.33), (0.38, 0.65), (0.72, 0.98)):
-        panel = colourful[
-            int(0.2 * height) : int(0.8 * height), int(left * width) : int(right * width)
-        ]
+        panel = colourful[int(left * width) : int(right * width)]
         assert panel.mean() > 0.002, "a panel is empty"
     for edge in (picture[:8], picture[-8:], picture[:, :8], picture[:, -8:]):
         assert (edge == 255).all(), "the drawing exceeds the picture"
@@ -142,16 +123,12 @@ def test_without_truth_the_map_is_drawn_alone(dimensions, n_panels):
 def test_every_component_has_a_panel():
     sensor_map = in_components()
     alone = map_figure(sensor_map)
-    assert [axes.get_title().split(":")[0] for axes in alone.axes] == [
-        "Component 1",
-        "Component 2",
-        "Component 3",
-    ]
+    assert [axes.get_title()[:12] for axes in alone.axes] == [f"Component {i}:" for i in (1, 2, 3)]
     for said in ("separate components", "single sensor, not drawn: 1", "Without a position: s24"):
         assert said in texts(alone).replace("\n", " ")
     scored = score(sensor_map, np.nan_to_num(sensor_map.positions), permutations=0)
     titles = [axes.get_title() for axes in map_figure(sensor_map, scored).axes]
-    assert [title.split(":")[0] for title in titles[3:]] == ["Component 2", "Component 3"]
+    assert [title[:12] for title in titles[3:]] == ["Component 2:", "Component 3:"]
 
 
 def test_faulty_and_excluded_sensors_are_marked():
@@ -191,9 +168,6 @@ def test_names_are_drawn_literally_on_few_or_coincident_sensors():
         assert figure_bytes(map_figure(SensorMap(places)), "svg")
     assert figure_bytes(map_figure(sensor_map), "pdf")
     assert figure_bytes(map_figure(sensor_map, scored), "svg")
-    readings = np.random.default_rng(0).uniform(size=(50, len(UNFRIENDLY))) > 0.8
-    coverage = touch_coverage(sensor_map, Recording(readings, names=UNFRIENDLY))
-    assert figure_bytes(plot_touches(sensor_map, coverage).figure, "svg")
 
 
 def test_titles_and_notes_say_what_is_drawn():
@@ -275,16 +249,13 @@ def test_colours_differ_with_colour_vision_deficiencies():
         assert apart[~np.eye(len(seen), dtype=bool)].min() > 16 / 255
 
 
-def edges_of_length(places, length):
-    distances = np.linalg.norm(places[:, None] - places, axis=2)
-    return {(i, j) for i, j in np.argwhere(np.isclose(distances, length)).tolist() if i < j}
-
-
 @pytest.mark.parametrize("slant", [0.0, 0.5])
 def test_neighbours_on_a_lattice_are_one_side_apart(slant):
     rows, columns = np.divmod(np.arange(48), 8)
     places = np.column_stack([columns + slant * rows, rows * np.sqrt(1 - slant**2)])
-    assert {tuple(pair) for pair in neighbour_pairs(places).tolist()} == edges_of_length(places, 1)
+    distances = np.linalg.norm(places[:, None] - places, axis=2)
+    expected = np.argwhere(np.triu(np.isclose(distances, 1)))
+    np.testing.assert_array_equal(neighbour_pairs(places), expected)
 
 
 @pytest.mark.parametrize("thin", [0, 1, 2])

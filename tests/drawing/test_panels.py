@@ -17,12 +17,12 @@ from anisomap.layout.checking import LayoutFinding
 from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from reports import small_scene
+from reports import UNFRIENDLY, small_scene
 
 TRUTH = np.random.default_rng(0).normal(size=(20, 3))
-NAMES = ("$\\frac{$", "日本", "line\nbreak", *(f"s{i}" for i in range(3, 20)))
+NAMES = (*UNFRIENDLY, *(f"s{i}" for i in range(len(UNFRIENDLY), 20)))
 MAPS = {k: SensorMap(TRUTH[:, :k], names=NAMES) for k in (2, 3)}
-SCORE = score(MAPS[3], TRUTH, exclude=["s3"], units="mm", permutations=0)
+SCORE = score(MAPS[3], TRUTH, exclude=[NAMES[3]], units="mm", permutations=0)
 WANTED = np.linalg.norm(TRUTH[:, None, :2] - TRUTH[:, :2], axis=2)
 RECORDING = Recording(np.random.default_rng(1).uniform(size=(50, 20)) > 0.8, names=NAMES)
 TOUCHED = {k: touch_coverage(made, RECORDING) for k, made in MAPS.items()}

@@ -13,6 +13,18 @@ from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.sensor_map import SensorMap
 
 PNG = b"\x89PNG\r\n\x1a\n not decoded"
+UNFRIENDLY = (
+    "$\\frac{$",
+    "a_b^c$",
+    "日本",
+    "line\nbreak",
+    "\x00\u202e\ud800",
+    "<b>",
+    "n" * 300,
+    "%s{}",
+)
+"""Names that are markup, mathematics or templates, long, or cannot be drawn."""
+
 VOID = {"meta", "img", "input", "br", "link", "base"}
 LIBRARY = get_plotlyjs()
 

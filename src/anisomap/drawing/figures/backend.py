@@ -10,7 +10,7 @@ import inspect
 import io
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -44,6 +44,7 @@ MARKERS = ("o", "s", "^", "D")
 
 _SHORT = 0.6  # of the longest axis
 _NOTE, _TITLE = 0.05, 0.09  # of the height of a figure
+_MARGIN, _EDGE = 0.2, 0.12  # inches beside texts, and above or below them
 _MAX_TITLE = 80  # characters
 _STYLE = {
     "font.family": "DejaVu Sans",
@@ -76,11 +77,15 @@ def drawing_style() -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float, **settings: Any) -> Figure:
-    """Create an empty figure that is not bound to a window; sizes in inches."""
+def new_figure(
+    width: float, height: float, title: str = "", notes: Sequence[str] = (), **settings: Any
+) -> Figure:
+    """Create a figure that is not bound to a window, with a title and notes; sizes in inches."""
     figure: Figure = load("matplotlib.figure").Figure(
         figsize=(width, height), facecolor="white", **settings
     )
+    write_title(figure, title)
+    write_notes(figure, notes)
     return figure
 
 
@@ -189,21 +194,22 @@ def set_title(axes: Axes, title: str) -> None:
     axes.set_title(title, fontsize=10, color=INK, parse_math=False)
 
 
-def write_title(figure: Figure, title: str, *, x: float = 0.2, y: float = 0.12) -> None:
-    """Write the title of a figure, `x` and `y` inches from its upper left corner."""
-    top = figure.get_figheight() - y
-    _write(figure, title, x, top, va="top", fontsize=14, fontweight="bold", color=INK)
+def write_title(figure: Figure, title: str) -> None:
+    """Write the title of a figure."""
+    top = figure.get_figheight() - _EDGE
+    _write(figure, title, top, va="top", fontsize=14, fontweight="bold", color=INK)
 
 
-def write_notes(figure: Figure, lines: list[str], *, x: float = 0.2, y: float = 0.1) -> None:
-    """Write lines at the foot of a figure, `x` and `y` inches from its lower left corner."""
+def write_notes(figure: Figure, lines: Sequence[str]) -> None:
+    """Write lines at the foot of a figure."""
     style = {"va": "bottom", "fontsize": 8.5, "color": FAINT, "linespacing": 1.35}
-    _write(figure, "\n".join(lines), x, y, **style)
+    _write(figure, "\n".join(lines), _EDGE, **style)
 
 
-def _write(figure: Figure, text: str, x: float, y: float, **style: Any) -> None:
-    width, height = figure.get_size_inches()
-    figure.text(x / width, y / height, text, parse_math=False, **style)
+def _write(figure: Figure, text: str, y: float, **style: Any) -> None:
+    if text:
+        width, height = figure.get_size_inches()
+        figure.text(_MARGIN / width, y / height, text, parse_math=False, **style)
 
 
 KINDS = ("png", "svg", "pdf")

@@ -21,7 +21,6 @@ from anisomap.drawing.figures.backend import (
     new_figure,
     panel,
     set_title,
-    write_title,
 )
 from anisomap.drawing.view import printable
 from anisomap.errors import InputError
@@ -154,9 +153,8 @@ def _headed_figure(
     title: str, size: tuple[float, float], looks: Mapping[str, MethodLook], used: set[str]
 ) -> Figure:
     """Create a figure with a title, and a legend of the looks that are used."""
-    figure = new_figure(*size)
+    figure = new_figure(*size, title)
     figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / size[1]))
-    write_title(figure, title, x=0.15, y=0.1)
     line = load("matplotlib.lines").Line2D
     handles = [
         line([], [], ls="none", marker=look.marker, color=look.colour, label=look.label)
@@ -342,14 +340,13 @@ def stress_figure(
     """
     with drawing_style():
         n_panels = 2 + bool(test.null.size)
-        figure = new_figure(4.6 * n_panels, 4.6)
+        figure = new_figure(4.6 * n_panels, 4.6, title)
         figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
         axes = [figure.add_subplot(1, n_panels, i + 1) for i in range(n_panels)]
         plot_shepard(diagram, ax=axes[0])
         plot_stress_per_point(shares, names, ax=axes[1])
         if test.null.size:
             plot_null_test(test, label="Stress-1", ax=axes[2])
-        write_title(figure, title)
         return figure
 
 

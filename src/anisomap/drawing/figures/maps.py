@@ -24,8 +24,6 @@ from anisomap.drawing.figures.backend import (
     panel,
     set_ticks,
     set_title,
-    write_notes,
-    write_title,
 )
 from anisomap.drawing.view import (
     MAX_JOINED,
@@ -118,7 +116,8 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     main_row = _ROW if first else 0.0
     height = _HEAD + main_row - (-len(small) // _COLUMNS) * _SMALL_ROW
     with drawing_style():
-        figure = new_figure(width, height + _FOOT + _LINE * len(notes))
+        height += _FOOT + _LINE * len(notes)
+        figure = new_figure(width, height, _title(sensor_map, score), notes)
         if first and score is not None:
             cells = _cells(figure, 0, _ROW, _COMPARISON)
             _draw_comparison(figure, first[0], score, cells)
@@ -134,8 +133,6 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
             count = len(component.points)
             title = f"Component {component.number}: {count} sensors, own coordinate frame"
             _draw(figure, cells[column], component, title)
-        write_title(figure, _title(sensor_map, score), x=0.28, y=0.2)
-        write_notes(figure, notes, x=0.28, y=0.15)
         _add_legend(figure, first + small)
         return figure
 
@@ -533,14 +530,12 @@ def gallery_figure(
     foot = _LINE * len(lines) + 0.15
     height = _GALLERY_HEAD + rows * size + foot + 0.2
     with drawing_style():
-        figure = new_figure(width, height)
+        figure = new_figure(width, height, title, lines)
         sides = {"left": 0.7 / width, "right": 1 - 0.5 / width, "wspace": 0.22, "hspace": 0.34}
         top, bottom = 1 - (_GALLERY_HEAD + _BELOW) / height, (foot + _BELOW + 0.2) / height
         cells = figure.add_gridspec(rows, columns, top=top, bottom=bottom, **sides)
         for i, shown in enumerate(panels):
             _draw_panel(add_axes(figure, shown.dimensions, cells[divmod(i, columns)]), shown)
-        write_title(figure, title)
-        write_notes(figure, lines)
         return figure
 
 

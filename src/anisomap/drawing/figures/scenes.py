@@ -72,10 +72,9 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
         frame = busiest_frame(scene)
     _check_frame(scene, frame)
     with drawing_style():
-        figure = new_figure(15.0, 5.6)
+        figure = new_figure(15.0, 5.6, scene.title)
         edges = {"left": 0.01, "right": 0.94, "bottom": 0.11, "top": 0.84}
         cells = figure.add_gridspec(1, 3, width_ratios=(1.15, 1.15, 1), wspace=0.3, **edges)
-        write_title(figure, scene.title)
         axes = plot_scene(scene, frame, ax=add_axes(figure, 3, cells[0]))
         set_title(axes, f"Frame {frame} of {scene.n_frames}, {scene.times[frame]:.2f} s")
         axes = plot_scene(_body_of(scene), frame, ax=add_axes(figure, 3, cells[1]))
@@ -91,8 +90,7 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
             f"one label per scene is needed, got {len(labels)} labels for {len(scenes)} scenes"
         )
     with drawing_style():
-        figure = new_figure(4.0 * len(scenes), 4.6)
-        write_title(figure, title)
+        figure = new_figure(4.0 * len(scenes), 4.6, title)
         figure.subplots_adjust(left=0.01, right=0.94, bottom=0.08, top=0.86, wspace=0.16)
         for i, (scene, label) in enumerate(zip(scenes, labels, strict=True)):
             touched = replace(_body_of(scene), readings=np.ones_like(scene.readings))
