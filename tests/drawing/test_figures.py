@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
+from anisomap.base.wording import printable, shortened
 from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.maps import MAX_VECTOR_DOTS
 from anisomap.drawing.view import (
@@ -19,7 +20,6 @@ from anisomap.drawing.view import (
     best_view,
     neighbour_pairs,
     place_colours,
-    printable,
     view_axes,
 )
 from anisomap.errors import InputError
@@ -267,9 +267,10 @@ def test_flat_bodies_are_not_seen_edge_on(thin):
     assert np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)[1] > 0.3 * 40 * np.sqrt(80)
 
 
-@given(st.text(), st.integers(1, 20))
+@given(st.text(), st.integers(14, 40))
 def test_any_text_becomes_printable(text, max_length):
-    clean = printable(text, max_length)
-    assert clean.isprintable()
-    assert len(clean) == min(len(text), max_length)
-    clean.encode()
+    whole = printable(text)
+    assert len(whole.splitlines()) <= 1
+    assert "".join(whole.split()).isprintable()
+    whole.encode()
+    assert len(shortened(whole, max_length)) == min(len(whole), max_length)

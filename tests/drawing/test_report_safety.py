@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from anisomap.base.wording import printable
 from anisomap.drawing.report import render_report, write_report
-from anisomap.drawing.view import printable
 from anisomap.evaluation import score
 from anisomap.health import SensorHealth
 from anisomap.sensor_map import SensorMap

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
+from anisomap.base.wording import printable, shortened
 from anisomap.evaluation import Score
 from anisomap.sensor_map import SensorMap, ellipses, is_faulty, radius
 
@@ -90,7 +91,7 @@ _MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
 _PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
 _OUTLINE_POINTS = 33  # of a drawn ellipse
 _N_LABELS, _LABEL_ALL = 8, 24
-MAX_LABEL = 14
+_MAX_LABEL, MAX_UNITS = 14, 24  # characters
 _GREY = 0.72
 
 
@@ -222,11 +223,17 @@ def panel_limits(shown: Panel) -> Points:
     return box_around(shown.points, shown.truth, lines[np.isfinite(lines).all(axis=1)])
 
 
+def shown_name(name: str) -> str:
+    """Return a name that is short enough to stand beside a sensor."""
+    return shortened(printable(name), _MAX_LABEL)
+
+
 def axis_title(axis: str, units: str) -> str:
     """Name an axis with its unit: ``x (mm)``."""
     if not units:
         return f"{axis} (unit unknown)"
-    return f"{axis} ({'arbitrary units' if units == 'arbitrary' else printable(units, 24)})"
+    known = shortened(printable(units), MAX_UNITS)
+    return f"{axis} ({'arbitrary units' if units == 'arbitrary' else known})"
 
 
 def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]:
@@ -245,14 +252,6 @@ def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]
             "positions best"
         )
     return notes
-
-
-def printable(text: str, max_length: int | None = None) -> str:
-    """Replace characters that cannot be printed on one line, and shorten long texts."""
-    clean = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
-    if max_length is None or len(clean) <= max_length:
-        return clean
-    return clean[: max_length - 1] + "\N{HORIZONTAL ELLIPSIS}"
 
 
 def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
@@ -290,7 +289,7 @@ def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
         truth=truth,
         number=label + 1,
         covariances=_turned(sensor_map.covariances, sensors, linear, dimensions),
-        labels={i: printable(sensor_map.names[sensors[i]], MAX_LABEL) for i in labels},
+        labels={i: shown_name(sensor_map.names[sensors[i]]) for i in labels},
     )
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.view import printable
+from anisomap.base.wording import printable, shortened
 from anisomap.errors import FileError, InputError, import_extra
 from anisomap.files.paths import atomic_write, check_target
 
@@ -116,7 +116,7 @@ class Caption:
             figure.legend(
                 loc="upper right", ncols=self.legend, frameon=False, bbox_to_anchor=(0.99, 0.96)
             )
-        write_title(figure, printable(self.title, _MAX_TITLE))
+        write_title(figure, shortened(printable(self.title), _MAX_TITLE))
         write_notes(figure, [self.note])
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import printable
 from anisomap.drawing.figures.backend import (
     FAINT,
     INK,
@@ -22,7 +23,6 @@ from anisomap.drawing.figures.backend import (
     panel,
     set_title,
 )
-from anisomap.drawing.view import printable
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard
 from anisomap.health import SensorHealth

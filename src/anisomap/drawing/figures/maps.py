@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist
 
-from anisomap.base.wording import join_items
+from anisomap.base.wording import join_items, printable, shortened
 from anisomap.drawing.figures.backend import (
     FAINT,
     INK,
@@ -27,7 +27,7 @@ from anisomap.drawing.figures.backend import (
 )
 from anisomap.drawing.view import (
     MAX_JOINED,
-    MAX_LABEL,
+    MAX_UNITS,
     VIEWS,
     Panel,
     Points,
@@ -42,8 +42,8 @@ from anisomap.drawing.view import (
     outlines,
     panel_limits,
     place_colours,
-    printable,
     segments,
+    shown_name,
     view_axes,
 )
 from anisomap.errors import InputError
@@ -246,7 +246,7 @@ def _draw_comparison(
     figure: Figure, shown: Panel, score: Score, cells: Sequence[SubplotSpec]
 ) -> None:
     how = "rotated, scaled and reflected" if score.alignment.reflected else "rotated and scaled"
-    error = f"{score.rms:.3g} {printable(score.units, 24)}".strip()
+    error = f"{score.rms:.3g} {shortened(printable(score.units), MAX_UNITS)}".strip()
     spacings = f" = {score.rms_in_spacings:.2g} sensor spacings" if score.spacing > 0 else ""
     limits = panel_limits(shown)
     _draw(figure, cells[0], shown.true(), "True positions", limits)
@@ -258,7 +258,7 @@ def _draw_comparison(
 
 def _title(sensor_map: SensorMap, score: Score | None) -> str:
     placed = f"{int(sensor_map.placed.sum())} {sensor_map.kind}s"
-    parts = [printable(sensor_map.method, 60) or "map", placed]
+    parts = [shortened(printable(sensor_map.method), 60) or "map", placed]
     if sensor_map.approximate:
         parts.insert(1, "approximate")
     if score is not None:
@@ -287,9 +287,7 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
         notes.append(
             "Ellipses hold 95 % of the true positions, on average over maps of known skins."
         )
-    unplaced = [
-        printable(sensor_map.names[i], MAX_LABEL) for i in np.flatnonzero(~sensor_map.placed)
-    ]
+    unplaced = [shown_name(sensor_map.names[i]) for i in np.flatnonzero(~sensor_map.placed)]
     if unplaced:
         notes.append(f"Without a position: {join_items(unplaced, 12)}.")
     single = np.count_nonzero(np.bincount(sensor_map.component[sensor_map.placed]) == 1)
@@ -300,7 +298,7 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
     if sensor_map.dimensions > 3:
         notes.append(f"The first three of {sensor_map.dimensions} dimensions are drawn.")
     caveats = [*sensor_map.notes, *layout_notes(sensor_map, score)]
-    notes += [f"Note: {printable(note, 400)}" for note in caveats]
+    notes += [f"Note: {shortened(printable(note), 400)}" for note in caveats]
     wrapped = [
         line for note in notes for line in textwrap.wrap(note, int(width * _CHARACTERS_PER_INCH))
     ]

@@ -25,12 +25,11 @@ from anisomap.drawing.figures.maps import (
     write_labels,
 )
 from anisomap.drawing.view import (
-    MAX_LABEL,
     Points,
     best_view,
     box_around,
-    printable,
     segments,
+    shown_name,
     span_dimensions,
     with_axes,
 )
@@ -207,7 +206,7 @@ def _draw_displacements(
         _draw_arrows(axes, places[known], arrows[known], colour)
     for i, name in labels.items():
         right_half = bool(start[i, 0] > limits[0].mean())
-        write_label(axes, start[i], printable(name, MAX_LABEL), right_half)
+        write_label(axes, start[i], shown_name(name), right_half)
 
 
 def _draw_arrows(axes: Axes, places: Points, arrows: Points, colour: str) -> None:

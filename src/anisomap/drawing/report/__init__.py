@@ -14,9 +14,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from anisomap.base.wording import UNKNOWN, join_items, number, percent
+from anisomap.base.wording import UNKNOWN, join_items, number, percent, printable
 from anisomap.drawing.report.interactive import interactive_views, status_colours
-from anisomap.drawing.view import MAX_JOINED, drawn_components, layout_notes, printable
+from anisomap.drawing.view import MAX_JOINED, drawn_components, layout_notes
 from anisomap.errors import FileError, import_extra
 from anisomap.evaluation import Score
 from anisomap.evidence import SIMILARITIES
@@ -269,8 +269,10 @@ _MEASURED: dict[str, tuple[str, str, Callable[[Any], str]]] = {
 """Columns of the table of sensors that the health of a sensor fills: meaning, attribute, format."""
 
 
-def _load(module: str) -> Any:
-    return import_extra(module, "a report", "report")
+def _libraries() -> tuple[Any, Any]:
+    """Import jinja2 and plotly."""
+    jinja2 = import_extra("jinja2", "a report", "report")
+    return jinja2, import_extra("plotly.offline", "a report", "report")
 
 
 def _base64(content: bytes) -> str:
@@ -303,7 +305,7 @@ def templates(package: str, finalize: Callable[[object], object] | None = None) 
 
     finalize: Applied to every value first.
     """
-    jinja = _load("jinja2")
+    jinja = import_extra("jinja2", "a report", "report")
     environment = jinja.Environment(
         loader=jinja.PackageLoader(package),
         autoescape=True,
@@ -370,7 +372,7 @@ def render_report(
 
     Names and notes are escaped. The page runs no scripts but its own and sends no requests.
     """
-    plotly = _load("plotly.offline")
+    _, plotly = _libraries()
     drawn = drawn_components(sensor_map, score)
     statuses = _sensor_statuses(sensor_map, health)
     scene = interactive_views(sensor_map, drawn, score, statuses)
@@ -409,5 +411,4 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a report can be written to a file."""
     if check_target(path).suffix.lower() not in SUFFIXES:
         raise FileError(f"cannot write a report to {path}; the name must end in .html or .htm")
-    _load("jinja2")
-    _load("plotly.offline")
+    _libraries()

@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import printable, shortened
 from anisomap.drawing.view import (
     Panel,
     Points,
     axis_title,
     outlines,
     panel_limits,
-    printable,
     segments,
     view_axes,
 )
@@ -300,4 +300,4 @@ def _without_markup(text: str) -> str:
     plotly's labels interpret some HTML, and its 3D labels decode no escapes. The table of sensors
     contains the text unchanged.
     """
-    return printable(text, _MAX_NAME).translate(_BRACKETS)
+    return shortened(printable(text), _MAX_NAME).translate(_BRACKETS)
