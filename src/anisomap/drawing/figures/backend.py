@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,21 @@ def new_figure(
 def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
     """Add 2D or 3D axes to a figure; `position` as for ``Figure.add_subplot``."""
     return figure.add_subplot(*position, projection="3d" if dimensions == 3 else None)
+
+
+def add_legend(
+    figure: Figure,
+    marks: Sequence[dict[str, str]],
+    corner: Literal["upper left", "upper right"],
+    anchor: tuple[float, float],
+) -> None:
+    """Add a legend in one row to a figure, unless there are no marks; anchor in its size."""
+    line = load("matplotlib.lines").Line2D
+    handles = [line([], [], ls="none", **mark) for mark in marks]
+    if handles:
+        figure.legend(
+            handles=handles, loc=corner, bbox_to_anchor=anchor, ncols=len(handles), frameon=False
+        )
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from anisomap.drawing.figures.backend import (
     MARKERS,
     PALETTE,
     Axes,
+    add_legend,
     drawing_style,
-    load,
     new_figure,
     panel,
     set_title,
@@ -155,16 +155,12 @@ def _headed_figure(
     """Create a figure with a title, and a legend of the looks that are used."""
     figure = new_figure(*size, title)
     figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / size[1]))
-    line = load("matplotlib.lines").Line2D
-    handles = [
-        line([], [], ls="none", marker=look.marker, color=look.colour, label=look.label)
+    marks = [
+        {"marker": look.marker, "color": look.colour, "label": look.label}
         for method, look in looks.items()
         if method in used
     ]
-    figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.005, 1 - 0.38 / size[1]),
-        ncols=len(handles), frameon=False, fontsize=9.5,
-    )  # fmt: skip
+    add_legend(figure, marks, "upper left", (0.005, 1 - 0.38 / size[1]))
     return figure
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import pdist
 
 from anisomap.base.wording import join_items, printable, shortened
@@ -18,6 +18,7 @@ from anisomap.drawing.figures.backend import (
     PALETTE,
     Axes,
     add_axes,
+    add_legend,
     drawing_style,
     load,
     new_figure,
@@ -308,23 +309,12 @@ def _notes(sensor_map: SensorMap, score: Score | None, hidden: int, width: float
 
 
 def _add_legend(figure: Figure, drawn: Sequence[Panel]) -> None:
-    marks = []
-    line = load("matplotlib.lines").Line2D
+    marks: list[dict[str, str]] = []
     if any(component.faulty.any() for component in drawn):
-        marks.append(line([], [], ls="none", marker="x", color="black", label="faulty"))
+        marks.append({"marker": "x", "color": "black", "label": "faulty"})
     if any(component.uncompared.any() for component in drawn):
-        marks.append(
-            line([], [], ls="none", marker="s", mfc="#b8b8b8", mec=INK, label="not compared")
-        )
-    if marks:
-        figure.legend(
-            handles=marks,
-            loc="upper right",
-            bbox_to_anchor=(0.985, 1 - 0.12 / figure.get_figheight()),
-            ncols=len(marks),
-            frameon=False,
-            fontsize=9,
-        )
+        marks.append({"marker": "s", "mfc": "#b8b8b8", "mec": INK, "label": "not compared"})
+    add_legend(figure, marks, "upper right", (0.985, 1 - 0.12 / figure.get_figheight()))
 
 
 def draw_configuration(axes: Axes, shown: Panel, limits: Points | None = None) -> None:
@@ -490,15 +480,34 @@ def truth_panel(
     """Prepare a panel of the true positions. truth (N, k)."""
     places = np.asarray(truth, dtype=np.float64)
     placed = np.full(len(places), True) if on_maps is None else np.asarray(on_maps, dtype=bool)
-    drawn = _panel(title, places, places, placed, excluded=excluded, units=units, labels=labels)
-    return replace(drawn, unplaced=places[~placed])
+    view = VIEWS[0]  # ignored in 2D
+    if places.shape[1] == 3:
+        view = VIEWS[0] if best_view(places) == VIEWS[0] else _OBLIQUE_VIEW
+    rows = np.flatnonzero(placed)
+    row_of = {int(sensor): i for i, sensor in enumerate(rows)}
+    left_out = np.broadcast_to(np.asarray(excluded, dtype=bool), placed.shape)[rows]
+    pairs = neighbour_pairs(places[rows])
+    return Panel(
+        points=places[rows],
+        colours=place_colours(places, view)[rows],
+        pairs=pairs[~left_out[pairs].any(axis=1)],  # whose place on the map is arbitrary
+        view=view,
+        units=units,
+        uncompared=left_out,
+        faulty=np.zeros(len(rows), dtype=bool),
+        sensors=rows,
+        truth=places[rows],
+        labels={row_of[i]: name for i, name in (labels or {}).items() if i in row_of},
+        unplaced=places[~placed],
+        title=title,
+    )
 
 
 def map_panel(
     title: str,
     sensor_map: SensorMap,
     score: Score,
-    truth: ArrayLike,
+    truth: Points,
     *,
     labels: Mapping[int, str] | None = None,
 ) -> Panel:
@@ -506,13 +515,16 @@ def map_panel(
 
     truth (N, k).
     """
-    places = np.asarray(truth, dtype=np.float64)
-    points = score.alignment.apply(sensor_map.positions)[:, : places.shape[1]]
-    excluded = np.isin(np.arange(sensor_map.n_sensors), score.excluded)
-    placed = sensor_map.placed & (sensor_map.component == 0)
-    return _panel(
-        title, points, places, placed, excluded=excluded, units=score.units, labels=labels
+    drawn = truth_panel(
+        title,
+        truth,
+        units=score.units,
+        on_maps=sensor_map.placed & (sensor_map.component == 0),
+        excluded=np.isin(np.arange(sensor_map.n_sensors), score.excluded),
+        labels=labels,
     )
+    aligned = score.alignment.apply(sensor_map.positions)[drawn.sensors, : truth.shape[1]]
+    return replace(drawn, points=aligned, unplaced=None)
 
 
 def gallery_figure(
@@ -549,35 +561,3 @@ def _draw_panel(ax: Axes, shown: Panel) -> None:
     if len(rings):
         ax.scatter(*rings.T, s=22, facecolors="none", edgecolors=FAINT, linewidths=0.7)
     set_title(ax, shown.title)
-
-
-def _panel(
-    title: str,
-    points: Points,
-    truth: Points,
-    placed: NDArray[np.bool_],
-    *,
-    excluded: ArrayLike,
-    units: str,
-    labels: Mapping[int, str] | None,
-) -> Panel:
-    view = VIEWS[0]  # ignored in 2D
-    if truth.shape[1] == 3:
-        view = VIEWS[0] if best_view(truth) == VIEWS[0] else _OBLIQUE_VIEW
-    rows = np.flatnonzero(placed)
-    row_of = {int(sensor): i for i, sensor in enumerate(rows)}
-    left_out = np.broadcast_to(np.asarray(excluded, dtype=bool), placed.shape)[rows]
-    pairs = neighbour_pairs(truth[rows])
-    return Panel(
-        points=points[rows],
-        colours=place_colours(truth, view)[rows],
-        pairs=pairs[~left_out[pairs].any(axis=1)],  # whose place on the map is arbitrary
-        view=view,
-        units=units,
-        uncompared=left_out,
-        faulty=np.zeros(len(rows), dtype=bool),
-        sensors=rows,
-        truth=truth[rows],
-        labels={row_of[i]: name for i, name in (labels or {}).items() if i in row_of},
-        title=title,
-    )
