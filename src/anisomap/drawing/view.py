@@ -40,13 +40,10 @@ _CONES_TO_RGB = np.array(
 
 
 def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> Points:
-    """Encode positions as colours.
+    """Encode positions as colours. points (N, 2 or 3) -> (N, 3).
 
     Seen from `view`, up is light, right is yellow and left is blue: these two contrasts survive
-    every common colour vision deficiency. The third axis, from red (near) to green (far), is
-    redundant with depth. In 2D it repeats the vertical axis.
-
-    points (N, 2) -> (N, 3).
+    every common colour vision deficiency. Red is near and green is far; in 2D, low and high.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[1] == 2:
@@ -99,17 +96,14 @@ _GREY = 0.72
 class Panel:
     """A component of a map, or true positions, prepared for drawing in 2D or 3D.
 
-    points (n, k): Positions, k = 2 or 3: aligned with the truth if it is known, else centred.
+    points (n, k), covariances (n, k, k): Aligned with the truth if it is known, else centred.
     colours (n, 3): sRGB in [0, 1] by true position if known, else by position; grey for sensors
         that were not compared.
     pairs: Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
-    view: Elevation and azimuth in degrees.
-    units: Unit of `points` and `truth`.
     uncompared, faulty (n,): Sensors that the score excludes, and faulty ones, which are marked.
-    number: Number of the component, from 1 for the largest.
-    sensors: Indices of its sensors in the map; those that were compared with the truth come first.
+    sensors: Their indices in the map; those that were compared with the truth come first.
     truth (m, k): True positions of the first m sensors; empty if the truth is unknown.
-    covariances (n, k, k): Covariances of the points.
+    number: Of the component, from 1 for the largest.
     labels: Names written beside points.
     unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
     """
@@ -165,14 +159,12 @@ def drawn_dimensions(sensor_map: SensorMap, score: Score | None = None) -> int:
 
 
 def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
-    """Find neighbouring sensors.
+    """Find pairs of neighbouring sensors. points (N, k) -> (P, 2).
 
-    Two sensors are neighbours if the ball whose diameter joins them contains no third sensor
-    (Gabriel & Sokal 1969, Systematic Zoology 18: 259-278), one is among the 8 nearest of the
-    other, and their distance is at most 2.5 times that of either to its nearest sensor. This gives
-    no diagonals in a square lattice, all six sides in a triangular one, and no lines across gaps.
-
-    points (N, k).
+    The ball whose diameter joins two neighbours contains no third sensor (Gabriel & Sokal 1969,
+    Systematic Zoology 18: 259-278), one is among the 8 nearest of the other, and their distance is
+    at most 2.5 times that of either to its nearest sensor. This gives no diagonals in a square
+    lattice, all six sides in a triangular one, and no lines across gaps.
     """
     points = np.asarray(points, dtype=np.float64)
     count = min(_N_NEIGHBOURS + 1, len(points))
@@ -193,10 +185,7 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
 
 
 def best_view(*configurations: Points) -> View:
-    """Choose the view that shows the largest projected area of 3D configurations.
-
-    *configurations (n, 3).
-    """
+    """Choose the view that shows the largest projected area of configurations (n, 3)."""
     # Product over configurations of the area of the ellipse that approximates the projection.
     centred = [points - points.mean(axis=0) for points in configurations]
     areas = []

@@ -56,12 +56,9 @@ TRAVEL_FRAMES = 6
 def read_balls(
     sensors: Points, centres: Points, ball_radius: ArrayLike, detection_radius: float
 ) -> NDArray[np.float32]:
-    """Read balls with short-range proximity sensors.
+    """Read balls with short-range proximity sensors (McGregor et al. 2011, "Sensor Modelling").
 
     sensors (N, 3), centres (T, B, 3), ball_radius (B,).
-
-    McGregor et al. (2011), section "Sensor Modelling": "proportional to the detectable body's
-    maximum penetration into the sensor's sphere of detection".
     """
     reach = detection_radius + np.asarray(ball_radius, dtype=np.float64)
     depths = ((reach - cdist(sensors, balls)).max(axis=1) for balls in centres)
@@ -244,11 +241,7 @@ class RollerOptions(StrokeOptions):
 def roller(
     body: Body, n_frames: int, options: RollerOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate a roller that moves along the skin of a body, and touches whole lines of sensors.
-
-    The roller is a capsule across its direction of motion. At the start of a stroke it turns to the
-    new direction from one frame to the next.
-    """
+    """Simulate a roller, a capsule across its direction of motion, which touches whole lines."""
     radius, half = options.roller_radius, options.roller_length / 2
     sensing = options.detection_radius
     skin = sample_skin(body, rng)
@@ -406,10 +399,8 @@ def pressing(
 ) -> ScenarioResult:
     """Simulate a large flat surface that is repeatedly pressed against a body from all sides.
 
-    The surface is aimed at the normals of all sensors in turn. It does not reach into hollows (the
-    inside of a ring, a crotch); sensors there respond only within `detection_radius`. All sensors
-    along a straight line are touched at once, so the length of a cylinder cannot be observed:
-    r-ANISOMAP reaches a Mantel r of .99 on the sphere and the plane, but .57 on the cylinder.
+    The surface is aimed at the normals of all sensors in turn. It does not reach into hollows, and
+    touches all sensors along a straight line at once: the length of a cylinder is not observed.
     """
     directions, depths = draw_presses(body, n_frames, options, rng)
     offsets = support(body.solids, directions) - depths
@@ -483,14 +474,10 @@ def pulses(
 ) -> ScenarioResult:
     """Simulate point sources around a body that emit pulses, to which sensors respond by distance.
 
-    All sensors respond to all pulses; the body does not shield them. Readings are rarely zero,
-    unlike those of touch.
-
-    Follows Modayil (2010), "Discovering sensor space: constructing spatial embeddings that explain
-    sensor correlations" (IEEE International Conference on Development and Learning), as described
-    by McGregor et al. (2011): "sensors were stimulated by multiple point source pulses, with the
-    response at each sensor depending on the Euclidean distances of the sensor from the point
-    sources". The form of the decay and the number and length of pulses are not given there.
+    The body does not shield its sensors. Follows Modayil (2010), "Discovering sensor space:
+    constructing spatial embeddings that explain sensor correlations" (IEEE International Conference
+    on Development and Learning), as described by McGregor et al. (2011), who give neither the form
+    of the decay nor the number and length of pulses.
     """
     places, strengths = draw_pulses(body, n_frames, options, rng)
     readings = read_pulses(body.positions, places, strengths, options.half_distance)

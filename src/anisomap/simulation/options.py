@@ -148,10 +148,8 @@ def report_frames(n_frames: int, progress: Progress) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class ScenarioResult:
-    """Readings and geometry of one simulated run.
+    """Readings (T, N), and objects to draw, of one simulated run.
 
-    readings (T, N)
-    props: Objects to draw.
     facts: Measured quantities and effective parameters, in addition to the options.
     sensors (T, N, 3): Positions of the sensors in each frame; by default, those on the body.
     body: The body with the sensors that were read, if the scenario added sensors to the given body.

@@ -38,12 +38,9 @@ DEFAULT_SEED = 1
 class Scenario:
     """A way to stimulate the skin of a body.
 
-    summary: One-line description.
-    options: Frozen dataclass of parameters, a subclass of `ScenarioOptions`.
+    options: Subclass of `ScenarioOptions`.
     function: Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
         `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`.
-    uses_mujoco: Whether it uses the physics engine. If so, the metadata include the engine's
-        version.
     accepts: Predicate of a body. `function` raises InputError for bodies that are not accepted.
     """
 
@@ -291,12 +288,12 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
         If there is no such body, it has no such option, or `n_sensors` or an option is given with a
         `Body`.
     """
+    given = options if n_sensors is None else {"n_sensors": n_sensors, **options}
     if isinstance(body, Body):
-        if options:
-            raise InputError(f"{join_items([*options])} cannot be given with the body {body.name}")
-        if n_sensors is not None:
+        if given:
             raise InputError(
-                f"n_sensors must be left out: the body {body.name} has {body.n_sensors} sensors"
+                f"{join_items([*given])} cannot be given with the body {body.name}, which has "
+                f"{body.n_sensors} sensors"
             )
         return body
     if body not in BODIES:
@@ -306,7 +303,6 @@ def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) ->
         raise InputError(
             f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
         )
-    given = options if n_sensors is None else {"n_sensors": n_sensors, **options}
     return _named_body(body, **given)
 
 

@@ -79,9 +79,8 @@ class StrokeOptions(ScenarioOptions):
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """A body and a dense sample of its surface.
+    """A body and a dense sample of its surface: points and normals (P, 3), sensors first.
 
-    points, normals (P, 3): The sensors, then points of the whole surface.
     covered: Indices of the points that belong to the skin: no further from their nearest sensor
         than its neighbours are, and with a similar normal.
     """
@@ -96,10 +95,8 @@ class Skin:
 class StrokePath:
     """A path over the skin.
 
-    points, normals, headings (T, 3): Position on the surface in each frame, the unit normal there,
-        and the unit direction of motion.
-    lifts (T,): Height above the skin, from 0 (in contact) to 1. At 1, the position jumps between
-        frames.
+    points, normals, headings (T, 3): On the surface; the unit normals, and directions of motion.
+    lifts (T,): Height above the skin, from 0 (in contact) to 1, where the position jumps.
     presses (T,): Pressure from 0 to 1, continuous in time.
     """
 
@@ -284,11 +281,9 @@ def rotate_about(
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Balls or capsules that move together.
+    """Balls or capsules of radii (B,) that move together.
 
-    offsets (T, B, 3): Position of each ball or capsule relative to the middle of the cluster, in
-        each frame.
-    radii (B,)
+    offsets (T, B, 3): Their middles relative to that of the cluster, in each frame.
     axes (T, B, 3): From the middle of each capsule to one end of its segment, perpendicular to the
         normals of the path. None for balls.
     """

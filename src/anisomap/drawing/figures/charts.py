@@ -75,12 +75,10 @@ class ScoreGroup:
 
 @dataclass(frozen=True, eq=False)
 class CurvePanel:
-    """Curves of several methods over a parameter.
+    """Curves of several methods over a parameter x (L,).
 
-    x (L,): Values of the parameter.
     curves (L, S): One value per run, by method; NaN where there is none.
-    default: Default value of the parameter, drawn as a line.
-    marked: Values of the parameter marked by a star.
+    default, marked: Values of the parameter marked by a line and by stars.
     """
 
     title: str

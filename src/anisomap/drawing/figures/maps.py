@@ -202,7 +202,7 @@ def plot_distances(score: Score, *, ax: Axes = None) -> None:
     score : Score
         Score of a map.
     """
-    draw_distances(ax, score.truth, score.alignment.aligned, score.units)
+    draw_distances(ax, score)
 
 
 def _components(sensor_map: SensorMap, score: Score | None) -> list[Panel]:
@@ -253,7 +253,7 @@ def _draw_comparison(
     _draw(figure, cells[0], shown.true(), "True positions", limits)
     _draw(figure, cells[1], shown, f"Map, {how} to fit\nRMS error {error}{spacings}", limits)
     axes = figure.add_subplot(cells[-1])
-    label = draw_distances(axes, score.truth, score.alignment.aligned, score.units)
+    label = draw_distances(axes, score)
     set_title(axes, f"Distances: {_agreement(score)}\n{label}")
 
 
@@ -332,17 +332,14 @@ def draw_configuration(axes: Axes, shown: Panel, limits: Points | None = None) -
     write_labels(axes, shown, points)
 
 
-def draw_distances(axes: Axes, truth: Points, found: Points, units: str) -> str:
-    """Draw the distance of every pair of sensors on the map against the true distance.
+def draw_distances(axes: Axes, score: Score) -> str:
+    """Draw the distances of pairs of sensors on the map against the true ones; say what is drawn.
 
-    Up to 3000 pairs are drawn as dots, more as a density. Of more than 1500 sensors, 1500 are
-    drawn, equally spaced in their order.
-
-    truth, found (n, k).
+    Many pairs are drawn as a density; of many sensors, some, equally spaced in their order.
     """
-    n_sensors = len(truth)
+    n_sensors = len(score.truth)
     kept = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_SENSORS)).astype(int))
-    both = pdist(truth[kept]), pdist(found[kept])
+    both = pdist(score.truth[kept]), pdist(score.alignment.aligned[kept])
     n_pairs = both[0].size
     longest = 1.04 * float(np.max(both))
     label = f"{n_pairs} pairs of sensors"
@@ -370,8 +367,8 @@ def draw_distances(axes: Axes, truth: Points, found: Points, units: str) -> str:
         label = f"{n_pairs} pairs among {len(kept)} of {n_sensors} sensors"
     axes.set(xlim=(0, longest), ylim=(0, longest))
     axes.set_aspect("equal")
-    axes.set_xlabel(axis_title("true distance", units), parse_math=False, color=INK)
-    axes.set_ylabel(axis_title("distance on the map", units), parse_math=False, color=INK)
+    axes.set_xlabel(axis_title("true distance", score.units), parse_math=False, color=INK)
+    axes.set_ylabel(axis_title("distance on the map", score.units), parse_math=False, color=INK)
     axes.locator_params(nbins=5)
     return label
 

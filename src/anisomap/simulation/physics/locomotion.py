@@ -65,11 +65,7 @@ class Terrain(Immutable):
 
     @cached_property
     def mesh(self) -> Mesh:
-        """Triangles of the ground, two per cell.
-
-        As in MuJoCo (checked by ``mj_ray``), the diagonal of the cell at row r and column c goes
-        from (r, c) to (r + 1, c + 1).
-        """
+        """Triangles of the ground; as in MuJoCo, diagonals go from (r, c) to (r + 1, c + 1)."""
         n = len(self.heights)
         across = self.cell * np.arange(n) - self.half_width
         x, y = np.meshgrid(across, across)
@@ -173,8 +169,7 @@ class LocomotionOptions(PhysicsOptions):
 class Driver:
     """Torque controller that rolls a body towards random goals at a set speed.
 
-    A sphere rolls in any direction. A cylinder rolls perpendicular to its axis, forwards or
-    backwards, and turns slowly about the vertical at the same time.
+    A cylinder rolls perpendicular to its axis, and turns slowly about the vertical meanwhile.
     """
 
     def __init__(
@@ -288,11 +283,8 @@ def _build_model(body: Body, terrain: Terrain, options: LocomotionOptions) -> An
 class Journey:
     """Motion of a rolling body.
 
-    centres (T, 3): Centre of the body in each frame.
-    rotations (T, 3, 3)
-    slips (T,): Speed of the body's surface at the contact, as a share of the set speed; NaN without
-        contact.
-    speeds (T,): Speed of the centre.
+    centres (T, 3), rotations (T, 3, 3), speeds (T,): Of the body.
+    slips (T,): Speed of its surface at the contact, as a share of the set speed; NaN without one.
     overlaps (T,): Depth of the body in the ground.
     """
 

@@ -21,11 +21,7 @@ _logger = logging.getLogger(__name__)
 
 
 def load_mujoco() -> ModuleType:
-    """Import MuJoCo.
-
-    Its warnings are logged; by default it prints them and appends them to ``MUJOCO_LOG.TXT`` in
-    the working folder. A handler that the caller has set is kept.
-    """
+    """Import MuJoCo, whose warnings are logged instead of printed and written to a file."""
     mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda text: _logger.info("MuJoCo warns: %s", text))
@@ -44,10 +40,9 @@ def new_model(step: float, gravity: float, integrator: str) -> Any:
 
 
 def add_solid(spec: Any, solid: Solid, **contact: Any) -> None:
-    """Add a solid that does not move.
+    """Add a solid that does not move; a mesh as a flexible surface pinned to the world.
 
-    MuJoCo replaces a mesh geom by its convex hull. A flexible surface pinned to the world keeps
-    its triangles, whose contact forces add up.
+    MuJoCo would replace a mesh geom by its convex hull.
     """
     if solid.kind == "mesh":
         thickness = _MESH_THICKNESS * solid.reach
