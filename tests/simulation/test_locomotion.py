@@ -104,27 +104,25 @@ def test_readings_agree_with_the_distance_from_the_ground(journey):
     )
 
 
-def test_sliding_gives_a_warning():
-    with pytest.warns(AnisomapWarning, match="increase friction"):
-        locomotion(sphere(), 200, LocomotionOptions(friction=0.01), np.random.default_rng(0))
-
-
-def test_untouched_sensors_give_a_warning():
-    with pytest.warns(AnisomapWarning, match="of the sensors touched the ground"):
-        locomotion(sphere(), 5, LocomotionOptions(), np.random.default_rng(0))
+@pytest.mark.parametrize(
+    ("n_frames", "friction", "message"),
+    [(200, 0.01, "increase friction"), (5, 1.0, "of the sensors touched the ground")],
+)
+def test_sliding_and_untouched_sensors_give_a_warning(n_frames, friction, message):
+    with pytest.warns(AnisomapWarning, match=message):
+        locomotion(
+            sphere(), n_frames, LocomotionOptions(friction=friction), np.random.default_rng(0)
+        )
 
 
 def height(terrain, places):
-    """Interpolate the height at places (n, 2); constant beyond the edges."""
-    scaled = (places[:, :2] + terrain.half_width) / terrain.cell
-    last = len(terrain.heights) - 1
-    scaled = np.clip(scaled, 0, last)
-    column, row = np.minimum(scaled.astype(np.intp), last - 1).T
-    right, up = scaled[:, 0] - column, scaled[:, 1] - row
-    corner, beyond = terrain.heights[row, column], terrain.heights[row + 1, column + 1]
-    third = np.where(
-        right >= up, terrain.heights[row, column + 1], terrain.heights[row + 1, column]
-    )
+    """Interpolate the height at places (n, 2) within the ground."""
+    scaled = (places + terrain.half_width) / terrain.cell
+    column, row = scaled.astype(np.intp).T
+    right, up = scaled.T - [column, row]
+    heights, is_right = terrain.heights, right >= up
+    corner, beyond = heights[row, column], heights[row + 1, column + 1]
+    third = np.where(is_right, heights[row, column + 1], heights[row + 1, column])
     most, least = np.maximum(right, up), np.minimum(right, up)
     return corner + most * (third - corner) + least * (beyond - third)
 
