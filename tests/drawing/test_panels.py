@@ -63,18 +63,17 @@ def checked(k):
     return LayoutCheck(MAPS[k], right, status, findings, nothing, np.zeros(20, int), 1.0)
 
 
+SHARES_OF_STRESS = stress_per_point(WANTED, TRUTH)
+TEST = NullTest(0.1, np.arange(9.0), 0.1)
 PANELS = {
     "plot_distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
     "plot_scene": (3, lambda ax: scenes.plot_scene(SCENE, 0, ax=ax)),
     "plot_stress_per_point": (
         2,
-        lambda ax: fig.plot_stress_per_point(stress_per_point(WANTED, TRUTH), NAMES, ax=ax),
+        lambda ax: fig.plot_stress_per_point(SHARES_OF_STRESS, NAMES, ax=ax),
     ),
     "plot_shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
-    "plot_null_test": (
-        2,
-        lambda ax: fig.plot_null_test(NullTest(0.1, np.arange(9.0), 0.1), ax=ax),
-    ),
+    "plot_null_test": (2, lambda ax: fig.plot_null_test(TEST, ax=ax)),
     "plot_series": (2, lambda ax: fig.plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
 } | {
     f"{name} in {k}D": (k, lambda ax, k=k, plot=plot: plot(k, ax))
@@ -98,6 +97,9 @@ FIGURES = {
     "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
     "coverage": lambda: charts.coverage_figure("title", *SHARES),
     "gallery": lambda: maps.gallery_figure("title", [maps.truth_panel("", TRUTH)], 1, "note"),
+    "stress": lambda: fig.stress_figure(
+        "title", shepard(WANTED, TRUTH), SHARES_OF_STRESS, NAMES, TEST
+    ),
     "scene": lambda: scenes.scene_figure(SCENE),
     "bodies": lambda: scenes.bodies_figure("title", [SCENE], ["body"]),
 }

@@ -70,9 +70,12 @@ class Page(HTMLParser):
         return [value for _, name, value in self.attributes if name == attribute]
 
     @property
+    def header(self):
+        return next(row for row in self.rows if row[0] == "Sensor")
+
+    @property
     def sensor_rows(self):
-        width = next(len(row) for row in self.rows if row[0] == "Sensor")
-        return [row for row in self.rows if len(row) == width][1:]
+        return [row for row in self.rows if len(row) == len(self.header)][1:]
 
     @property
     def text(self):
