@@ -25,6 +25,7 @@ from anisomap.drawing.figures.backend import (
     set_title,
     write_title,
 )
+from anisomap.drawing.view import axis_title
 from anisomap.errors import FileError, InputError
 from anisomap.files.paths import atomic_write, check_target
 
@@ -70,7 +71,6 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
     """
     if frame is None:
         frame = busiest_frame(scene)
-    _check_frame(scene, frame)
     with drawing_style():
         figure = new_figure(15.0, 5.6, scene.title)
         edges = {"left": 0.01, "right": 0.94, "bottom": 0.11, "top": 0.84}
@@ -111,7 +111,8 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes = None) -> None:
     frame : int
         Index of the frame.
     """
-    _check_frame(scene, frame)
+    if not 0 <= frame < scene.n_frames:
+        raise InputError(f"frame must be from 0 to {scene.n_frames - 1}, got {frame}")
     ax.computed_zorder = False
     parts = [(prop, vertices) for prop in scene.props for vertices in prop.surfaces(frame)]
     visible = np.vstack([vertices for prop, vertices in parts if prop.role != "ground"])
@@ -132,7 +133,7 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes = None) -> None:
     ax.set_box_aspect(np.maximum(highest - lowest, 1e-12), zoom=0.98)
     set_ticks(ax, highest - lowest, 4)
     for name in "xyz":
-        getattr(ax, f"set_{name}label")(name + _in_units(scene))
+        getattr(ax, f"set_{name}label")(axis_title(name, scene.units), parse_math=False)
         getattr(ax, f"{name}axis").set_pane_color((1.0, 1.0, 1.0))
     ax.grid(visible=False)
 
@@ -209,11 +210,6 @@ def check_animation(path: str | os.PathLike[str]) -> None:
         )
 
 
-def _check_frame(scene: Scene, frame: int) -> None:
-    if not 0 <= frame < scene.n_frames:
-        raise InputError(f"frame must be from 0 to {scene.n_frames - 1}, got {frame}")
-
-
 def _body_of(scene: Scene) -> Scene:
     """Remove everything but the body."""
     return replace(scene, props=tuple(prop for prop in scene.props if prop.role == "body"))
@@ -237,7 +233,8 @@ def _draw_readings(axes: Axes, scene: Scene, frame: int) -> None:
     axes.set_xlabel("time (s)")
     axes.set_ylabel("sensor")
     set_title(axes, "Readings of all sensors over the run")
-    axes.figure.colorbar(raster, ax=axes, label="reading" + _in_units(scene), fraction=0.05)
+    bar = axes.figure.colorbar(raster, ax=axes, fraction=0.05)
+    bar.set_label(axis_title("reading", scene.units), parse_math=False)
 
 
 def _within(
@@ -279,7 +276,3 @@ def _sharp_edges(mesh: Mesh, vertices: NDArray[np.float64]) -> Any:
     return load("mpl_toolkits.mplot3d.art3d").Line3DCollection(
         vertices[sides[pairs[sharp]]], colors=FAINT, linewidths=0.8, zorder=2
     )
-
-
-def _in_units(scene: Scene) -> str:
-    return f" ({scene.units})" if scene.units else ""
