@@ -77,16 +77,20 @@ def drawing_style() -> Iterator[None]:
         yield
 
 
+@contextmanager
 def new_figure(
     width: float, height: float, title: str = "", notes: Sequence[str] = (), **settings: Any
-) -> Figure:
-    """Create a figure that is not bound to a window, with a title and notes; sizes in inches."""
-    figure: Figure = load("matplotlib.figure").Figure(
-        figsize=(width, height), facecolor="white", **settings
-    )
-    write_title(figure, title)
-    write_notes(figure, notes)
-    return figure
+) -> Iterator[Figure]:
+    """Draw a figure that is not bound to a window, in the style of this package; sizes in inches.
+
+    It has a title and notes.
+    """
+    kind = load("matplotlib.figure").Figure
+    with drawing_style():
+        figure = kind(figsize=(width, height), facecolor="white", **settings)
+        write_title(figure, title)
+        write_notes(figure, notes)
+        yield figure
 
 
 def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
@@ -181,8 +185,7 @@ def panel(
                     )
                 draw(*args, **kwargs)
                 return axes
-            with drawing_style():
-                figure = new_figure(6.0, 5.4, layout="constrained")
+            with new_figure(6.0, 5.4, layout="constrained") as figure:
                 axes = add_axes(figure, count)
                 if caption := draw(*args, **(kwargs | {"ax": axes})):  # type: ignore[arg-type]
                     caption.write(figure)

@@ -18,7 +18,6 @@ from anisomap.drawing.figures.backend import (
     PALETTE,
     Axes,
     add_legend,
-    drawing_style,
     new_figure,
     panel,
     set_title,
@@ -93,8 +92,8 @@ def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
     if not any(rows):
         raise InputError("there are no scores to draw")
     used = {method for groups in rows for group in groups for method in group.scores}
-    with drawing_style():
-        figure = _headed_figure(title, (_WIDTH, 0.9 + 3.6 * len(rows)), METHOD_LOOKS, used)
+    with new_figure(_WIDTH, 0.9 + 3.6 * len(rows), title) as figure:
+        _add_head(figure, METHOD_LOOKS, used)
         for i, groups in enumerate(rows):
             _draw_scores(figure.add_subplot(len(rows), 1, i + 1), groups)
         return figure
@@ -119,9 +118,8 @@ def curves_figure(
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
     used = {method for panel in panels for method in panel.curves}
-    with drawing_style():
-        size = max(4.2 * columns, 8.5), 0.9 + 3.0 * rows
-        figure = _headed_figure(title, size, looks, used)
+    with new_figure(max(4.2 * columns, 8.5), 0.9 + 3.0 * rows, title) as figure:
+        _add_head(figure, looks, used)
         first: Axes = None
         for i, panel in enumerate(panels):
             axes = figure.add_subplot(rows, columns, i + 1, sharey=first)
@@ -147,19 +145,16 @@ def curves_figure(
         return figure
 
 
-def _headed_figure(
-    title: str, size: tuple[float, float], looks: Mapping[str, MethodLook], used: set[str]
-) -> Figure:
-    """Create a figure with a title, and a legend of the looks that are used."""
-    figure = new_figure(*size, title)
-    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / size[1]))
+def _add_head(figure: Figure, looks: Mapping[str, MethodLook], used: set[str]) -> None:
+    """Make space for the title and for a legend of the looks that are used."""
+    height = figure.get_figheight()
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / height))
     marks = [
         {"marker": look.marker, "color": look.colour, "label": look.label}
         for method, look in looks.items()
         if method in used
     ]
-    add_legend(figure, marks, "upper left", (0.005, 1 - 0.38 / size[1]))
-    return figure
+    add_legend(figure, marks, "upper left", (0.005, 1 - 0.38 / height))
 
 
 def _draw_scores(axes: Axes, groups: Sequence[ScoreGroup]) -> None:
@@ -332,9 +327,8 @@ def stress_figure(
     -------
     matplotlib.figure.Figure
     """
-    with drawing_style():
-        n_panels = 2 + bool(test.null.size)
-        figure = new_figure(4.6 * n_panels, 4.6, title)
+    n_panels = 2 + bool(test.null.size)
+    with new_figure(4.6 * n_panels, 4.6, title) as figure:
         figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
         axes = [figure.add_subplot(1, n_panels, i + 1) for i in range(n_panels)]
         plot_shepard(diagram, ax=axes[0])
@@ -350,8 +344,7 @@ def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figu
         raise InputError("there is no sensor to draw")
     shown = list(doubted)[:_MAX_SERIES]
     rows = -(-len(shown) // _SERIES_COLUMNS)
-    with drawing_style():
-        figure = new_figure(10.0, 0.3 + 1.5 * rows, layout="constrained")
+    with new_figure(10.0, 0.3 + 1.5 * rows, layout="constrained") as figure:
         for i, sensor in enumerate(shown):
             axes = figure.add_subplot(rows, _SERIES_COLUMNS, i + 1)
             readings = recording.readings[:, recording.names.index(sensor.name)]

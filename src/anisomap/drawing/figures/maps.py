@@ -19,7 +19,6 @@ from anisomap.drawing.figures.backend import (
     Axes,
     add_axes,
     add_legend,
-    drawing_style,
     load,
     new_figure,
     panel,
@@ -116,9 +115,8 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     notes = _notes(sensor_map, score, len(others) - len(small), width)
     main_row = _ROW if first else 0.0
     height = _HEAD + main_row - (-len(small) // _COLUMNS) * _SMALL_ROW
-    with drawing_style():
-        height += _FOOT + _LINE * len(notes)
-        figure = new_figure(width, height, _title(sensor_map, score), notes)
+    height += _FOOT + _LINE * len(notes)
+    with new_figure(width, height, _title(sensor_map, score), notes) as figure:
         if first and score is not None:
             cells = _cells(figure, 0, _ROW, _COMPARISON)
             _draw_comparison(figure, first[0], score, cells)
@@ -536,8 +534,7 @@ def gallery_figure(
     lines = textwrap.wrap(note, int(width * _CHARACTERS_PER_INCH)) if note else []
     foot = _LINE * len(lines) + 0.15
     height = _GALLERY_HEAD + rows * size + foot + 0.2
-    with drawing_style():
-        figure = new_figure(width, height, title, lines)
+    with new_figure(width, height, title, lines) as figure:
         sides = {"left": 0.7 / width, "right": 1 - 0.5 / width, "wspace": 0.22, "hspace": 0.34}
         top, bottom = 1 - (_GALLERY_HEAD + _BELOW) / height, (foot + _BELOW + 0.2) / height
         cells = figure.add_gridspec(rows, columns, top=top, bottom=bottom, **sides)

@@ -17,7 +17,6 @@ from anisomap.drawing.figures.backend import (
     Axes,
     add_axes,
     checked_kind,
-    drawing_style,
     load,
     new_figure,
     panel,
@@ -71,8 +70,7 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
     """
     if frame is None:
         frame = busiest_frame(scene)
-    with drawing_style():
-        figure = new_figure(15.0, 5.6, scene.title)
+    with new_figure(15.0, 5.6, scene.title) as figure:
         edges = {"left": 0.01, "right": 0.94, "bottom": 0.11, "top": 0.84}
         cells = figure.add_gridspec(1, 3, width_ratios=(1.15, 1.15, 1), wspace=0.3, **edges)
         axes = plot_scene(scene, frame, ax=add_axes(figure, 3, cells[0]))
@@ -89,8 +87,7 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
         raise InputError(
             f"one label per scene is needed, got {len(labels)} labels for {len(scenes)} scenes"
         )
-    with drawing_style():
-        figure = new_figure(4.0 * len(scenes), 4.6, title)
+    with new_figure(4.0 * len(scenes), 4.6, title) as figure:
         figure.subplots_adjust(left=0.01, right=0.94, bottom=0.08, top=0.86, wspace=0.16)
         for i, (scene, label) in enumerate(zip(scenes, labels, strict=True)):
             touched = replace(_body_of(scene), readings=np.ones_like(scene.readings))
@@ -172,8 +169,7 @@ def save_animation(
     check_animation(path)
     animation = load("matplotlib.animation")
     count = min(max(n_frames, 1), scene.n_frames)
-    with atomic_write(path) as temporary, drawing_style():
-        figure = new_figure(7.2, 6.2, dpi=72)
+    with atomic_write(path) as temporary, new_figure(7.2, 6.2, dpi=72) as figure:
 
         def draw(frame: int) -> None:
             figure.clear()
