@@ -15,13 +15,7 @@ from PIL import Image
 from anisomap.base.wording import printable, shortened
 from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.maps import MAX_VECTOR_DOTS
-from anisomap.drawing.view import (
-    MAX_JOINED,
-    best_view,
-    neighbour_pairs,
-    place_colours,
-    view_axes,
-)
+from anisomap.drawing.view import MAX_JOINED, best_view, neighbour_pairs, place_colours, view_axes
 from anisomap.errors import InputError
 from anisomap.evaluation import score
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -55,10 +49,6 @@ def in_components():
     return SensorMap(positions, component=component)
 
 
-def spaces(figure):
-    return [axes for axes in figure.axes if axes.name == "3d"]
-
-
 def texts(figure):
     titles = [axes.get_title() for axes in figure.axes]
     return "\n".join([text.get_text() for text in figure.texts] + titles)
@@ -72,7 +62,7 @@ def test_truth_and_map_have_the_same_limits_and_one_scale(true_k, k):
     figure = map_figure(sensor_map, score(sensor_map, truth, units="mm", permutations=0))
     *panels, distances = figure.axes
     names = "xyz"[: max(true_k, k)]
-    assert len(spaces(figure)) == (2 if "z" in names else 0)
+    assert {axes.name for axes in panels} == {"3d" if "z" in names else "rectilinear"}
     limits = [[getattr(axes, f"get_{axis}lim")() for axis in names] for axes in panels]
     assert limits[0] == limits[1]
     for axis in names:
@@ -82,8 +72,8 @@ def test_truth_and_map_have_the_same_limits_and_one_scale(true_k, k):
         assert ratios == pytest.approx(ratios[0])
     else:
         assert panels[1].get_aspect() == 1.0
-    assert "(mm)" in distances.get_xlabel()
-    assert "(mm)" in distances.get_ylabel()
+    for label in (distances.get_xlabel(), distances.get_ylabel()):
+        assert "(mm)" in label
     assert distances.get_xlim() == distances.get_ylim()
     assert distances.get_aspect() == 1.0
     note = " ".join(texts(figure).split())
@@ -207,15 +197,15 @@ def test_the_same_map_gives_the_same_bytes_whatever_the_settings(kind, tmp_path)
 
 
 def test_matplotlib_is_imported_when_something_is_drawn():
-    code = (
-        "import sys, numpy, anisomap.drawing.figures as f;"
-        "from anisomap.drawing.figures import charts, maps, scenes, sensors;"
-        "from anisomap.sensor_map import SensorMap;"
-        "assert 'matplotlib' not in sys.modules;"
-        "f.map_figure(SensorMap(numpy.eye(3)));"
-        "assert 'matplotlib' in sys.modules;"
-        "assert 'matplotlib.pyplot' not in sys.modules"
-    )
+    code = """
+import sys, numpy
+from anisomap.drawing.figures import charts, map_figure, maps, scenes, sensors
+from anisomap.sensor_map import SensorMap
+assert "matplotlib" not in sys.modules
+map_figure(SensorMap(numpy.eye(3)))
+assert "matplotlib" in sys.modules
+assert "matplotlib.pyplot" not in sys.modules
+"""
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
