@@ -128,18 +128,26 @@ class Panel:
         """Number of coordinates drawn, 2 or 3."""
         return int(self.points.shape[1])
 
-    def true(self) -> Panel:
-        """Return the panel of the true positions."""
-        n = len(self.truth)
+    def only(self, rows: NDArray[np.intp]) -> Panel:
+        """Keep some sensors, without lines, ellipses and labels."""
         return replace(
             self,
-            points=self.truth,
-            colours=self.colours[:n],
-            uncompared=self.uncompared[:n],
-            faulty=self.faulty[:n],
-            labels={i: name for i, name in self.labels.items() if i < n},
+            points=self.points[rows],
+            colours=self.colours[rows],
+            pairs=self.pairs[:0],
+            uncompared=self.uncompared[rows],
+            faulty=self.faulty[rows],
+            sensors=self.sensors[rows],
+            truth=self.truth[rows[rows < len(self.truth)]],
             covariances=None,
+            labels={},
         )
+
+    def true(self) -> Panel:
+        """Return the panel of the true positions."""
+        labels = {i: name for i, name in self.labels.items() if i < len(self.truth)}
+        compared = self.only(np.arange(len(self.truth)))
+        return replace(compared, points=self.truth, pairs=self.pairs, labels=labels)
 
 
 def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Panel]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -74,7 +73,7 @@ def interactive_views(
         part = component
         if len(component.points) > MAX_DOTS:
             visible = _sample(component, statuses)
-            part = _select(component, visible)
+            part = component.only(visible)
             errors = None if errors is None else errors[visible[visible < len(errors)]]
         view = _view(
             part,
@@ -102,20 +101,6 @@ def _sample(component: Panel, statuses: Sequence[str]) -> NDArray[np.intp]:
     others = np.flatnonzero(~faulty)
     even = np.linspace(0, len(others) - 1, min(len(others), MAX_DOTS - len(first))).astype(int)
     return np.sort(np.concatenate([first, others[even]]))
-
-
-def _select(component: Panel, kept: NDArray[np.intp]) -> Panel:
-    """Keep some sensors of a component, without lines between them."""
-    return replace(
-        component,
-        sensors=component.sensors[kept],
-        points=component.points[kept],
-        truth=component.truth[kept[kept < len(component.truth)]],
-        colours=component.colours[kept],
-        uncompared=component.uncompared[kept],
-        covariances=None,
-        pairs=component.pairs[:0],
-    )
 
 
 def _view(
