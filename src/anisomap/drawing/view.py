@@ -102,7 +102,8 @@ class Panel:
     pairs: Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
     uncompared, faulty (n,): Sensors that the score excludes, and faulty ones, which are marked.
     sensors: Their indices in the map; those that were compared with the truth come first.
-    truth (m, k): True positions of the first m sensors; empty if the truth is unknown.
+    truth (m, k), errors (m,): True positions of the first m sensors, and distances from there;
+        empty if the truth is unknown.
     number: Of the component, from 1 for the largest.
     labels: Names written beside points.
     unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
@@ -117,6 +118,7 @@ class Panel:
     faulty: NDArray[np.bool_]
     sensors: NDArray[np.intp]
     truth: Points
+    errors: Points = field(default_factory=lambda: np.empty(0))
     number: int = 1
     covariances: Points | None = None
     labels: Mapping[int, str] = field(default_factory=dict)
@@ -139,6 +141,7 @@ class Panel:
             faulty=self.faulty[rows],
             sensors=self.sensors[rows],
             truth=self.truth[rows[rows < len(self.truth)]],
+            errors=self.errors[rows[rows < len(self.errors)]],
             covariances=None,
             labels={},
         )
@@ -258,13 +261,14 @@ def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
     if score is None:
         points = sensor_map.positions[sensors]
         points = points - points.mean(axis=0)
-        truth, units = np.empty((0, dimensions)), sensor_map.units
+        truth, errors, units = np.empty((0, dimensions)), np.empty(0), sensor_map.units
         linear = np.eye(sensor_map.dimensions)
     else:
         sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
         alignment = score.alignment
         points = alignment.apply(sensor_map.positions[sensors])
-        truth, units = with_axes(score.truth, dimensions), score.units
+        truth, errors = with_axes(score.truth, dimensions), alignment.errors
+        units = score.units
         linear = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
     points = with_axes(points, dimensions)
     known = points if score is None else truth
@@ -284,6 +288,7 @@ def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
         faulty=np.array([is_faulty(sensor_map.health[i]) for i in sensors], dtype=bool),
         sensors=sensors,
         truth=truth,
+        errors=errors,
         number=label + 1,
         covariances=_turned(sensor_map.covariances, sensors, linear, dimensions),
         labels={i: shown_name(sensor_map.names[sensors[i]]) for i in labels},

@@ -375,7 +375,7 @@ def render_report(
     _, plotly = _libraries()
     drawn = drawn_components(sensor_map, score)
     statuses = _sensor_statuses(sensor_map, health)
-    scene = interactive_views(sensor_map, drawn, score, statuses)
+    scene = interactive_views(sensor_map, drawn, statuses)
     # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
     # package contain none (tested), and tojson escapes the data.
     own = _text("report.js")

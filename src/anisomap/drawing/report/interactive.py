@@ -19,7 +19,6 @@ from anisomap.drawing.view import (
     segments,
     view_axes,
 )
-from anisomap.evaluation import Score
 from anisomap.sensor_map import (
     FEW_CONTACTS,
     SILENT,
@@ -61,26 +60,15 @@ _BRACKETS = str.maketrans(
 
 
 def interactive_views(
-    sensor_map: SensorMap,
-    drawn: Sequence[Panel],
-    score: Score | None,
-    statuses: Sequence[str],
+    sensor_map: SensorMap, drawn: Sequence[Panel], statuses: Sequence[str]
 ) -> list[dict[str, Any]]:
     """Describe the view of every connected component."""
     views = []
     for component in drawn:
-        errors = score.alignment.errors if score is not None and len(component.truth) else None
-        part = component
-        if len(component.points) > MAX_DOTS:
-            visible = _sample(component, statuses)
-            part = component.only(visible)
-            errors = None if errors is None else errors[visible[visible < len(errors)]]
-        view = _view(
-            part,
-            names=[_without_markup(sensor_map.names[i]) for i in part.sensors],
-            statuses=[statuses[i] for i in part.sensors],
-            errors=errors,
-        )
+        crowded = len(component.points) > MAX_DOTS
+        part = component.only(_sample(component, statuses)) if crowded else component
+        names = [_without_markup(sensor_map.names[i]) for i in part.sensors]
+        view = _view(part, names, [statuses[i] for i in part.sensors])
         label = f"Component {component.number}: {len(component.points)} {sensor_map.kind}s"
         left_out = len(component.points) - len(part.points)
         views.append(view | {"label": label, "left_out": left_out, "layout": _layout(component)})
@@ -103,23 +91,17 @@ def _sample(component: Panel, statuses: Sequence[str]) -> NDArray[np.intp]:
     return np.sort(np.concatenate([first, others[even]]))
 
 
-def _view(
-    component: Panel,
-    *,
-    names: list[str],
-    statuses: list[str],
-    errors: Points | None,
-) -> dict[str, Any]:
+def _view(component: Panel, names: list[str], statuses: list[str]) -> dict[str, Any]:
     symbols = ["circle" if compared else "square" for compared in ~component.uncompared]
     faulty = np.array([is_faulty(status) for status in statuses])
     traces = {
         "neighbours": _lines(component.points, component.pairs, _LINES, 2),
-        "map": _dots(component.points, symbols, _hover(component, names, statuses, errors)),
+        "map": _dots(component.points, symbols, _hover(component, names, statuses)),
         "faulty": _crosses(component.points, faulty),
     }
     if component.covariances is not None:
         traces["ellipses"] = _line(outlines(component), _ELLIPSES, 1)
-    if errors is not None:
+    if len(component.truth):
         moves = np.arange(len(component.truth))
         ends = np.vstack([component.truth, component.points])
         true_hover = [f"<b>{name}</b><br>true position" for name in names[: len(component.truth)]]
@@ -129,7 +111,7 @@ def _view(
             "truth": _dots(component.truth, ["circle-open"] * len(component.truth), true_hover),
         }
         traces["truth"]["marker"] |= {"color": STATUS_COLOURS["ok"], "line": {"width": 1.5}}
-    return {"names": names, "traces": traces, "colours": _colours(component, statuses, errors)}
+    return {"names": names, "traces": traces, "colours": _colours(component, statuses)}
 
 
 def _dots(points: Points, symbols: list[str], hover: list[str]) -> Trace:
@@ -183,18 +165,16 @@ def _trace(points: Points, **look: Any) -> Trace:
     return {"type": kind} | axes | look | {"showlegend": False}
 
 
-def _colours(
-    component: Panel, statuses: list[str], errors: Points | None
-) -> dict[str, dict[str, Any]]:
+def _colours(component: Panel, statuses: list[str]) -> dict[str, dict[str, Any]]:
     channels = np.round(component.colours * 255).astype(int).tolist()
     found: dict[str, dict[str, Any]] = {
         "place": {"color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in channels]},
         "health": {"color": [STATUS_COLOURS.get(status, _OTHER) for status in statuses]},
         "index": _ramp(_plain(component.sensors), "index"),
     }
-    if errors is not None:
+    if len(component.truth):
         padded = np.full(len(component.points), np.nan)
-        padded[: len(errors)] = errors
+        padded[: len(component.errors)] = component.errors
         found["error"] = _ramp(_plain(padded), axis_title("error", component.units))
     return found
 
@@ -208,9 +188,7 @@ def _ramp(values: list[float | None], title: str) -> dict[str, Any]:
     }
 
 
-def _hover(
-    component: Panel, names: list[str], statuses: list[str], errors: Points | None
-) -> list[str]:
+def _hover(component: Panel, names: list[str], statuses: list[str]) -> list[str]:
     units = "" if component.units in UNSCALED else f" {_without_markup(component.units)}"
     radii = (
         None if component.covariances is None else ellipses(component.covariances)[0].max(axis=1)
@@ -224,8 +202,8 @@ def _hover(
             lines.append(f"95 % within {radii[i]:.3g}{units}")
         if component.uncompared[i]:
             lines.append("not compared with the truth")
-        elif errors is not None:
-            lines.append(f"error {errors[i]:.3g}{units}")
+        elif len(component.truth):
+            lines.append(f"error {component.errors[i]:.3g}{units}")
         texts.append("<br>".join(lines))
     return texts
 
