@@ -71,15 +71,18 @@ def test_the_number_of_sensors_must_be_a_positive_integer(n_sensors):
         sphere().positions[0] = 0
 
 
-def test_a_sensor_off_the_surface_raises_an_error_with_its_name_and_distance():
-    positions = np.array([[1.0, 0, 0], [0, 1.25, 0]])
-    with pytest.raises(InputError, match=r"sensor s1 is 0\.25 m off"):
-        Body(
-            name="ball",
-            positions=positions,
-            normals=positions,
-            solids=[solids.ball(1.0)],
-        )
+@pytest.mark.parametrize(
+    ("positions", "message"),
+    [
+        ([[1.0, 0, 0], [0, 1.25, 0]], r"sensor s1 is 0\.25 m off"),
+        ([[1.0, 0, 0], [np.nan, 0, 0]], "sensor 1 of the body ball must have a finite position"),
+        ([[1.0, 0]], r"must have shape \(N, 3\), got \(1, 2\)"),
+        ([], r"must have shape \(N, 3\), got \(0,\)"),
+    ],
+)
+def test_sensors_off_the_surface_raise_an_error(positions, message):
+    with pytest.raises(InputError, match=message):
+        Body("ball", positions, positions, [solids.ball(1.0)])
 
 
 @pytest.mark.parametrize("placement", CYLINDER_PLACEMENTS)
