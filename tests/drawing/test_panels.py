@@ -1,4 +1,4 @@
-"""Panels drawn into given axes, and figures that combine them."""
+"""Panels drawn into given axes, figures that combine them, and simulated scenes."""
 
 import sys
 
@@ -17,6 +17,8 @@ from anisomap.layout.checking import LayoutFinding
 from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+from anisomap.simulation import BODIES, SCENARIOS, run_simulation
+from anisomap.simulation.physics import mujoco_viewer
 from reports import UNFRIENDLY, small_scene
 
 TRUTH = np.random.default_rng(0).normal(size=(20, 3))
@@ -191,3 +193,42 @@ def test_legends_count_the_sensors_of_each_kind(k):
 def test_figures_without_content_are_rejected(draw):
     with pytest.raises(InputError):
         draw()
+
+
+def test_the_figure_shows_the_busiest_frame_with_axes_in_units():
+    figure = scenes.scene_figure(SCENE)
+    space, body, raster = figure.axes[:3]
+    assert space.get_title() == "Frame 4 of 6, 0.20 s"
+    assert (space.get_xlabel(), space.get_zlabel()) == ("x (m)", "z (m)")
+    assert (raster.get_xlabel(), raster.get_ylabel()) == ("time (s)", "sensor")
+    assert "reading (m)" in {axes.get_ylabel() for axes in figure.axes}
+    shape = np.array([np.ptp(getattr(body, f"get_{name}lim")()) for name in "xyz"])
+    np.testing.assert_allclose(body._box_aspect / body._box_aspect.max(), shape / shape.max())
+    for frame in (-1, 6):
+        with pytest.raises(InputError, match=f"frame must be from 0 to 5, got {frame}"):
+            scenes.scene_figure(SCENE, frame)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")  # sensors that nothing touches
+def test_every_scenario_can_be_drawn(scenario):
+    pytest.importorskip("mujoco")
+    body = next(name for name in BODIES if SCENARIOS[scenario].accepts(BODIES[name]()))
+    scene = run_simulation(body, scenario, n_frames=10).scene
+    assert scene.n_frames == 10
+    assert scene.sensors.shape[1:] == (scene.readings.shape[1], 3)
+    assert {prop.role for prop in scene.props} >= {"body"}
+    space, *_ = scenes.scene_figure(scene, 9).axes
+    assert any(len(drawn.get_facecolor()) > 10 for drawn in space.collections)
+
+
+def test_mujoco_renders_scenes():
+    pytest.importorskip("mujoco")
+    scene = run_simulation("hexagon", n_frames=3).scene
+    try:
+        images = mujoco_viewer.render(scene, [0, 2], width=120, height=90)
+    except mujoco_viewer.NoScreenError as error:
+        pytest.skip(str(error))
+    assert [image.shape for image in images] == [(90, 120, 3)] * 2
+    assert all(len(np.unique(image.reshape(-1, 3), axis=0)) > 20 for image in images)
+    assert not np.array_equal(*images)
