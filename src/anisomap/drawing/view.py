@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from anisomap.base.wording import printable, shortened
 from anisomap.evaluation import Score
+from anisomap.numerics.neighbours import padded
 from anisomap.sensor_map import SensorMap, ellipses, is_faulty, radius
 
 Points: TypeAlias = NDArray[np.float64]
@@ -262,15 +263,19 @@ def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
         points = sensor_map.positions[sensors]
         points = points - points.mean(axis=0)
         truth, errors, units = np.empty((0, dimensions)), np.empty(0), sensor_map.units
-        linear = np.eye(sensor_map.dimensions)
+        turn = np.eye(sensor_map.dimensions)
     else:
         sensors = np.concatenate([score.sensors, np.setdiff1d(sensors, score.sensors)])
         alignment = score.alignment
         points = alignment.apply(sensor_map.positions[sensors])
         truth, errors = with_axes(score.truth, dimensions), alignment.errors
         units = score.units
-        linear = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
+        turn = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
     points = with_axes(points, dimensions)
+    covariances = sensor_map.covariances
+    if covariances is not None:
+        drawn = np.eye(dimensions, len(turn)) @ turn
+        covariances = drawn @ covariances[sensors] @ drawn.T
     known = points if score is None else truth
     view = VIEWS[0]
     if dimensions == 3:
@@ -290,7 +295,7 @@ def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
         truth=truth,
         errors=errors,
         number=label + 1,
-        covariances=_turned(sensor_map.covariances, sensors, linear, dimensions),
+        covariances=covariances,
         labels={i: shown_name(sensor_map.names[sensors[i]]) for i in labels},
     )
 
@@ -347,18 +352,6 @@ def _with_gaps(lines: Points) -> Points:
     return np.concatenate([lines, gaps], axis=1).reshape(-1, lines.shape[2])
 
 
-def _turned(
-    covariances: Points | None, sensors: NDArray[np.intp], linear: Points, dimensions: int
-) -> Points | None:
-    """Transform covariances with the positions, and keep the coordinates that are drawn."""
-    if covariances is None:
-        return None
-    turned = linear @ covariances[sensors] @ linear.T
-    missing = max(0, dimensions - turned.shape[1])
-    padded = np.pad(turned, ((0, 0), (0, missing), (0, missing)))
-    return np.asarray(padded[:, :dimensions, :dimensions])
-
-
 def span_dimensions(points: Points) -> int:
     """Return the number of coordinates, 2 or 3, that show points; a constant z is not shown.
 
@@ -372,5 +365,4 @@ def span_dimensions(points: Points) -> int:
 
 def with_axes(points: Points, dimensions: int) -> Points:
     """Append zeros or drop the last coordinates, to a given number of coordinates."""
-    missing = max(0, dimensions - points.shape[1])
-    return np.asarray(np.pad(points, ((0, 0), (0, missing)))[:, :dimensions])
+    return padded(points[:, :dimensions], dimensions)

@@ -53,15 +53,10 @@ RANGES: dict[str, dict[str, Range]] = {}
 class Fault:
     """A fault of a sensor or of frames.
 
-    Attributes
-    ----------
-    kind : str
-        A name in `FAULTS` or `FRAME_FAULTS`.
-    sensor : str
-        Name of the sensor; `ALL_SENSORS` for all; empty if only frames or times are affected, so
-        that no reading is wrong.
-    spans : tuple of (int, int)
-        Affected frames as half-open intervals (start, stop).
+    kind: A name in `FAULTS` or `FRAME_FAULTS`.
+    sensor: Name of the sensor; `ALL_SENSORS` for all; empty if no reading is wrong, but only frames
+        or times are affected.
+    spans: Affected frames as half-open intervals (start, stop).
     """
 
     kind: str
@@ -309,16 +304,9 @@ frame_fault = _form(_change_frames, FRAME_FAULTS)
 
 @dataclass(frozen=True)
 class FaultRequest:
-    """A fault to inject.
+    """A fault to inject, and parameters that replace their defaults.
 
-    Attributes
-    ----------
-    kind : str
-        A name in `FAULTS` or `FRAME_FAULTS`.
-    sensors : tuple of str
-        Names, indices, ``*`` for all, or ``10%`` for a random share; empty for frame faults.
-    parameters : dict of str to float
-        Parameters that replace their defaults.
+    sensors: Names, indices, ``*`` for all, or ``10%`` for a random share; empty for frame faults.
     """
 
     kind: str
