@@ -136,7 +136,7 @@ def simulated(seed: int, folder: Path) -> anisomap.Recording:
     if setting.scenario in SCENARIOS:
         # Not `simulate`, which also computes distances along the surface; these take longer.
         scenario = SCENARIOS[setting.scenario]
-        result = scenario.run(body, n_frames, options_for(scenario.options, body, {}), rng)
+        result = scenario.function(body, n_frames, options_for(scenario.options, body, {}), rng)
         readings, body = result.readings, result.body or body
     else:
         readings = FOOTPRINTS[setting.scenario](np.array(body.positions), n_frames, rng)

@@ -34,7 +34,7 @@ seeds = st.integers(0, 2**32 - 1)
 def run(scenario, body, n_frames, seed, **given):
     chosen = SCENARIOS[scenario]
     options = options_for(chosen.options, body, given)
-    return chosen.run(body, n_frames, options, np.random.default_rng(seed))
+    return chosen.function(body, n_frames, options, np.random.default_rng(seed))
 
 
 @given(seeds, st.integers(1, 5), st.integers(1, 6))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from inspect import signature
 from multiprocessing import get_context
@@ -49,21 +49,6 @@ class Scenario:
     function: Callable[..., ScenarioResult]
     uses_mujoco: bool = False
     accepts: Callable[[Body], bool] = lambda _: True
-
-    def run(
-        self,
-        body: Body,
-        n_frames: int,
-        options: Any,
-        rng: np.random.Generator,
-        progress: Progress | None = None,
-    ) -> ScenarioResult:
-        """Run the scenario."""
-        report = progress or no_progress
-        reported = (report,) if self.uses_mujoco else ()
-        result = self.function(body, n_frames, options, rng, *reported)
-        report(1.0)
-        return replace(result, facts=asdict(options) | dict(result.facts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +177,10 @@ def run_simulation(
         raise InputError(f"seed must be a non-negative integer or a numpy Generator, got {seed!r}")
     else:
         number = int(seed)
-    result = chosen.run(given, n_frames, options, np.random.default_rng(number), progress)
+    rng, report = np.random.default_rng(number), progress or no_progress
+    reported = (report,) if chosen.uses_mujoco else ()
+    result = chosen.function(given, n_frames, options, rng, *reported)
+    report(1.0)
     metadata = {
         "body": given.name,
         "scenario": scenario,
@@ -200,7 +188,7 @@ def run_simulation(
         **{
             # Files cannot store numpy scalars.
             name: value.item() if isinstance(value, np.generic) else value
-            for name, value in result.facts.items()
+            for name, value in {**asdict(options), **result.facts}.items()
             if value is not None
         },
         "anisomap": __version__,
