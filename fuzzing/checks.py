@@ -19,7 +19,7 @@ from numpy.random import Generator
 from anisomap import io
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, AnisomapWarning
-from anisomap.large.checkpoints import Checkpoint
+from anisomap.large.map_reduce import Checkpoint
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, load_body

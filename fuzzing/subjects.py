@@ -19,8 +19,7 @@ import numpy as np
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning
-from anisomap.large.checkpoints import Checkpoint
-from anisomap.large.map_reduce import map_reduce
+from anisomap.large.map_reduce import Checkpoint, map_reduce
 from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap

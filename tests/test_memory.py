@@ -9,7 +9,7 @@ from anisomap import reconstruct_from
 from anisomap.errors import InputError
 from anisomap.large.map_reduce import WorkerPool
 from anisomap.large.streaming import CHUNKED, reconstruct_chunks
-from anisomap.numerics.memory import check_pair_memory, physical_memory
+from anisomap.numerics.precision import check_pair_memory, physical_memory
 from anisomap.numerics.similarity.binning import ValueCounts
 
 

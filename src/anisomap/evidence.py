@@ -26,9 +26,13 @@ from anisomap.numerics.reliability.sampling_noise import (
 )
 from anisomap.numerics.reliability.split_half import Blend, blend, blended_correlation
 from anisomap.numerics.signals import Signals
-from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
+from anisomap.numerics.similarity.correlation import (
+    co_activation,
+    pearson,
+    spearman,
+    without_common_signal,
+)
 from anisomap.numerics.similarity.information import mutual_information
-from anisomap.numerics.similarity.reference import without_common_signal
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
 from anisomap.recording import Recording
 

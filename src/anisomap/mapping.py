@@ -30,7 +30,7 @@ from anisomap.numerics.precision import Reals, row_blocks
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.refinements.chain import RefinedMap, Step, refine
+from anisomap.refinements import RefinedMap, Step, refine
 
 logger = logging.getLogger(__name__)
 

@@ -32,15 +32,18 @@ from anisomap.numerics.graph.neighbour_graphs import (
     smallest_connected_neighbour_graph,
 )
 from anisomap.numerics.precision import Reals
-from anisomap.numerics.reliability.significance import remove_insignificant_links
+from anisomap.numerics.reliability.sampling_noise import remove_insignificant_links
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.refinements.chain import Step
-from anisomap.refinements.contacts import by_contacts, only_contacts
-from anisomap.refinements.covariogram import by_covariogram
-from anisomap.refinements.heights import by_heights
-from anisomap.refinements.paths import by_paths
-from anisomap.refinements.spacing import by_even_spacing
+from anisomap.refinements import (
+    Step,
+    by_contacts,
+    by_covariogram,
+    by_even_spacing,
+    by_heights,
+    by_paths,
+    only_contacts,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +66,7 @@ class Method:
         ``metric(M)`` returns D.
     refinements : mapping of str to callable
         Steps that refine the positions of one component, in order: see
-        `anisomap.refinements.chain`. Empty if the scaled positions are the result.
+        `anisomap.refinements`. Empty if the scaled positions are the result.
     contact_similarity : str, optional
         Similarity that takes the place of `similarity` for readings that are on or off and show
         one contact at a time.

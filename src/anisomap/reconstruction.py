@@ -43,8 +43,7 @@ from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.numerics.memory import check_pair_memory
-from anisomap.numerics.precision import Reals, float_type
+from anisomap.numerics.precision import Reals, check_pair_memory, float_type
 from anisomap.options import MethodOptions
 from anisomap.recording import (
     Recording,

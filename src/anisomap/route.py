@@ -33,7 +33,7 @@ from anisomap.health import (
 from anisomap.io.presets import with_grid
 from anisomap.io.stream import assemble
 from anisomap.methods import check_even_spacing
-from anisomap.numerics.memory import check_pair_memory
+from anisomap.numerics.precision import check_pair_memory
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, join_runs

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.errors import FileError
-from anisomap.large.checkpoints import Checkpoint
-from anisomap.large.map_reduce import map_reduce
+from anisomap.large.map_reduce import Checkpoint, map_reduce
 from anisomap.large.streaming import stream_similarity
 from anisomap.numerics.similarity.correlation import Moments
 from anisomap.options import MethodOptions
@@ -30,7 +29,7 @@ KILLED = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from anisomap.large.checkpoints import Checkpoint
+from anisomap.large.map_reduce import Checkpoint
 from anisomap.large.map_reduce import map_reduce
 from anisomap.numerics.similarity.correlation import Moments
 

@@ -12,8 +12,7 @@ import anisomap
 from anisomap import Recording, diagnose, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large import chunks
-from anisomap.large.checkpoints import Checkpoint
-from anisomap.large.map_reduce import WorkerPool, map_reduce
+from anisomap.large.map_reduce import Checkpoint, WorkerPool, map_reduce
 from anisomap.large.streaming import reconstruct_chunks
 from anisomap.methods import METHODS
 from anisomap.numerics.similarity.correlation import Moments

@@ -14,9 +14,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.methods import METHODS
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from anisomap.refinements.chain import EXACT, Proposal, refine
-from anisomap.refinements.covariogram import by_covariogram
-from anisomap.refinements.heights import by_heights
+from anisomap.refinements import EXACT, Proposal, by_covariogram, by_heights, refine
 from skins import flat_skin, lattice, mantel_r, quietly, seeing_patch, stages, stored, swept
 
 EVEN = MethodOptions(even_spacing=True)

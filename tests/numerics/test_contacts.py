@@ -9,11 +9,13 @@ from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
-from anisomap.numerics.contacts.detection import Contacts, assign_levels, find_contacts
 from anisomap.numerics.contacts.likelihood import (
+    Contacts,
     Profile,
     Roots,
+    assign_levels,
     evaluate,
+    find_contacts,
     fit_profile,
     leave_one_out,
     level_log_likelihood,

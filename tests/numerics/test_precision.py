@@ -19,7 +19,7 @@ from anisomap.numerics.graph.dissimilarity import (
 )
 from anisomap.numerics.graph.metric import metricise, shortest_paths
 from anisomap.numerics.precision import is_symmetric, mirror
-from anisomap.numerics.reliability.significance import significant_components
+from anisomap.numerics.reliability.sampling_noise import significant_components
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information

@@ -39,7 +39,7 @@ from anisomap.methods import METHODS
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording, as_runs, join_runs
-from anisomap.refinements.heights import CURVE
+from anisomap.refinements import CURVE
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 

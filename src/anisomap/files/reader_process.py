@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapError, AnisomapWarning, DamagedError, FileError, error_reason
 from anisomap.files.budget import Budget
-from anisomap.numerics.memory import physical_memory
+from anisomap.numerics.precision import physical_memory
 
 if sys.platform != "win32":
     import resource

@@ -1,7 +1,7 @@
 """Health of sensors: silent, stuck, saturating, isolated, noisy, or with few contacts.
 
 Each sensor is compared with the other sensors of the recording, since typical values differ between
-skins, at the stated rate of false alarms of `anisomap.numerics.reliability.significance`. To add a
+skins, at the rate of false alarms of `anisomap.numerics.reliability.sampling_noise`. To add a
 fault, add one function and one line to `_TESTS`.
 """
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from anisomap.numerics.columns import transposed
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
-from anisomap.numerics.reliability.significance import LEAST_RATIO, outlying
+from anisomap.numerics.reliability.sampling_noise import LEAST_RATIO, outlying
 from anisomap.numerics.signals import (
     MAX_PAIRED,
     Signals,
@@ -262,7 +262,7 @@ def assess(
     from one that was never touched. Sensors with fewer than 5 contacts have ``"few contacts"``:
     too little to tell. The other statuses are faults: a sensor has far more white noise than the
     others, or resembles none of them. Each test accuses 0.05 healthy sensors of a recording on
-    average, and at most one in 1,000: see `anisomap.numerics.reliability.significance`. The paper
+    average, and at most one in 1,000: see `anisomap.numerics.reliability.sampling_noise`. The paper
     leaves out sensors that never vary, and keeps one that saturates intermittently (section
     "Prototyping Issues").
     """

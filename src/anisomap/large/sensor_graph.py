@@ -22,7 +22,7 @@ from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.neighbours import labels_by_size
-from anisomap.numerics.reliability.significance import MIN_SHARED, count_shared_neighbours
+from anisomap.numerics.reliability.sampling_noise import MIN_SHARED, count_shared_neighbours
 from anisomap.numerics.signals import count_contacts
 
 logger = logging.getLogger(__name__)

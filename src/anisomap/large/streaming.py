@@ -21,7 +21,6 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, assess
-from anisomap.large.checkpoints import Checkpoint
 from anisomap.large.chunks import (
     SEGMENT_FRAMES,
     Chunks,
@@ -30,13 +29,17 @@ from anisomap.large.chunks import (
     complete_chunks,
     split_array,
 )
-from anisomap.large.map_reduce import SERIAL, Mapper, WorkerPool, map_reduce
+from anisomap.large.map_reduce import SERIAL, Checkpoint, Mapper, WorkerPool, map_reduce
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.columns import ranks_from_counts
-from anisomap.numerics.geodesic.adjacency import adjacency_graph, unevenness
-from anisomap.numerics.geodesic.path_lengths import MAX_UNEVENNESS
-from anisomap.numerics.memory import check_memory, check_pair_memory, check_worker_memory
-from anisomap.numerics.precision import MAX_SQUARED, Reals
+from anisomap.numerics.geodesic.adjacency import MAX_UNEVENNESS, adjacency_graph, unevenness
+from anisomap.numerics.precision import (
+    MAX_SQUARED,
+    Reals,
+    check_memory,
+    check_pair_memory,
+    check_worker_memory,
+)
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_bins
 from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
@@ -55,7 +58,7 @@ from anisomap.numerics.similarity.rest import rest_from_counts
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
-from anisomap.refinements.chain import MIN_SENSORS
+from anisomap.refinements import MIN_SENSORS
 from anisomap.sensor_map import SILENT, SensorMap
 
 logger = logging.getLogger(__name__)

@@ -30,7 +30,7 @@ from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.large.chunks import Excerpt
 from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
-from anisomap.numerics.memory import check_pair_memory
+from anisomap.numerics.precision import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict

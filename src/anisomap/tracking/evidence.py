@@ -24,7 +24,7 @@ from anisomap.numerics.contacts.contact_agreement import (
     is_on_off,
     shows_single_contacts,
 )
-from anisomap.numerics.memory import check_pair_memory
+from anisomap.numerics.precision import check_pair_memory
 from anisomap.numerics.reliability.split_half import profile_agreement
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from

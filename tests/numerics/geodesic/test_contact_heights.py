@@ -19,7 +19,7 @@ from anisomap.numerics.geodesic.contact_heights import (
 )
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.options import MethodOptions
-from anisomap.refinements.heights import by_heights
+from anisomap.refinements import by_heights
 from skins import flat_skin, lattice, swept
 
 SEEDS = range(301, 303)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.geodesic.path_lengths import (
+from anisomap.numerics.geodesic.adjacency import (
     fit_path_lengths,
     refine_by_even_spacing,
 )

@@ -11,11 +11,11 @@ from scipy.spatial.distance import cdist, pdist
 from anisomap.evaluation import mantel
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.significance import (
+from anisomap.numerics.reliability.sampling_noise import (
     count_shared_neighbours,
     links_with_shared_neighbours,
     remove_insignificant_links,
+    sampling_variance,
     significant_links,
     standardised_correlation,
 )

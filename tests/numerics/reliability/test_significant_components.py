@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.reliability.significance import significant_components
+from anisomap.numerics.reliability.sampling_noise import sampling_variance, significant_components
 from anisomap.numerics.reliability.split_half import blended_correlation
 from skins import flat_skin
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from anisomap import Recording, reconstruct
-from anisomap.numerics.similarity.reference import common_share, without_common_signal
+from anisomap.numerics.similarity.correlation import common_share, without_common_signal
 from skins import flat_skin, mantel_r, quietly
 
 SEEDS = st.integers(0, 1000)

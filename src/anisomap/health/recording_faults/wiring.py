@@ -14,8 +14,11 @@ from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.reliability.sampling_noise import BLOCK_FACTOR, correlation_time
-from anisomap.numerics.reliability.significance import FALSE_ALARMS
+from anisomap.numerics.reliability.sampling_noise import (
+    BLOCK_FACTOR,
+    FALSE_ALARMS,
+    correlation_time,
+)
 from anisomap.numerics.signals import (
     MAX_FRAMES,
     count_contacts,

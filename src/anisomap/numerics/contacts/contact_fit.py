@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.contacts.detection import Contacts, Levels, assign_levels, find_contacts
 from anisomap.numerics.contacts.likelihood import (
+    Contacts,
+    Levels,
     LocatedContacts,
     Matrix,
     Profile,
     Roots,
+    assign_levels,
+    find_contacts,
     fit_profile,
     leave_one_out,
     level_log_likelihood,

@@ -1,1 +1,0 @@
-"""Steps that refine a map, and the loop that combines them: `anisomap.refinements.chain`."""
