@@ -55,21 +55,16 @@ _OF_OBJECTS = {
 FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
 """Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
 
-Set on seeds 1 to 3 and real skins. Of 300 skins of 15 shapes that were simulated afterwards (seeds
-721 to 740, ``make dimension``), none was wrong and 22 were not clear.
+Of 300 simulated skins of 15 shapes (``make dimension``), none was wrong and 22 were not clear.
 """
 
 PLANE_ELBOW = 1.18
-"""Minimum elbow at 2 dimensions of a flat skin.
-
-At least 1.20 on flat skins, real ones included; 1.15 or less on points in 5 and 6 dimensions.
-"""
+"""Minimum elbow at 2 dimensions of a flat skin: 1.15 or less on points in 5 and 6 dimensions."""
 
 DISTINCT, WEAK_FLAT_ELBOW = 3.0, 1.09
 """Elbow at 1 or 2 dimensions below which the elbow at 3 has to be smaller, and its limit there.
 
-Where stimuli reach far, no dimension fits well. Simulated flat skins with an elbow at 2 dimensions
-of less than 3 had at most 1.08 at 3 dimensions, and bodies at least 1.106 (seeds 1 to 9).
+Where stimuli reach far, no dimension fits well: flat skins had at most 1.08, and bodies 1.106.
 """
 
 _FLOOR = 0.01  # Stress-1 that counts as perfect; bounds the elbows of exact distances
@@ -108,15 +103,13 @@ def choose_dimensions(
 ) -> DimensionChoice:
     """Choose between 2 and 3 dimensions by the elbow of the stress.
 
-    metric (N, N), weights (N, N). common_share is the share of the signal that all sensors have in
-    common, which was subtracted; only the rest counts as evidence for the third dimension.
+    metric (N, N), weights (N, N). common_share: Of the signal that all sensors have in common,
+    which was subtracted; only the rest counts as evidence for the third dimension.
 
     More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
-    doi:10.1007/BF02289565). The fourth fits only errors, as skins lie in space, and the third is
-    required if it lowers the stress by clearly more than the fourth does.
-
-    Lengths along a surface do not change if it is bent without stretching (Gauss's theorema
-    egregium), so half a cylinder spans 2 dimensions, like a sheet that is rolled out.
+    doi:10.1007/BF02289565). The fourth fits only errors, and the third is required if it lowers the
+    stress by clearly more. Lengths along a surface do not change if it is bent without stretching,
+    so half a cylinder spans 2 dimensions.
     """
     lengths = np.asarray(metric)
     known = lengths if weights is None else np.where(weights > 0, lengths, np.inf)
@@ -151,10 +144,9 @@ def choose_dimensions(
 
 
 def _is_curve(positions: Reals, line: Reals) -> bool:
-    """Whether most near neighbours in 2 dimensions are next to each other in 1.
+    """Whether most near neighbours in 2 dimensions, (n, 2), are next to each other in 1, (n,).
 
-    positions (n, 2), line (n,). Of the two nearest sensors of each, .7 to .95 are on lines of
-    sensors, regular or not, and at most .3 on strips of two rows or more.
+    Of the two nearest sensors, .7 to .95 are on lines, and at most .3 on strips of two rows.
     """
     rank = np.argsort(np.argsort(line, kind="stable"), kind="stable")
     nearest = np.asarray(KDTree(positions).query(positions, k=3)[1])[:, 1:]
@@ -211,8 +203,7 @@ class DimensionPlan:
     def revised(self, *, elongated: bool) -> DimensionPlan:
         """Return the plan after the map was refined.
 
-        Where contacts are long in one direction, distances across them appear too small, and the
-        metric of a body that rolls looks flat. A chosen flat map then has to be made again.
+        Distances across elongated contacts appear too small, so that the metric looks flat.
         """
         # Maps of lines are curves, which look like maps of elongated contacts.
         if self.choice is None or self.choice.line or not elongated:

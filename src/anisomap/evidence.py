@@ -34,7 +34,7 @@ from anisomap.numerics.similarity.correlation import (
 )
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
-from anisomap.recording import Recording
+from anisomap.recording import Recording, sensors_differ
 
 logger = logging.getLogger(__name__)
 
@@ -147,27 +147,10 @@ class PairStatistics:
         readings: NDArray[np.generic] | None = None,
         statistic: str = "",
     ) -> PairStatistics:
-        """Check and complete a similarity.
+        """Check and complete a similarity (n, n).
 
-        Parameters
-        ----------
-        similarity : array_like of shape (n, n)
-        noise : array_like of shape (n, n), or float
-            Its sampling variance.
-        known : ndarray of bool, shape (n, n), optional
-            Pairs that are known; all by default. The similarity of other pairs is ignored.
-        readings : ndarray of shape (T, n), optional
-        statistic : str
-            Name of the similarity, if it was computed from readings.
-
-        Returns
-        -------
-        PairStatistics
-
-        Raises
-        ------
-        InputError
-            If the similarity or its noise is not symmetric.
+        noise (n, n) or a number: Its sampling variance. known (n, n): All by default; the
+        similarity of other pairs is ignored. statistic: Its name, if it was computed from readings.
         """
         if known is not None and not known.all():
             known = known | np.eye(len(known), dtype=bool)
@@ -246,13 +229,7 @@ class PairStatistics:
         )
 
     def check_correlations(self) -> None:
-        """Check that the similarity is a correlation.
-
-        Raises
-        ------
-        InputError
-            If it exceeds 1 in magnitude.
-        """
+        """Check that the similarity is a correlation, at most 1 in magnitude."""
         largest = np.abs(self.similarity).max(initial=0)
         if largest > 1 + _ROUNDING:
             raise InputError(
@@ -267,8 +244,7 @@ def compare(
     """Compute the similarity S of all pairs of sensors."""
     logger.info("comparing all pairs of sensors (%s)", similarity)
     statistic = SIMILARITIES[similarity]
-
-    if len({frozenset(run.names) for run in runs}) == 1:
+    if not sensors_differ(runs):
         readings = _joined(runs, runs[0].names)
         if statistic.shared is not None and not with_noise and len(runs) == 1:
             found = statistic.shared(runs[0].signals)
@@ -303,10 +279,7 @@ def compare(
 def _examined(
     readings: NDArray[Any], similarity: str, bins: int, rest: Rest | None = None
 ) -> PairStatistics:
-    """Compare the readings of sensors, shape (T, n), which stay at hand for refinements.
-
-    rest: Of the readings, if it is known.
-    """
+    """Compare readings, (T, n), which stay at hand for refinements; their rest may be known."""
     statistic = SIMILARITIES[similarity]
     readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
     blended = None if statistic.blend is None else statistic.blend(readings, rest)

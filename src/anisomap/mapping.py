@@ -36,11 +36,7 @@ logger = logging.getLogger(__name__)
 
 
 _START_TOLERANCE = 1e-5
-"""Least tolerance of a scaling that is refined, and only starts the covariogram fit.
-
-With 1e-8, maps of halves changed by less than .7 % of their differences (an insole, Nao's torso and
-head, soles, retinas, and simulated skins, seeds 5 to 10).
-"""
+"""Least tolerance of a scaling that only starts the covariogram fit: maps hardly change by more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +72,7 @@ class Configuration:
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The stages of a map.
-
-    pairs: Of the n mapped sensors.
-    """
+    """The stages of a map. pairs: Of the n mapped sensors."""
 
     pairs: PairStatistics
     configuration: Configuration
@@ -95,14 +88,15 @@ def compute_stages(
         pairs = compare(
             runs, recipe.similarity_of(runs), bins=options.entropy_bins, with_noise=refined
         )
-        metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
+        metric = recipe.metric(recipe.dissimilarity_of(pairs, options))
         if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
             plan = _plan_by_default_method(runs, options)
         else:
-            plan = _plan(dimensions, pairs, metric, examine=refined)
-        configuration, plan = configure(
-            plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
-        )
+            share = pairs.common_share
+            plan = plan_dimensions(
+                dimensions, metric, pairs.weights, common_share=share, examine=refined
+            )
+        configuration, plan = configure(plan, metric, pairs, recipe, options, weights=pairs.weights)
     return Stages(pairs, configuration, plan)
 
 
@@ -119,14 +113,12 @@ def configure_pairs(
     start (n, k): Positions near the result, which replace the scaling.
     """
     with limited_blas(len(pairs.similarity)):
-        metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
+        metric = recipe.metric(recipe.dissimilarity_of(pairs, options))
         if start is not None:
             given = of_positions(start, metric)
             return refine_components(recipe.refinements, pairs, metric, given, options)
         plan = plan_dimensions(dimensions, None)
-        return configure(
-            plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
-        )[0]
+        return configure(plan, metric, pairs, recipe, options, weights=pairs.weights)[0]
 
 
 def dissimilarities(
@@ -156,55 +148,35 @@ def dissimilarities(
     -----
     McGregor et al. (2011), section "ANISOMAP", step 1, doi:10.1371/journal.pone.0026561.
     """
-    return _dissimilarity_of(pairs, find_method(method), options or MethodOptions())
-
-
-def _dissimilarity_of(pairs: PairStatistics, recipe: Method, options: MethodOptions) -> Reals:
-    """Compute `dissimilarities` by a method."""
-    dissimilarity = recipe.dissimilarity(pairs, options)
-    if not pairs.known.all():
-        dissimilarity[~pairs.known] = np.inf
-        np.fill_diagonal(dissimilarity, 0)
-    return dissimilarity
-
-
-def _plan(
-    dimensions: Dimensions, pairs: PairStatistics, metric: Reals, *, examine: bool = True
-) -> DimensionPlan:
-    """Plan the dimensions by the metric."""
-    return plan_dimensions(
-        dimensions, metric, pairs.weights, common_share=pairs.common_share, examine=examine
-    )
+    return find_method(method).dissimilarity_of(pairs, options or MethodOptions())
 
 
 def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
     """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
     recipe = METHODS[DEFAULT_METHOD]
     pairs = compare(runs, recipe.similarity_of(runs), bins=options.entropy_bins, with_noise=True)
-    metric = recipe.metric(_dissimilarity_of(pairs, recipe, options))
-    plan = _plan(AUTO, pairs, metric)
+    metric = recipe.metric(recipe.dissimilarity_of(pairs, options))
+    plan = plan_dimensions(AUTO, metric, pairs.weights, common_share=pairs.common_share)
     if plan.dimensions == SPATIAL:
         return plan
-    return configure(
-        plan, metric, pairs, steps=recipe.refinements, options=options, weights=pairs.weights
-    )[1]
+    return configure(plan, metric, pairs, recipe, options, weights=pairs.weights)[1]
 
 
 def configure(
     plan: DimensionPlan,
     metric: Reals,
     pairs: PairStatistics | None,
-    *,
-    steps: Mapping[str, Step],
+    recipe: Method,
     options: MethodOptions,
+    *,
     weights: Reals | None = None,
     start: NDArray[np.float64] | None = None,
 ) -> tuple[Configuration, DimensionPlan]:
     """Scale a metric and refine the positions; once more if these contradict the plan.
 
-    metric (n, n), weights (n, n), start (n, k). Without statistics of pairs, positions are not
-    refined.
+    metric (n, n), weights (n, n), start (n, k). Nothing is refined without statistics of pairs.
     """
+    steps = recipe.refinements
     if not steps or pairs is None:
         scaled = scale(
             metric, plan.dimensions, start=start, weights=weights, options=options.smacof
@@ -228,9 +200,7 @@ def scale(
     weights: Reals | None = None,
     options: SmacofOptions | None = None,
 ) -> Configuration:
-    """Scale each connected component of a metric by SMACOF.
-
-    metric (n, n), start (n, k), weights (n, n).
+    """Scale each connected component of a metric (n, n) by SMACOF, from positions (n, k) if given.
 
     McGregor et al. (2011), section "ANISOMAP", step 3, doi:10.1371/journal.pone.0026561.
     """

@@ -84,6 +84,14 @@ class Method:
         """Whether a step can use declared even spacing of neighbours."""
         return by_even_spacing in self.refinements.values()
 
+    def dissimilarity_of(self, pairs: PairStatistics, options: MethodOptions) -> Reals:
+        """Compute M, shape (n, n), infinite for unknown pairs."""
+        dissimilarity = self.dissimilarity(pairs, options)
+        if not pairs.known.all():
+            dissimilarity[~pairs.known] = np.inf
+            np.fill_diagonal(dissimilarity, 0)
+        return dissimilarity
+
     def similarity_of(self, runs: Sequence[Recording]) -> str:
         """Return the key of the similarity for some recordings."""
         if self.contact_similarity is None:
@@ -201,19 +209,13 @@ def find_method(name: str) -> Method:
 def examined_metric(
     recipe: Method, pairs: PairStatistics | None, metric: Reals, options: MethodOptions
 ) -> Reals | None:
-    """Return the metric from which the number of dimensions can be chosen.
-
-    metric (n, n) -> (n, n).
-    """
+    """Return the metric, (n, n), from which the number of dimensions can be chosen."""
     default = METHODS[DEFAULT_METHOD]
     if pairs is None or recipe.dissimilarity == default.dissimilarity:
         return metric
     if recipe.similarity == "mutual-information":
         return None
-    dissimilarity = default.dissimilarity(pairs, options)
-    dissimilarity[~pairs.known] = np.inf
-    np.fill_diagonal(dissimilarity, 0)
-    return default.metric(dissimilarity)
+    return default.metric(default.dissimilarity_of(pairs, options))
 
 
 def check_even_spacing(method: str, options: MethodOptions, *, readings: bool) -> None:

@@ -271,13 +271,7 @@ def reconstruct_from(
         examine = bool(recipe.refinements) and pairs is not None
         plan = plan_dimensions(dimensions, examined, pair_weights, examine=examine)
         configuration, plan = configure(
-            plan,
-            computed,
-            pairs,
-            steps=recipe.refinements,
-            options=options,
-            weights=pair_weights,
-            start=initial,
+            plan, computed, pairs, recipe, options, weights=pair_weights, start=initial
         )
     notes = plan.note
     if bool(recipe.refinements) and pairs is None:

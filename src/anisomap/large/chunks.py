@@ -56,10 +56,8 @@ def split_array(readings: NDArray[Any]) -> Chunks:
 
 
 def _remapped(whole: np.memmap[Any, Any], start: int, n_frames: int) -> NDArray[Any]:
-    """Map some frames separately, since pages read through one large map stay in memory.
-
-    A copy-on-write map is sliced instead, since its changes are not in the file.
-    """
+    """Map some frames separately, since pages read through one large map stay in memory."""
+    # Changes of a copy-on-write map are not in the file.
     if whole.mode == "c" or whole.filename is None or not whole.flags.c_contiguous:
         return whole[start : start + n_frames]
     shape = (min(n_frames, len(whole) - start), whole.shape[1])
@@ -82,12 +80,7 @@ def complete_chunks(chunks: Chunks, missing: MissingPolicy = "error") -> Complet
 
 
 class Excerpt:
-    """Equally spaced segments of consecutive frames, in bounded memory.
-
-    n_frames: Number of frames that were added.
-    n_readings: Approximate number of readings to keep; 0 for `EXCERPT_READINGS`.
-    segment: Number of frames in each segment; 0 for `SEGMENT_FRAMES`.
-    """
+    """Equally spaced segments of `segment` frames each, of about `n_readings` readings together."""
 
     def __init__(self, n_readings: int = 0, segment: int = 0) -> None:
         self._n_readings = n_readings or EXCERPT_READINGS

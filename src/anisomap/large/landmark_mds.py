@@ -23,11 +23,7 @@ N_TASKS = 32  # parallel; fixed, so that sums are the same on every machine
 
 
 class Targets(NamedTuple):
-    """Distances that the positions should reproduce.
-
-    rows: Distance of each sensor from each landmark.
-    edges (N, N): Distances of adjacent sensors.
-    """
+    """Landmarks, distance of each sensor from each, and distances of adjacent sensors, (N, N)."""
 
     landmarks: NDArray[np.int64]
     rows: NDArray[np.float32]
@@ -40,13 +36,10 @@ class Targets(NamedTuple):
 
 
 def refine(targets: Targets, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
-    """Minimise the raw stress of the pairs with landmarks and of the edges.
+    """Minimise the raw stress of the pairs with landmarks and of the edges. start (N, k).
 
-    start (N, k).
-
-    The exact map minimises the stress over all pairs. Here the L pairs of each sensor with
-    landmarks represent its N - 1 pairs, so their weight is N / L, and that of an edge is 1 (both
-    times L / N).
+    The L pairs of each sensor with landmarks represent its N - 1 pairs, so their weight is N / L,
+    and that of an edge is 1 (both times L / N).
     """
     n_points, n_landmarks = targets.rows.shape
     weight = n_landmarks + targets.share * np.diff(targets.edges.indptr)
@@ -98,12 +91,7 @@ def stress_of(targets: Targets, positions: Floats) -> tuple[float, float]:
 
 
 class PlacedComponent(NamedTuple):
-    """Positions of the sensors of one connected component.
-
-    positions (n, k): Centred on the origin.
-    raw_stress, spread: Sums of (d - D)^2 and of d^2 over the pairs of each sensor with each
-        landmark.
-    """
+    """Positions (n, k) of a component, and sums of (d - D)^2 and d^2 over pairs with landmarks."""
 
     positions: NDArray[np.float64]
     raw_stress: float
@@ -119,9 +107,7 @@ def place_component(
     options: SmacofOptions,
     rng: np.random.Generator,
 ) -> PlacedComponent:
-    """Compute the positions of the sensors of a connected graph.
-
-    graph (n, n).
+    """Compute the positions of the sensors of a connected graph. graph (n, n).
 
     Random landmarks are about as dense as the sensors; de Silva & Tenenbaum (2004) found them as
     good as optimised ones if they are many more than the dimensions.
@@ -175,14 +161,10 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
 
 
 def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute positions from distances to landmarks.
-
-    rows (N, L), landmarks (L, k) -> (N, k).
+    """Compute positions from distances to landmarks. rows (N, L), landmarks (L, k) -> (N, k).
 
     De Silva & Tenenbaum (2004), "Sparse multidimensional scaling using landmark points", section
-    3.2: ``y = -1/2 X^+ (d^2 - |x|^2)`` with centred landmarks X. Squared distances
-    ``d^2 = |x|^2 - 2 x y + |y|^2`` are linear in y except for |y|^2, which is the same for all
-    landmarks and cancels.
+    3.2: ``y = -1/2 X^+ (d^2 - |x|^2)`` with centred landmarks X.
     """
     centre = landmarks.mean(axis=0)
     centred = landmarks - centre

@@ -52,11 +52,9 @@ class Stage(NamedTuple):
 class Checkpoint:
     """A file with the accumulator of each stage, and the chunks that it covers.
 
-    It is needed since joblib and Dask rerun lost tasks, but do not store a reduction in progress.
+    joblib and Dask rerun lost tasks, but do not store a reduction in progress.
 
-    path: The file, an NPZ archive. It is replaced atomically.
-    subject: Description of the computation and its input; a checkpoint with another subject is
-        refused.
+    subject: The computation and its input; a checkpoint with another subject is refused.
     """
 
     def __init__(self, path: Path, subject: str) -> None:
@@ -68,8 +66,7 @@ class Checkpoint:
     def remaining(self, chunks: Iterable[NDArray[Any]], stage: str) -> Iterator[NDArray[Any]]:
         """Skip the chunks that a stage has processed, and return the others.
 
-        Digests cover all chunks up to each, and those of earlier stages. Raises `FileError` if
-        other chunks were processed.
+        Digests cover all chunks up to each, and those of earlier stages, to refuse other readings.
         """
         digest = blake2b(digest_size=16)
         for before in takewhile(lambda name: name != stage, self.stages):

@@ -81,11 +81,9 @@ class Sketch:
     """Summary of T frames of N sensors.
 
     mean, deviation (N,): Exact moments of the readings; the deviation is that of the population.
-    varying: Whether each sensor ever varies.
     contacts: Number of excursions from the first reading, on the side with more of them.
     active_frames: Number of frames on that side, or of all others if these are fewer.
-    projections: Sketches: the expected inner product of two rows, over random signs, is r. 0 for
-        constant sensors.
+    projections: Sketches: the expected inner product of two rows, over random signs, is r.
     """
 
     n_frames: int
@@ -100,9 +98,9 @@ class Sketch:
 def compute_sketch(chunks: Iterable[NDArray[Any]], size: int, rng: np.random.Generator) -> Sketch:
     """Sketch the standardised readings of every sensor.
 
-    Each frame is added, with a random sign, to one of the s components: the count sketch of
-    Charikar, Chen & Farach-Colton (2004), Theoretical Computer Science 312: 3-15. Inner products of
-    sketches are unbiased, with a variance of at most ``(1 + r^2) / s`` (Weinberger et al. 2009,
+    Each frame is added, with a random sign, to one of s components: the count sketch of Charikar,
+    Chen & Farach-Colton (2004), Theoretical Computer Science 312: 3-15. Inner products are
+    unbiased, with a variance of at most ``(1 + r^2) / s`` (Weinberger et al. 2009,
     arXiv:0902.2206).
     """
     # Separate streams, so that the result does not depend on how frames are divided into chunks.
@@ -228,11 +226,9 @@ _SENSOR_OVER_ALL = 0.75  # expected maximum r of one sensor's pairs over that of
 def build_graph(pairs: SensorPairs, sketch: Sketch, n_neighbours: int) -> SensorPairs:
     """Link each sensor to those with the highest r, and reject pairs that may be coincidental.
 
-    Among the many pairs of thousands of sensors, some are similar by coincidence; as links they
-    would be shortcuts across the skin. A link is rejected if r is much lower than the highest r of
-    either sensor, since a path over nearer sensors is as short; if r is not significant
-    (`largest_null_r`), unless it is close to the highest r of a rarely touched sensor; or if the
-    sensors share too few neighbours (`MIN_SHARED`).
+    A link is rejected if r is much lower than the highest r of either sensor, since a path over
+    nearer sensors is as short; if r is not significant (`largest_null_r`), unless it is close to
+    the highest r of a rarely touched sensor; or if the sensors share too few neighbours.
     """
     n_sensors = len(sketch.mean)
     best = np.maximum(pairs.best(n_sensors), 0)
@@ -260,11 +256,9 @@ def _share_neighbours(pairs: SensorPairs, n_sensors: int) -> NDArray[np.bool_]:
 def bridge_components(
     edges: SensorPairs, sketch: Sketch, chunks: Callable[[], Iterable[NDArray[Any]]]
 ) -> tuple[SensorPairs, NDArray[np.intp], SensorPairs]:
-    """Link connected components by significant r.
+    """Link connected components by significant r, which the graph may lack.
 
-    Links between components may be missing from the graph, since the sensors of a rigid plate are
-    more similar to each other than to any sensor beside it. Returns the edges, the component of
-    each sensor, and the pairs that were compared.
+    Return the edges, the component of each sensor, and the pairs that were compared.
     """
     component = component_labels(edges, len(sketch.mean))
     compared = edges.select(np.zeros(len(edges.r), dtype=bool))
@@ -289,12 +283,10 @@ def largest_null_r(
 ) -> NDArray[np.float64]:
     """Return, for each pair, the expected maximum r if no sensors were related.
 
-    Returns (P,).
-
     Two sensors touched c and c' times in T frames, for d and d' frames each, are touched together
     about ``c c' (d + d') / T`` times by coincidence, and each time raises r by ``(c c')^(-1/2)``.
-    The null standard deviation of r is therefore ``((d + d') / T)^(1/2)``, as of ``T / (d + d')``
-    independent frames; the maximum of P pairs is ``(2 log P)^(1/2)`` standard deviations.
+    The null standard deviation of r is ``((d + d') / T)^(1/2)``, and the maximum of P pairs is ``(2
+    log P)^(1/2)`` of them.
     """
     n_sensors = len(sketch.mean)
     touched = np.maximum(sketch.contacts, 1)

@@ -14,10 +14,10 @@ _CENTRED_AT_ONCE = 32  # sensors whose intermediate arrays stay in the cache
 _FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 
 
-def columns(readings: NDArray[Any], n_at_once: int = _SENSORS_AT_ONCE) -> Iterator[NDArray[Any]]:
+def columns(readings: NDArray[Any]) -> Iterator[NDArray[Any]]:
     """Iterate over the readings of each sensor. readings (T, N) -> (T,)."""
-    for begin in range(0, readings.shape[1], n_at_once):
-        yield from transposed(readings[:, begin : begin + n_at_once])
+    for begin in range(0, readings.shape[1], _SENSORS_AT_ONCE):
+        yield from transposed(readings[:, begin : begin + _SENSORS_AT_ONCE])
 
 
 def transposed(readings: NDArray[Any], buffer: NDArray[Any] | None = None) -> NDArray[Any]:

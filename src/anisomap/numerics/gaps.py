@@ -28,11 +28,7 @@ CompleteChunks: TypeAlias = Callable[[], Iterator[Readings]]
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Nearest known reading of each of N sensors, before or after a range of frames.
-
-    frame (N,): Frame number; NaN if there is no known reading.
-    value (N,): Reading.
-    """
+    """Frame and value of the nearest known reading of each of N sensors; NaN if there is none."""
 
     frame: NDArray[np.float64]
     value: NDArray[np.float64]
@@ -87,10 +83,7 @@ def interpolate_gaps(chunks: Chunks, window: int) -> CompleteChunks:
 
 
 def drop_incomplete_frames(chunks: Chunks) -> CompleteChunks:
-    """Drop frames with missing readings.
-
-    Sensors without any finite reading do not count as missing; their readings become 0.
-    """
+    """Drop frames with missing readings; sensors without any finite reading become 0."""
     silent = cache(lambda: _silent_sensors(chunks()))
 
     def complete() -> Iterator[Readings]:
@@ -134,10 +127,7 @@ def require_no_gaps(chunks: Chunks) -> CompleteChunks:
 
 
 def check_chunks(chunks: Callable[[], Iterable[ArrayLike]]) -> Iterator[Readings]:
-    """Convert chunks to arrays, skip empty ones, and check that they fit together.
-
-    Returns (t, N).
-    """
+    """Convert chunks to arrays, (t, N), skip empty ones, and check that they fit together."""
     n_sensors, start = None, 0
     for chunk in chunks():
         array = np.asarray(chunk)

@@ -16,10 +16,9 @@ from scipy.spatial.distance import cdist
 def nearest_others(
     points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Find the nearest neighbours of points, all by default, and their distances, nearest first.
+    """Find the nearest neighbours of points, all by default: distances and indices, (n, count).
 
-    A point is no neighbour of itself, even if others coincide with it. Returns distances and
-    indices, (n, count), or fewer columns.
+    A point is no neighbour of itself, even if others coincide with it. There may be fewer columns.
     """
     rows = np.arange(len(points)) if rows is None else rows
     count = min(count, len(points) - 1)
@@ -44,8 +43,6 @@ def padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
 
 def tree_edges(weights: NDArray[np.floating[Any]]) -> Iterator[tuple[int, int]]:
     """Yield each node of the maximum spanning tree, in order, and the earlier one that it joins.
-
-    weights (N, N): Symmetric.
 
     Prim (1957), Bell System Technical Journal 36: 1389-1401, in O(N^2). scipy sorts all edges, and
     its sparse graphs have none of weight 0.
@@ -83,11 +80,7 @@ def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class Kernel:
-    """Covariance of a field of unit variance, and of its noise.
-
-    reach: Length over which the field changes, in units of the points.
-    noise: Variance of the noise, relative to that of the field, above 0.
-    """
+    """Covariance of a field of unit variance: its reach, in units of the points, and its noise."""
 
     reach: float
     noise: float
@@ -105,8 +98,6 @@ def predict_field(
     kernel: Kernel,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Predict a field of mean 0 by simple kriging (Rasmussen & Williams 2006, eq. 2.25 and 2.26).
-
-    Far from all points the prediction is 0, so a correction by the field does no harm there.
 
     points (n, k), values (n, l), where (m, k) -> values (m, l), variances (m,).
     """

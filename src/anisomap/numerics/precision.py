@@ -26,6 +26,7 @@ MAX_SQUARED = 1e100
 """Magnitude above which readings are scaled before squaring; likewise below its inverse."""
 
 _BLOCK_BYTES = 1 << 26
+_TILE_ROWS = 128  # of a symmetric matrix; two tiles stay in the cache
 
 
 def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
@@ -52,30 +53,26 @@ def row_blocks(n_rows: int) -> Iterator[slice]:
     return slices_of(n_rows, max(1, _BLOCK_BYTES // (8 * max(n_rows, 1))))
 
 
-def mirror(matrix: NDArray[Any], *, upper: bool, tile: int = 128) -> None:
-    """Make a square matrix symmetric in place by copying one triangle to the other.
-
-    matrix (N, N).
-    """
-    for rows, columns in _upper_tiles(len(matrix), tile):
-        above, below = matrix[rows, columns], matrix[columns, rows].T
-        source, target = (above, below) if upper else (below, above)
+def mirror(matrix: NDArray[Any]) -> None:
+    """Make a square matrix symmetric in place: copy its upper triangle to the lower one."""
+    for rows, columns in _upper_tiles(len(matrix)):
+        above = matrix[rows, columns]
         if rows == columns:
-            half = np.triu(source, 1)
-            source = half + half.T + np.diag(np.diag(source))
-        target[...] = source
+            half = np.triu(above, 1)
+            above = half + half.T + np.diag(np.diag(above))
+        matrix[columns, rows] = above.T
 
 
-def is_symmetric(matrix: NDArray[Any], *, tile: int = 128) -> bool:
+def is_symmetric(matrix: NDArray[Any]) -> bool:
     """Return whether a square matrix equals its transpose exactly."""
     return all(
         np.array_equal(matrix[rows, columns], matrix[columns, rows].T)
-        for rows, columns in _upper_tiles(len(matrix), tile)
+        for rows, columns in _upper_tiles(len(matrix))
     )
 
 
-def _upper_tiles(n_rows: int, tile: int) -> Iterator[tuple[slice, slice]]:
-    tiles = [slice(begin, begin + tile) for begin in range(0, n_rows, tile)]
+def _upper_tiles(n_rows: int) -> Iterator[tuple[slice, slice]]:
+    tiles = list(slices_of(n_rows, _TILE_ROWS))
     return ((rows, columns) for i, rows in enumerate(tiles) for columns in tiles[i:])
 
 

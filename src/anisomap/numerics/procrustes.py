@@ -51,11 +51,9 @@ def fit_similarity(
     scaling: bool = True,
     reflection: bool | None = None,
 ) -> Similarity:
-    """Fit the similarity that minimises the weighted sum of squared distances to the target.
+    """Fit the similarity with the least weighted sum of squared distances to the target.
 
-    source, target (n, k), weights (n,).
-
-    Umeyama (1991), IEEE Trans. PAMI 13(4): 376-380, with weights.
+    source, target (n, k), weights (n,). Umeyama (1991), IEEE Trans. PAMI 13(4): 376-380.
     """
     shares = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
     shares = shares / shares.sum()
@@ -105,13 +103,11 @@ def fit_similarity_robustly(
     scaling: bool = True,
     reflection: bool | None = None,
 ) -> Similarity:
-    """Fit a similarity that points far from their target do not bend.
+    """Fit a similarity that points far from their target do not bend. source, target (n, k).
 
-    source, target (n, k).
-
-    Iteratively reweighted least squares: first least absolute distances, then the weights of
-    Geman & McClure (1987), which vanish for large residuals. Fewer than half of the points may be
-    far off.
+    Iteratively reweighted least squares: first least absolute distances, then the weights of Geman
+    & McClure (1987), which vanish for large residuals. Fewer than half of the points may be far
+    off.
     """
     fits = []
     # Residuals of an exact fit are rounding errors, of which the ratios mean nothing.

@@ -91,8 +91,8 @@ class Signals:
     def touched(self) -> NDArray[np.bool_]:
         """Whether readings are clearly beyond rest, at twice the threshold, shape (T, N).
 
-        Normal noise exceeds it once in 8 million frames. Sensors without a rest are always touched,
-        or show noise alone. Among others that have a rest, they are if they resemble some of them.
+        Sensors without a rest are always touched, or show noise alone. Among others that have a
+        rest, they are if they resemble some of them.
         """
         rest = self.rest
         restless = np.flatnonzero(~rest.known)

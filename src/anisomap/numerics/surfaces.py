@@ -110,13 +110,10 @@ _MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the
 
 
 class TriangleSearch:
-    """Exact search for the nearest of many triangles.
+    """Exact search for the nearest of many triangles, at least one.
 
-    mesh: With at least one triangle.
-
-    Each triangle lies in a ball about its centroid. A triangle whose centroid is further than the
-    nearest vertex plus the largest such radius cannot be the nearest. Large triangles, which would
-    weaken this bound, are split.
+    Each lies in a ball about its centroid: one whose centroid is further than the nearest vertex
+    plus the largest such radius cannot be the nearest. Large triangles are split.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -131,12 +128,10 @@ class TriangleSearch:
         self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
 
     def signed_distance(self, points: Points) -> Points:
-        """Compute the signed distance of points from the nearest triangle.
+        """Compute the signed distance of points from the nearest triangle. points (n, 3) -> (n,).
 
-        points (n, 3) -> (n,).
-
-        Triangles that share a nearest edge or corner can differ in the sign. The one with the
-        largest distance along its normal determines it.
+        Of triangles that share a nearest edge or corner, the one with the largest distance along
+        its normal determines the sign.
         """
         found = np.empty(len(points))
         for chosen, index, triangle, _, offset in self._candidates(points):
@@ -168,8 +163,8 @@ class TriangleSearch:
     ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Points, Points]]:
         """Yield blocks of points, and the pairs of one of them and a triangle that may be nearest.
 
-        These are the rows of the points; the point of each pair, numbered in the block; the
-        triangle; the nearest point on it; and the offset from there.
+        These are the rows of the points; of each pair, the point in the block, the triangle, the
+        nearest point on it, and the offset from there.
         """
         # The margin, far above rounding errors, keeps at least one candidate for every point.
         bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)

@@ -71,8 +71,7 @@ def decay(
 ) -> None:
     """Evaluate the shape of the covariogram at the distances of points, shape (k, n).
 
-    `found` are the arrays of `Decay`; `bounds` are the least and greatest squared distance, and the
-    greatest logarithm of a power.
+    `bounds` are the least and greatest squared distance, and the greatest logarithm of a power.
     """
     shape, steepness, squares, logarithms = found
     n_axes, n_points = points.shape

@@ -42,8 +42,7 @@ def close_tile(tile: Reals) -> None:
 def lower_tile(tile: Reals, left: Reals, right: Reals) -> None:
     """Lower ``tile[i, j]`` to the least ``left[i, k] + right[k, j]``, a (min, +) product.
 
-    Two rows and four middles at a time give eight sums for six loads. On processors with vectors
-    of 512 bits, 26 of the possible 28 sums per nanosecond are computed: one vector per cycle.
+    Two rows and four middles at a time give eight sums for six loads.
     """
     for i in range(0, SIDE, 2):
         for k in range(0, SIDE, 4):
@@ -58,10 +57,9 @@ def lower_tile(tile: Reals, left: Reals, right: Reals) -> None:
 
 @loop()
 def reach_blocks(tiles: Reals, middle: int, outwards: Reals, inwards: Reals) -> None:
-    """Compute the paths from a block of nodes to all blocks that begin within it.
+    """Compute the paths from a block of nodes, whose tile is closed, to all blocks J.
 
-    The tile of the block itself must be closed. ``outwards[J]`` is set to the paths from block
-    `middle` to block J, and ``inwards[J]`` to its transpose.
+    They are set in ``outwards[J]``, and their transposes in ``inwards[J]``.
     """
     n_blocks = len(outwards)
     within = tiles[tile_number(middle, middle, n_blocks)]
@@ -88,11 +86,7 @@ def lower_block(tiles: Reals, inwards: Reals, outwards: Reals, block: int) -> No
 
 @loop()
 def lower_rows(tiles: Reals, inwards: Reals, outwards: Reals, rows: Range) -> None:
-    """Lower the tiles of some rows by the paths through several blocks.
-
-    ``inwards[m]`` and ``outwards[m]`` are those of `reach_blocks` for block m. Several blocks per
-    tile, and several rows per column, reduce the transfers from memory.
-    """
+    """Lower the tiles of some rows by the paths of `reach_blocks` through several blocks."""
     n_middles, n_blocks = outwards.shape[:2]
     for column in range(rows[0], n_blocks):
         for row in range(rows[0], min(rows[1], column + 1)):
@@ -107,9 +101,8 @@ def relax_from(
 ) -> None:
     """Fill ``tile[u, s]`` with the length of the shortest path from ``sources[s]`` to node u.
 
-    Bellman-Ford from several sources: sweeps over the nodes in alternating `order` until no path
-    becomes shorter. ``stamps[u]`` contains the times of the last improvement and of the last visit
-    of node u: neighbours that have not improved since the visit are skipped.
+    Bellman-Ford: sweeps over the nodes in alternating `order` until no path becomes shorter.
+    Neighbours that have not improved since the last visit are skipped, by ``stamps``.
     """
     offsets, ends, lengths = edges
     tile[:] = np.inf
@@ -144,8 +137,8 @@ def count_shared(
 ) -> None:
     """Count, for each edge of a graph, the common neighbours of its two ends.
 
-    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``; `shared` has the shape of
-    `ends`. Unsigned node numbers avoid the check for negative indices.
+    The edges of node u lead to ``ends[offsets[u]:offsets[u + 1]]``. Unsigned node numbers avoid the
+    check for negative indices.
     """
     is_neighbour = np.zeros(len(offsets) - 1, np.uint8)
     for i in range(len(offsets) - 1):
@@ -166,11 +159,9 @@ def count_shared(
 def keep_greatest(
     block: Singles, left: int, own: Ints, groups: Ints, greatest: tuple[Ints, Singles]
 ) -> None:
-    """Update the greatest entries of each row with a block of columns.
+    """Update the greatest entries of each row, in decreasing order, with a block of columns.
 
-    `block` contains the columns of the matrix from `left` on. `greatest` contains column numbers
-    and entries per row, in decreasing order of the entries. Columns of the row's `own` group are
-    skipped.
+    The block begins at column `left`. Columns of the row's `own` group are skipped.
     """
     ends, values = greatest
     count = ends.shape[1]

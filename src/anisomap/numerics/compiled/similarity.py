@@ -26,14 +26,11 @@ def add_bin(
     bounds: tuple[int, int, int, int],
     found: tuple[Ints, Ints],
 ) -> None:
-    """Find the best division of beginnings of the values into one more bin.
+    """Find the best division of beginnings of m values into one more bin, as numpy in `binning`.
 
-    `costs`, shape (T + 1,), contains the cost of a bin of each size; `ends`, shape (m + 1,), the
-    cumulative counts of the values; `least`, shape (m + 1,), the least cost without the bin.
-    `bounds` consists of the first and last number of values without the bin, and with it. The
-    arrays of `found`, the least cost with the bin and the value at which it begins, each of shape
-    (m + 1,), are filled. The order of the search is that of
-    `anisomap.numerics.similarity.binning`.
+    costs (T + 1,): Of a bin of each size. ends, least (m + 1,): Cumulative counts of the values,
+    and the least cost without the bin. bounds: First and last number of values without the bin, and
+    with it. found (m + 1,): The least cost with the bin and the value at which it begins, filled.
     """
     lowest, highest, first, last = bounds
     result, cut = found
@@ -60,9 +57,8 @@ Reals = NDArray[np.floating[Any]]
 def add_products(panel: Reals, first: int, sensors: Ints, values: Reals, begins: Ints) -> None:
     """Add products of values in the same frame to ``panel[i - first, j]`` for all j >= i.
 
-    Values of frame f, by increasing sensor, are those from ``begins[f]`` to ``begins[f + 1]``.
-    Four rows are filled at a time, so that the other sensors and their values are loaded once for
-    all; of these rows, some elements with j < i are changed, too.
+    Values of frame f, by increasing sensor, are those from ``begins[f]`` to ``begins[f + 1]``. Four
+    rows are filled at a time, which changes some elements with j < i, too.
     """
     last = first + len(panel)
     for frame in range(len(begins) - 1):
@@ -111,10 +107,7 @@ _BYTES = np.uint64(0x0101010101010101)
 
 @loop()
 def tally_codes(codes: NDArray[Any], counts: Ints) -> None:
-    """Add the number of frames in which each sensor has each code to `counts`, shape (N, b).
-
-    `codes` has shape (T, N).
-    """
+    """Add the number of frames in which each sensor has each code to `counts`. codes (T, N)."""
     for frame in range(codes.shape[0]):
         for sensor in range(codes.shape[1]):
             counts[sensor, codes[frame, sensor]] += 1
@@ -124,8 +117,8 @@ def tally_codes(codes: NDArray[Any], counts: Ints) -> None:
 def pack_bits(codes: NDArray[Any], position: Ints, bits: Words) -> None:
     """Set one bit per frame in which a series is on.
 
-    `codes` has shape (T, N), `position` (N, b), `bits` (M + 1, words), initially zero. Codes
-    without a series have position -1, the last row, which avoids a branch.
+    codes (T, N), position (N, b), bits (M + 1, words), initially zero. Codes without a series have
+    position -1, the last row, which avoids a branch.
     """
     for frame in range(codes.shape[0]):
         word, bit = frame // 64, _ONES << np.uint64(frame % 64)
@@ -135,10 +128,7 @@ def pack_bits(codes: NDArray[Any], position: Ints, bits: Words) -> None:
 
 @loop()
 def pack_switches(codes: NDArray[Any], bits: Words) -> None:
-    """Set the bits of series that are on at code 1; the codes of all sensors are 0 or 1.
-
-    `codes` has shape (T, N), `bits` (N, words). Equal to `pack_bits`, but vectorised.
-    """
+    """Set the bits, (N, words), of codes, (T, N), that are 0 or 1: `pack_bits`, but vectorised."""
     n_frames, n_sensors = codes.shape
     words = np.empty(n_sensors, np.uint64)
     for begin in range(0, n_frames, 64):
@@ -162,14 +152,12 @@ def count_ones(x: np.uint64) -> np.uint64:
 
 @loop()
 def count_bits(bits: Words, start: int, stop: int, counts: Counts) -> None:
-    """Count frames in which two series are on, from their bits.
+    """Count frames in which two series are on, from their bits, (M, words).
 
-    `bits` has shape (M, words). `counts`, shape (stop - start, M) and initially zero, is filled
-    for the series from `start` to `stop` and all series not before them.
+    counts (stop - start, M): Filled for series from `start` to `stop` and all not before them.
 
     One series is compared with four at a time, so that a vector of it is loaded once for four
-    counts. Rows of `bits` should begin at multiples of 64 bytes: vectors of 512 bits that cross
-    cache lines take half as long again.
+    counts. Rows of `bits` should begin at multiples of 64 bytes.
     """
     n_series, n_words = bits.shape
     last = n_series - 1
@@ -200,10 +188,7 @@ def count_bits(bits: Words, start: int, stop: int, counts: Counts) -> None:
 def count_entries(
     entries: tuple[Counts, Ints, Ints, Ints], start: int, stop: int, counts: Counts
 ) -> None:
-    """Count frames in which two series are on, from `co_occurrence._entries`.
-
-    The other arguments are those of `count_bits`.
-    """
+    """Count frames in which two series are on, as `count_bits`, from `co_occurrence._entries`."""
     series, ends, places, starts = entries
     for p in range(start, stop):
         row = counts[p - start]
@@ -223,11 +208,9 @@ def sum_logarithms(
 ) -> None:
     """Sum n log n over the contingency tables of sensors from `start` to `stop` and later ones.
 
-    `counts` contains the joint counts of all series of these sensors with all M series. `tallies`
-    consists of ``first``, shape (N + 1,), the index of the first series of each sensor;
-    ``marginals``, shape (M,), the number of frames in which each series is on; and ``logs``, shape
-    (T + 1,), the values of n log n. Cells of the reference codes follow from the marginals. The
-    upper triangle of `joint`, shape (N, N), is filled.
+    counts: Of all series of these sensors with all M series. tallies: The first series of each
+    sensor, (N + 1,); the frames in which each series is on, (M,); and n log n, (T + 1,). Cells of
+    the reference codes follow from these. The upper triangle of `joint`, (N, N), is filled.
     """
     first, marginals, logs = tallies
     n_frames, above = len(logs) - 1, first[start]
@@ -259,11 +242,7 @@ def add_pair_products(
     totals: Floats,
     part: tuple[int, int],
 ) -> None:
-    """Add to `totals` the inner products of pairs of rows of `series`.
-
-    Rows marked by `still` are constant, as are most sensors within a chunk; they are not multiplied
-    frame by frame.
-    """
+    """Add inner products of pairs of rows to `totals`; rows that are `still` are constant."""
     firsts, seconds = pairs
     n_frames = series.shape[1]
     for pair in range(part[0], part[1]):

@@ -22,13 +22,10 @@ REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 @loop(fastmath=REORDERED, error_model="numpy")
 def add_stress(points: Reals, targets: Reals, weights: Reals, rows: Range, slope: Reals) -> float:
-    """Return the raw stress of the pairs i < j with i in `rows`.
+    """Return the raw stress of the pairs i < j with i in `rows`; add half its gradient to `slope`.
 
-    Half its gradient is added to `slope`.
-
-    `points` and `slope` have shape (k, N), one row per coordinate; `weights` has shape (N, N), or
-    (1, N) if all rows are equal. Coincident points add nothing to the gradient: their difference
-    is 0, and the smallest normal number keeps its factor finite.
+    points, slope (k, N), weights (N, N), or (1, N) if all rows are equal. Coincident points add
+    nothing to the gradient: the smallest normal number keeps its factor finite.
     """
     dimensions, n_points = points.shape
     tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
@@ -73,10 +70,8 @@ def add_spatial_stress(
 ) -> float:
     """Return the raw stress as `add_stress` does, for three coordinates, in half the time.
 
-    The first of `rows` must be even, and the last (exclusive) must be even or N.
-
-    Two rows at a time share the loads of their neighbours and the loads and stores of the slope.
-    The second row is also paired with itself, which adds nothing: its target is 0.
+    The first of `rows` must be even, and the last (exclusive) must be even or N. Two rows at a time
+    share loads and stores. The second is also paired with itself: its target is 0.
     """
     n_points = points.shape[1]
     tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)
@@ -131,11 +126,9 @@ def add_spatial_stress(
 def add_rows_stress(
     points: Singles, anchors: Singles, targets: Singles, rows: Range, slopes: tuple[Floats, Floats]
 ) -> float:
-    """Sum the raw stress of points i in `rows` with all anchors.
+    """Sum the raw stress of points i in `rows` with all anchors; add half its gradient to `slopes`.
 
-    `points` is (k, N), `anchors` (k, L), one row per coordinate; `targets` is (N, L). Half the
-    gradient is added to `slopes`, by the points (k, N) and by the anchors (k, L). The gradient of
-    coincident points is 0: their difference is 0, and the tiny constant keeps its factor finite.
+    points (k, N), anchors (k, L), targets (N, L), slopes by points (k, N) and by anchors (k, L).
     """
     slope, pulled = slopes
     dimensions, n_anchors = anchors.shape
@@ -175,11 +168,7 @@ def add_rows_stress(
 def add_edges_stress(
     points: Floats, edges: tuple[Ints, Ints, Singles], weight: float, slope: Floats, rows: Range
 ) -> float:
-    """Sum the weighted raw stress of the edges of some nodes, each edge from both ends.
-
-    `points` and `slope` are (k, N). Half the gradient is added to `slope`. Each edge occurs
-    twice in the sum over all nodes, with half its weight.
-    """
+    """Sum the weighted raw stress of edges, each from both ends; add half its gradient."""
     offsets, ends, lengths = edges
     dimensions = len(points)
     total = 0.0

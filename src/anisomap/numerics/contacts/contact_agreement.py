@@ -126,7 +126,7 @@ def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
         products, weight = _weighted_products(contacts[begin : begin + _CONTACTS_AT_ONCE])
         together += products
         total += weight
-    mirror(together, upper=True)
+    mirror(together)
     return together, total
 
 
@@ -180,6 +180,6 @@ def resampled_contact_agreement(
         together += weights[:, i, None, None] * products
     found = np.empty_like(together)
     for i, sums in enumerate(together):
-        mirror(sums, upper=True)
+        mirror(sums)
         found[i] = _agreement(sums, float(total[i]))
     return found

@@ -90,8 +90,7 @@ def assign_levels(
     """Quantise readings (T, N) above rest into at most `n_levels` levels of about equal counts.
 
     Of so many frames that about `max_touches` readings are above rest. Sensors whose log gains
-    spread by more than `max_gain_spread` are divided by their gains, the 0.9 quantiles of their
-    readings above rest, which are themselves noisy. The rest is estimated if it is not given.
+    spread by more than `max_gain_spread` are divided by them: 0.9 quantiles of readings above rest.
     """
     values = np.asarray(readings)
     rest = estimate_rest(values) if rest is None else rest
@@ -127,8 +126,7 @@ def assign_levels(
 def find_contacts(levels: Levels, positions: ArrayLike, *, min_sensors: int) -> Contacts | None:
     """Find patches of touched neighbours, and split those with several peaks. positions (N, k).
 
-    A touched sensor belongs to the peak of its patch that is nearest, unless others are about as
-    near.
+    A sensor belongs to the nearest peak of its patch, unless others are about as near.
     """
     n_sensors = levels.values.shape[1]
     n_touched = np.count_nonzero(levels.values, axis=1)
@@ -239,11 +237,10 @@ _STEP_TOLERANCE = 0.02  # relative, of conjugate gradients: a step is corrected 
 class Profile(NamedTuple):
     """Distribution of levels given the distance from a contact, in sensor spacings.
 
-    The level of a sensor at p depends on its distance inside the radius R of a contact at y,
-    ``u = R - |p - y|``: ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``.
+    The level of a sensor depends on its distance u inside the radius R of a contact:
+    ``P(level >= l) = expit((u - thresholds[l - 1]) / softness)``.
 
     thresholds (L,): Increasing; the first is 0.
-    softness: Width of the transition between levels, above 0.
     radius, radius_sd: Mean and standard deviation of R over contacts.
     """
 
@@ -258,13 +255,11 @@ class LocatedContacts(NamedTuple):
 
     states (E, k + 1): Centre y and radius R of each contact.
     scores (E,): Log-likelihood of each contact's readings and radius.
-    gradients (E, k + 1): Gradient of the scores by the states, nearly 0 after `locate`.
-    precisions (E, k + 1, k + 1): Negative Hessian of the scores (Gauss-Newton), positive definite.
-    inside (M,): Distance of each sensor inside the radius, ``u = R - |p - y|``; negative outside.
-    directions (k + 1, M): Gradient of u by the state, ``((p - y) / |p - y|, 1)``. The negative of
-        its first k components is the gradient by p.
-    slopes, curvatures (M,): Derivatives of the readings' log-likelihoods by u; see
-        `level_log_likelihood`.
+    gradients (E, k + 1), precisions (E, k + 1, k + 1): Of the scores by the states: gradient, and
+        negative Hessian (Gauss-Newton), positive definite.
+    inside (M,): Distance of each sensor inside the radius, ``u = R - |p - y|``.
+    directions (k + 1, M): Gradient of u by the state; its first k components are those by -p.
+    slopes, curvatures (M,): Derivatives of log-likelihoods by u; see `level_log_likelihood`.
     """
 
     states: Matrix
@@ -283,14 +278,12 @@ _OF_CONTACTS = ("states", "scores", "gradients", "precisions")
 def level_log_likelihood(
     levels: ArrayLike, inside: ArrayLike, profile: Profile
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the log-likelihood of levels, and its derivatives by the distance.
-
-    inside (M,) -> (M,).
+    """Return the log-likelihood of levels, and its derivatives by the distance u, each (M,).
 
     With ``a = P(level >= l)``, ``b = P(level >= l + 1)`` and the outlier share e, the score is
-    ``log((1 - e)(a - b) + e / (L + 1))``. With the probability w that a reading is no outlier,
-    its slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``; the
-    derivative of w is omitted, so that the curvature is never negative.
+    ``log((1 - e)(a - b) + e / (L + 1))``. With the probability w that a reading is no outlier, its
+    slope is ``w (1 - a - b) / s`` and its curvature ``w (a (1 - a) + b (1 - b)) / s^2``, without
+    the derivative of w, so that it is never negative.
     """
     u, per_width = np.asarray(inside), 0.5 / profile.softness
     edges = (np.concatenate([[-_FAR], profile.thresholds, [_FAR]]) * per_width).astype(u.dtype)
@@ -410,9 +403,8 @@ def fit_profile(
 ) -> Profile:
     """Fit thresholds and softness to readings at known distances (maximum likelihood).
 
-    levels, inside, weights (M,). Distances are counted in bins that are narrower than any expected
-    softness. The parameters are the first threshold, and the logarithms of the steps to the others
-    and of the softness.
+    levels, inside, weights (M,). The parameters are the first threshold, and the logarithms of the
+    steps to the others and of the softness.
     """
     n_levels = len(profile.thresholds)
     # Far from all thresholds, levels are certain and distances do not matter.

@@ -7,8 +7,8 @@ all pairs at once are fitted in overlapping blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -56,10 +56,7 @@ _BLOCK_TOLERANCE = 100
 _DISPLACEMENT, _BLOCK_DISPLACEMENT = 5e-5, 1e-3
 
 MAX_CURVATURE = 6001
-"""Number of coordinates from which the curvature is not factorised.
-
-Its cubic time grows faster than that of the iterations it saves: about equal from 3,000 sensors.
-"""
+"""Number of coordinates from which factorising the curvature takes longer than it saves."""
 
 _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
 # Iterations with one curvature. With 30 or 40, a retina and Nao's torso took two thirds of the
@@ -187,7 +184,9 @@ def fit_covariogram(
     compiled = len(positions) >= MIN_COMPILED_ROWS
     problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision, compiled)
     size = chosen.block if one_block else max(3, chosen.block // 2)
-    with _parallel_blocks(len(positions)) as map_blocks:
+    # BLAS is single-threaded beside threads. Setting limits takes as long as a small fit.
+    limits = threadpool_limits(1) if is_parallel(len(positions)) else nullcontext()
+    with parallel_map(len(positions)) as map_blocks, limits:
         members = overlapping_blocks(positions, size)
         blocks = map_blocks(lambda sensors: Block(sensors, problem), members)
         found = minimise(
@@ -212,15 +211,6 @@ def fit_covariogram(
         converged=found.converged,
         factor=found.factor,
     )
-
-
-@contextmanager
-def _parallel_blocks(n_sensors: int) -> Iterator[MapFunction]:
-    """Yield a parallel map; BLAS is single-threaded meanwhile, to avoid oversubscription."""
-    # Setting limits reads all loaded libraries, which takes as long as a small fit.
-    limits = threadpool_limits(1) if is_parallel(n_sensors) else nullcontext()
-    with parallel_map(n_sensors) as map_blocks, limits:
-        yield map_blocks
 
 
 def _estimate_range(similarity: Matrix, positions: Matrix, known: NDArray[np.bool_]) -> float:
@@ -259,10 +249,7 @@ def _check(
 
 
 def overlapping_blocks(positions: ArrayLike, max_size: int) -> list[NDArray[np.intp]]:
-    """Assign sensors to blocks such that most near pairs and many far pairs share a block.
-
-    positions (N, k).
-    """
+    """Assign sensors (N, k) to blocks: most near pairs and many far pairs share a block."""
     points = np.asarray(positions, dtype=np.float64)
     n_points = len(points)
     if n_points <= max_size:
@@ -308,14 +295,12 @@ def minimise(
     map_blocks: MapFunction = serial_map,
     near: Covariogram | None = None,
 ) -> Minimum:
-    """Minimise the objective over positions and exponent.
+    """Minimise the objective over positions and exponent. start (N, k).
 
-    start (N, k).
-
-    Objectives with far-reaching correlations are badly conditioned: long waves of the map hardly
-    change the objective, and L-BFGS follows them in hundreds of iterations. Here it searches over
-    y with ``x = x_0 + U^-1 y``, where U'U is the damped Gauss-Newton matrix at x_0, which is
-    computed again every 40 iterations. The curvature by y is then nearly the identity.
+    L-BFGS follows long waves of a map, which hardly change the objective, in hundreds of
+    iterations. Here it searches over y with ``x = x_0 + U^-1 y``, where U'U is the damped
+    Gauss-Newton matrix at x_0, which is computed again every 40 iterations. The curvature by y is
+    nearly the identity.
     """
     factor, exponent = (np.ones((1, 1)), 1.0) if near is None else (near.factor, near.exponent)
     found = Minimum(start, float(np.log(exponent)), np.inf, 0, converged=False, factor=factor)
@@ -418,10 +403,7 @@ class _Search:
 
 
 def _factor(curvature: Matrix) -> Matrix:
-    """Return the triangular factor U of a damped curvature U'U, in its place.
-
-    LAPACK takes the upper triangle of a C-contiguous matrix for the lower one of its transpose.
-    """
+    """Return the triangular factor U of a damped curvature U'U, in its place."""
     diagonal = np.diag(curvature).copy()
     damping = _DAMPING * diagonal + _LEAST_DAMPING * diagonal.mean()
     curvature[np.diag_indices_from(curvature)] += damping
@@ -448,11 +430,9 @@ def unexplained_share(
 ) -> float:
     """Estimate the share of the variance of correlations that distances do not explain.
 
-    similarity (N, N), positions (N, k).
-
     The function is a monotone regression (Barlow et al. 1972). A correlation c has the sampling
     variance ``noise (1 - c^2)^2``; it is subtracted from the squared residuals. Only pairs whose
-    fitted correlation exceeds two standard deviations count: residuals of distant pairs are noise.
+    fitted correlation exceeds two standard deviations count: residuals of others are noise.
     """
     values, points = np.asarray(similarity), np.asarray(positions)
     step = -(-len(values) // _MAX_SENSORS)

@@ -26,6 +26,7 @@ from anisomap.numerics.compiled.parallel import (
 from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
 
+Matrix: TypeAlias = Reals
 Vector: TypeAlias = Reals
 
 _SQUARE_BOUNDS = (1e-12, 1e30)  # of squared distances in ranges; keep all terms finite in float32
@@ -47,25 +48,8 @@ class Decay(NamedTuple):
     logarithms: Vector
 
 
-class Slope(NamedTuple):
-    """Value of the objective, and its derivatives.
-
-    by_exponent: Derivative by the log exponent.
-    force (P,): Half the derivative by the distance of each pair, over the distance.
-    """
-
-    value: float
-    by_exponent: float
-    force: Vector
-
-
 class Weights(NamedTuple):
-    """Weights of the terms of the objective.
-
-    amplitude, exponent, offset: Of the covariogram.
-    prior, repulsion: Of the squared deviation of a ratio of distances, and of the logarithm of a
-        distance.
-    """
+    """Covariogram, and weights of squared deviations of ratios and of logarithms of distances."""
 
     amplitude: float
     exponent: float
@@ -78,11 +62,8 @@ class Weights(NamedTuple):
 class Pairs:
     """Constants of the pairs of n sensors, each of shape (P,), and functions of distances.
 
-    known: 1 where the correlation is known, else 0.
-    similarity: 0 where unknown.
-    whitened_known, whitened_similarity: The same, whitened: see
-        `anisomap.numerics.covariogram.objective`.
-    n_sensors: Number of sensors, n.
+    known: 1 where the correlation is known, else 0. similarity: 0 where unknown.
+    whitened_known, whitened_similarity: Pairs of W A W for these.
     """
 
     known: Vector
@@ -109,8 +90,13 @@ class Pairs:
         steepness *= shape
         return Decay(shape, steepness, squares, logarithms)
 
-    def slope(self, decayed: Decay, whitened_shape: Vector, weights: Weights) -> Slope:
-        """Evaluate the objective and its derivatives by distances and by the log exponent."""
+    def slope(
+        self, decayed: Decay, whitened_shape: Vector, weights: Weights
+    ) -> tuple[float, float, Vector]:
+        """Return the objective, its derivative by the log exponent, and the force, (P,).
+
+        The force is half the derivative by the distance of each pair, over the distance.
+        """
         residual = weights.amplitude * decayed.shape
         term = weights.offset * self.known
         residual += term
@@ -136,10 +122,10 @@ class Pairs:
         force += pull
         value += weights.prior * _sum(np.multiply(deviations, deviations, out=term))
         force -= np.divide(weights.repulsion / 2, decayed.squares, out=term)
-        return Slope(value, by_exponent, force)
+        return value, by_exponent, force
 
     def gradient(self, force: Vector, points: Reals) -> Reals:
-        """Return the gradient by positions, shape (n, k), of the force of `Slope`."""
+        """Return the gradient by positions, shape (n, k), of the force of `slope`."""
         forces = self.unpack(force.astype(np.float64, copy=False))
         return np.asarray(2 * (forces.sum(axis=1)[:, None] * points - forces @ points))
 
@@ -164,7 +150,9 @@ class CompiledPairs(Pairs):
         load_loops("covariogram").decay(axes, self.known, exponent, bounds, tuple(found))
         return found
 
-    def slope(self, decayed: Decay, whitened_shape: Vector, weights: Weights) -> Slope:
+    def slope(
+        self, decayed: Decay, whitened_shape: Vector, weights: Weights
+    ) -> tuple[float, float, Vector]:
         """See `Pairs.slope`."""
         force = np.empty_like(self.known)
         data = (
@@ -177,7 +165,7 @@ class CompiledPairs(Pairs):
         value, by_exponent = load_loops("covariogram").slope(
             tuple(decayed), whitened_shape, data, tuple(weights), force
         )
-        return Slope(value, by_exponent, force)
+        return value, by_exponent, force
 
     def gradient(self, force: Vector, points: Reals) -> Reals:
         """See `Pairs.gradient`."""
@@ -207,8 +195,6 @@ def _sum(values: Vector) -> float:
     rows = values.reshape(n_points - 1 + n_points % 2, -1)
     return float(rows.sum(axis=1).sum(dtype=np.float64))
 
-
-Matrix: TypeAlias = Reals
 
 _AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pairs exceed its range
 
@@ -269,10 +255,7 @@ class CovariogramOptions:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data and parameters of the fit, with lengths in units of the covariogram's range.
-
-    Matrices of blocks are multiplied in the given precision. Compiled loops need float32.
-    """
+    """Data and parameters of the fit, with lengths in units of the covariogram's range."""
 
     similarity: Matrix
     metric: Matrix
@@ -289,28 +272,11 @@ class BlockTerms:
 
     With ``<A, B> = tr(A W B W)``, `products` are <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
     shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
-    `whitened_shape` has the pairs of W E W.
     """
 
     products: Matrix
     decay: Decay
     whitened_shape: Vector
-
-
-@dataclass(frozen=True, eq=False)
-class BlockCurvature:
-    """Contribution of one block of n sensors to `gauss_newton_matrix`.
-
-    coordinates (n, n): Products of the derivatives by coordinate p of one sensor and q >= p of
-        another.
-    cross (3, k, n): Products of the derivatives by amplitude, offset and log exponent with those by
-        coordinates.
-    linear (3, 3): Products of the derivatives by amplitude, offset and log exponent.
-    """
-
-    coordinates: dict[tuple[int, int], Matrix]
-    cross: Matrix
-    linear: Matrix
 
 
 class Block:
@@ -366,14 +332,18 @@ class Block:
         options = self._options
         prior, repulsion = self._noise * options.prior_weight, self._noise * options.repulsion
         weights = Weights(amplitude, exponent, offset, prior, repulsion)
-        found = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
-        by_positions = self._pairs.gradient(found.force, positions[self.sensors])
-        return found.value, by_positions, found.by_exponent
+        value, by_exponent, force = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
+        return value, self._pairs.gradient(force, positions[self.sensors]), by_exponent
 
     def curvature(
         self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float
-    ) -> BlockCurvature:
-        """Return the products of the derivatives of the residuals, and curvatures of the priors."""
+    ) -> tuple[dict[tuple[int, int], Matrix], Matrix, Matrix]:
+        """Return the contribution to `gauss_newton_matrix`, with the curvatures of the priors.
+
+        These are the products of the derivatives by coordinates p and q >= p of two sensors,
+        (n, n) each; of those by amplitude, offset and log exponent with those by coordinates,
+        (3, k, n); and of the former with one another, (3, 3).
+        """
         points, weights, decayed = positions[self.sensors], self._whitening, terms.decay
         unpack, options = self._pairs.unpack, self._options
         n_axes = points.shape[1]
@@ -403,7 +373,7 @@ class Block:
         whitened = (terms.whitened_shape, self._pairs.whitened_known, by_exponent)
         cross = [[2 * (d * w).sum(axis=1) for d in derivatives] for w in map(unpack, whitened)]
         linear = [[self._pairs.product(a, b) for b in whitened] for a in linear_terms]
-        return BlockCurvature(coordinates, np.array(cross), np.array(linear))
+        return coordinates, np.array(cross), np.array(linear)
 
     def _whitened(self, matrix: Matrix) -> Vector:
         """Return the pairs of W A W, which is symmetric as A is."""
@@ -445,15 +415,12 @@ def gauss_newton_matrix(
     log_exponent: float,
     dtype: type[np.floating] = np.float64,
 ) -> Matrix:
-    """Return the Gauss-Newton matrix of the objective by the positions and the log exponent.
-
-    positions (N, k) -> (N k + 1, N k + 1).
+    """Return the Gauss-Newton matrix by positions (N, k) and log exponent, (N k + 1, N k + 1).
 
     With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
-    ``<J_p, J_q>``. The derivative by a coordinate of sensor i is not 0 only in row and column i,
-    so that all elements take k (k + 3) / 2 products of (n, n) matrices. Amplitude and offset are
-    linear; eliminating them is the Schur complement (Golub & Pereyra 1973, SIAM Journal on
-    Numerical Analysis 10: 413-432; the approximation of Kaufman 1975, BIT 15: 49-57).
+    ``<J_p, J_q>``; all take k (k + 3) / 2 products of (n, n) matrices, as the derivative by a
+    coordinate is not 0 only in one row and column. Amplitude and offset are eliminated by the Schur
+    complement (Golub & Pereyra 1973; the approximation of Kaufman 1975, BIT 15: 49-57).
     """
     n_sensors, n_axes = positions.shape
     terms = [block.terms(positions, log_exponent) for block in blocks]
@@ -464,11 +431,12 @@ def gauss_newton_matrix(
     compiled = n_sensors >= MIN_COMPILED_ROWS
     add_block = load_loops("covariogram").add_block if compiled else _add_block
     for block, term in zip(blocks, terms, strict=True):
-        part = block.curvature(term, positions, float(np.exp(log_exponent)), amplitude)
-        for (p, q), found in part.coordinates.items():
+        exponent = float(np.exp(log_exponent))
+        coordinates, crossed, lines = block.curvature(term, positions, exponent, amplitude)
+        for (p, q), found in coordinates.items():
             add_block(matrix, found, starts[p] + block.sensors, starts[q] + block.sensors)
-        cross[:, :, block.sensors] += part.cross
-        linear += part.linear
+        cross[:, :, block.sensors] += crossed
+        linear += lines
     flat = cross.reshape(3, positions.size)
     matrix[:-1, -1] = flat[2]
     matrix[-1, -1] = linear[2, 2]

@@ -36,11 +36,10 @@ def adjacency_graph(
     similarity: ArrayLike | None = None,
     changes: ArrayLike | None = None,
 ) -> NDArray[np.bool_]:
-    """Link adjacent sensors, with few links between sensors that are not adjacent.
+    """Link adjacent sensors; the graph is connected.
 
-    readings (T, N), positions (N, k), similarity (N, N), changes (N, N) -> (N, N), symmetric and
-    connected. `changes` is the similarity of changes between frames, by default of the readings;
-    those of ranks serve as well.
+    readings (T, N), positions (N, k), similarity (N, N) -> (N, N). changes (N, N): Similarity of
+    changes between frames, by default of the readings; those of ranks serve as well.
 
     With the partial correlations Q of S, sensors i and j are linked if ``Q_ij > 0`` and
 
@@ -48,11 +47,9 @@ def adjacency_graph(
        (a relative neighbourhood graph; Toussaint 1980, Pattern Recognition 12: 261-268);
     2. their separation is not much larger than the longest step of the best path between them,
        ``d_ij <= 1.3 m_ij`` with m from `minimax_paths`, for ``d = (-log S)^(1/2)``, for the same
-       function of the changes between frames, and, with 1.7, for the distances on the map.
+       function of the changes between frames, and, with 1.7, for the distances on the map;
 
-    The maximum spanning tree of the link strengths is always included. Each condition removes
-    shortcuts that the others keep: a rolling body touches whole lines of sensors at once, so
-    partial correlations alone cannot distinguish one step along a line from two.
+    or if they are linked in the maximum spanning tree of the link strengths.
     """
     values = np.asarray(readings)
     if values.ndim != 2 or len(values) < _MIN_FRAMES or values.shape[1] < 2:
@@ -71,7 +68,7 @@ def adjacency_graph(
     partial = partial_correlation(correlation, _RIDGE)
     adjacent &= partial > 0
     np.fill_diagonal(adjacent, val=False)
-    direct = _without_detours(adjacent, partial, _SLACK)
+    direct = _without_detours(adjacent, partial)
     # Pairs with positive partial correlation precede all others, which are ordered by similarity.
     return np.asarray(direct | spanning_tree(-np.where(partial > 0, partial, correlation - 3)))
 
@@ -82,9 +79,7 @@ def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
 
 
 def local_dimension(positions: ArrayLike) -> float:
-    """Estimate the dimension of the set of sensors: about 1 on a curve, 2 on a surface.
-
-    positions (N, k).
+    """Estimate the dimension of the set of sensors, (N, k): about 1 on a curve, 2 on a surface.
 
     Levina & Bickel 2004, Advances in Neural Information Processing Systems 17, eq. 8, with the mean
     taken before the reciprocal (MacKay & Ghahramani 2005).
@@ -138,14 +133,12 @@ def _within(distances: Reals, max_ratio: float) -> NDArray[np.bool_]:
     return np.asarray(distances <= max_ratio * minimax_paths(distances))
 
 
-def _without_detours(
-    adjacent: NDArray[np.bool_], partial: Reals, slack: float
-) -> NDArray[np.bool_]:
+def _without_detours(adjacent: NDArray[np.bool_], partial: Reals) -> NDArray[np.bool_]:
     kept = np.zeros_like(adjacent)
     for i, row in enumerate(partial):
         others = np.flatnonzero(adjacent[i])
         detours = np.minimum(row, partial[others]).max(axis=1)
-        kept[i, others] = slack * row[others] >= detours
+        kept[i, others] = _SLACK * row[others] >= detours
     return np.asarray(kept | kept.T)
 
 
@@ -186,9 +179,8 @@ def fit_path_lengths(
         sum_{i<j} H_ij^-p (d_ij - H_ij)^2 + kappa (1 + g c_ij)^-2 (d_ij - g c_ij)^2
         kappa = .003 max(0, v^-2 - .5^-2),  p = 6,  v = unevenness of the guide
 
-    with path lengths H, distances c on the guide, and SMACOF (`smacof`) for the positions. Long
-    paths zigzag and cross folds, so their weight is negligible; an even guide is more accurate for
-    long distances, and the weight of an uneven one is 0.
+    with path lengths H and distances c on the guide. Long paths zigzag, so that their weight is
+    negligible; an even guide is more accurate for long distances.
     """
     links = np.asarray(lengths, dtype=np.float64)
     paths = np.asarray(shortest_path(csr_matrix(links), directed=False))

@@ -66,12 +66,11 @@ _MAX_STEP_RATIO = 1.2
 
 @dataclass(frozen=True, eq=False)
 class HeightSimilarity:
-    """Similarity of sensors by the heights of their contacts.
+    """Similarity of sensors by the heights of their contacts, (N, N) each.
 
-    similarity (N, N): Correlation of the ranks of the heights of matching contacts, in [-1, 1].
-    partial (N, N): Partial correlation given the other sensors that share the contacts: high only
-        between neighbours.
-    n_contacts (N, N): Number of contacts of either sensor.
+    similarity: Correlation of the ranks of the heights of matching contacts, in [-1, 1].
+    partial: Partial correlation given the sensors that share the contacts: high for neighbours.
+    n_contacts: Number of contacts of either sensor.
     """
 
     similarity: Matrix
@@ -84,8 +83,7 @@ class Explained:
     """How far the distances on a map explain the similarity of heights.
 
     reliability: Correlation of the similarities in the halves of the recording.
-    share: Share of their covariance that one decreasing function of the distances explains; NaN if
-        there are too few pairs. Errors of sampling differ between the halves and do not enter.
+    share: Share of their covariance that one decreasing function of the distances explains.
     """
 
     reliability: float
@@ -137,8 +135,8 @@ class ContactHeights:
     def compare(self, *, partial: bool = True) -> HeightSimilarity:
         """Compare the heights of the contacts of all pairs of sensors.
 
-        The contacts of a pair are those of either sensor. The other sensor's height is that of its
-        highest reading around the peak. Ranks are taken over the recording.
+        The contacts of a pair are those of either sensor; the other's height is that of its highest
+        reading around the peak. Ranks are taken over the recording.
         """
         n = self.ranks.shape[1]
         sums, squares, products = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n))
@@ -188,13 +186,10 @@ class ContactHeights:
 def explained_share(
     halves: Sequence[HeightSimilarity], positions: ArrayLike, sharing: ArrayLike
 ) -> Explained:
-    """Measure how far the distances on a map explain the similarity of heights.
-
-    positions (N, k).
+    """Measure how far distances on a map, (N, k), explain the similarity of heights; may be NaN.
 
     With the similarities A and B of the halves and the decreasing functions a and b of distance
-    that fit each best (isotonic regression), the share is
-    ``1 - cov(A - a, B - b) / cov(A, B)``.
+    that fit each best (isotonic regression), the share is ``1 - cov(A - a, B - b) / cov(A, B)``.
     """
     upper = np.triu_indices(len(np.asarray(positions)), 1)
     enough = [half.n_contacts[upper] >= 2 * MIN_PEAKS for half in halves]
@@ -214,16 +209,12 @@ def explained_share(
 
 
 def peak_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Matrix:
-    """Estimate the lengths of links. links (N, N) -> (N, N), NaN elsewhere.
+    """Estimate the lengths of links. links (N, N) -> (N, N), NaN elsewhere and for few peaks.
 
     ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
     mutually nearest in time: the root of a variogram (Matheron 1963, Economic Geology 58:
-    1246-1266) of the ground. On a rolling body, i and j touch the ground in one frame (along the
-    axis) or some frames apart (around it), and the heights of their peaks differ as much as the
-    ground over that distance. Lengths in both directions are therefore comparable if the ground,
-    or any other object that touches the skin, is isotropic. Beyond the correlation length of the
-    ground, rho is 0 and distances are indistinguishable. Lengths of links with too few matching
-    peaks are NaN.
+    1246-1266) of the ground, which is taken to be isotropic. Beyond the correlation length of the
+    ground, rho is 0 and distances are indistinguishable.
     """
     lengths = np.full(links.shape, np.nan)
     for i, j in np.argwhere(np.triu(links, 1)):
@@ -250,11 +241,10 @@ def _nearest(frames: NDArray[np.intp], among: NDArray[np.intp]) -> NDArray[np.in
 
 
 def height_links(similarity: HeightSimilarity) -> NDArray[np.bool_]:
-    """Link neighbours by the heights of their contacts; returns (N, N).
+    """Link neighbours by the heights of their contacts, (N, N), connected.
 
-    Two sensors are linked if ``M_ij <= 1.2 m_ij`` with ``M = (S (Q + S / 10))^(-1/4)``, the
-    similarity S of heights, their partial correlations Q, and the longest steps m of the best
-    paths (`minimax_paths`). The graph is connected.
+    Sensors are linked if ``M_ij <= 1.2 m_ij`` with ``M = (S (Q + S / 10))^(-1/4)``, the similarity
+    S of heights, their partial correlations Q, and m from `minimax_paths`.
     """
     positive = np.clip(similarity.similarity, _MIN_STRENGTH, 1.0)
     mixed = np.clip(similarity.partial + _INDIRECT * similarity.similarity, _MIN_STRENGTH, 1.0)

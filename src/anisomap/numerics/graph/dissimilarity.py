@@ -182,7 +182,7 @@ def invert_definite(matrix: Reals) -> Reals | None:
     if factorise(matrix.T, lower=True, overwrite_a=True, clean=False)[1]:
         return None
     invert(matrix.T, lower=True, overwrite_c=True)
-    mirror(matrix, upper=True)
+    mirror(matrix)
     return matrix
 
 

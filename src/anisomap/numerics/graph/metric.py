@@ -25,9 +25,7 @@ CACHE_LINE = 64
 
 
 def shortest_paths(lengths: Reals) -> Reals:
-    """Find the shortest paths between all nodes, by a tiled Floyd-Warshall algorithm.
-
-    lengths (N, N) -> (N, N).
+    """Find the shortest paths between all nodes, (N, N), by a tiled Floyd-Warshall algorithm.
 
     Venkataraman, Sahni & Mukhopadhyaya (2003), ACM Journal of Experimental Algorithmics 8: 2.2.
     Only tiles on and above the diagonal are computed. They are copied to consecutive memory, as in
@@ -143,13 +141,11 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
 
 
 def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
-    """Return the minimax path distances: the least possible longest edge between two objects.
+    """Return the least possible longest edge between two objects, (N, N).
 
-    dissimilarity (N, N) -> (N, N).
-
-    `tree_edges` adds one object after another to a minimum spanning tree. The longest edge
-    between two objects is the longest one by which the later one and those between were added.
-    Single linkage merges them at this height (Gower & Ross 1969, Applied Statistics 18: 54-64).
+    `tree_edges` adds one object after another to a minimum spanning tree. The longest edge between
+    two objects is the longest one by which the later one and those between were added (Gower & Ross
+    1969, Applied Statistics 18: 54-64).
     """
     lengths = check_semi_metric(dissimilarity)
     if not np.isfinite(lengths).all():
@@ -163,6 +159,6 @@ def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
     longest = np.zeros((n_objects, n_objects), lengths.dtype)
     for k in range(n_objects):
         np.maximum.accumulate(added_by[k + 1 :], out=longest[k, k + 1 :])
-    mirror(longest, upper=True)
+    mirror(longest)
     place = order.argsort()
     return np.take(longest[place], place, axis=1)

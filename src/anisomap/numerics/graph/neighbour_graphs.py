@@ -77,12 +77,9 @@ def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[n
 def smallest_connected_neighbour_graph(
     similarity: ArrayLike,
 ) -> tuple[NDArray[np.bool_], int]:
-    """Find the connected neighbour graph with the smallest number of neighbours.
+    """Find the connected neighbour graph with the fewest neighbours. similarity (N, N).
 
-    similarity (N, N).
-
-    McGregor et al. (2011), section "ISOMAP". Edges are only added as k grows, so k is found by
-    bisection.
+    McGregor et al. (2011), section "ISOMAP". Edges are only added as k grows, so k is bisected.
     """
     values = as_symmetric(similarity, "similarity")
     np.fill_diagonal(values, -np.inf)
@@ -103,14 +100,10 @@ _CORRELATIONS = (1e-3, 1 - 1e-6)  # bounds that keep lengths finite and above 0
 
 
 def local_path_lengths(similarity: ArrayLike, n_neighbours: int = N_NEIGHBOURS) -> Reals:
-    """Measure distances along a neighbour graph.
-
-    similarity (N, N) -> (N, N), rounded as float32.
+    """Measure distances along a neighbour graph. similarity (N, N) -> (N, N), rounded as float32.
 
     An edge has length ``sqrt(-log s)``, the distance at which the correlation ``exp(-d^2)`` is s.
-    Paths as in Isomap: Tenenbaum et al. (2000), doi:10.1126/science.290.5500.2319. Only
-    correlations of neighbours are used, so differences between the contacts of distant regions
-    have no effect.
+    Paths as in Isomap: Tenenbaum et al. (2000), doi:10.1126/science.290.5500.2319.
     """
     correlation = as_symmetric(similarity, "similarity")
     np.fill_diagonal(correlation, 1.0)

@@ -85,21 +85,15 @@ def typical_variance(variance: ArrayLike) -> float:
 
 
 def correlation_time(readings: ArrayLike) -> int:
-    """Return the lag in frames at which the median autocorrelation of sensors falls below 0.1.
-
-    readings (T, N).
-    """
+    """Return the lag at which the median autocorrelation falls below 0.1. readings (T, N)."""
     return _fading(np.asarray(readings))[0]
 
 
 def thinning(readings: ArrayLike) -> int:
     """Return the largest step between frames whose correlations vary hardly more than those of all.
 
-    readings (T, N).
-
     The variance of correlations of every s-th frame is proportional to ``s sum_l rho(s l)^2``, with
-    the autocorrelations rho at all lags l, for two sensors with the same ones. At least 2,048
-    frames are left.
+    the autocorrelations rho at all lags l, for two sensors with the same ones.
     """
     values = np.asarray(readings)
     if len(values) < 2 * _MIN_THINNED:
@@ -161,13 +155,10 @@ BLOCK_FACTOR = 4
 
 
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
-    """Split a recording into blocks that are long against the autocorrelation of its readings.
+    """Split readings (T, N) into blocks that are long against their autocorrelation.
 
-    readings (T, N).
-
-    Kuensch (1989), doi:10.1214/aos/1176347265: resampling blocks of frames estimates variances if
-    blocks are long against the autocorrelation and few against the recording. Blocks of 2 to 8
-    times that lag gave about equal variances on simulated skins, seeds 201 to 212.
+    Kuensch (1989), doi:10.1214/aos/1176347265: blocks must be long against the autocorrelation and
+    few against the recording to estimate variances.
     """
     values = np.asarray(readings)
     length = BLOCK_FACTOR * max(1, correlation_time(values))
@@ -178,21 +169,18 @@ def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
 def balanced_weights(
     n_blocks: int, n_resamples: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw how often each block occurs in each resample.
-
-    Returns (R, B).
+    """Draw how often each block occurs in each resample, (R, B).
 
     The balanced bootstrap of Davison, Hinkley & Schechtman (1986), doi:10.1093/biomet/73.3.555:
-    every block is drawn equally often over all resamples, so that their mean is unbiased.
+    every block is drawn equally often over all resamples.
     """
     drawn = rng.permutation(np.tile(np.arange(n_blocks), n_resamples)).reshape(-1, n_blocks)
     return np.array([np.bincount(row, minlength=n_blocks) for row in drawn], dtype=np.float64)
 
 
 MIN_SHARED = 0.3
-"""Minimum share of the neighbours that adjacent sensors have in common.
-
-It is slightly below the geometric values: a half on a line, a third or more in a plane.
+"""Minimum share of the neighbours that adjacent sensors have in common: slightly below the
+geometric values, a half on a line and a third in a plane.
 """
 
 
@@ -207,7 +195,8 @@ def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[n
 _MIN_BRIDGE = 1.2
 """Minimum strength of a link between components, relative to the strongest unrelated link.
 
-Tuned on simulated skins, seeds 101-105: see `significant_components`.
+On skins of 500 frames and more, the weakest link that was needed was at least 1.22 times as
+strong; the strongest between skins touched independently mostly .8 to 1.2 times.
 """
 
 MIN_FILTERED_SENSORS = 500
@@ -222,16 +211,13 @@ MAX_ROUNDS = 4
 """Maximum number of rounds that remove links without shared neighbours; chosen by hand."""
 
 MIN_COVERED, MIN_LINKS = 0.95, 8
-"""Minimum share of the sensors that significant links connect, and minimum median per sensor.
-
-With fewer, contacts are too small or the recording is too short to distinguish links. Chosen by
-hand.
+"""Minimum share of the sensors that significant links connect, and minimum median per sensor;
+below, contacts are too small or the recording is too short to distinguish links.
 """
 
 MAX_PRODUCTS = 1e10
-"""Sum of the squared numbers of links per sensor above which shared neighbours are not counted.
-
-Contacts then cover so much of the skin that a few steps connect any two sensors.
+"""Sum of the squared numbers of links per sensor above which shared neighbours are not counted:
+contacts then cover so much of the skin that a few steps connect any two sensors.
 """
 
 
@@ -264,19 +250,12 @@ def remove_insignificant_links(
 def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
     """Label the components connected by statistically significant links.
 
-    similarity (N, N), variance (N, N).
+    similarity (N, N), variance (N, N) -> (N,).
 
-    Components grow along the strongest links, as in single linkage, where the strength of a link
-    is Fisher's z of its correlation, ``artanh r``, in standard deviations of unrelated sensors
-    (Fisher 1921, Metron 1: 3-32). A correlation is bounded, and so is its ratio to its standard
-    deviation, however clear the relation is; few long contacts would leave no link significant.
-    The strongest of m independent links between unrelated sensors is about ``sqrt(2 log m)``; a
-    component of n sensors has m = n (N - n) links to the others. Links are significant from 1.2
-    times this strength on. On simulated and real skins of 500 frames and more, the weakest link
-    needed to connect a skin was at least 1.22 times as strong. Between two skins touched
-    independently (500 to 2000 frames), the strongest was 0.8 to 1.2 times as strong; with few
-    large contacts, or some hundred frames, it was up to 2.9 times as strong: such skins may be
-    merged.
+    Components grow along the strongest links, as in single linkage. The strength of a link is
+    ``artanh r`` (Fisher 1921, Metron 1: 3-32) in standard deviations of unrelated sensors. The
+    strongest of m independent links between these is about ``sqrt(2 log m)``, and a component of n
+    sensors has m = n (N - n) links to the others. Links are significant from 1.2 times this on.
     """
     links = standardised_correlation(similarity, variance, by_z=True)
     n_sensors = len(links)
@@ -295,12 +274,9 @@ def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArra
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
     """Select the links that show that two sensors of a large skin are close.
 
-    Among a million pairs of sensors, some hundreds are correlated by coincidence, and each shortens
-    paths across the skin. A link is significant if it is 1.5 times as strong as the strongest of P
-    unrelated pairs, ``sqrt(2 log P)`` standard deviations, and if its sensors have enough
-    neighbours in common (`MIN_SHARED`). The maximum spanning tree of the links is kept as far as
-    it joins components. If too few significant links remain (`MIN_COVERED`, `MIN_LINKS`), all
-    links are kept.
+    A link is significant if it is 1.5 times as strong as the strongest of P unrelated pairs,
+    ``sqrt(2 log P)`` standard deviations, and if its sensors share enough neighbours. Those of the
+    maximum spanning tree that join components are kept, and all links if too few are significant.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
@@ -320,14 +296,12 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
     return kept
 
 
-def links_with_shared_neighbours(
-    links: NDArray[np.bool_], max_products: float = MAX_PRODUCTS
-) -> NDArray[np.bool_]:
+def links_with_shared_neighbours(links: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Remove links between sensors with too few common neighbours, repeatedly."""
     kept = links
     for _ in range(MAX_ROUNDS):
         degree = np.count_nonzero(kept, axis=1)
-        if float(np.vdot(degree, degree)) > max_products:
+        if float(np.vdot(degree, degree)) > MAX_PRODUCTS:
             return kept
         graph: Any = csr_array(kept)
         shared = count_shared_neighbours(graph)
@@ -345,9 +319,7 @@ def standardised_correlation(
 ) -> Reals:
     """Divide correlations, or their Fisher's z, by their standard deviations, shape (N, N).
 
-    The variance of ``z = artanh r``, of all r, is that of r between unrelated sensors. Each
-    variance is at least the median variance, since that of sensors with few contacts is
-    underestimated.
+    Each variance is at least the median variance: that of sensors with few contacts is too small.
     """
     links, noise = as_reals(similarity), np.asarray(variance)
     least = typical_variance(noise)
@@ -385,10 +357,7 @@ LEAST_RATIO = float(np.exp(-_LEAST_SPREAD * ndtri(_LEAST_P)))
 def outlying(levels: NDArray[np.float64], variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
     """Return whether each of n positive levels is too high among the others, (n,).
 
-    variance: Sampling variance of the logarithm of each level.
-
-    Logarithms of the levels of healthy sensors are normal, with the median and the median absolute
-    deviation of all.
+    variance: Sampling variance of the logarithm of each level. Logarithms are taken to be normal.
     """
     if len(levels) < _MIN_COMPARED:
         return np.zeros(len(levels), dtype=bool)

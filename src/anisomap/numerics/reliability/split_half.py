@@ -59,11 +59,7 @@ _ROUNDING = 1e-12  # relative, of a variance over pairs that is 0
 
 
 def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Split frames into two halves of alternating blocks of consecutive frames.
-
-    Halves of alternating frames would be nearly equal, since contacts last several frames; halves
-    of alternating blocks are nearly independent.
-    """
+    """Split frames into two halves of alternating blocks: contacts last for several frames."""
     if n_frames < 2:
         raise InputError(f"split-half needs at least 2 frames, got {n_frames}")
     blocks = np.array_split(np.arange(n_frames), min(N_BLOCKS, n_frames))
@@ -71,10 +67,9 @@ def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def at_frames(values: NDArray[Any], frames: NDArray[np.intp]) -> NDArray[Any]:
-    """Return the readings of increasing frames, shape (t, N).
+    """Return the readings of increasing frames, (t, N), in the memory order of all.
 
-    As ``values[frames]``, but runs of consecutive frames are copied at once, and the result is
-    contiguous by column if the values are.
+    As ``values[frames]``, but runs of consecutive frames are copied at once.
     """
     ends = np.flatnonzero(np.diff(frames, append=-1) != 1)
     begins = frames[np.concatenate([[0], ends[:-1] + 1])]
@@ -147,10 +142,9 @@ def blended_correlation(readings: ArrayLike) -> Reals:
 class Blend:
     """A blended correlation, and what it was blended from.
 
-    similarity (N, N): See `blended_correlation`.
-    variance (N, N): Its sampling variance for unrelated sensors.
+    similarity, variance (N, N): See `blended_correlation`; variance for unrelated sensors.
     weight: Weight of Pearson's r, in [0, 1].
-    ranks (T, N): Ranks of depths beyond rest, of float32 or float64.
+    ranks (T, N): Ranks of depths beyond rest.
     """
 
     similarity: Reals
@@ -174,11 +168,8 @@ class Blend:
 def blend(readings: ArrayLike, rest: Rest | None = None) -> Blend:
     """Compute `blended_correlation` and its sampling variance, with what they are computed from.
 
-    readings (T, N); their rest is estimated if it is not given.
-
-    The variance is ``(w sd(r) + (1 - w) sd(rho))^2``, with the standard deviations of
-    `anisomap.numerics.reliability.sampling_noise.sampling_variance` for the readings and for the
-    ranks: the errors of r and rho are taken to be proportional, as they nearly are.
+    readings (T, N). The variance is ``(w sd(r) + (1 - w) sd(rho))^2``: the errors of r and rho are
+    nearly proportional.
     """
     values = np.asarray(readings)
     rest = estimate_rest(values) if rest is None else rest

@@ -36,11 +36,9 @@ FLOAT32_RANGE = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Distances to fit, and their weights.
+    """Distances to fit, and their weights, (N, N) each; 0 where unknown.
 
-    targets (N, N): Symmetric, finite; 0 where unknown.
-    weights (N, N): Symmetric; 0 where unknown and on the diagonal. One row of ones if all weights
-        are equal.
+    weights: One row of ones if all weights are equal.
     compiled: Whether to use compiled loops; by default from 500 points on.
     """
 
@@ -101,8 +99,7 @@ Objective = Callable[[Floats], tuple[float, Floats]]
 def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
     """Provide the raw stress and its gradient as a function of positions.
 
-    Borg & Groenen (2005), section 8.6: the gradient is ``2 (V X - B(X) X)``, for point i
-    ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
+    Borg & Groenen (2005), section 8.6: for point i ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
     if not problem.is_compiled:
         # New matrices would take longer to allocate than to compute.
@@ -142,10 +139,7 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
 def plain_stress(
     problem: Problem, positions: Floats, workspace: Floats | None = None
 ) -> tuple[float, Floats]:
-    """Return the raw stress and its gradient, computed with (N, N) matrices.
-
-    They overwrite `workspace`, of shape (3, N, N), if it is given.
-    """
+    """Return the raw stress and its gradient, by (N, N) matrices in a workspace, (3, N, N)."""
     n_points, k = positions.shape
     distances, excess, factors = (
         np.empty((3, n_points, n_points)) if workspace is None else workspace
@@ -173,12 +167,7 @@ NEGLIGIBLE = 1e-30
 
 
 class SolverResult(NamedTuple):
-    """Result of a minimisation.
-
-    positions (N, k)
-    trace: Raw stress of the start and after each step.
-    converged: Whether the tolerance was met.
-    """
+    """Positions, the raw stress of the start and after each step, and whether it converged."""
 
     positions: Floats
     trace: list[float]
@@ -245,11 +234,7 @@ MIN_LARGE = 1000
 """Number of points from which the choice of solver stops at `LARGE_TOLERANCE`."""
 
 LARGE_TOLERANCE = 1e-5
-"""Minimum tolerance for large problems, whose stress decreases slowly and hardly for long.
-
-On rubbed, flat and round skins of 1,000 sensors, Stress-1 was within .02 % of that with 1e-7, and
-distances correlated with those by 1 - 1e-6, in a third of the iterations.
-"""
+"""Minimum tolerance for large problems: Stress-1 is within .02 % of that with 1e-7."""
 
 
 def minimise_auto(
@@ -257,8 +242,7 @@ def minimise_auto(
 ) -> SolverResult:
     """Minimise by L-BFGS; for up to 100 points also by majorisation, and take the lower stress.
 
-    Compiled problems are first minimised in float32, which takes half the time; from 1,000 points
-    on, only in float32, and to a tolerance of 1e-5 at least.
+    Compiled problems are first minimised in float32, in half the time; large ones only so.
     """
     if len(start) <= MAX_BOTH:
         found = lbfgs(problem, start, tolerance, max_iterations)
@@ -287,12 +271,7 @@ def lbfgs(
     *,
     single: bool = False,
 ) -> SolverResult:
-    """Minimise the raw stress by L-BFGS.
-
-    The first Hessian is twice the total weight of each point. Alone and with equal weights, it
-    gives the steps of majorisation. With many minima, the result may differ from that of
-    majorisation; its stress is then more often lower.
-    """
+    """Minimise the raw stress by L-BFGS; the first Hessian is twice the weight of each point."""
     n_points = len(start)
     scale = 2 * problem.weight_of_points() * n_points / max(n_points - 1, 1)
     with objective(problem, single=single) as stress:
@@ -331,11 +310,7 @@ def majorise(
 
 
 def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
-    """Return the map ``Y -> V^+ Y`` for columns Y that sum to zero.
-
-    ``V^+`` is not formed: with equal weights the map divides by N, else ``V + 11'/N`` is factorised
-    once.
-    """
+    """Return the map ``Y -> V^+ Y`` for columns Y that sum to zero, without forming ``V^+``."""
     n_points = len(problem.targets)
     if problem.equal_weights or n_points == 1:
         return lambda product: product / n_points

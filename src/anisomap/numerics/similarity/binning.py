@@ -33,11 +33,10 @@ _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit i
 def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.intp]:
     """Divide m ordered distinct values into the bins of greatest entropy.
 
-    McGregor et al. (2011), section "Information Distance", bin by maximum entropy. Quantile edges
-    fail on tactile data: most readings are at rest, and every edge coincides with the rest value.
-    Here the division is exactly optimal among all divisions into intervals: it has the least sum
-    of ``n log n`` over the counts n of its bins (dynamic programming in O(b m log m)). Of equally
-    good divisions, the one with the earliest last bin is taken.
+    McGregor et al. (2011), section "Information Distance". The division is optimal among all
+    divisions into intervals: it has the least sum of ``n log n`` over the counts n of its bins
+    (dynamic programming in O(b m log m)). Of equally good divisions, that with the earliest last
+    bin is taken.
     """
     return _divide(np.asarray(counts, dtype=np.int64), _checked(bins))
 
@@ -81,8 +80,7 @@ def _divide(
 def _possible_ends(ends: NDArray[np.int64], greatest: int, k: int, bins: int) -> tuple[int, int]:
     """Bound the number of values in the first k bins of the best division: first and last.
 
-    Adjacent bins differ by at most the greatest count of a value, since moving the value between
-    them would improve the division otherwise. All bins together have all counts.
+    Adjacent bins differ by at most the greatest count of a value, which would be moved otherwise.
     """
     slack = greatest * k * (bins - k)
     first = np.searchsorted(2 * bins * ends, 2 * k * ends[-1] - slack * bins, side="left")
@@ -184,13 +182,10 @@ _MAGNITUDE = np.int64(np.iinfo(np.int64).max)  # mask of all bits but the sign
 
 @dataclass(frozen=True, eq=False)
 class ValueCounts:
-    """Distinct values of each of N sensors, and their numbers of occurrences.
+    """Distinct values of each of N sensors, and their numbers of occurrences, over T frames.
 
-    n_frames: T.
-    values: Distinct values of each sensor in increasing order; values rounded to the same number
-        are represented by the smallest of them.
-    counts: Number of occurrences of each value.
-    n_rounded_bits: Number of bits rounded off the float64 values of each sensor; 0 if exact.
+    values: In increasing order; values rounded to the same number are represented by the smallest.
+    n_rounded_bits: Bits rounded off the float64 values of each sensor; 0 if exact.
     max_values: Maximum number of values per sensor.
     """
 
@@ -212,10 +207,7 @@ class ValueCounts:
         return cls(len(array), values, counts, np.array(n_rounded_bits), limit)
 
     def merged(self, other: ValueCounts) -> ValueCounts:
-        """Merge with the counts of other frames of the same sensors, with the same limit.
-
-        The order of merging does not affect the result.
-        """
+        """Merge with the counts of other frames of the same sensors and limit, in any order."""
         n_rounded_bits = np.maximum(self.n_rounded_bits, other.n_rounded_bits)
         found = [
             _round_to(np.concatenate([a, b]), np.concatenate([m, n]), int(n_bits), self.max_values)
@@ -245,11 +237,7 @@ class ValueCounts:
 
 @dataclass(frozen=True, eq=False)
 class Recoding:
-    """Step function of the readings of each of N sensors.
-
-    starts: Readings of each sensor at which the next outcome begins, in increasing order.
-    outcomes: Outcomes of each sensor; one more than `starts`.
-    """
+    """Step function of the readings of each sensor: outcomes, and readings where the next begin."""
 
     starts: tuple[NDArray[np.float64], ...]
     outcomes: tuple[NDArray[Any], ...]

@@ -56,7 +56,7 @@ class Layout:
     """Numbering of the series of N sensors.
 
     reference: Code of each sensor without a series.
-    position: Series of each code of each sensor; -1 for references and codes that do not occur.
+    position: Series of each code of each sensor; -1 if there is none.
     first: First series of each sensor; the last entry is the number of series, M.
     """
 
@@ -119,7 +119,7 @@ def co_occurrences(codes: Codes, layout: Layout, counting: Counting = "auto") ->
         counts[first[start] : first[stop]] = panel
 
     _for_each_panel(codes, layout, counting, keep)
-    mirror(counts, upper=True)
+    mirror(counts)
     return counts
 
 
@@ -143,7 +143,7 @@ def joint_logarithms(
 
     _for_each_panel(codes, layout, counting, add)
     np.fill_diagonal(joint, _marginal_logarithms(marginals, layout.first, n_frames))
-    mirror(joint, upper=True)
+    mirror(joint)
     return joint
 
 
@@ -169,7 +169,7 @@ def joint_logarithms_of_counts(
         cells = np.add.reduceat(_n_log_n(both).sum(axis=0) + _n_log_n(other), begins)
         joint[sensor, varying] = cells + _n_log_n(alone).sum(axis=0) + _n_log_n(neither)
         joint[sensor, sensor] = own[sensor]
-    mirror(joint, upper=True)
+    mirror(joint)
     return joint
 
 
@@ -210,8 +210,7 @@ def _for_each_panel(
 ) -> None:
     """Count panels of series with all later series, and call `use` with each panel.
 
-    A panel consists of the series of consecutive sensors. The arguments of `use` are the first and
-    the last sensor (exclusive) and the counts; several threads may call it at once.
+    Its arguments are the first and the last sensor (exclusive) and the counts; threads may call it.
     """
     first, n_series = layout.first, layout.n_series
     count = _panel_counter(codes, layout, counting)

@@ -55,7 +55,7 @@ def sparse_comoments(readings: NDArray[Any]) -> tuple[Floats, Floats]:
 
     with parallel_map(n_sensors) as map_threads:
         map_threads(add, range(0, n_sensors, _PANEL_ROWS))
-    mirror(products, upper=True)
+    mirror(products)
     return rest + sums / n_frames, products
 
 
@@ -119,15 +119,9 @@ class Moments:
 
     @classmethod
     def of(cls, readings: ArrayLike, *, single: bool = False) -> Moments:
-        """Compute the moments of an array.
+        """Compute the moments of finite readings, (T, N).
 
-        Parameters
-        ----------
-        readings : array_like of shape (T, N)
-            Finite readings, T >= 1.
-        single : bool
-            Multiply in float32, which is twice as fast. Means, deviations and sums over chunks
-            stay float64, so that correlations are accurate to 6e-5, usually 1e-5.
+        single: Whether to multiply in float32, twice as fast; correlations are accurate to 6e-5.
         """
         values = np.asarray(readings)
         total = cls._of_chunk(values[:CHUNK_FRAMES], single)
@@ -155,12 +149,8 @@ class Moments:
         return cls(len(chunk), chunk[0] + mean, deviations.T @ deviations)
 
     def merged(self, other: Moments) -> Moments:
-        """Merge with the moments of other frames of the same sensors.
+        """Merge with the moments of other frames of the same sensors, in any order up to rounding.
 
-        The order of merging affects rounding only.
-
-        Notes
-        -----
         Chan, Golub & LeVeque (1983), The American Statistician 37: 242-247.
         """
         n_frames = self.n_frames + other.n_frames
@@ -179,25 +169,13 @@ class Moments:
         return np.asarray(np.diag(self.comoment) > 0)
 
     def correlation(self) -> Reals:
-        """Return Pearson's r of every pair of sensors.
-
-        Returns
-        -------
-        ndarray of shape (N, N)
-            In [-1, 1], exactly symmetric, ones on the diagonal; 0 between a constant sensor and
-            any other.
-        """
+        """Return Pearson's r of every pair of sensors, (N, N): see `pearson`."""
         return correlation_of_blocks(np.diag(self.comoment), lambda rows: self.comoment[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class CoOccurrences:
-    """Joint counts of binary series over T frames.
-
-    n_frames: T.
-    first: First series of each sensor: see `anisomap.numerics.similarity.co_occurrence.Layout`.
-    counts: Frames in which both series are on; symmetric.
-    """
+    """Joint counts (M, M) of binary series over T frames, and the first series of each sensor."""
 
     n_frames: int
     first: NDArray[np.int64]
@@ -217,11 +195,7 @@ class CoOccurrences:
 
 @dataclass(frozen=True, eq=False)
 class StoredCodes:
-    """Codes of all frames, which take less memory than joint counts of many sensors.
-
-    n_frames: T.
-    parts: Small non-negative integers, in the order of the frames.
-    """
+    """Codes of T frames, in order, which take less memory than joint counts of many sensors."""
 
     n_frames: int
     parts: tuple[NDArray[np.integer[Any]], ...]
@@ -385,7 +359,7 @@ def resampled_correlation(
         variance = np.diag(covariance)
         scale = np.where(variance > 0, 1 / np.sqrt(np.where(variance > 0, variance, 1)), 0)
         np.multiply(covariance, np.outer(scale, scale), out=matrix)
-        mirror(matrix, upper=True)
+        mirror(matrix)
         np.fill_diagonal(matrix, 1.0)
     return np.asarray(np.clip(found, -1, 1, out=found))
 
@@ -398,12 +372,10 @@ _MAX_FRAMES, _MAX_SAMPLED = 4000, 250  # evenly spaced, that show the common sig
 def common_share(correlation: Reals) -> float:
     """Return how much of the variance of the mean over sensors is a common signal, in [0, 1].
 
-    correlation (N, N).
-
-    The mean over N standardised sensors has the variance ``mean(r)``, over all pairs. If all share
-    a signal of variance c, and other signals are local, distant pairs have the correlation c. The
-    lower quartile of r estimates it, since contacts as wide as half of the skin leave a quarter of
-    the pairs apart; the share is ``c / mean(r)``.
+    The mean over standardised sensors has the variance ``mean(r)``, over all pairs. If all share a
+    signal of variance c, and others are local, distant pairs have the correlation c, which the
+    lower quartile of r estimates: contacts as wide as half of the skin leave a quarter of the pairs
+    apart.
     """
     if len(correlation) < _MIN_SENSORS:
         return 0.0
@@ -415,16 +387,11 @@ def common_share(correlation: Reals) -> float:
 def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
     """Return readings less the signal that all sensors share, shape (T, N), and its share.
 
-    Potentials are differences to a reference, and loads on soft ground rise together: all sensors
-    share a signal, and correlations depend on places only beyond it. The mean over sensors
-    estimates the signal, and is subtracted with the weight ``sqrt(s)``, the share of its amplitude,
-    with s from `common_share`. With a weight of 1, it is the average reference of
-    electroencephalography: Offner (1950), Electroencephalography and Clinical Neurophysiology 2:
-    213-214; Bertrand, Perrin & Pernier (1985), ibid. 62: 462-464. From a sensor that contains less
-    of the mean than others do, such as one at the edge of a sole, only what it contains is
-    subtracted, by linear regression: otherwise all such sensors would share its negative. Where
-    contacts are local, most pairs are uncorrelated, the share is 0, and the readings themselves are
-    returned.
+    The mean over sensors estimates the signal, and is subtracted with the weight ``sqrt(s)``, the
+    share of its amplitude, with s from `common_share`; with 1, it is the average reference of
+    electroencephalography (Offner 1950; Bertrand, Perrin & Pernier 1985, Electroencephalography and
+    Clinical Neurophysiology 62: 462-464). From a sensor that contains less of the mean than others,
+    only what it contains is subtracted: otherwise all such sensors would share its negative.
     """
     n_frames, n_sensors = readings.shape
     some = readings[:: -(-n_frames // _MAX_FRAMES), :: -(-n_sensors // _MAX_SAMPLED)]

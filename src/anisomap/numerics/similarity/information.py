@@ -48,9 +48,7 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
 
 
 def information_from_codes(codes: ArrayLike) -> Reals:
-    """Compute the mutual information of every pair of discrete series.
-
-    Returns (N, N).
+    """Compute the mutual information of every pair of discrete series. Returns (N, N).
 
     With counts n over T frames, ``T I(A; B) = sum n_ab log n_ab - sum n_a log n_a
     - sum n_b log n_b + T log T``. Counts are exact integers.

@@ -31,14 +31,12 @@ _WIDTHS = 3.0  # standard deviations by which ranks in the sample may be off; el
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """Rest of each of N sensors, in units of the readings.
+    """Rest of each of N sensors, in units of the readings; arrays of shape (N,).
 
-    value (N,): Most frequent reading; the median of continuous readings.
-    side (N,): 1 where contact raises the reading, -1 where it lowers it, as in raw capacitive
-        skins.
-    threshold (N,): Largest deviation from rest that is attributed to noise. 0 without readings on
-        the side of rest opposite to contact, and for sensors without a rest value.
-    known: False for sensors without a rest value: see `estimate_rest`.
+    value: Most frequent reading; the median of continuous readings.
+    side: 1 where contact raises the reading, -1 where it lowers it.
+    threshold: Largest deviation from rest that is attributed to noise.
+    known: Whether there is a rest: see `estimate_rest`.
     """
 
     value: NDArray[np.float64]
@@ -105,8 +103,7 @@ class Levels:
     """Levels of each of N sensors, arrays of shape (N,).
 
     frequent: Whether one value holds `MIN_REST_SHARE` of the frames, and at least two frames.
-    distinct: Number of distinct readings; in 4,096 frames of a sensor without a frequent value, if
-        there are more than 8,192.
+    distinct: Number of distinct readings, of a sample of very many.
     """
 
     rest: Rest
@@ -243,8 +240,7 @@ def _of_deviations(
 def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
     """Return rest and levels of sensors with many frames, (n, T) -> (6, n).
 
-    ordered (n, t): Readings in random frames, ordered. A value that holds a tenth of all frames
-    holds less than a twentieth of these with a probability below 1e-20.
+    ordered (n, t): Readings in random frames, ordered.
     """
     found = np.zeros((6, len(rows)))
     some = math.ceil(MIN_REST_SHARE / 2 * ordered.shape[1])
