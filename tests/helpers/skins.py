@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 from scipy.stats import ortho_group
 
 from anisomap import Recording, SensorMap, io, reconstruct, score
@@ -105,6 +106,11 @@ def stages(readings, method="covariogram", options=None):
 def mantel_r(sensor_map: SensorMap, recording: Recording) -> float:
     """Return the Mantel r of a map with the true positions in its recording."""
     return score(sensor_map, recording.positions, permutations=0).mantel.r
+
+
+def likeness(found: NDArray[np.float64], places: NDArray[np.float64]) -> float:
+    """Return the Mantel r of two arrays of positions."""
+    return float(np.corrcoef(pdist(found), pdist(places))[0, 1])
 
 
 def triangles(columns: int = 4, rows: int = 2) -> NDArray[np.float64]:

@@ -29,8 +29,7 @@ KILLED = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from anisomap.large.map_reduce import Checkpoint
-from anisomap.large.map_reduce import map_reduce
+from anisomap.large.map_reduce import Checkpoint, map_reduce
 from anisomap.numerics.similarity.correlation import Moments
 
 folder = Path(sys.argv[1])

@@ -10,8 +10,9 @@ import pytest
 
 import anisomap
 from anisomap import Recording, SensorMap, diagnose, reconstruct, score
+from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evidence import SIMILARITIES
+from anisomap.evidence import SIMILARITIES, compare
 from anisomap.large import reconstruct_approximately, reconstruct_chunks, reconstruct_on_device
 from anisomap.methods import METHODS, PAPER_METHODS
 from anisomap.numerics.contacts import ContactOptions
@@ -21,7 +22,6 @@ from anisomap.placement import median_spacing
 from skins import flat_map, flat_skin, lattice, mantel_r, quietly, rubbed, seeing_patch
 
 QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
-WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
 
 
 @cache
@@ -267,15 +267,20 @@ def test_frames_that_cannot_place_sensors_are_said_at_once(method, dimensions):
         anisomap.reconstruct(readings[: least - 1], method, dimensions)
 
 
+def all_alike(n_frames, n_sensors, noise=0.0):
+    """Return readings that differ in offset and gain only, but for noise."""
+    rng = np.random.default_rng(3)
+    course = np.maximum(0, rng.normal(size=(n_frames, 1)))
+    gains = rng.uniform(0.5, 2, n_sensors) * rng.choice([-1, 1], n_sensors)
+    readings = course * gains + rng.uniform(-5, 5, n_sensors)
+    return readings + noise * rng.normal(size=readings.shape)
+
+
 @pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "i-anisomap"])
 @pytest.mark.parametrize("noise", [0.0, 1e-7])
 def test_sensors_that_all_read_the_same_are_refused(method, noise):
-    rng = np.random.default_rng(3)
-    course = np.maximum(0, rng.normal(size=(500, 1)))
-    gains = rng.uniform(0.5, 2, 12) * rng.choice([-1, 1], 12)
-    readings = course * gains + rng.uniform(-5, 5, 12) + noise * rng.normal(size=(500, 12))
     with pytest.raises(InputError, match="all sensors read the same"):
-        reconstruct(readings, method)
+        reconstruct(all_alike(500, 12, noise), method)
 
 
 ROUTES = {
@@ -296,12 +301,8 @@ def iter_chunks(readings):
 @pytest.mark.parametrize("route", ROUTES)
 @pytest.mark.parametrize("n_sensors", [12, 200])
 def test_sensors_that_all_read_the_same_are_refused_on_every_route(route, n_sensors):
-    rng = np.random.default_rng(3)
-    course = np.maximum(0, rng.normal(size=(5000, 1)))
-    gains = rng.uniform(0.5, 2, n_sensors) * rng.choice([-1, 1], n_sensors)
-    readings = course * gains + rng.uniform(-5, 5, n_sensors)
     with pytest.raises(InputError, match="all sensors read the same"):
-        quietly(ROUTES[route], readings, "r-anisomap", 2)
+        quietly(ROUTES[route], all_alike(5000, n_sensors), "r-anisomap", 2)
 
 
 def test_a_long_pause_in_the_middle_of_a_recording_is_no_fault_of_it():
@@ -315,3 +316,20 @@ def test_two_sensors_that_read_the_same_are_mapped():
     readings = np.array(flat_skin().readings)
     readings[:, 1] = readings[:, 0]
     assert quietly(reconstruct, readings, "r-anisomap", 2).placed.all()
+
+
+def changes_of(readings):
+    recording = anisomap.Recording(readings)
+    found = compare(
+        [recording], "blended-correlation", bins=DEFAULT_BINS, with_noise=True
+    ).rank_changes
+    return found[np.triu_indices(len(found), 1)]
+
+
+@pytest.mark.parametrize("held", [2, 3])
+def test_changes_of_held_readings_are_not_missed(held):
+    """A logger that is faster than the sensors repeats readings, beyond 10,000 frames too."""
+    readings = flat_skin(n_frames=6000).readings
+    once, repeated = changes_of(readings), changes_of(np.repeat(readings, held, axis=0))
+    assert np.abs(once).max() > 0.1
+    assert np.corrcoef(once, repeated)[0, 1] > 0.9

@@ -19,7 +19,6 @@ from skins import flat_skin, lattice, mantel_r, quietly, seeing_patch, stages, s
 
 EVEN = MethodOptions(even_spacing=True)
 WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))
-UNTRUSTED = "do not trust the map's scale along one direction"
 
 
 def mapped(recording, **arguments):

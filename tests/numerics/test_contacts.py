@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
-from scipy.spatial.distance import pdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
@@ -24,16 +23,12 @@ from anisomap.numerics.contacts.likelihood import (
 )
 from anisomap.numerics.reliability.split_half import blended_correlation
 from anisomap.reconstruction import reconstruct_from
-from skins import lattice
+from skins import lattice, likeness
 
 PROFILE = Profile(np.array([0.0, 0.4, 1.1]), 0.2, 1.8, 0.3)
 
 
 QUICK = ContactOptions(max_readings=3000)
-
-
-def mantel_r(x, y):
-    return float(np.corrcoef(pdist(x), pdist(y))[0, 1])
 
 
 def pressed(places, n_frames=800, *, seed=0, binary=False):
@@ -205,7 +200,7 @@ def test_the_contact_fit_improves_on_the_covariogram(binary, left):
         found = fit_contacts(readings, rough)
         assert found.used
         assert not found.reason
-        assert 1 - mantel_r(found.positions, places) < left * (1 - mantel_r(rough, places))
+        assert 1 - likeness(found.positions, places) < left * (1 - likeness(rough, places))
 
 
 def test_unequal_gains_hardly_change_the_map():
@@ -218,7 +213,7 @@ def test_unequal_gains_hardly_change_the_map():
     spread, blind = (fit_contacts(readings * gains, rough, o) for o in (QUICK, unequal))
     assert spread.used
     lost, ignored = (
-        mantel_r(plain.positions, places) - mantel_r(other.positions, places)
+        likeness(plain.positions, places) - likeness(other.positions, places)
         for other in (spread, blind)
     )
     assert lost < 0.001 < ignored

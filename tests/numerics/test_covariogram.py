@@ -1,4 +1,4 @@
-"""The covariogram fit: exact gradients, known solutions and invariances."""
+"""The covariogram fit: exact derivatives, known solutions and invariances."""
 
 import itertools
 from concurrent.futures import ThreadPoolExecutor
@@ -8,20 +8,31 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import check_grad
+from scipy.optimize import check_grad, minimize
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.covariogram import objective
-from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram, overlapping_blocks
-from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.compiled.parallel import load_loops
+from anisomap.numerics.covariogram.covariogram_fit import (
+    fit_covariogram,
+    minimise,
+    overlapping_blocks,
+)
+from anisomap.numerics.covariogram.objective import (
+    Block,
+    CompiledPairs,
+    CovariogramOptions,
+    Pairs,
+    Problem,
+    Weights,
+    gauss_newton_matrix,
+    objective,
+    pack,
+)
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-
-
-def mantel_r(x, y):
-    return float(np.corrcoef(pdist(x), pdist(y))[0, 1])
+from skins import likeness
 
 
 def skin(n_sensors=40, dimensions=2, seed=0):
@@ -54,11 +65,11 @@ def test_the_gradient_is_that_of_finite_differences(most, unknown):
     metric = metric + metric.T
     known = rng.uniform(size=(14, 14)) >= unknown
     known &= known.T & ~np.eye(14, dtype=bool)
-    problem = objective.Problem(similarity, metric, known, 0.3, CovariogramOptions())
-    blocks = [objective.Block(b, problem) for b in overlapping_blocks(places, most)]
+    problem = Problem(similarity, metric, known, 0.3, CovariogramOptions())
+    blocks = [Block(b, problem) for b in overlapping_blocks(places, most)]
 
     def value(p):
-        return objective.objective(blocks, p[:-1].reshape(14, 3), p[-1])
+        return objective(blocks, p[:-1].reshape(14, 3), p[-1])
 
     for _ in range(3):
         at = np.append(places.ravel() + 0.3 * rng.standard_normal(42), rng.uniform(-0.5, 0.7))
@@ -73,7 +84,7 @@ def test_positions_and_function_are_recovered_without_noise(dimensions):
     metric, start = set_out(similarity, dimensions, 1e-8)
     found = fit_covariogram(similarity, start, metric, noise=1e-8)
     assert found.converged
-    assert mantel_r(found.positions, places) > 0.9999 > mantel_r(start, places) + 0.001
+    assert likeness(found.positions, places) > 0.9999 > likeness(start, places) + 0.001
     assert found.amplitude == pytest.approx(0.9, rel=0.02)
     assert found.exponent == pytest.approx(1.5, rel=0.02)
     assert found.offset == pytest.approx(-0.05, abs=0.02)
@@ -90,8 +101,8 @@ def test_the_fit_improves_on_its_start_under_noise(n_frames):
         observed = drawn(similarity, n_frames, seed)
         metric, start = set_out(observed, 2, 1 / n_frames)
         found = fit_covariogram(observed, start, metric, noise=1 / n_frames)
-        before.append(1 - mantel_r(start, places))
-        after.append(1 - mantel_r(found.positions, places))
+        before.append(1 - likeness(start, places))
+        after.append(1 - likeness(found.positions, places))
     assert np.mean(after) < 0.8 * np.mean(before)
 
 
@@ -135,7 +146,7 @@ def test_a_common_signal_does_not_change_the_map():
     plain, hummed = (
         fit_covariogram(s, *set_out(s, 2, 1e-4)[::-1], noise=1e-4) for s in (similarity, shared)
     )
-    assert mantel_r(hummed.positions, places) > mantel_r(plain.positions, places) - 0.005
+    assert likeness(hummed.positions, places) > likeness(plain.positions, places) - 0.005
 
 
 def test_unknown_pairs_are_ignored():
@@ -150,7 +161,7 @@ def test_unknown_pairs_are_ignored():
         fit_covariogram(s, start, metric, noise=1e-4, known=known) for s in (similarity, nonsense)
     )
     np.testing.assert_array_equal(first.positions, second.positions)
-    assert mantel_r(first.positions, places) > 0.99
+    assert likeness(first.positions, places) > 0.99
 
 
 @given(st.integers(1, 400), st.integers(3, 80), st.integers(1, 3), st.integers(0, 9))
@@ -173,20 +184,20 @@ def test_blocks_give_nearly_the_map_of_one_block():
         ).positions
         for size in (600, 80)
     )
-    assert mantel_r(whole, parted) > 0.995
-    assert 1 - mantel_r(parted, places) < 2 * (1 - mantel_r(whole, places)) + 0.001
+    assert likeness(whole, parted) > 0.995
+    assert 1 - likeness(parted, places) < 2 * (1 - likeness(whole, places)) + 0.001
 
 
 def test_the_objective_of_threads_is_bitwise_equal():
     places, similarity = skin(60, 2)
     metric, start = set_out(similarity, 2, 0.001)
-    problem = objective.Problem(similarity, metric, similarity < 1, 0.001, CovariogramOptions())
-    blocks = [objective.Block(b, problem) for b in overlapping_blocks(places, 20)]
+    problem = Problem(similarity, metric, similarity < 1, 0.001, CovariogramOptions())
+    blocks = [Block(b, problem) for b in overlapping_blocks(places, 20)]
     with ThreadPoolExecutor(3) as pool:
-        value, gradient = objective.objective(
+        value, gradient = objective(
             blocks, start, 0.1, lambda task, items: list(pool.map(task, items))
         )
-    expected, slope = objective.objective(blocks, start, 0.1)
+    expected, slope = objective(blocks, start, 0.1)
     assert value == expected
     np.testing.assert_array_equal(gradient, slope)
 
@@ -234,10 +245,178 @@ def test_a_fit_near_another_starts_from_its_exponent_and_curvature():
     ended = fit_covariogram(second, start, metric, noise=1 / 2000, options=whole)
     few = replace(whole, max_iterations=5)
     left = [
-        1 - mantel_r(fit.positions, ended.positions)
+        1 - likeness(fit.positions, ended.positions)
         for fit in (
             fit_covariogram(second, near.positions, metric, noise=1 / 2000, options=few),
             fit_covariogram(second, near.positions, metric, noise=1 / 2000, options=few, near=near),
         )
     ]
     assert left[1] < left[0]
+
+
+LOG_EXPONENT = 0.3
+
+
+def exact_blocks(points, block_size, prior=0.0, repulsion=0.0, noise=1e-3):
+    """Return blocks of a similarity that one function of distance explains exactly."""
+    distances = cdist(points, points)
+    similarity = 0.8 * np.exp(-(distances ** np.exp(LOG_EXPONENT))) + 0.05
+    np.fill_diagonal(similarity, 1.0)
+    known = ~np.eye(len(points), dtype=bool)
+    options = CovariogramOptions(prior_weight=prior, repulsion=repulsion)
+    problem = Problem(similarity, distances, known, noise, options)
+    return [Block(sensors, problem) for sensors in overlapping_blocks(points, block_size)]
+
+
+def by_axes(positions, gradient):
+    """Order a gradient by axes, as the curvature is."""
+    return np.append(gradient[:-1].reshape(positions.shape).T.ravel(), gradient[-1])
+
+
+@pytest.mark.parametrize("block_size", [20, 7])
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_the_curvature_is_the_hessian_where_nothing_is_left_to_explain(block_size, dimensions):
+    points = np.random.default_rng(dimensions).uniform(0, 2, (14, dimensions))
+    blocks = exact_blocks(points, block_size)
+    found = np.triu(gauss_newton_matrix(blocks, points, LOG_EXPONENT))
+    step, expected = 1e-5, []
+    parameters = np.append(points.T.ravel(), LOG_EXPONENT)
+    for i in range(parameters.size):
+        slopes = []
+        for sign in (1, -1):
+            moved = parameters.copy()
+            moved[i] += sign * step
+            x = np.ascontiguousarray(moved[:-1].reshape(dimensions, -1).T)
+            slopes.append(by_axes(x, objective(blocks, x, moved[-1])[1]))
+        expected.append((slopes[0] - slopes[1]) / (2 * step))
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found, np.triu(expected), atol=1e-5 * scale)
+
+
+def test_the_curvature_with_priors_is_positive_semi_definite():
+    points = np.random.default_rng(1).uniform(0, 2, (30, 3))
+    blocks = exact_blocks(points, 12, prior=1.0, repulsion=0.1)
+    upper = np.triu(gauss_newton_matrix(blocks, points * 1.1, 0.0))
+    values = np.linalg.eigvalsh(upper + np.triu(upper, 1).T)
+    assert values[0] > -1e-9 * values[-1]
+
+
+@pytest.mark.parametrize("seed", [301, 302, 303])
+def test_the_minimum_is_that_of_a_long_search(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 4, (60, 2))
+    blocks = exact_blocks(points, 60, prior=1.0, repulsion=0.1)
+    start = points + rng.normal(0, 0.1, points.shape)
+    options = CovariogramOptions()
+    found = minimise(blocks, start, options, tolerance=options.tolerance, displacement=1e-3)
+    assert found.converged
+
+    def plain(parameters):
+        return objective(blocks, parameters[:-1].reshape(start.shape), parameters[-1])
+
+    long = minimize(
+        plain, np.append(start.ravel(), 0.0), jac=True, method="L-BFGS-B",
+        options={"maxiter": 3000, "maxfun": 6000, "ftol": 1e-14, "gtol": 1e-10},
+    )  # fmt: skip
+    assert found.value <= long.fun + 1e-5 * max(1, abs(long.fun))
+    distances = pdist(long.x[:-1].reshape(start.shape))
+    assert np.corrcoef(pdist(found.positions), distances)[0, 1] > 1 - 1e-5
+
+
+def test_no_iterations_leave_the_start():
+    points = np.random.default_rng(0).uniform(0, 2, (20, 2))
+    blocks = exact_blocks(points, 20)
+    found = minimise(
+        blocks, points, CovariogramOptions(max_iterations=0), tolerance=1e-7, displacement=1e-3
+    )
+    np.testing.assert_array_equal(found.positions, points)
+    assert found.iterations == 0
+    assert not found.converged
+
+
+def constants(n_points, seed, dtype=np.float32, unknown=0.2):
+    """Return the arguments of `Pairs` with random symmetric matrices."""
+    rng = np.random.default_rng(seed)
+    n_pairs = n_points * (n_points - 1) // 2
+    known = (rng.random(n_pairs) > unknown).astype(dtype)
+    similarity, one, other = rng.normal(0, 0.3, (3, n_pairs)).astype(dtype)
+    return {
+        "known": known,
+        "similarity": similarity * known,
+        "whitened_known": one,
+        "whitened_similarity": other,
+        "inverse_metric": rng.uniform(0.2, 3, n_pairs).astype(dtype),
+        "n_sensors": n_points,
+    }
+
+
+def points_of(n_points, dimensions, seed):
+    points = np.random.default_rng(seed).normal(0, 3, (n_points, dimensions))
+    points[1] = points[0]  # coincident points
+    return points
+
+
+problems = given(st.integers(2, 80), st.integers(1, 4), st.floats(-1.2, 1.3), st.integers(0, 999))
+
+
+@problems
+def test_compiled_loops_do_as_numpy(n_points, dimensions, log_exponent, seed):
+    points, given_pairs = points_of(n_points, dimensions, seed), constants(n_points, seed)
+    plain, compiled = Pairs(**given_pairs), CompiledPairs(**given_pairs)
+    expected, found = (pairs.decay(points, log_exponent) for pairs in (plain, compiled))
+    for ours, theirs in zip(found, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=2e-4, atol=2e-6)
+    whitened = np.random.default_rng(seed).normal(0, 0.3, len(expected.shape)).astype(np.float32)
+    weights = Weights(0.8, float(np.exp(log_exponent)), 0.1, 1e-3, 1e-4)
+    ours, theirs = (p.slope(expected, whitened, weights) for p in (compiled, plain))
+    assert ours[0] == pytest.approx(theirs[0], rel=1e-5, abs=1e-4)
+    assert ours[1] == pytest.approx(theirs[1], rel=1e-4, abs=1e-4)
+    force = theirs[2]
+    size, scale = 1 + np.abs(force).sum() * 1e-3, np.abs(force).max()
+    np.testing.assert_allclose(ours[2], force, rtol=1e-4, atol=1e-6 * scale)
+    pulled, reference = (p.gradient(force, points) for p in (compiled, plain))
+    np.testing.assert_allclose(pulled, reference, rtol=1e-6, atol=1e-6 * size)
+    assert compiled.product(found.shape, whitened) == pytest.approx(
+        plain.product(found.shape, whitened), rel=1e-5, abs=1e-4
+    )
+
+
+@problems
+def test_the_decay_is_that_of_its_definition(n_points, dimensions, log_exponent, seed):
+    points = np.random.default_rng(seed).normal(0, 1, (n_points, dimensions))
+    known = constants(n_points, seed, np.float64)
+    found = Pairs(**known).decay(points, log_exponent)
+    distances = pack(cdist(points, points))
+    powers = np.minimum(distances ** np.exp(log_exponent), 80)
+    np.testing.assert_allclose(found.shape, known["known"] * np.exp(-powers), rtol=1e-9)
+    np.testing.assert_allclose(found.steepness, powers * found.shape, rtol=1e-9)
+    np.testing.assert_allclose(found.squares, distances**2, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.exp(found.logarithms), distances, rtol=1e-9, atol=1e-6)
+
+
+@given(st.integers(2, 60), st.integers(0, 999))
+def test_unpacking_reverses_packing(n_points, seed):
+    pairs = Pairs(**constants(n_points, seed, np.float64))
+    matrix = pairs.unpack(pairs.similarity)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert not np.diag(matrix).any()
+    np.testing.assert_array_equal(pack(matrix), pairs.similarity)
+    np.testing.assert_array_equal(
+        CompiledPairs(**constants(n_points, seed, np.float64)).unpack(pairs.similarity), matrix
+    )
+    other = pairs.unpack(pairs.inverse_metric)
+    assert pairs.product(pairs.similarity, pairs.inverse_metric) == pytest.approx(
+        float((matrix * other).sum()), abs=1e-9
+    )
+
+
+def test_series_equal_the_functions_within_single_precision():
+    loops = load_loops("covariogram")
+    exponents = np.linspace(-87, 88, 40001).astype(np.float32)
+    found = np.array([loops.exponential(x) for x in exponents], dtype=np.float64)
+    np.testing.assert_allclose(found, np.exp(exponents.astype(np.float64)), rtol=1.2e-7)
+    numbers = np.exp(np.random.default_rng(0).uniform(-87, 88, 20000)).astype(np.float32)
+    numbers[:10000] = np.random.default_rng(1).uniform(0.5, 2, 10000)
+    exact = np.log(numbers.astype(np.float64))
+    found = np.array([loops.logarithm(x) for x in numbers], dtype=np.float64)
+    np.testing.assert_allclose(found, exact, rtol=1.2e-7, atol=1.2e-7)

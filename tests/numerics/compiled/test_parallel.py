@@ -1,12 +1,14 @@
-"""Threads of loops and of BLAS."""
+"""Compilation of loops, and threads of loops and of BLAS."""
 
 import subprocess
 import sys
+import types
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS, limited_blas
+from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS, limited_blas, loop
 
 
 @pytest.mark.parametrize(("n_rows", "expected"), [(10, 1), (MIN_PARALLEL_ROWS, 2)])
@@ -46,3 +48,22 @@ def test_blas_that_scipy_loads_after_the_first_limit_is_limited():
             assert {b["num_threads"] for b in threadpool_info() if b["user_api"] == "blas"} == {1}
     """
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+SOURCE = """
+def double(values):
+    for i in range(len(values)):
+        values[i] *= 2
+"""
+
+
+def uncacheable_function():
+    """Return a function without a source file, next to which numba could store a cache."""
+    code = compile(SOURCE, "<no file>", "exec").co_consts[0]
+    return types.FunctionType(code, {"__name__": "nowhere"}, "double")
+
+
+def test_loops_compile_without_a_cache_folder():
+    values = np.arange(3.0)
+    loop()(uncacheable_function())(values)
+    np.testing.assert_array_equal(values, [0, 2, 4])

@@ -1,4 +1,4 @@
-"""Split-half reliability of correlations."""
+"""Split-half reliability of correlations, their blend, and the agreement of profiles."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,11 @@ from anisomap.errors import InputError
 from anisomap.numerics.reliability.split_half import (
     blended_correlation,
     correlation_and_reliability,
+    profile_agreement,
     split_blocks,
 )
-from anisomap.numerics.similarity.correlation import pearson
+from anisomap.numerics.similarity.correlation import pearson, spearman
+from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin
 
 
@@ -44,3 +46,52 @@ def test_the_reliability_is_that_of_pairs_of_sensors():
     pairs = np.triu_indices(readings.shape[1], 1)
     expected = np.corrcoef(halves[0][pairs], halves[1][pairs])[0, 1]
     assert correlation_and_reliability(readings)[1] == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_blend_lies_between_linear_and_rank_correlation():
+    readings = flat_skin(n_frames=400).readings
+    depths = estimate_rest(readings).depth(readings)
+    linear, ranks, blend = pearson(readings), spearman(depths), blended_correlation(readings)
+    assert (blend <= np.maximum(linear, ranks) + 1e-12).all()
+    assert (blend >= np.minimum(linear, ranks) - 1e-12).all()
+    assert not np.allclose(blend, linear)
+    assert np.array_equal(blend, blend.T)
+    moved = blended_correlation(readings * np.linspace(0.1, 9, 42) - 4)
+    np.testing.assert_allclose(moved, blend, atol=1e-9)
+
+
+def test_noise_at_rest_hardly_changes_the_blend():
+    readings = np.array(flat_skin().readings)
+    noisy = readings + np.random.default_rng(0).normal(0, 0.02 * np.ptp(readings), readings.shape)
+    pairs = np.triu_indices(readings.shape[1], 1)
+    clean = blended_correlation(readings)[pairs]
+    lost = {
+        how.__name__: np.abs(how(noisy)[pairs] - how(readings)[pairs]).mean()
+        for how in (blended_correlation, spearman)
+    }
+    assert lost["blended_correlation"] < 0.25 * lost["spearman"]
+    assert lost["blended_correlation"] < 0.1 * np.ptp(clean)
+
+
+@given(st.integers(0, 10_000))
+def test_it_is_the_correlation_over_the_other_known_sensors(seed):
+    rng = np.random.default_rng(seed)
+    n_sensors = 9
+    similarities, masks = [], []
+    for _ in range(2):
+        values, known = rng.normal(size=(n_sensors,) * 2), rng.random((n_sensors,) * 2) < 0.9
+        similarities.append(values + values.T)
+        masks.append(known | known.T)
+    found = profile_agreement(*similarities, *masks)
+    for i in range(n_sensors):
+        for j in range(n_sensors):
+            used = masks[0][i] & masks[1][j]
+            used[[i, j]] = False
+            r = np.corrcoef(similarities[0][i, used], similarities[1][j, used])[0, 1]
+            if used.sum() > 2 and abs(r) < 0.999:
+                np.testing.assert_allclose(np.tanh(found[i, j]), r, atol=1e-9)
+
+
+def test_constant_profiles_agree_with_nothing():
+    ones, known = np.ones((5, 5)), np.ones((5, 5), dtype=bool)
+    np.testing.assert_array_equal(profile_agreement(ones, ones, known, known), 0)

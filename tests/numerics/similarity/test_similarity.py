@@ -1,5 +1,6 @@
 """Similarities compared with scipy and scikit-learn, and their invariances."""
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 from sklearn.metrics import mutual_info_score
 
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import (
     CHUNK_FRAMES,
@@ -16,7 +17,10 @@ from anisomap.numerics.similarity.correlation import (
     SINGLE_FRAMES,
     Moments,
     co_activation,
+    is_sparse,
     pearson,
+    resampled_correlation,
+    sparse_comoments,
     spearman,
 )
 from anisomap.numerics.similarity.information import information_from_codes, mutual_information
@@ -108,6 +112,13 @@ def test_activity_does_not_depend_on_the_direction_of_contact(readings):
     )
 
 
+def assert_rest_of_counts(readings):
+    found = estimate_rest(readings)
+    expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)
+    for name in ("value", "side", "threshold", "known"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
 @pytest.mark.parametrize("real", [np.uint8, np.int16, np.float32, np.float64])
 @given(seed=st.integers(0, 999), n_frames=st.integers(1, 40))
 @settings(max_examples=10)
@@ -115,11 +126,7 @@ def test_sensors_mostly_at_their_lowest_reading_rest_there(real, seed, n_frames)
     rng = np.random.default_rng(seed)
     levels = rng.integers(0, 100, (n_frames, 12))
     touched = rng.random((n_frames, 12)) < rng.choice([0, 0.1, 0.5, 0.9, 1], 12)
-    readings = np.where(touched, levels, rng.choice([0, 50, 100], 12)).astype(real)
-    found = estimate_rest(readings)
-    expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)
-    for name in ("value", "side", "threshold", "known"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert_rest_of_counts(np.where(touched, levels, rng.choice([0, 50, 100], 12)).astype(real))
 
 
 @pytest.mark.parametrize("real", [np.uint8, np.float32, np.float64])
@@ -150,11 +157,7 @@ def test_the_rest_of_many_frames_is_that_of_counts(real):
     readings[:, 5] = 7
     if real == np.uint16:
         readings += 10_000
-    readings = readings.astype(real)
-    found = estimate_rest(readings)
-    expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)
-    for name in ("value", "side", "threshold", "known"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert_rest_of_counts(readings.astype(real))
 
 
 @pytest.mark.parametrize("compute", [pearson, spearman, co_activation])
@@ -218,3 +221,82 @@ def test_a_constant_sensor_is_similar_to_no_other(constant):
 @pytest.mark.parametrize("unit", [2.0**1000, 2.0**-1000])
 def test_extreme_magnitudes_do_not_matter(unit, readings):
     np.testing.assert_array_equal(pearson(readings * unit), pearson(readings))
+
+
+MOSTLY_FIVE = st.one_of(st.just(5.0), st.just(5.0), st.floats(-9, 9, width=32))
+
+
+@st.composite
+def recordings(draw):
+    shape = draw(st.integers(1, 30)), draw(st.integers(1, 12))
+    return draw(arrays(np.float64, shape, elements=MOSTLY_FIVE))
+
+
+def sparse_readings(n_frames, n_sensors, share, dtype=np.float64):
+    rng = np.random.default_rng(0)
+    depths = rng.integers(1, 200, (n_frames, n_sensors))
+    return np.where(rng.uniform(size=depths.shape) < share, depths, 7).astype(dtype)
+
+
+@given(recordings())
+def test_comoments_equal_dense_products(readings):
+    mean, comoment = sparse_comoments(readings)
+    by_sensor = sparse_comoments(np.asfortranarray(readings))
+    np.testing.assert_array_equal(by_sensor[0], mean)
+    np.testing.assert_array_equal(by_sensor[1], comoment)
+    deviations = readings - readings.mean(axis=0)
+    np.testing.assert_allclose(mean, readings.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(comoment, deviations.T @ deviations, atol=1e-10)
+    assert (comoment == comoment.T).all()
+    constant = np.ptp(readings, axis=0) == 0
+    assert not comoment[constant].any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32, np.float64])
+@pytest.mark.parametrize("n_sensors", [23, 230])
+def test_readings_of_any_type(dtype, n_sensors):
+    readings = sparse_readings(300, n_sensors, 0.2, dtype)
+    expected = np.corrcoef(readings.astype(float), rowvar=False)
+    found = Moments(300, *sparse_comoments(readings)).correlation()
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_sparse_products_are_chosen_only_for_sparse_readings():
+    assert is_sparse(sparse_readings(400, 60, 0.05))
+    assert not is_sparse(sparse_readings(400, 60, 0.5))
+
+
+def test_moments_of_many_sparse_sensors_are_accurate_to_float64():
+    readings = sparse_readings(500, MIN_COMPILED_ROWS, 0.05)
+    found = Moments.of(readings, single=True).correlation()
+    # Products in float32 would differ by 1e-7.
+    np.testing.assert_allclose(found, np.corrcoef(readings.T), atol=1e-12)
+
+
+def test_results_do_not_depend_on_the_number_of_threads(monkeypatch):
+    readings = sparse_readings(50, MIN_PARALLEL_ROWS, 0.02)
+    results = []
+    for n_threads in (1, 3):
+        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", n_threads)
+        results.append(sparse_comoments(readings)[1].tobytes())
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize(
+    ("dtype", "unit"),
+    [
+        (np.float32, 1e-25),
+        (np.float32, 1e25),
+        (np.float64, 1e-25),
+        (np.float64, 1e-200),
+        (np.float64, 1e200),
+    ],
+)
+def test_units_do_not_change_resampled_correlations(dtype, unit):
+    rng = np.random.default_rng(0)
+    readings = rng.normal(size=(200, 3)) @ rng.normal(size=(3, 6))
+    edges = np.array([0, 50, 120, 200])
+    weights = np.array([[1.0, 1, 1], [2, 0, 1]])
+    expected = resampled_correlation(readings, edges, weights)
+    found = resampled_correlation((readings * unit).astype(dtype), edges, weights)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
