@@ -35,8 +35,7 @@ from anisomap.refinements import RefinedMap, Step, refine
 logger = logging.getLogger(__name__)
 
 
-_START_TOLERANCE = 1e-5
-"""Least tolerance of a scaling that only starts the covariogram fit: maps hardly change by more."""
+_START_TOLERANCE = 1e-5  # of a scaling that only starts the covariogram fit
 
 
 @dataclass(frozen=True, eq=False)

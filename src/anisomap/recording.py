@@ -100,7 +100,9 @@ class Recording(Immutable):
             if getattr(self, name) is not None
         }
         for name, array in known.items():
-            _check_shape(name, array, truth[name])
+            if array.shape not in truth[name]:
+                shapes = " or ".join(map(str, truth[name]))
+                raise InputError(f"{name} must be of shape {shapes}, got {array.shape}")
         self.set_fields(readings=readings, names=names, times=times, rate_hz=rate_hz, **known)
 
     def __repr__(self) -> str:
@@ -393,15 +395,6 @@ def _unmasked(values: Any) -> Any:
         return values
     dtype = np.result_type(values.dtype, np.float16)
     return values.astype(dtype).filled(np.nan)
-
-
-def _check_shape(
-    name: str, array: NDArray[np.float64], shapes: tuple[tuple[int, int], ...]
-) -> None:
-    if array.shape not in shapes:
-        raise InputError(
-            f"{name} must be of shape {' or '.join(map(str, shapes))}, got {array.shape}"
-        )
 
 
 def _check_times(times: NDArray[np.float64], n_frames: int) -> None:

@@ -105,7 +105,14 @@ def reconstruct_on_device(
     check_dimensions(dimensions)
     if str(dimensions) == AUTO:
         raise InputError("dimensions are not chosen on a device: take 2 for flat skins, or 3")
-    similarity, compare = _comparison(method, chosen)
+    if method not in DEVICE_METHODS:
+        able = ", ".join(DEVICE_METHODS)
+        raise InputError(f"{method} does not run on a device; choose from {able}")
+    if chosen.regularisation == 0:
+        raise InputError(
+            "with regularisation 0, unrelated sensors are infinitely far apart; give more than 0"
+        )
+    similarity = find_method(method).similarity
     if readings.ndim != 2:
         raise InputError(f"readings must be of shape (T, N), got {tuple(readings.shape)}")
     n_frames, n_sensors = readings.shape
@@ -119,7 +126,7 @@ def reconstruct_on_device(
         readings = array_api.select_columns(readings, varying)
     check_unlike(readings, rows_of=lambda some: centred_rows(array_api.to_numpy(some)))
     logger.info("comparing all pairs of sensors (%s)", similarity)
-    compared = compare(readings, chosen.entropy_bins)
+    compared = DEVICE_METHODS[method](readings, chosen.entropy_bins)
     lengths = array_api.regularised_reciprocal(compared, chosen.regularisation)
     del compared
     logger.info("computing shortest paths")
@@ -148,18 +155,6 @@ def reconstruct_on_device(
             "array_library": array_api.array_namespace(readings).__name__.rpartition(".")[2],
         },
     )
-
-
-def _comparison(method: str, options: MethodOptions) -> tuple[str, Callable[[Array, int], Array]]:
-    """Return the name and the function of the similarity of a method."""
-    if method not in DEVICE_METHODS:
-        able = ", ".join(DEVICE_METHODS)
-        raise InputError(f"{method} does not run on a device; choose from {able}")
-    if options.regularisation == 0:
-        raise InputError(
-            "with regularisation 0, unrelated sensors are infinitely far apart; give more than 0"
-        )
-    return find_method(method).similarity, DEVICE_METHODS[method]
 
 
 def _varying(readings: Array) -> NDArray[np.bool_]:

@@ -32,11 +32,9 @@ from anisomap.numerics.similarity.correlation import CoOccurrences, Moments, Sto
 
 Accumulator: TypeAlias = Moments | CoOccurrences | StoredCodes | ValueCounts
 
-WRITE_SHARE = 0.1
-"""Maximum share of the running time that is spent on writing checkpoints.
-
-A killed run loses the work on one chunk, or of ten times the duration of a write if that is longer.
-"""
+# Of the running time, at most, that is spent on writing checkpoints. A killed run loses the work on
+# one chunk, or of ten times the duration of a write if that is longer.
+_WRITE_SHARE = 0.1
 
 _KINDS = {kind.__name__: kind for kind in (Moments, CoOccurrences, StoredCodes, ValueCounts)}
 
@@ -87,7 +85,7 @@ class Checkpoint:
         return rest
 
     def update(self, stage: str, n_chunks: int, total: Accumulator) -> None:
-        """Set the progress of a stage; write the file if `WRITE_SHARE` permits."""
+        """Set the progress of a stage; write the file if `_WRITE_SHARE` permits."""
         self.stages[stage] = Stage(n_chunks, self._digests[n_chunks], total)
         if time.monotonic() >= self._next_write:
             self.write()
@@ -105,7 +103,7 @@ class Checkpoint:
         with atomic_write(self._path) as temporary, temporary.open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
         ended = time.monotonic()
-        self._next_write = ended + (ended - started) / WRITE_SHARE
+        self._next_write = ended + (ended - started) / _WRITE_SHARE
 
     def _read(self) -> dict[str, Stage]:
         damaged = f"{self._path} is damaged or not a checkpoint; delete it to start again"

@@ -39,6 +39,7 @@ class Signals:
 
     def __init__(self, readings: NDArray[Any]) -> None:
         self.readings = readings
+        self._pearson: Reals | None = None
 
     @cached_property
     def _levels(self) -> Levels:
@@ -109,21 +110,15 @@ class Signals:
     @property
     def pearson(self) -> Reals:
         """Pearson's r of every pair of sensors, (N, N); kept if it takes 32 MiB at most."""
-        if self.readings.shape[1] > MAX_PAIRED:
-            return self._correlated()
-        return self._pearson
-
-    @cached_property
-    def _pearson(self) -> Reals:
-        found = self._correlated()
-        found.setflags(write=False)
-        return found
-
-    def _correlated(self) -> Reals:
         # As of `spectra`: importing it takes time.
         from anisomap.numerics.similarity.correlation import pearson  # noqa: PLC0415
 
-        return pearson(self.readings)
+        if self.readings.shape[1] > MAX_PAIRED:
+            return pearson(self.readings)
+        if self._pearson is None:
+            self._pearson = pearson(self.readings)
+            self._pearson.setflags(write=False)
+        return self._pearson
 
     @cached_property
     def lag_correlation(self) -> NDArray[np.float64]:

@@ -202,34 +202,24 @@ def fit_contacts(
             f"only {levels.at_rest:.0%} of the readings are at rest; detecting contacts needs "
             f"{chosen.min_at_rest:.0%}"
         )
-        return _unused(given, levels, reason)
+        return _fitted(given.copy(), levels, reason)
     centre, unit = given.mean(axis=0), float(np.median(nearest_distances(given)))
     if not unit > 0:
-        return _unused(given, levels, "most sensors coincide with another on the map")
+        return _fitted(given.copy(), levels, "most sensors coincide with another on the map")
     start = (given - centre) / unit
     contacts = find_contacts(levels, start, min_sensors=chosen.min_sensors)
     n_contacts = 0 if contacts is None else len(contacts.starts)
     if contacts is None or n_contacts < _MIN_CONTACTS * len(start):
         reason = f"{n_contacts} contacts were found, too few for {len(start)} sensors"
-        return _unused(given, levels, reason, n_contacts)
+        return _fitted(given.copy(), levels, reason, n_contacts)
     moved, explained = _alternate(contacts, start, chosen)
     if not explained >= chosen.min_explained:
         reason = (
             f"the distance from contacts explains {max(explained, 0.0):.0%} of the entropy of the "
             f"readings around them; {chosen.min_explained:.0%} are required"
         )
-        return _unused(given, levels, reason, n_contacts, explained)
-    refined = moved * unit + centre
-    refined.setflags(write=False)
-    return ContactFit(
-        positions=refined,
-        n_contacts=n_contacts,
-        explained=explained,
-        at_rest=levels.at_rest,
-        n_levels=levels.max_level,
-        gains=levels.gains,
-        used=True,
-    )
+        return _fitted(given.copy(), levels, reason, n_contacts, explained)
+    return _fitted(moved * unit + centre, levels, "", n_contacts, explained)
 
 
 def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tuple[Matrix, float]:
@@ -344,19 +334,19 @@ def _initial_contacts(contacts: Contacts, positions: Matrix) -> tuple[Matrix, Pr
     return np.array([side.states for side in sides])[likelier, np.arange(len(extents))], profile
 
 
-def _unused(
-    given: Matrix, levels: Levels, reason: str, n_contacts: int = 0, explained: float = np.nan
+def _fitted(
+    positions: Matrix, levels: Levels, reason: str, n_contacts: int = 0, explained: float = np.nan
 ) -> ContactFit:
-    kept = given.copy()
-    kept.setflags(write=False)
+    """Describe a fit, which is used unless there is a reason against it."""
+    positions.setflags(write=False)
     return ContactFit(
-        positions=kept,
+        positions=positions,
         n_contacts=n_contacts,
         explained=explained,
         at_rest=levels.at_rest,
         n_levels=levels.max_level,
         gains=levels.gains,
-        used=False,
+        used=not reason,
         reason=reason,
     )
 

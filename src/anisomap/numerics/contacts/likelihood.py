@@ -216,8 +216,7 @@ def _entries(lists: csr_array, rows: Indices) -> tuple[Indices, Indices]:
     return owners, lists.indices[lists.indptr[rows][owners] + offsets]
 
 
-OUTLIER_SHARE = 0.02
-"""Share of readings that are independent of distance, uniform over levels; chosen by hand."""
+_OUTLIER_SHARE = 0.02  # of readings that are independent of distance, uniform over levels; by hand
 
 # Chosen by hand on simulated skins; lengths in sensor spacings.
 _FAR = 1e6  # effectively infinite, but 0 times it is 0
@@ -291,8 +290,8 @@ def level_log_likelihood(
     # With A = 2 a - 1 = tanh(logit / 2), which takes a fifth of the time of a logistic function.
     where = np.asarray(levels)
     at_least, above = (np.tanh(scaled - np.take(part, where)) for part in (edges, edges[1:]))
-    regular = (at_least - above) * ((1 - OUTLIER_SHARE) / 2)
-    total = regular + OUTLIER_SHARE / (len(profile.thresholds) + 1)
+    regular = (at_least - above) * ((1 - _OUTLIER_SHARE) / 2)
+    total = regular + _OUTLIER_SHARE / (len(profile.thresholds) + 1)
     share = np.divide(regular, total, out=regular) * per_width
     slope = -share * (at_least + above)
     curvature = per_width * share * (2 - at_least**2 - above**2)
@@ -421,8 +420,8 @@ def fit_profile(
         scaled = (centres - thresholds[:, None]) / softness
         at_least = (1 + np.tanh(scaled / 2)) / 2
         bounds = np.vstack([np.ones(_BINS), at_least, np.zeros(_BINS)])
-        total = OUTLIER_SHARE / (n_levels + 1) - (1 - OUTLIER_SHARE) * np.diff(bounds, axis=0)
-        ratios = np.diff(shares / total, axis=0) * (1 - OUTLIER_SHARE)
+        total = _OUTLIER_SHARE / (n_levels + 1) - (1 - _OUTLIER_SHARE) * np.diff(bounds, axis=0)
+        ratios = np.diff(shares / total, axis=0) * (1 - _OUTLIER_SHARE)
         by_scaled = ratios * at_least * (1 - at_least)
         by_threshold = -by_scaled.sum(axis=1) / softness
         by_step = np.cumsum(by_threshold[::-1])[::-1]

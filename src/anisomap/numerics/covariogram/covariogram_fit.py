@@ -55,9 +55,7 @@ _BLOCK_TOLERANCE = 100
 # of contacts repeatable: on an insole, displacements of 1e-4 changed its Mantel r by .0009.
 _DISPLACEMENT, _BLOCK_DISPLACEMENT = 5e-5, 1e-3
 
-MAX_CURVATURE = 6001
-"""Number of coordinates from which factorising the curvature takes longer than it saves."""
-
+_MAX_CURVATURE = 6001  # coordinates from which factorising the curvature takes longer than it saves
 _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
 # Iterations with one curvature. With 30 or 40, a retina and Nao's torso took two thirds of the
 # time that they took with 20, and flat skins as long.
@@ -306,7 +304,7 @@ def minimise(
     found = Minimum(start, float(np.log(exponent)), np.inf, 0, converged=False, factor=factor)
     while not found.converged and found.iterations < options.max_iterations:
         steps = options.max_iterations - found.iterations
-        if start.size < MAX_CURVATURE:
+        if start.size < _MAX_CURVATURE:
             steps = min(_ROUND, steps)
             if near is None or found.iterations:
                 dtype = np.float32 if start.size >= _SINGLE else np.float64

@@ -16,9 +16,7 @@ from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.split_half import blended_correlation, split_blocks
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 
-_MIN_SIMILARITY = 1e-3
-"""Clipping of S before -log S, chosen by hand: smaller values are indistinguishable from 0."""
-
+_MIN_SIMILARITY = 1e-3  # before -log S, chosen by hand: smaller values are indistinguishable from 0
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
 _RIDGE = 0.1  # of the partial correlations; .03 to 1 give similar maps
 _SLACK = 1.2  # by which a link may be weaker than the best path over one other; up to 1.5 as good
@@ -63,7 +61,11 @@ def adjacency_graph(
     adjacent = _within(_separation(correlation), _MAX_STEP_RATIO)
     adjacent &= _within(_separation(np.asarray(changes)), _MAX_STEP_RATIO)
     if positions is not None:
-        points = _checked_positions(positions, values.shape[1])
+        points = np.asarray(positions, dtype=np.float64)
+        if points.ndim != 2 or len(points) != values.shape[1]:
+            raise InputError(
+                f"positions must have shape ({values.shape[1]}, k), got {points.shape}"
+            )
         adjacent &= _within(cdist(points, points), _MAX_MAP_STEP_RATIO)
     partial = partial_correlation(correlation, _RIDGE)
     adjacent &= partial > 0
@@ -98,7 +100,7 @@ def local_dimension(positions: ArrayLike) -> float:
 def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
     """Return the map distances of links i < j in row-major order, clipped above 0."""
     mask = np.asarray(adjacency, dtype=bool)
-    points = _checked_positions(positions, len(mask))
+    points = np.asarray(positions, dtype=np.float64)
     distances = cdist(points, points)
     smallest = max(NUMERICAL_ZERO * float(distances.max()), np.finfo(np.float64).tiny)
     return np.asarray(np.maximum(distances[np.triu(mask, 1)], smallest))
@@ -140,13 +142,6 @@ def _without_detours(adjacent: NDArray[np.bool_], partial: Reals) -> NDArray[np.
         detours = np.minimum(row, partial[others]).max(axis=1)
         kept[i, others] = _SLACK * row[others] >= detours
     return np.asarray(kept | kept.T)
-
-
-def _checked_positions(positions: ArrayLike, n_sensors: int) -> NDArray[np.float64]:
-    points = np.asarray(positions, dtype=np.float64)
-    if points.ndim != 2 or len(points) != n_sensors:
-        raise InputError(f"positions must have shape ({n_sensors}, k), got {points.shape}")
-    return points
 
 
 Matrix = NDArray[np.float64]

@@ -14,14 +14,9 @@ from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.precision import Reals, mirror, slices_of
 
-TILE_ROWS = 4
-"""Rows of tiles per task of `shortest_paths`; few enough for many threads."""
-
-TILE_MIDDLES = 2
-"""Blocks of nodes through which a tile is lowered at a time, while it is in the cache."""
-
-CACHE_LINE = 64
-"""Bytes of a cache line of current processors."""
+_TILE_ROWS = 4  # rows of tiles per task; few enough for many threads
+_TILE_MIDDLES = 2  # blocks of nodes through which a tile is lowered while it is in the cache
+_CACHE_LINE = 64  # bytes, of current processors
 
 
 def shortest_paths(lengths: Reals) -> Reals:
@@ -41,10 +36,10 @@ def shortest_paths(lengths: Reals) -> Reals:
         if part.shape != tile.shape:
             tile.fill(np.inf)
         tile[: len(part), : part.shape[1]] = part
-    shape = (TILE_MIDDLES, len(blocks), side, side)
+    shape = (_TILE_MIDDLES, len(blocks), side, side)
     outwards, inwards = _aligned(shape, lengths.dtype), _aligned(shape, lengths.dtype)
     with parallel_map(n_nodes) as map_threads:
-        for group in slices_of(len(blocks), TILE_MIDDLES):
+        for group in slices_of(len(blocks), _TILE_MIDDLES):
             middles = range(group.start, group.stop)
             for done, middle in enumerate(middles):
                 # Other tiles wait until the end of the group.
@@ -56,7 +51,7 @@ def shortest_paths(lengths: Reals) -> Reals:
             def lower(rows: slice, ways: tuple[Reals, Reals] = ways) -> None:
                 loops.lower_rows(tiles, *ways, (rows.start, rows.stop))
 
-            map_threads(lower, slices_of(len(blocks), TILE_ROWS))
+            map_threads(lower, slices_of(len(blocks), _TILE_ROWS))
     paths = np.empty_like(lengths)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
         part = tile[: rows.stop - rows.start, : columns.stop - columns.start]
@@ -68,8 +63,8 @@ def shortest_paths(lengths: Reals) -> Reals:
 def _aligned(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Reals:
     """Return an empty array that begins with a cache line, so that vectors do not cross its end."""
     n_bytes = dtype.itemsize * math.prod(shape)
-    memory = np.empty(n_bytes + CACHE_LINE, np.uint8)
-    first = -memory.ctypes.data % CACHE_LINE
+    memory = np.empty(n_bytes + _CACHE_LINE, np.uint8)
+    first = -memory.ctypes.data % _CACHE_LINE
     return memory[first : first + n_bytes].view(dtype).reshape(shape)
 
 

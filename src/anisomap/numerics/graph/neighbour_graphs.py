@@ -93,13 +93,11 @@ def smallest_connected_neighbour_graph(
     return _joined(values, enough), enough
 
 
-N_NEIGHBOURS = 8
-"""Neighbours of each sensor. On real skins, 6 to 20 give about equal maps."""
-
+_N_NEIGHBOURS = 8  # of each sensor; on real skins, 6 to 20 give about equal maps
 _CORRELATIONS = (1e-3, 1 - 1e-6)  # bounds that keep lengths finite and above 0
 
 
-def local_path_lengths(similarity: ArrayLike, n_neighbours: int = N_NEIGHBOURS) -> Reals:
+def local_path_lengths(similarity: ArrayLike, n_neighbours: int = _N_NEIGHBOURS) -> Reals:
     """Measure distances along a neighbour graph. similarity (N, N) -> (N, N), rounded as float32.
 
     An edge has length ``sqrt(-log s)``, the distance at which the correlation ``exp(-d^2)`` is s.

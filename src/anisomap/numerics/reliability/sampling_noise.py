@@ -199,16 +199,11 @@ On skins of 500 frames and more, the weakest link that was needed was at least 1
 strong; the strongest between skins touched independently mostly .8 to 1.2 times.
 """
 
-MIN_FILTERED_SENSORS = 500
-"""Number of sensors above which insignificant links of a component are removed; by hand."""
-
-MIN_LINK = 1.5
-"""Minimum strength of a significant link, relative to the strongest unrelated link; by hand."""
-
+_MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
+_MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unrelated one; by hand
 _GREATEST_R = 1 - 1e-6  # correlations of more than this are equal to it; float32 resolves 6e-8
 
-MAX_ROUNDS = 4
-"""Maximum number of rounds that remove links without shared neighbours; chosen by hand."""
+_MAX_ROUNDS = 4  # that remove links without shared neighbours; chosen by hand
 
 MIN_COVERED, MIN_LINKS = 0.95, 8
 """Minimum share of the sensors that significant links connect, and minimum median per sensor;
@@ -239,7 +234,7 @@ def remove_insignificant_links(
     if component.any():
         dissimilarity[np.not_equal.outer(component, component)] = np.inf
     correlation, noise = np.asarray(similarity), np.asarray(variance)
-    for label in np.flatnonzero(np.bincount(component) > MIN_FILTERED_SENSORS):
+    for label in np.flatnonzero(np.bincount(component) > _MIN_FILTERED_SENSORS):
         inside = ... if not component.any() else np.ix_(component == label, component == label)
         kept = significant_links(correlation[inside], noise[inside])
         np.fill_diagonal(kept, val=True)
@@ -281,7 +276,7 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
     n_pairs = n_sensors * (n_sensors - 1) // 2
-    strong = links >= MIN_LINK * _expected_maximum(n_pairs)
+    strong = links >= _MIN_LINK * _expected_maximum(n_pairs)
     np.fill_diagonal(strong, val=False)
     kept = links_with_shared_neighbours(strong)
     graph: Any = csr_array(kept)
@@ -299,7 +294,7 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
 def links_with_shared_neighbours(links: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Remove links between sensors with too few common neighbours, repeatedly."""
     kept = links
-    for _ in range(MAX_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         degree = np.count_nonzero(kept, axis=1)
         if float(np.vdot(degree, degree)) > MAX_PRODUCTS:
             return kept

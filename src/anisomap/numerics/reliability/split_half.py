@@ -48,12 +48,8 @@ def profile_agreement(
 N_BLOCKS = 20
 """Number of blocks of consecutive frames that form the two halves; chosen by hand."""
 
-MIN_FRAMES = 4
-"""Minimum number of frames for a reliability: 2 per half."""
-
-MIN_SENSORS = 3
-"""Minimum number of sensors for a reliability: a correlation over 3 pairs."""
-
+_MIN_FRAMES = 4  # for a reliability: 2 per half
+_MIN_SENSORS = 3  # for a reliability: a correlation over 3 pairs
 _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the reliability
 _ROUNDING = 1e-12  # relative, of a variance over pairs that is 0
 
@@ -84,7 +80,7 @@ def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
     """
     values = scale_extremes(readings)
     n_frames, n_sensors = values.shape
-    if n_frames < MIN_FRAMES:
+    if n_frames < _MIN_FRAMES:
         return moments(values).correlation(), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
     first, second = (moments(at_frames(values, half)) for half in split_blocks(n_frames))
@@ -95,7 +91,7 @@ def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
 
 def _agreement(first: Reals, second: Reals) -> float:
     """Correlate two symmetric matrices over the pairs of sensors; 0 if either is constant."""
-    if len(first) < MIN_SENSORS:
+    if len(first) < _MIN_SENSORS:
         return 0.0
     a, b = (squareform(one, checks=False).astype(np.float64) for one in (first, second))
     squares = a @ a, b @ b

@@ -24,14 +24,9 @@ Floats = NDArray[np.float64]
 COINCIDENT = 1e-150
 """Distance below which points coincide: the direction between them is rounding error."""
 
-N_PARTS = 16
-"""Number of parts of the pairs; fixed, so that sums do not depend on the number of threads."""
-
-SPATIAL = 3
-"""Number of coordinates of the faster loop; missing ones are 0."""
-
-FLOAT32_RANGE = 1e9
-"""Distances up to this, and down to its inverse, have squares within float32."""
+_N_PARTS = 16  # of the pairs; fixed, so that sums do not depend on the number of threads
+_SPATIAL = 3  # coordinates of the faster loop; missing ones are 0
+_FLOAT32_RANGE = 1e9  # distances up to this, and down to its inverse, have squares within float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +57,7 @@ class Problem:
         # The smallest maximum weight of a point is included: no point may lose all its weight.
         smallest = float(self.weights.max(axis=1).min(initial=1))
         extremes = [smallest, *(float(m.max(initial=0)) for m in (self.targets, self.weights))]
-        if not all(1 / FLOAT32_RANGE < extreme < FLOAT32_RANGE for extreme in extremes):
+        if not all(1 / _FLOAT32_RANGE < extreme < _FLOAT32_RANGE for extreme in extremes):
             return None
         return Problem(
             self.targets.astype(np.float32, copy=False),
@@ -110,16 +105,16 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
     loops = load_loops("stress")
     with parallel_map(n_points) as map_threads:
         # Row i has N - 1 - i pairs; parts have about equal numbers of pairs, and even first rows.
-        cuts = n_points * (1 - np.sqrt(1 - np.arange(N_PARTS + 1) / N_PARTS))
+        cuts = n_points * (1 - np.sqrt(1 - np.arange(_N_PARTS + 1) / _N_PARTS))
         edges = (2 * np.round(cuts / 2)).astype(int).tolist()
         edges[-1] = n_points
 
         def compiled_stress(positions: Floats) -> tuple[float, Floats]:
             n_axes = positions.shape[1]
-            points = np.zeros((max(n_axes, SPATIAL), n_points), np.float32 if single else float)
+            points = np.zeros((max(n_axes, _SPATIAL), n_points), np.float32 if single else float)
             points[:n_axes] = positions.T
-            add_stress = loops.add_spatial_stress if n_axes <= SPATIAL else loops.add_stress
-            slopes = np.zeros((N_PARTS, *points.shape), points.dtype)
+            add_stress = loops.add_spatial_stress if n_axes <= _SPATIAL else loops.add_stress
+            slopes = np.zeros((_N_PARTS, *points.shape), points.dtype)
 
             def add(part: int) -> float:
                 rows = (edges[part], edges[part + 1])
@@ -127,7 +122,7 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
                     add_stress(points, problem.targets, problem.weights, rows, slopes[part])
                 )
 
-            raw = sum(map_threads(add, range(N_PARTS)))
+            raw = sum(map_threads(add, range(_N_PARTS)))
             slope = np.zeros((n_points, n_axes))
             for first, part in zip(edges[:-1], slopes, strict=True):
                 slope[first:] += part[:n_axes, first:].T  # earlier points are in earlier parts
@@ -159,11 +154,8 @@ def plain_stress(
     return raw, 2 * (sums[:, k:] * positions - sums[:, :k])
 
 
-CONVERGENCE_STEPS = 3
-"""Number of steps over which the decrease is tested, since single steps may be short."""
-
-NEGLIGIBLE = 1e-30
-"""Share of the squared distances below which raw stress is rounding error, (1e-15)^2."""
+_CONVERGENCE_STEPS = 3  # over which the decrease is tested, since single steps may be short
+_NEGLIGIBLE = 1e-30  # share of the squared distances below which raw stress is rounding, (1e-15)^2
 
 
 class SolverResult(NamedTuple):
@@ -190,7 +182,7 @@ def minimise_lbfgs(
     """
     raw, gradient = stress(start)
     trace = [raw]
-    minimal = raw <= NEGLIGIBLE * squares or not gradient.any()
+    minimal = raw <= _NEGLIGIBLE * squares or not gradient.any()
     if minimal or max_iterations == 0:
         return SolverResult(start, trace, minimal)
     root = np.sqrt(scale)
@@ -202,8 +194,8 @@ def minimise_lbfgs(
         return raw / step**2, (gradient / root / step**2).ravel()
 
     def is_minimal() -> bool:
-        before = trace[-1 - CONVERGENCE_STEPS] if len(trace) > CONVERGENCE_STEPS else np.inf
-        return trace[-1] <= NEGLIGIBLE * squares or before - trace[-1] <= tolerance * trace[-1]
+        before = trace[-1 - _CONVERGENCE_STEPS] if len(trace) > _CONVERGENCE_STEPS else np.inf
+        return trace[-1] <= _NEGLIGIBLE * squares or before - trace[-1] <= tolerance * trace[-1]
 
     def check(intermediate_result: OptimizeResult) -> None:
         trace.append(float(intermediate_result.fun) * step**2)
@@ -227,8 +219,7 @@ def minimise_lbfgs(
 MAX_BOTH = 100
 """Maximum number of points for which both solvers run: both are fast, and minima are many."""
 
-FLOAT32_TOLERANCE = 1e-7
-"""Minimum tolerance in float32, where sums over many pairs have a relative error of 1e-8."""
+_FLOAT32_TOLERANCE = 1e-7  # at least, where sums over many pairs have a relative error of 1e-8
 
 MIN_LARGE = 1000
 """Number of points from which the choice of solver stops at `LARGE_TOLERANCE`."""
@@ -252,7 +243,7 @@ def minimise_auto(
     if coarse is None:
         return lbfgs(problem, start, tolerance, max_iterations)
     large = len(start) >= MIN_LARGE
-    least = max(tolerance, LARGE_TOLERANCE if large else FLOAT32_TOLERANCE)
+    least = max(tolerance, LARGE_TOLERANCE if large else _FLOAT32_TOLERANCE)
     first = lbfgs(coarse, start, least, max_iterations, single=True)
     left = 0 if large else max_iterations + 1 - len(first.trace)
     second = lbfgs(problem, first.positions, tolerance, left)
@@ -293,7 +284,7 @@ def majorise(
     Half the gradient is ``V X - B(X) X``, so that a transform subtracts ``V^+`` times it.
     """
     solve = _laplacian_solver(problem)
-    negligible = NEGLIGIBLE * problem.weighted_squares()
+    negligible = _NEGLIGIBLE * problem.weighted_squares()
     with objective(problem) as stress:
         positions = start
         raw, gradient = stress(start)

@@ -23,9 +23,7 @@ from anisomap.numerics.columns import columns
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
 
-MAX_BINS = 1024
-"""Maximum number of bins; the joint counts of more need over a million frames."""
-
+_MAX_BINS = 1024  # the joint counts of more need over a million frames
 _SENSORS_AT_ONCE = 64  # written at a time
 _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit in int64
 
@@ -44,8 +42,8 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
 def _checked(bins: int) -> int:
     if bins < 2:
         raise InputError(f"bins must be at least 2, got {bins}")
-    if bins > MAX_BINS:
-        raise InputError(f"bins must be at most {MAX_BINS}, got {bins}")
+    if bins > _MAX_BINS:
+        raise InputError(f"bins must be at most {_MAX_BINS}, got {bins}")
     return bins
 
 
@@ -261,7 +259,7 @@ class Recoding:
         """Recode readings of shape (T, N)."""
         array = np.asarray(readings)
         recoded = np.empty(array.shape, dtype=self.outcomes[0].dtype)
-        if _is_byte(array.dtype):
+        if array.dtype.kind in "biu" and array.dtype.itemsize == 1:
             self._look_up(array, recoded)
             return recoded
         for sensor, column in enumerate(array.T):
@@ -280,10 +278,6 @@ class Recoding:
     def _of_sensor(self, sensor: int, column: NDArray[Any]) -> NDArray[Any]:
         where = np.searchsorted(self.starts[sensor], column.astype(np.float64), side="right")
         return np.asarray(self.outcomes[sensor][where])
-
-
-def _is_byte(dtype: np.dtype[Any]) -> bool:
-    return dtype.kind in "biu" and dtype.itemsize == 1
 
 
 def _round_to(

@@ -133,7 +133,7 @@ def joint_logarithms(
     n_frames, n_sensors = codes.shape
     counts = code_counts(codes, n_codes)
     layout = Layout.of(counts)
-    marginals = _marginals(counts, layout)
+    marginals = counts[layout.position >= 0]
     tallies = layout.first, marginals, _n_log_n(np.arange(n_frames + 1))
     joint = np.zeros((n_sensors, n_sensors))
     sum_logarithms = load_loops("similarity").sum_logarithms
@@ -195,11 +195,6 @@ def _indicators(codes: Codes, layout: Layout) -> NDArray[np.float32]:
         exists = position >= 0
         on[:, position[exists]] = codes[:, exists] == code
     return on
-
-
-def _marginals(counts: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
-    """Select the counts of series, shape (M,), from those of codes, shape (N, b)."""
-    return np.asarray(counts[layout.position >= 0])
 
 
 def _for_each_panel(

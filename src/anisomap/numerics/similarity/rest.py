@@ -12,15 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import columns, mean_ranks, transposed
 
-MIN_REST_SHARE = 0.1
-"""Minimum share of the frames at one value for this value to be the rest; chosen by hand."""
-
-NOISE_QUANTILE = 0.99
-"""Quantile of the deviations opposite to contact that counts as noise; 2.6 sigma if normal."""
-
-MIN_CONTACT_RATIO = 2.0
-"""Minimum ratio of the deviations on the side of contact to noise; chosen by hand."""
-
+_MIN_REST_SHARE = 0.1  # of the frames at one value for this value to be the rest; chosen by hand
+_NOISE_QUANTILE = 0.99  # of deviations opposite to contact that count as noise; 2.6 sigma if normal
+_MIN_CONTACT_RATIO = 2.0  # of deviations on the side of contact to noise; chosen by hand
 _MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 _SENSORS_AT_ONCE = 32  # whose readings are sorted
@@ -102,7 +96,7 @@ class Rest:
 class Levels:
     """Levels of each of N sensors, arrays of shape (N,).
 
-    frequent: Whether one value holds `MIN_REST_SHARE` of the frames, and at least two frames.
+    frequent: Whether one value holds `_MIN_REST_SHARE` of the frames, and at least two frames.
     distinct: Number of distinct readings, of a sample of very many.
     """
 
@@ -193,9 +187,9 @@ def _of_continuous(ordered: NDArray[Any]) -> NDArray[np.float64]:
     n_below = np.count_nonzero(ordered <= lower[:, None], axis=1)
     n_least = np.count_nonzero(ordered < upper[:, None], axis=1)
     downwards = -_quantile(
-        ordered, n_below, NOISE_QUANTILE, first=n_below - 1, step=-1, origin=value
+        ordered, n_below, _NOISE_QUANTILE, first=n_below - 1, step=-1, origin=value
     )
-    upwards = _quantile(ordered, frames - n_least, NOISE_QUANTILE, first=n_least, origin=value)
+    upwards = _quantile(ordered, frames - n_least, _NOISE_QUANTILE, first=n_least, origin=value)
     total = ordered.sum(axis=1, dtype=np.float64) - n_frames * value
     return _of_deviations(value, total, downwards, upwards)
 
@@ -232,7 +226,7 @@ def _of_deviations(
     """
     falls = total < 0
     noise, contact = np.where(falls, (upwards, downwards), (downwards, upwards))
-    known = contact >= MIN_CONTACT_RATIO * noise
+    known = contact >= _MIN_CONTACT_RATIO * noise
     side = np.where(falls & known, -1.0, 1.0)
     return np.stack([value, side, np.where(known, noise, 0), known])
 
@@ -243,7 +237,7 @@ def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
     ordered (n, t): Readings in random frames, ordered.
     """
     found = np.zeros((6, len(rows)))
-    some = math.ceil(MIN_REST_SHARE / 2 * ordered.shape[1])
+    some = math.ceil(_MIN_REST_SHARE / 2 * ordered.shape[1])
     perhaps_frequent = (ordered[:, some:] == ordered[:, :-some]).any(axis=1)
     selected: dict[int, tuple[float, ...]] = {}
     for i, row in enumerate(rows):
@@ -271,7 +265,7 @@ def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | N
     def enclosed(share: float) -> int:
         return math.ceil(size * share + _WIDTHS * math.sqrt(size * share))
 
-    width, tail = enclosed(0.25) - size // 4, enclosed((1 - NOISE_QUANTILE) / 2)
+    width, tail = enclosed(0.25) - size // 4, enclosed((1 - _NOISE_QUANTILE) / 2)
     low, high = ordered[size // 2 - width], ordered[size // 2 + width]
     n_lower = np.count_nonzero(row < low)
     middle = np.sort(row[(row >= low) & (row <= high)]).astype(np.float64)
@@ -287,7 +281,7 @@ def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | N
     for end, centre, count in zip(
         ends, (value, -value), (n_below, n_frames - n_least), strict=True
     ):
-        place = NOISE_QUANTILE * (count - 1)
+        place = _NOISE_QUANTILE * (count - 1)
         at = count - 1 - int(place)
         if at >= end.size:
             return None
@@ -299,7 +293,7 @@ def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | N
 
 def _least_frequent(n_frames: int) -> float:
     """Return the minimum number of frames in which a frequent reading occurs."""
-    return max(2.0, MIN_REST_SHARE * n_frames)
+    return max(2.0, _MIN_REST_SHARE * n_frames)
 
 
 def ranks_of_depths(
@@ -361,8 +355,8 @@ def _rest_of(
     side = -1.0 if (counts * (values - value)).sum() < 0 else 1.0
     beyond = side * (values - value)
     quiet, touched = beyond <= 0, beyond >= 0
-    noise = quantile_from_counts(-beyond[quiet], counts[quiet], NOISE_QUANTILE)
-    contact = quantile_from_counts(beyond[touched], counts[touched], NOISE_QUANTILE)
-    if not rests and contact < MIN_CONTACT_RATIO * noise:
+    noise = quantile_from_counts(-beyond[quiet], counts[quiet], _NOISE_QUANTILE)
+    contact = quantile_from_counts(beyond[touched], counts[touched], _NOISE_QUANTILE)
+    if not rests and contact < _MIN_CONTACT_RATIO * noise:
         return float(value), 1.0, 0.0, False
     return float(value), side, noise, True
