@@ -24,7 +24,6 @@ from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covar
 from anisomap.numerics.geodesic.adjacency import (
     adjacency_graph,
     fit_path_lengths,
-    local_dimension,
     refine_by_even_spacing,
 )
 from anisomap.numerics.geodesic.contact_heights import (
@@ -34,6 +33,7 @@ from anisomap.numerics.geodesic.contact_heights import (
     peak_lengths,
 )
 from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
+from anisomap.numerics.neighbours import local_dimension
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import typical_variance

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
-from anisomap.large.landmark_mds import (
+from anisomap.large.approximation import (
     Targets,
     paths_from,
     place_component,

@@ -20,16 +20,14 @@ from anisomap.errors import InputError, import_extra
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.precision import float_type, slices_of
 from anisomap.numerics.scaling.multidimensional_scaling import (
-    Scaling,
-    SmacofOptions,
-    classical_scaling,
-    smacof,
-)
-from anisomap.numerics.scaling.stress_solvers import (
     COINCIDENT,
     LARGE_TOLERANCE,
     MIN_LARGE,
+    Scaling,
+    SmacofOptions,
+    classical_scaling,
     minimise_lbfgs,
+    smacof,
 )
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 
@@ -300,7 +298,7 @@ def _classical_scaling(
 def _raw_stress(
     xp: Any, targets: Array
 ) -> Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]:
-    """Return the raw stress of positions (N, k) and its gradient: `stress_solvers.objective`."""
+    """Return the raw stress of positions (N, k) and its gradient, as `objective` of smacof."""
 
     def raw_stress(positions: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         n_axes = positions.shape[1]

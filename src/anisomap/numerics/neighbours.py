@@ -12,6 +12,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+_N_NEAREST = 16  # of `local_dimension`; 12 gave a smaller margin
+
 
 def nearest_others(
     points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
@@ -34,6 +36,22 @@ def nearest_others(
 def nearest_distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance of each of at least 2 points to the nearest other one, shape (n,)."""
     return nearest_others(points, 1)[0][:, 0]
+
+
+def local_dimension(points: NDArray[np.floating[Any]]) -> float:
+    """Estimate the dimension of a set of points, (n, k): about 1 on a curve, 2 on a surface.
+
+    Levina & Bickel 2004, Advances in Neural Information Processing Systems 17, eq. 8, with the mean
+    taken before the reciprocal (MacKay & Ghahramani 2005).
+    """
+    if len(points) < 2 * _N_NEAREST:
+        return float("nan")
+    nearest = np.sort(cdist(points, points), axis=1)[:, 1 : _N_NEAREST + 1]
+    nearest = nearest[nearest[:, 0] > 0]
+    if len(nearest) < 2 * _N_NEAREST:
+        return float("nan")
+    mean_log = float(np.mean(np.log(nearest[:, -1:] / nearest[:, :-1])))
+    return 1 / mean_log if mean_log > 0 else float("nan")
 
 
 def padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:

@@ -10,7 +10,6 @@ from scipy.stats import rankdata
 
 from anisomap import Recording
 from anisomap.evidence import compare
-from anisomap.numerics.geodesic.adjacency import local_dimension
 from anisomap.numerics.geodesic.contact_heights import (
     MIN_PEAKS,
     ContactHeights,
@@ -20,6 +19,7 @@ from anisomap.numerics.geodesic.contact_heights import (
     height_links,
     peak_lengths,
 )
+from anisomap.numerics.neighbours import local_dimension
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.options import MethodOptions
 from anisomap.refinements import by_heights

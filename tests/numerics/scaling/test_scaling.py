@@ -19,16 +19,14 @@ from anisomap.evaluation import align
 from anisomap.numerics.compiled.parallel import MIN_PARALLEL_ROWS
 from anisomap.numerics.scaling.multidimensional_scaling import (
     DENSE_LIMIT,
-    SmacofOptions,
-    smacof,
-    torgerson,
-)
-from anisomap.numerics.scaling.stress_solvers import (
     MAX_BOTH,
     SOLVERS,
     Problem,
+    SmacofOptions,
     objective,
     plain_stress,
+    smacof,
+    torgerson,
 )
 from skins import lattice
 

@@ -23,7 +23,6 @@ _SLACK = 1.2  # by which a link may be weaker than the best path over one other;
 # Maximum separation of neighbours over the longest step of the best path between them, in readings
 # and on a map, whose short distances are less reliable.
 _MAX_STEP_RATIO, _MAX_MAP_STEP_RATIO = 1.3, 1.7
-_N_NEAREST = 16  # neighbours, of `local_dimension`; 12 gave a smaller margin
 _MIN_SENSORS = 3  # three pairs, the fewest that correlate
 
 
@@ -78,23 +77,6 @@ def adjacency_graph(
 def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
     """Measure the spread of the distances between neighbours on a map. positions (N, k)."""
     return float(np.log(edge_distances(positions, adjacency)).std())
-
-
-def local_dimension(positions: ArrayLike) -> float:
-    """Estimate the dimension of the set of sensors, (N, k): about 1 on a curve, 2 on a surface.
-
-    Levina & Bickel 2004, Advances in Neural Information Processing Systems 17, eq. 8, with the mean
-    taken before the reciprocal (MacKay & Ghahramani 2005).
-    """
-    points = np.asarray(positions, dtype=np.float64)
-    if len(points) < 2 * _N_NEAREST:
-        return float("nan")
-    nearest = np.sort(cdist(points, points), axis=1)[:, 1 : _N_NEAREST + 1]
-    nearest = nearest[nearest[:, 0] > 0]
-    if len(nearest) < 2 * _N_NEAREST:
-        return float("nan")
-    mean_log = float(np.mean(np.log(nearest[:, -1:] / nearest[:, :-1])))
-    return 1 / mean_log if mean_log > 0 else float("nan")
 
 
 def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
