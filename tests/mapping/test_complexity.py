@@ -37,32 +37,15 @@ def test_few_steps_of_lbfgs_reach_the_minimum(metrics):
 
 
 @cache
-def laid_out(n_sensors, bins):
-    codes = maximum_entropy_codes(rubbed_skin(n_sensors, 2000)[0], bins)
-    counts = co_occurrence.code_counts(codes, int(codes.max()) + 1)
-    return codes, co_occurrence.Layout.of(counts)
-
-
 def meetings(n_sensors, bins):
     """Count pairs of sensors that are on in the same frame."""
-    codes, layout = laid_out(n_sensors, bins)
+    codes = maximum_entropy_codes(rubbed_skin(n_sensors, 2000)[0], bins)
+    layout = co_occurrence.Layout.of(co_occurrence.code_counts(codes, int(codes.max()) + 1))
     on = np.count_nonzero(codes != layout.reference, axis=1)
     return float((on.astype(np.float64) ** 2).sum())
-
-
-def pairs_of_series(n_sensors, bins):
-    _, layout = laid_out(n_sensors, bins)
-    return float(layout.n_series) ** 2 / 2
 
 
 def test_where_few_sensors_are_on_bins_cost_nothing():
     assert meetings(100, 2) == meetings(100, 4) == meetings(100, 8)
     sizes = (100, 200, 400)
     assert growth_exponent(sizes, [meetings(n, 4) for n in sizes]) == pytest.approx(2, abs=0.2)
-
-
-def test_pairs_of_series_grow_with_the_squares_of_bins_and_of_sensors():
-    two_bins = pairs_of_series(100, 2)
-    assert [pairs_of_series(100, bins) / two_bins for bins in (2, 4, 8)] == [1, 9, 49]
-    sizes = (100, 200, 400)
-    assert growth_exponent(sizes, [pairs_of_series(n, 4) for n in sizes]) == pytest.approx(2)

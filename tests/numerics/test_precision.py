@@ -15,7 +15,7 @@ from anisomap.numerics.graph.dissimilarity import (
     partial_correlation,
     regularised_reciprocal,
 )
-from anisomap.numerics.graph.metric import metricise, shortest_paths
+from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import is_symmetric, mirror
 from anisomap.numerics.reliability.sampling_noise import significant_components
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
@@ -69,14 +69,6 @@ def test_dissimilarities_keep_the_precision(stage, readings):
     assert (double.dtype, single.dtype) == (np.float64, np.float32)
     assert (single == single.T).all()
     np.testing.assert_allclose(single, double, rtol=1e-3, atol=1e-5)
-
-
-def test_shortest_paths_keep_the_precision(readings):
-    lengths = regularised_reciprocal(pearson(readings))
-    coarse = lengths.astype(np.float32)
-    single = shortest_paths(coarse)
-    assert single.dtype == np.float32
-    np.testing.assert_allclose(single, metricise(lengths), rtol=1e-5)
 
 
 @pytest.mark.parametrize("size", [60, 300])  # dense and iterative eigensolver

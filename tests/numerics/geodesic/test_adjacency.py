@@ -114,15 +114,6 @@ def test_halves_of_noise_or_of_few_frames_do_not_agree():
     assert split_half_agreement(silent) == 0
 
 
-@pytest.mark.parametrize(
-    ("readings", "positions"),
-    [(np.ones((2, 5)), None), (np.ones((9, 1)), None), (np.eye(9), np.ones((3, 2)))],
-)
-def test_mismatched_shapes_are_refused(readings, positions):
-    with pytest.raises(InputError, match="shape"):
-        adjacency_graph(readings, positions)
-
-
 def grid(rows=6, columns=7):
     """A square lattice, which unlike a triangular one offers no detour around a long link."""
     return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2) * 1.0

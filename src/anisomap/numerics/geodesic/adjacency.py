@@ -8,7 +8,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial.distance import cdist
 
-from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.neighbours import spanning_tree
@@ -17,7 +16,7 @@ from anisomap.numerics.reliability.split_half import blended_correlation, split_
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 
 _MIN_SIMILARITY = 1e-3  # before -log S, chosen by hand: smaller values are indistinguishable from 0
-_MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
+_MIN_FRAMES = 6  # two differences between frames in each half, the fewest that correlate
 _RIDGE = 0.1  # of the partial correlations; .03 to 1 give similar maps
 _SLACK = 1.2  # by which a link may be weaker than the best path over one other; up to 1.5 as good
 # Maximum separation of neighbours over the longest step of the best path between them, in readings
@@ -49,11 +48,6 @@ def adjacency_graph(
     or if they are linked in the maximum spanning tree of the link strengths.
     """
     values = np.asarray(readings)
-    if values.ndim != 2 or len(values) < _MIN_FRAMES or values.shape[1] < 2:
-        raise InputError(
-            f"a neighbour graph needs at least {_MIN_FRAMES} frames of at least 2 sensors, "
-            f"got readings of shape {values.shape}"
-        )
     correlation = blended_correlation(values) if similarity is None else np.asarray(similarity)
     if changes is None:
         changes = blended_correlation(np.diff(values.astype(np.float64, copy=False), axis=0))
@@ -61,10 +55,6 @@ def adjacency_graph(
     adjacent &= _within(_separation(np.asarray(changes)), _MAX_STEP_RATIO)
     if positions is not None:
         points = np.asarray(positions, dtype=np.float64)
-        if points.ndim != 2 or len(points) != values.shape[1]:
-            raise InputError(
-                f"positions must have shape ({values.shape[1]}, k), got {points.shape}"
-            )
         adjacent &= _within(cdist(points, points), _MAX_MAP_STEP_RATIO)
     partial = partial_correlation(correlation, _RIDGE)
     adjacent &= partial > 0
@@ -91,7 +81,7 @@ def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> NDArray[np.flo
 def split_half_agreement(readings: ArrayLike, positions: ArrayLike | None = None) -> float:
     """Correlate the neighbour graphs of the two halves of a recording. readings (T, N)."""
     values = np.asarray(readings)
-    if len(values) < 2 * _MIN_FRAMES:
+    if len(values) < _MIN_FRAMES:
         return 0.0
     halves = [values[frames] for frames in split_blocks(len(values))]
     varying = np.all([(half != half[0]).any(axis=0) for half in halves], axis=0)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
     limited_blas,
@@ -47,8 +46,6 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
 
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:
     """Link every object to the most similar ones. similarity (N, N)."""
-    if n_neighbours < 1:
-        raise InputError(f"n_neighbours must be at least 1, got {n_neighbours}")
     values = as_symmetric(similarity, "similarity")
     np.fill_diagonal(values, -np.inf)
     return _joined(values, n_neighbours)

@@ -396,7 +396,7 @@ def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
     n_frames, n_sensors = readings.shape
     some = readings[:: -(-n_frames // _MAX_FRAMES), :: -(-n_sensors // _MAX_SAMPLED)]
     varying = some[:, (some != some[0]).any(axis=0)]
-    share = common_share(pearson(varying)) if varying.shape[1] >= _MIN_SENSORS else 0.0
+    share = common_share(pearson(varying))
     if share == 0:
         return readings, 0.0
     values = scale_extremes(readings).astype(np.float64)
