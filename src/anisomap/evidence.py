@@ -246,11 +246,11 @@ def compare(
     statistic = SIMILARITIES[similarity]
     if not sensors_differ(runs):
         readings = _joined(runs, runs[0].names)
-        if statistic.shared is not None and not with_noise and len(runs) == 1:
-            found = statistic.shared(runs[0].signals)
-            return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)
         if not with_noise:
-            found = statistic.compute(statistic.referred(readings)[0], bins)
+            if statistic.shared is not None and len(runs) == 1:
+                found = statistic.shared(runs[0].signals)
+            else:
+                found = statistic.compute(statistic.referred(readings)[0], bins)
             return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)
         step = thinning(readings)
         readings, share = statistic.referred(readings[::step])

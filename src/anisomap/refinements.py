@@ -95,25 +95,9 @@ class RefinedMap:
     """
 
     positions: Reals
-    precision: float = 0.0
-    proposals: Mapping[str, Proposal] = field(default_factory=dict)
-    weights: Mapping[str, float] = field(default_factory=dict)
-
-    def combined(self, name: str, proposal: Proposal) -> RefinedMap:
-        """Average with a proposal, weighted by precision."""
-        precision = self.precision + proposal.precision
-        weight = proposal.precision / precision if 0 < proposal.precision < EXACT else 0.0
-        if proposal.precision == EXACT:
-            weight = 1.0
-        moved = proposal.positions if weight == 1 else self.positions
-        if 0 < weight < 1:
-            moved = (1 - weight) * self.positions + weight * proposal.positions
-        return RefinedMap(
-            np.asarray(moved),
-            precision,
-            {**self.proposals, name: proposal},
-            {**self.weights, name: weight},
-        )
+    precision: float
+    proposals: Mapping[str, Proposal]
+    weights: Mapping[str, float]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -148,16 +132,30 @@ def refine(
     steps: Mapping[str, Step],
     options: MethodOptions,
 ) -> RefinedMap:
-    """Pass a map through the steps of a method. metric (n, n), positions (n, k)."""
-    refined = RefinedMap(positions)
+    """Average a map with the proposals of the steps of a method, weighted by precision.
+
+    metric (n, n), positions (n, k).
+    """
+    precision = 0.0
+    proposals: dict[str, Proposal] = {}
+    weights: dict[str, float] = {}
     for name, step in steps.items():
-        if refined.precision == EXACT:
+        proposal = step(pairs, metric, positions, options)
+        if proposal is None:
+            continue
+        precision += proposal.precision
+        weight = 1.0 if precision == EXACT else 0.0
+        if 0 < proposal.precision < EXACT:
+            weight = proposal.precision / precision
+        if weight == 1:
+            positions = proposal.positions
+        elif weight > 0:
+            positions = (1 - weight) * positions + weight * proposal.positions
+        logger.debug("%s has weight %.2f", name, weight)
+        proposals[name], weights[name] = proposal, weight
+        if precision == EXACT:
             break
-        proposal = step(pairs, metric, refined.positions, options)
-        if proposal is not None:
-            refined = refined.combined(name, proposal)
-            logger.debug("%s has weight %.2f", name, refined.weights[name])
-    return refined
+    return RefinedMap(positions, precision, proposals, weights)
 
 
 def by_covariogram(
