@@ -7,10 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist
 from scipy.stats import ortho_group
 
-from anisomap import Recording, SensorMap, io, reconstruct, score
+from anisomap import Recording, SensorMap, io, mantel, reconstruct, score
 from anisomap.errors import AnisomapWarning
 from anisomap.evidence import compare
 from anisomap.mapping import dissimilarities
@@ -110,7 +109,7 @@ def mantel_r(sensor_map: SensorMap, recording: Recording) -> float:
 
 def likeness(found: NDArray[np.float64], places: NDArray[np.float64]) -> float:
     """Return the Mantel r of two arrays of positions."""
-    return float(np.corrcoef(pdist(found), pdist(places))[0, 1])
+    return mantel(found, places, permutations=0).r
 
 
 def triangles(columns: int = 4, rows: int = 2) -> NDArray[np.float64]:

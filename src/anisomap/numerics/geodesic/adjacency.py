@@ -120,8 +120,6 @@ Matrix = NDArray[np.float64]
 
 _MIN_PATH = 0.3  # typical links; bounds the largest weight. Chosen by hand
 _SCALE_ITERATIONS = 3  # alternations between positions and the scale of the guide; chosen by hand
-
-
 _POWER = 6.0  # weight H^-p of a path of length H; 4 to 8 give similar maps
 _GUIDE_WEIGHT = 0.003
 _MIN_AGREEMENT = 0.5  # of halves, at which the graph replaces a rejected map

@@ -202,7 +202,6 @@ strong; the strongest between skins touched independently mostly .8 to 1.2 times
 _MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
 _MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unrelated one; by hand
 _GREATEST_R = 1 - 1e-6  # correlations of more than this are equal to it; float32 resolves 6e-8
-
 _MAX_ROUNDS = 4  # that remove links without shared neighbours; chosen by hand
 
 MIN_COVERED, MIN_LINKS = 0.95, 8

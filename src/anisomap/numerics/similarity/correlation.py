@@ -372,10 +372,9 @@ _MAX_FRAMES, _MAX_SAMPLED = 4000, 250  # evenly spaced, that show the common sig
 def common_share(correlation: Reals) -> float:
     """Return how much of the variance of the mean over sensors is a common signal, in [0, 1].
 
-    The mean over standardised sensors has the variance ``mean(r)``, over all pairs. If all share a
-    signal of variance c, and others are local, distant pairs have the correlation c, which the
-    lower quartile of r estimates: contacts as wide as half of the skin leave a quarter of the pairs
-    apart.
+    It is ``c / mean(r)``, over all pairs. If all standardised sensors share a signal of variance c,
+    and others are local, distant pairs have the correlation c, which the lower quartile of r
+    estimates: contacts as wide as half of the skin leave a quarter of the pairs apart.
     """
     if len(correlation) < _MIN_SENSORS:
         return 0.0
