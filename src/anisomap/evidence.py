@@ -263,14 +263,12 @@ def compare(
         readings, _ = statistic.referred(_joined(chosen, tuple(names[i] for i in sensors)))
         inside = np.ix_(sensors, sensors)
         in_group = shared[inside] == runs_of_pair
-        found, variance = (
-            statistic.with_variance(readings, bins)
-            if with_noise
-            else (statistic.compute(readings, bins), np.nan)
-        )
-        values[inside] = np.where(in_group, found, values[inside])
         if with_noise:
+            found, variance = statistic.with_variance(readings, bins)
             noise[inside] = np.where(in_group, variance, noise[inside])
+        else:
+            found = statistic.compute(readings, bins)
+        values[inside] = np.where(in_group, found, values[inside])
     return PairStatistics.from_similarity(
         values, noise=noise, known=shared > 0, statistic=similarity
     )
