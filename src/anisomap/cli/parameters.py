@@ -1,6 +1,7 @@
 """Options that several commands share.
 
-The library is imported when a command runs, so that help pages and errors of options take .2 s.
+What packages of the library contain is imported when a command runs, so that help pages and errors
+of options take .2 s: `io`, `placement` and `drawing` import their content on first use.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Group, Parameter, Token
 from cyclopts.help import DefaultFormatter, HelpPanel
@@ -17,16 +18,13 @@ from cyclopts.validators import Number
 from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
+import anisomap
+from anisomap import io, placement
 from anisomap.base.wording import join_items, printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.cli.console import console as terminal
 from anisomap.errors import FileError, InputError
 from anisomap.usability import LEVELS
-
-if TYPE_CHECKING:
-    from anisomap.dimensions import Dimensions
-    from anisomap.io import ReadOptions
-    from anisomap.sensor_map import SensorMap
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
@@ -95,13 +93,13 @@ class ReadingOptions:
         """The files that are read beside the recording, which no output may overwrite."""
         return [*self.msg, *([self.positions] if self.positions else [])]
 
-    def checked(self) -> ReadOptions:
+    def checked(self) -> io.ReadOptions:
         """Convert to the options of the library."""
         grid = _rows_and_columns(self.grid) if self.grid else None
         bin_s = _seconds(self.bin_width) if self.bin_width else None
-        from anisomap.io import ReadOptions
-
-        return ReadOptions(self.select, grid, tuple(self.msg), self.preset, self.positions, bin_s)
+        return io.ReadOptions(
+            self.select, grid, tuple(self.msg), self.preset, self.positions, bin_s
+        )
 
 
 DEFAULT_READING = ReadingOptions()
@@ -139,27 +137,23 @@ class PlacingOptions:
 
     def check(self, outputs: Iterable[Path], units: str = "", *, hint: str = _GIVE_SPACING) -> None:
         """Check, before the map is computed, that the outputs can be written."""
-        from anisomap import io
-        from anisomap.placement import METRES
-
         if self.spacing:
             doubt_spacing(self.spacing)
             return
         for path in outputs:
-            if io.needs_scale(path) and units not in METRES:
+            if io.needs_scale(path) and units not in placement.METRES:
                 raise InputError(
                     f"cannot write {path}: its format is in metres, but the map has no scale; "
                     f"{hint}"
                 )
 
-    def applied(self, sensor_map: SensorMap) -> SensorMap:
+    def applied(self, sensor_map: anisomap.SensorMap) -> anisomap.SensorMap:
         """Apply the options to a map."""
-        from anisomap.placement import mirrored, parse_length, scaled_to_spacing
-
         if self.mirror:
-            sensor_map = mirrored(sensor_map)
+            sensor_map = placement.mirrored(sensor_map)
         if self.spacing:
-            sensor_map = scaled_to_spacing(sensor_map, *parse_length(self.spacing))
+            length = placement.parse_length(self.spacing)
+            sensor_map = placement.scaled_to_spacing(sensor_map, *length)
         if self.frame:
             sensor_map = replace(sensor_map, frame=self.frame)
         return sensor_map
@@ -173,10 +167,8 @@ _SMALLEST, _LARGEST = 1e-4, 0.5  # metres; no skin has smaller or larger spacing
 
 def doubt_spacing(text: str) -> None:
     """Warn of a spacing of sensors that no skin has."""
-    from anisomap.placement import METRES, parse_length
-
-    value, unit = parse_length(text)
-    if not _SMALLEST <= value * METRES[unit] <= _LARGEST:
+    value, unit = placement.parse_length(text)
+    if not _SMALLEST <= value * placement.METRES[unit] <= _LARGEST:
         print_warning(
             f"a spacing of {text} is unlikely: sensors of skins are between "
             f"{_SMALLEST * 1e3:g} mm and {_LARGEST:g} m apart; check its unit"
@@ -257,7 +249,7 @@ Exclude: TypeAlias = Annotated[
 ]
 
 
-def _read_dimensions(_: object, tokens: Sequence[Token]) -> Dimensions:
+def _read_dimensions(_: object, tokens: Sequence[Token]) -> int | Literal["auto"]:
     """Read a number of dimensions: the default conversion rounds fractions."""
     from anisomap.dimensions import AUTO, check_dimensions
 

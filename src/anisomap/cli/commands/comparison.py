@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+import anisomap
+from anisomap import io
 from anisomap.base.defaults import MIN_TOUCHES, PERMUTATIONS
 from anisomap.base.wording import printable
 from anisomap.cli import parameters as options
@@ -22,8 +24,6 @@ from anisomap.files.paths import atomic_write, check_distinct, check_target, tog
 
 if TYPE_CHECKING:
     from anisomap.comparison import Comparison
-    from anisomap.io import ReadOptions
-    from anisomap.recording import Recording
 
 _FACTS = ("recording", "sensors x frames", "map", "scored")
 _LEGEND = (
@@ -234,8 +234,8 @@ def _files(given: Sequence[Path]) -> list[tuple[Path, bool]]:
 
 
 def _read(
-    files: Sequence[tuple[Path, bool]], how: ReadOptions, missing: options.Missing
-) -> Iterator[tuple[Path, Recording]]:
+    files: Sequence[tuple[Path, bool]], how: io.ReadOptions, missing: options.Missing
+) -> Iterator[tuple[Path, anisomap.Recording]]:
     """Read recordings with positions; others are skipped in folders, and errors elsewhere."""
     from anisomap import route
 
@@ -300,7 +300,7 @@ def score_map(
     units
         Unit of the reference positions, if the file does not state it.
     """
-    from anisomap import io, route
+    from anisomap import route
     from anisomap.cli.outputs import Outputs, Truth, read_reference
 
     outputs = Outputs(picture=picture, report=report, inputs=(map_file, reference_file))

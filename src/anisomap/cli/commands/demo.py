@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
+import anisomap
+from anisomap import io
 from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.cli import parameters as options
 from anisomap.cli.console import errors, progress
 from anisomap.errors import FileError, import_extra
-
-if TYPE_CHECKING:
-    from anisomap.paper import Status
 
 
 def demo(
@@ -39,9 +38,8 @@ def demo(
     method
         Reconstruction method: see `anisomap methods`.
     """
-    from anisomap import io, route
+    from anisomap import route
     from anisomap.cli import outputs
-    from anisomap.simulation import simulate
 
     import_extra("mujoco", "the demo", "report,simulation")
     try:
@@ -56,7 +54,7 @@ def demo(
         report=output_dir / "report.html",
     )
     with progress(f"simulating {frames} frames of a bombarded sphere") as report_progress:
-        recording = simulate(
+        recording = anisomap.simulate(
             "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
         )
     examined = route.examine([recording], progress=progress)
@@ -107,7 +105,7 @@ def paper(
     only
         Experiment to run, after those that it needs; may be repeated. All by default.
     """
-    from anisomap.paper import Settings, reproduce
+    from anisomap.paper import Settings, Status, reproduce
     from anisomap.paper.runner import PAGE
 
     settings = Settings(seed=first_seed, quick=quick, recordings=recordings)

@@ -10,6 +10,8 @@ import numpy as np
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+import anisomap
+from anisomap import drawing, io
 from anisomap.base.defaults import N_SHIFTS
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
@@ -17,7 +19,6 @@ from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progre
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 
 if TYPE_CHECKING:
-    from anisomap.io import ReadOptions
     from anisomap.layout import LayoutCheck, LayoutFinding
 
 INCONSISTENT = 1
@@ -65,10 +66,8 @@ def check(
     time_shifts
         Number of random circular shifts in time that show what chance explains.
     """
-    from anisomap import io, route
+    from anisomap import route
     from anisomap.cli.outputs import Outputs
-    from anisomap.drawing import figures
-    from anisomap.layout import check_layout
 
     if module_table and module_size:
         raise InputError("give the modules by --module-table or by --module-size, not by both")
@@ -85,7 +84,9 @@ def check(
         chosen = io.read_modules(module_table, layout.names) if module_table else module_size
         (recording,) = route.read_runs([recording_file], how, missing, progress=progress)
         with progress("checking the layout"):
-            found = check_layout(layout, recording, modules=chosen, n_shifts=time_shifts, rng=seed)
+            found = anisomap.check_layout(
+                layout, recording, modules=chosen, n_shifts=time_shifts, rng=seed
+            )
     except InputError as error:
         if _are_swapped(layout_file, recording_file, how):
             hint = f"swap the arguments: anisomap check {recording_file} {layout_file}"
@@ -94,7 +95,7 @@ def check(
     title = f"{layout_file.name} and {recording_file.name}"
     files = outputs.write(
         found.corrected,
-        lambda: figures.plot_layout(found, title=title).figure,
+        lambda: drawing.figures.plot_layout(found, title=title).figure,
         "corrected positions",
     )
     _print(printer, found, f"{layout_file.name} against {recording_file.name}")
@@ -102,10 +103,8 @@ def check(
     return _EXIT_CODES.get(found.verdict, INCONSISTENT)
 
 
-def _are_swapped(layout_file: Path, recording_file: Path, how: ReadOptions) -> bool:
+def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -> bool:
     """Return whether the first file is a recording of sensors that the second one places."""
-    from anisomap import io
-
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
@@ -175,12 +174,8 @@ def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
         }
         for i in finding.sensors.tolist()
     ]
-    measured = "displacement agreement_stated agreement_proposed chance gain"
-    return {
-        **attributes(finding, "kind explanation"),
-        "sensors": sensors,
-        **attributes(finding, measured),
-    }
+    measured = "kind explanation displacement agreement_stated agreement_proposed chance gain"
+    return attributes(finding, measured) | {"sensors": sensors}
 
 
 def _modules(found: LayoutCheck) -> str:

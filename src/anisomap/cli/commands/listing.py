@@ -6,6 +6,8 @@ import inspect
 import textwrap
 from collections.abc import Sequence
 
+import anisomap
+from anisomap import io
 from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer
@@ -14,15 +16,14 @@ from anisomap.cli.console import Printer
 def methods(*, printer: options.Printing = options.PRINTER) -> None:
     """List the methods and the similarities."""
     from anisomap.comparison import RIVALS
-    from anisomap.evidence import SIMILARITIES
-    from anisomap.methods import METHODS, PAPER_METHODS
+    from anisomap.methods import PAPER_METHODS
 
     own = [
         (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
-        for name, method in METHODS.items()
+        for name, method in anisomap.METHODS.items()
     ]
     stock = [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()]
-    similarities = [(name, similarity.summary) for name, similarity in SIMILARITIES.items()]
+    similarities = [(name, one.summary) for name, one in anisomap.SIMILARITIES.items()]
     _print_rows(printer, "Methods", "name summary source", own)
     title = "Stock methods, for comparison only (anisomap compare)"
     _print_rows(printer, title, "name summary extra", stock)
@@ -31,8 +32,6 @@ def methods(*, printer: options.Printing = options.PRINTER) -> None:
 
 def formats(*, printer: options.Printing = options.PRINTER) -> None:
     """List the file formats, what reads and writes them, and the extras that they need."""
-    from anisomap.io import FORMATS
-
     rows = [
         (
             form.name,
@@ -42,17 +41,15 @@ def formats(*, printer: options.Printing = options.PRINTER) -> None:
             form.extra or "-",
             form.summary,
         )
-        for form in FORMATS
+        for form in io.FORMATS
     ]
     _print_rows(printer, "Formats", "name suffixes reads writes extra summary", rows)
 
 
 def bodies(*, printer: options.Printing = options.PRINTER) -> None:
     """List the bodies that can be simulated."""
-    from anisomap.simulation import BODIES
-
     rows = []
-    for name, make in BODIES.items():
+    for name, make in anisomap.simulation.BODIES.items():
         body = make()
         size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
         rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
@@ -71,14 +68,14 @@ def scenarios(
     scenario
         Scenario for which to list the parameters, with their defaults for a sphere of 1 m.
     """
-    from anisomap.simulation import SCENARIOS, find_scenario
     from anisomap.simulation.options import meanings_of
 
     if scenario is None:
-        rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
+        known = anisomap.simulation.SCENARIOS.items()
+        rows = [(name, entry.summary) for name, entry in known]
         _print_rows(printer, "Scenarios", "name summary", rows)
         return
-    options_of = find_scenario(scenario).options()
+    options_of = anisomap.simulation.find_scenario(scenario).options()
     parameters = [
         {"name": name, "default": getattr(options_of, name), "summary": text}
         for name, text in meanings_of(options_of).items()
@@ -91,17 +88,15 @@ def scenarios(
 
 def faults(*, printer: options.Printing = options.PRINTER) -> None:
     """List the faults that `anisomap spoil` can inject."""
-    from anisomap.simulation import FAULTS, FRAME_FAULTS
-
-    rows = []
-    for name, function in {**FAULTS, **FRAME_FAULTS}.items():
+    injected, rows = anisomap.simulation.FAULTS, []
+    for name, function in {**injected, **anisomap.simulation.FRAME_FAULTS}.items():
         parameters = inspect.signature(function).parameters.values()
         taken = ", ".join(
             f"{one.name}={one.default}"
             for one in parameters
             if one.kind is one.KEYWORD_ONLY and one.name not in ("rng", "source")
         )
-        affects = "sensors" if name in FAULTS else "all sensors"
+        affects = "sensors" if name in injected else "all sensors"
         rows.append((name, affects, taken or "-", _first_line(function)))
     _print_rows(printer, "Faults", "name affects parameters summary", rows)
 

@@ -15,6 +15,7 @@ import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
+import anisomap.live
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
@@ -130,7 +131,6 @@ def live(
     """
     from anisomap.cli.outputs import Outputs, read_reference
     from anisomap.io.presets import check_preset
-    from anisomap.live import ExaminationOptions, LiveSession
     from anisomap.live.page.server import Server
     from anisomap.live.saving import SESSIONS
     from anisomap.live.sources.replay import SimulatedHand
@@ -151,7 +151,7 @@ def live(
     find_method(method)
     if preset:
         check_preset(preset)
-    chosen = ExaminationOptions(
+    chosen = anisomap.live.ExaminationOptions(
         dimensions=dimensions,
         method=method,
         preset=preset,
@@ -159,7 +159,7 @@ def live(
         truth=None if truth is None else read_reference(truth),
     )
     opened = _opened(source, simulate, speed, seed, coached)
-    session = LiveSession(opened, target, chosen)
+    session = anisomap.live.LiveSession(opened, target, chosen)
     with ExitStack() as stack:
         # A port in use is reported before anything is recorded.
         server = None
@@ -177,8 +177,6 @@ def live(
 def _opened(
     source: str | None, simulate: str | None, speed: float, seed: int, coached: bool
 ) -> Source:
-    from anisomap.live import open_source
-
     if (source is None) == (simulate is None):
         raise InputError("give either a source or --simulate BODY")
     if coached and simulate is None:
@@ -188,7 +186,7 @@ def _opened(
         from anisomap.live.sources.replay import SimulatedHand
 
         return SimulatedHand(read_body(simulate), seed, speed)
-    return open_source(str(source), speed=speed)
+    return anisomap.live.open_source(str(source), speed=speed)
 
 
 def _advised(session: LiveSession) -> Advised:

@@ -6,21 +6,19 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
+import anisomap
+from anisomap import drawing, io, placement, tracking
 from anisomap.base.defaults import LEVEL
 from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, progress
 from anisomap.errors import InputError
 from anisomap.files.paths import together
-
-if TYPE_CHECKING:
-    from anisomap.evaluation import Difference
-    from anisomap.tracking import Update
 
 _ROUNDING = 1e-9  # of the spacing: what equal maps differ by
 
@@ -37,9 +35,7 @@ def convert(
 
     `anisomap formats` lists the formats.
     """
-    from anisomap import io
     from anisomap.cli.outputs import Outputs
-    from anisomap.placement import METRES, median_spacing
     from anisomap.placement.frames import length_shown
 
     outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)
@@ -47,9 +43,9 @@ def convert(
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
     n_placed, spacing = int(placed.placed.sum()), None
-    if placed.units in METRES:
+    if placed.units in placement.METRES:
         with suppress(InputError):  # a single sensor has no spacing
-            spacing = median_spacing(placed)
+            spacing = placement.median_spacing(placed)
     written = outputs.write(placed)
     facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
     if spacing is not None:
@@ -90,22 +86,19 @@ def diff(
     significance
         Probability that chance alone marks any sensor as moved.
     """
-    from anisomap import io
     from anisomap.cli.outputs import Outputs
-    from anisomap.drawing import figures
-    from anisomap.evaluation import compare_maps
 
     outputs = Outputs(picture=picture, inputs=(before_file, after_file))
     before, after = io.read_map(before_file), io.read_map(after_file)
-    found = compare_maps(before, after, level=significance)
+    found = anisomap.evaluation.compare_maps(before, after, level=significance)
     title = f"{before_file.name} and {after_file.name}"
-    files = outputs.write(after, lambda: figures.plot_difference(found, title=title).figure)
+    files = outputs.write(after, lambda: drawing.figures.plot_difference(found, title=title).figure)
     _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
     printer.files(files)
     return DIFFERENT if found.found else 0
 
 
-def _print_difference(printer: Printer, found: Difference, title: str) -> None:
+def _print_difference(printer: Printer, found: anisomap.evaluation.Difference, title: str) -> None:
     from anisomap.placement.frames import length_shown
 
     units, factor = length_shown(found.units, "units of the first map")
@@ -198,12 +191,9 @@ def update(
     statistics
         Statistics of the map. Default: NAME.statistics.npz beside the map.
     """
-    from anisomap import io, route
+    from anisomap import route
     from anisomap.cli.outputs import Outputs
-    from anisomap.drawing import figures
-    from anisomap.recording import join_runs
     from anisomap.sensor_map import UNSCALED
-    from anisomap.tracking import update_map
 
     maps = output or [options.beside(map_file, ".updated.csv")]
     old_statistics = statistics or io.statistics_beside(map_file)
@@ -229,23 +219,23 @@ def update(
             )
     evidence = io.read_statistics(old_statistics)
     runs = route.read_runs(recordings, how, missing, progress=progress)
-    joined = join_runs(runs)
+    joined = anisomap.join_runs(runs)
     dropped = route.split_names(drop, joined.names, joined.metadata)
     with progress("updating the map"):
-        found = update_map(sensor_map, evidence, runs, drop=dropped)
+        found = tracking.update_map(sensor_map, evidence, runs, drop=dropped)
     provenance = {**found.map.provenance, "updated_by": joined.source}
     updated = replace(found.map, provenance=provenance)
     title = f"{map_file.name} and its update"
     with together():
         io.write_statistics(found.evidence, new_statistics)
         written = outputs.write(
-            updated, lambda: figures.plot_difference(found.difference, title=title).figure
+            updated, lambda: drawing.figures.plot_difference(found.difference, title=title).figure
         )
     _print_update(printer, found, map_file.name)
     printer.files([("statistics", new_statistics), *written])
 
 
-def _print_update(printer: Printer, found: Update, name: str) -> None:
+def _print_update(printer: Printer, found: tracking.Update, name: str) -> None:
     from anisomap.placement.frames import length_shown
 
     changes, total = found.difference, found.evidence

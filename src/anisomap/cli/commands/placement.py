@@ -6,23 +6,19 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
+import anisomap
+from anisomap import drawing, io, placement
+from anisomap.base.scene import Mesh
 from anisomap.base.wording import join_items, number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
-
-if TYPE_CHECKING:
-    from anisomap.base.scene import Mesh
-    from anisomap.placement import Anchors, Modules, Placement, SelfTouch, TouchPlacement
-    from anisomap.placement.kinematics import KinematicTree
-    from anisomap.sensor_map import SensorMap
-
 
 _MM = 1e3  # per metre
 
@@ -68,14 +64,11 @@ class SelfTouchOptions:
         """Files that are read."""
         return [self.self_touch, self.urdf, self.joints, self.other]
 
-    def read(self, *, alone: bool) -> tuple[SelfTouch, SensorMap] | None:
+    def read(self, *, alone: bool) -> tuple[placement.SelfTouch, anisomap.SensorMap] | None:
         """Read the contacts and the other layout; None if no option is given.
 
         alone: Whether nothing else is given that places the map.
         """
-        from anisomap import io
-        from anisomap.placement import SelfTouch
-
         recording, robot, joints, other = self.files
         needed = ("self_touch", "urdf", "joints", "link", "other", "other_link")
         missing = [f"--{name.replace('_', '-')}" for name in needed if not getattr(self, name)]
@@ -88,29 +81,21 @@ class SelfTouchOptions:
                 "a map is placed by self-touch alone; leave out anchors, modules, --mesh and "
                 "--spacing"
             )
-        tree = io.read_robot(robot)
-        touches = SelfTouch(
+        from anisomap.placement.kinematics import TURNING
+
+        tree, table = io.read_robot(robot), io.read(joints).complete("error")
+        angles = dict(zip(table.names, table.readings.T.astype(np.float64), strict=True))
+        if self.degrees:
+            turning = {joint.name for joint in tree.joints if joint.kind in TURNING}
+            angles |= {name: np.radians(angles[name]) for name in turning & angles.keys()}
+        touches = placement.SelfTouch(
             recording=io.read(recording).complete("error"),
             robot=tree,
-            angles=self._angles(joints, tree),
+            angles=angles,
             link=self.link,
             other_link=self.other_link,
         )
         return touches, io.read_map(other)
-
-    def _angles(self, path: Path, robot: KinematicTree) -> dict[str, np.ndarray]:
-        from anisomap import io
-        from anisomap.placement.kinematics import TURNING
-
-        table = io.read(path).complete("error")
-        found = {
-            name: np.asarray(column, dtype=np.float64)
-            for name, column in zip(table.names, table.readings.T, strict=True)
-        }
-        if self.degrees:
-            turning = {joint.name for joint in robot.joints if joint.kind in TURNING}
-            found |= {name: np.radians(found[name]) for name in turning & found.keys()}
-        return found
 
 
 @Parameter(name="*", group=Group("Anchors", sort_key=2))
@@ -133,21 +118,18 @@ class AnchorOptions:
     anchors: Path | None = None
     units: Annotated[str, options.expert] = ""
 
-    def read(self) -> Anchors | None:
+    def read(self) -> placement.Anchors | None:
         """Read the anchors; None if there are none."""
-        from anisomap import io
-        from anisomap.placement import anchors_at, anchors_from_map, parse_anchor
-
-        given = [parse_anchor(text) for text in self.anchor]
+        given = [placement.parse_anchor(text) for text in self.anchor]
         if len({len(position) for _, position in given}) > 1:
             raise InputError("all anchors must have two coordinates, or all three")
         normals = None
         if self.anchors is not None:
-            found = anchors_from_map(io.read_map(self.anchors), self.units)
+            found = placement.anchors_from_map(io.read_map(self.anchors), self.units)
             if found.normals is not None:
                 normals = np.vstack([np.full((len(given), 3), np.nan), found.normals])
             given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
-        return anchors_at(given, normals) if given else None
+        return placement.anchors_at(given, normals) if given else None
 
 
 @Parameter(name="*", group=Group("Modules", sort_key=3))
@@ -178,11 +160,8 @@ class ModuleOptions:
         """Files that are read."""
         return [self.module_layout, self.module_table]
 
-    def read(self, sensor_map: SensorMap) -> Modules | None:
+    def read(self, sensor_map: anisomap.SensorMap) -> placement.Modules | None:
         """Read the modules; None if there are none."""
-        from anisomap import io
-        from anisomap.placement import modules_by_size
-
         if not self.given:
             return None
         if self.module_layout is None or (self.module_table is None) == (self.module_size is None):
@@ -193,7 +172,8 @@ class ModuleOptions:
         if self.module_table is not None:
             divided = io.read_modules(self.module_table, sensor_map.names)
         else:
-            divided = modules_by_size(sensor_map.names, self.module_size or 0, self.first_pad)
+            size = self.module_size or 0
+            divided = placement.modules_by_size(sensor_map.names, size, self.first_pad)
         return divided.with_template(io.read_map(self.module_layout))
 
     @property
@@ -245,13 +225,10 @@ def place_map(
     suggest
         Number of sensors of each component to name as worth measuring; nothing is placed.
     """
-    from anisomap import io
     from anisomap.cli.outputs import Outputs
-    from anisomap.drawing import figures
-    from anisomap.placement import parse_length, place, place_by_self_touch, suggest_anchors
 
     if suggest:
-        names = suggest_anchors(io.read_map(map_file), suggest)
+        names = placement.suggest_anchors(io.read_map(map_file), suggest)
         printer.line(f"measure the positions of {join_items(names, len(names))}")
         printer.record(suggested=names)
         return
@@ -266,25 +243,25 @@ def place_map(
     surface = None if mesh is None else _read_mesh(mesh, mesh_units)
     hand = handedness or ""
     if touches is not None:
-        touched = place_by_self_touch(
+        touched = placement.place_by_self_touch(
             sensor_map, *touches, exact=touching.fixed_shape, handedness=hand
         )
-        placement = touched.placement
+        found = touched.placement
     else:
-        placement = place(
+        found = placement.place(
             sensor_map,
             anchors,
             modules=rigid.read(sensor_map),
             mesh=surface,
-            spacing=parse_length(spacing) if spacing else None,
+            spacing=placement.parse_length(spacing) if spacing else None,
             handedness=hand,
         )
     if frame:
-        placement = replace(placement, map=replace(placement.map, frame=frame))
+        found = replace(found, map=replace(found.map, frame=frame))
     files = outputs.write(
-        placement.map, lambda: figures.plot_placement(placement, anchors, surface).figure
+        found.map, lambda: drawing.figures.plot_placement(found, anchors, surface).figure
     )
-    _print(printer, placement, map_file.name)
+    _print(printer, found, map_file.name)
     if spacing:
         options.doubt_spacing(spacing)
     if touches is not None:
@@ -293,29 +270,26 @@ def place_map(
 
 
 def _read_mesh(path: Path, units: str) -> Mesh:
-    from anisomap.base.scene import Mesh
     from anisomap.files.meshes import read_mesh
-    from anisomap.placement import METRES
 
-    if units not in METRES:
-        raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")
+    metres = placement.METRES
+    if units not in metres:
+        raise InputError(f"--mesh-units must be one of {', '.join(metres)}, got {units!r}")
     vertices, faces = read_mesh(path)
-    return Mesh(vertices * METRES[units], faces)
+    return Mesh(vertices * metres[units], faces)
 
 
-def _print(printer: Printer, placement: Placement, name: str) -> None:
-    from anisomap.placement import METRES, median_spacing
-
-    placed, spacing = placement.map, np.nan
+def _print(printer: Printer, found: placement.Placement, name: str) -> None:
+    placed, spacing = found.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
     with suppress(InputError):  # a single sensor, or all at one position
-        spacing = median_spacing(placed) * _MM * METRES[placed.units]
+        spacing = placement.median_spacing(placed) * _MM * placement.METRES[placed.units]
     facts = {
         "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
         "median spacing": f"{number(spacing)} mm",
         **{
-            f"component {label}" if len(placement.methods) > 1 else "placed by": method
-            for label, method in enumerate(placement.methods)
+            f"component {label}" if len(found.methods) > 1 else "placed by": method
+            for label, method in enumerate(found.methods)
         },
         "handedness": "as on the skin" if placed.handed else "unknown",
     }
@@ -327,33 +301,32 @@ def _print(printer: Printer, placement: Placement, name: str) -> None:
     facts["pose"] = placed.pose
     printer.facts(f"Placement of {name}", facts)
     anchors = _records(
-        sensor=placement.anchors,
-        residual=placement.residuals.tolist(),
-        left_out=placement.left_out_errors.tolist(),
+        sensor=found.anchors,
+        residual=found.residuals.tolist(),
+        left_out=found.left_out_errors.tolist(),
     )
-    if anchors:
-        columns: Columns = {
-            "sensor": ("sensor", str),
-            "residual (mm)": ("residual", _in_mm),
-            "left out (mm)": ("left_out", _in_mm),
-        }
-        printer.rows("Anchors", columns, anchors, max_rows=MAX_SHOWN)
-    printer.names({"left out": placement.left_out})
+    columns: Columns = {
+        "sensor": ("sensor", str),
+        "residual (mm)": ("residual", _in_mm),
+        "left out (mm)": ("left_out", _in_mm),
+    }
+    printer.rows("Anchors", columns, anchors, max_rows=MAX_SHOWN)
+    printer.names({"left out": found.left_out})
     printer.notes(placed.notes)
     printer.record(
         placed,
         "handed anchored units notes",
         sensors=placed.n_sensors,
         placed=int(placed.placed.sum()),
-        placed_by=placement.methods,
+        placed_by=found.methods,
         median_spacing=spacing / _MM,
         errors=dict(zip(placed.names, placed.errors.tolist(), strict=True)),
         anchors=anchors,
-        left_out=placement.left_out,
+        left_out=found.left_out,
     )
 
 
-def _print_contacts(printer: Printer, touched: TouchPlacement) -> None:
+def _print_contacts(printer: Printer, touched: placement.TouchPlacement) -> None:
     median = float(np.median(touched.residuals[touched.used]))
     printer.line(
         f"contacts: {int(touched.used.sum())} of {len(touched.used)} agree, "

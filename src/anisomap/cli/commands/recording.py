@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+import anisomap
+from anisomap import io, tracking
 from anisomap.base.defaults import (
     DEFAULT_BINS,
     DEFAULT_METHOD,
@@ -26,8 +28,6 @@ from anisomap.errors import InputError
 if TYPE_CHECKING:
     from anisomap import route
     from anisomap.health import Finding
-    from anisomap.io import ReadOptions
-    from anisomap.options import MethodOptions
     from anisomap.recording import MissingPolicy
 
 
@@ -49,7 +49,6 @@ def info(
     from anisomap import route
     from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
-    from anisomap.io import ChoiceError
     from anisomap.io.dissimilarities import doubt_of
 
     how = reading.checked()
@@ -63,7 +62,7 @@ def info(
     outputs.print_contents(printer, recording, how)
     try:
         found = route.read(recording, how, progress=progress)
-    except ChoiceError as error:
+    except io.ChoiceError as error:
         print_warning(str(error))  # the contents are listed; the user must select one
         return
     if doubt := doubt or doubt_of(recording, found.readings):
@@ -101,7 +100,7 @@ def repair(
     output
         NPZ file to write. Default: NAME.repaired.npz in the current folder.
     """
-    from anisomap import assess, io, route
+    from anisomap import route
     from anisomap.cli import outputs
 
     output = output or options.beside(recording, ".repaired.npz")
@@ -111,7 +110,7 @@ def repair(
     outputs.print_findings(printer, findings, repaired=True)
     if not findings:
         printer.line("No faults of the recording were found; it is unchanged.")
-    outputs.print_health(printer, assess(repaired))
+    outputs.print_health(printer, anisomap.assess(repaired))
     printer.files([("recording", output)])
 
 
@@ -143,12 +142,11 @@ class TuningOptions:
     tolerance: float = TOLERANCE
     max_iterations: int = MAX_ITERATIONS
 
-    def checked(self) -> MethodOptions:
+    def checked(self) -> anisomap.MethodOptions:
         """Convert to the options of the library."""
         from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-        from anisomap.options import MethodOptions
 
-        return MethodOptions(
+        return anisomap.MethodOptions(
             regularisation=self.regularisation,
             entropy_bins=self.entropy_bins,
             n_neighbours=self.n_neighbours,
@@ -272,7 +270,7 @@ def map_recording(
         Exit with code 1 if the verdict is worse than this, or cannot tell: usable or
         usable-for-neighbours. All files are written.
     """
-    from anisomap import io, route
+    from anisomap import route
     from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.methods import METHODS, check_even_spacing, find_method
@@ -361,10 +359,8 @@ def map_recording(
     def write_statistics() -> list[tuple[str, Path]]:
         if statistics is None:
             return []
-        from anisomap.tracking import gather_evidence
-
         with progress("collecting statistics"):
-            evidence = gather_evidence(
+            evidence = tracking.gather_evidence(
                 examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
             )
         io.write_statistics(evidence, statistics)
@@ -407,7 +403,7 @@ def _method(large: LargeOptions, requested: str | None) -> str:
 
 def _read_source(
     recordings: list[Path],
-    how: ReadOptions,
+    how: io.ReadOptions,
     *,
     doubted: bool,
     repair: bool,

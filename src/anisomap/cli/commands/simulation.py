@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
 from numpy.typing import NDArray
 
+import anisomap
+from anisomap import drawing, io
 from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.scene import Scene
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Columns, Printer, print_warning, progress
 from anisomap.errors import InputError
 from anisomap.files.paths import atomic_write, check_target, together
-
-if TYPE_CHECKING:
-    from anisomap.base.scene import Scene
-    from anisomap.sensor_map import SensorMap
-    from anisomap.simulation import Body, Simulation
 
 _looks = Group("Pictures", sort_key=1)
 
@@ -75,7 +73,6 @@ def simulate_body(
     view
         Show the run in MuJoCo's viewer.
     """
-    from anisomap import io
     from anisomap.cli.outputs import Outputs
     from anisomap.drawing.figures import scenes
     from anisomap.simulation import run_simulation, simulate_runs
@@ -103,7 +100,7 @@ def simulate_body(
     with together():
         io.write(simulation.recording, target)
         files = [("recording", target), *_show(simulation.scene, picture, video, renderer)]
-    _print(printer, simulation, skin)
+    _print(printer, simulation.recording, skin)
     printer.files(files)
     printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
     if view:
@@ -115,16 +112,15 @@ def simulate_body(
             print_warning(f"{error}; --picture and --video work without one")
 
 
-def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
-    recording = simulation.recording
-    readings = recording.readings
+def _print(printer: Printer, recording: anisomap.Recording, skin: anisomap.simulation.Body) -> None:
+    readings, silent = recording.readings, int((~recording.varying()).sum())
     facts = {
         "body": f"{skin.name}, {skin.n_sensors} sensors, median spacing "
         f"{number(skin.spacing, 3)}{skin.units and ' ' + skin.units}",
         "frames": f"{recording.n_frames} at {number(recording.rate_hz)} Hz",
         "readings": f"up to {number(float(readings.max()))}, {percent((readings == 0).mean())} "
         "zeros",
-        "never touched": f"{int((~recording.varying()).sum())} sensors",
+        "never touched": f"{silent} sensors",
     }
     shown = {"body", "scenario", "anisomap", "mujoco"}
     facts |= {
@@ -139,7 +135,7 @@ def _print(printer: Printer, simulation: Simulation, skin: Body) -> None:
         median_spacing=skin.spacing,
         frames=recording.n_frames,
         rate_hz=recording.rate_hz,
-        never_touched=int((~recording.varying()).sum()),
+        never_touched=silent,
         metadata=dict(recording.metadata),
     )
 
@@ -148,7 +144,6 @@ def _show(
     scene: Scene, picture: Path | None, video: Path | None, renderer: str
 ) -> list[tuple[str, Path]]:
     """Draw a scene; MuJoCo renders it if asked to, and if there is a display."""
-    from anisomap.drawing import figures
     from anisomap.drawing.figures import scenes
     from anisomap.simulation.physics import mujoco_viewer
 
@@ -166,7 +161,7 @@ def _show(
             return named
     if picture:
         with progress("drawing the scene"):
-            figures.save_figure(scenes.scene_figure(scene), picture)
+            drawing.figures.save_figure(scenes.scene_figure(scene), picture)
     if video:
         with progress("drawing the animation") as report:
             scenes.save_animation(scene, video, progress=report)
@@ -225,10 +220,8 @@ def coverage(
         CSV file for the table.
     """
     from anisomap.cli.outputs import Outputs
-    from anisomap.drawing import figures
     from anisomap.drawing.figures.charts import coverage_figure
-    from anisomap.simulation import coverage_curve
-    from anisomap.simulation.coverage import LENGTHS
+    from anisomap.simulation.coverage import LENGTHS, coverage_curve
 
     Outputs(picture=picture, others=[output])
     if output:
@@ -272,7 +265,7 @@ def coverage(
             figure = coverage_figure(
                 f"{skin.name}, {scenario}", curve.n_frames, curve.rate_hz, shares
             )
-            figures.save_figure(figure, picture)
+            drawing.figures.save_figure(figure, picture)
 
 
 def _mean(values: NDArray[np.float64]) -> float:
@@ -302,10 +295,9 @@ def spoil(
     output
         NPZ file to write.
     """
-    from anisomap import io, route
+    from anisomap import route
     from anisomap.cli.outputs import Outputs
-    from anisomap.simulation import inject, injected_faults, parse_fault
-    from anisomap.simulation.injection import ALL_SENSORS
+    from anisomap.simulation.injection import ALL_SENSORS, inject, injected_faults, parse_fault
 
     requests = [parse_fault(text) for text in fault]
     Outputs(recording=output, inputs=[recording])
@@ -330,7 +322,7 @@ def spoil(
     printer.files([("recording", output)])
 
 
-def read_body(body: str, sensors: str | None = None, **options: Any) -> Body:
+def read_body(body: str, sensors: str | None = None, **options: Any) -> anisomap.simulation.Body:
     """Make a body from its name or file."""
     from anisomap.simulation import BODIES, body_from_points, find_body, load_body
     from anisomap.simulation.imported import MESH_SUFFIXES, MODEL_SUFFIXES
@@ -374,9 +366,7 @@ def _contains_only_points(path: Path) -> bool:
         return b"element face" not in file.read(4096).split(b"end_header")[0]
 
 
-def _positions(path: Path) -> SensorMap:
-    from anisomap import io
-
+def _positions(path: Path) -> anisomap.SensorMap:
     found = io.read_map(path)
     if found.dimensions != 3:
         raise InputError(f"{path} must contain positions in 3 dimensions, got {found.dimensions}")
