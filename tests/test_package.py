@@ -15,7 +15,7 @@ import pytest
 
 import anisomap
 from anisomap import datasets
-from anisomap.cli.commands.demo import demo
+from anisomap.cli.commands.simulation import demo
 from skins import flat_skin
 
 ROOT = Path(__file__).parents[1]

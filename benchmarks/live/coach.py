@@ -26,7 +26,7 @@ from anisomap import read as read_recording
 from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.live.quick_map import QuickMapper
-from anisomap.live.sources.replay import BOUT_FRAMES
+from anisomap.live.sources import BOUT_FRAMES
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions

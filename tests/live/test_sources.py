@@ -16,8 +16,7 @@ import pytest
 import anisomap
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.live.batches import Batch, Names, Notice
-from anisomap.live.sources import SOURCES, open_source
-from anisomap.live.sources.replay import BOUT_FRAMES, SimulatedHand
+from anisomap.live.sources import BOUT_FRAMES, SOURCES, SimulatedHand, open_source
 from anisomap.simulation import find_body
 from live_processes import LONGEST_S
 
@@ -316,4 +315,3 @@ def test_an_incomplete_address_is_an_error(address):
 def test_every_kind_of_source_has_an_example_that_names_it():
     for scheme, entry in SOURCES.items():
         assert entry.example == "-" or entry.example.startswith(f"{scheme}://")
-        assert entry.summary

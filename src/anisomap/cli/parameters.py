@@ -224,6 +224,12 @@ Report: TypeAlias = Annotated[
     Parameter(group=outputs_group, help="File for a report: one HTML file that works offline."),
 ]
 
+Method: TypeAlias = Annotated[
+    str,
+    Parameter(
+        alias="-m", group=expert_group, help="Reconstruction method: see `anisomap methods`."
+    ),
+]
 Seed: TypeAlias = Annotated[
     Amount, Parameter(group=expert_group, help="Seed: the same seed gives the same result.")
 ]

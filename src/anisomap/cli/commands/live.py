@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from anisomap.live import LiveSession
     from anisomap.live.batches import Source
     from anisomap.live.page.server import Server
-    from anisomap.live.sources.replay import Advised
+    from anisomap.live.sources import Advised
 
 _source = Group("Source", sort_key=0)
 _page = Group("Page", sort_key=4)
@@ -88,7 +88,7 @@ def live(
     output: options.Output = None,
     report: options.Report = None,
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
-    method: Annotated[str, Parameter(alias="-m"), options.expert] = DEFAULT_METHOD,
+    method: options.Method = DEFAULT_METHOD,
     dimensions: Annotated[
         Literal["auto", 2, 3], Parameter(alias="-d", group=options.method_group)
     ] = "auto",
@@ -121,8 +121,6 @@ def live(
         .map.csv.
     spacing
         Median distance between neighbouring sensors, such as 6.5mm: scales the written maps.
-    method
-        Reconstruction method of the checked map: see `anisomap methods`.
     dimensions
         Number of coordinates: 2 for flat skins, 3 for bodies. By default it is chosen for each
         checked map, and quick maps follow when two checked maps in a row agree.
@@ -133,7 +131,7 @@ def live(
     from anisomap.io.presets import check_preset
     from anisomap.live.page.server import Server
     from anisomap.live.saving import SESSIONS
-    from anisomap.live.sources.replay import SimulatedHand
+    from anisomap.live.sources import SimulatedHand
     from anisomap.methods import find_method
 
     target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
@@ -183,7 +181,7 @@ def _opened(
         raise InputError("--coached is for a simulated hand; use it with --simulate BODY")
     if simulate is not None:
         from anisomap.cli.commands.simulation import read_body
-        from anisomap.live.sources.replay import SimulatedHand
+        from anisomap.live.sources import SimulatedHand
 
         return SimulatedHand(read_body(simulate), seed, speed)
     return anisomap.live.open_source(str(source), speed=speed)
