@@ -1,7 +1,6 @@
 """What cannot be done: one sentence, exit code 2, and no file is written, changed or lost."""
 
 import os
-import shlex
 import sys
 from dataclasses import replace
 
@@ -50,6 +49,7 @@ map skin.npz --workers 2 --keep-statistics                | --keep-statistics
 map skin.npz --approximate -m covariogram                 | r-anisomap only, got covariogram
 map skin.npz --approximate --workers 2                    | does not support --workers
 map skin.npz --approximate --even-spacing                 | even spacing
+map turned.csv                                            | transpose it; if not, record the 80
 map skin.csv --grid 6x8                                   | 48
 map skin.csv --grid six                                   | rows and columns, as in 32x64
 map skin.csv --grid {"9" * 5000}x1                        | rows and columns, as in 32x64
@@ -193,6 +193,7 @@ def folder(tmp_path_factory):
     anisomap.write(anisomap.Recording(skin.readings), folder / "bare.npz")
     anisomap.write(anisomap.Recording(skin.readings), folder / "skin.csv")
     anisomap.write(anisomap.Recording(np.zeros((20, 42))), folder / "zero.csv")
+    np.savetxt(folder / "turned.csv", skin.readings[:100].T, delimiter=",")
     maps = {
         "map.csv": anisomap.SensorMap(skin.positions),
         "layout.csv": anisomap.SensorMap(flat / 1000, units="m"),
@@ -232,8 +233,7 @@ def folder(tmp_path_factory):
 def refused(folder, *words):
     """Run a command that must be refused; return the sentence that says why."""
     before = contents(folder)
-    found = call(folder, *words)
-    assert found.code == 2
+    found = call(folder, *words, code=2)
     assert found.err.startswith("error: ")
     assert found.err.count("\n") == 1
     assert len(found.err) < 310
@@ -250,13 +250,13 @@ def cases(table):
 
 @pytest.mark.parametrize(("command", "reason"), cases(REFUSED))
 def test_commands_that_are_refused(folder, command, reason):
-    assert reason in refused(folder, *shlex.split(command))
+    assert reason in refused(folder, command)
 
 
 @pytest.mark.parametrize(("command", "reason"), cases(NEEDS_PHYSICS))
 def test_commands_of_simulation_that_are_refused(folder, command, reason):
     pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
-    assert reason in refused(folder, *shlex.split(command))
+    assert reason in refused(folder, command)
 
 
 @pytest.mark.parametrize("name", SCALES)
@@ -272,12 +272,12 @@ def test_commands_of_simulation_that_are_refused(folder, command, reason):
     ],
 )
 def test_layouts_without_distances(folder, name, command):
-    refused(folder, *command.format(name).split())
+    refused(folder, command.format(name))
 
 
 def test_recordings_that_make_no_map_have_a_summary(folder):
     for name in TOO_LITTLE:
-        assert call(folder, "info", name).code == 0
+        call(folder, "info", name)
 
 
 def test_an_unexpected_error_is_reported_as_a_defect(skin_csv, monkeypatch, capsys):
@@ -328,7 +328,7 @@ def test_links_that_lead_nowhere(tmp_path, command):
     (tmp_path / "a.csv").symlink_to("a.csv")
     (tmp_path / "b.csv").symlink_to("none.csv")
     for name in ("a.csv", "b.csv"):
-        assert name in refused(tmp_path, *command.format(name).split())
+        assert name in refused(tmp_path, command.format(name))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
@@ -352,7 +352,7 @@ def test_pipes_and_devices_are_not_replaced(folder, tmp_path, command):
     os.mkfifo(pipe)
     link.symlink_to(pipe)
     for target in ("pipe", "link"):
-        assert "not a regular file" in refused(tmp_path, *command.format(target).split())
+        assert "not a regular file" in refused(tmp_path, command.format(target))
     assert pipe.is_fifo()
     assert link.is_symlink()
 
@@ -361,7 +361,7 @@ def test_outputs_with_long_names_and_links(folder, tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "b.csv").symlink_to(tmp_path / "far" / "c.csv")
     for name in ("b" * 250 + ".csv", "b.csv"):
-        assert call(tmp_path, "convert", folder / "map.csv", name).code == 0
+        call(tmp_path, "convert", folder / "map.csv", name)
     assert (tmp_path / "b.csv").is_symlink()
     assert anisomap.read_map(tmp_path / "far" / "c.csv").n_sensors == 42
 
@@ -369,7 +369,7 @@ def test_outputs_with_long_names_and_links(folder, tmp_path):
 def test_names_of_files_that_look_like_json(run_map, skin_npz):
     for name in ("[1].npz", "[a", '{"a": 1}.npz', "[]"):
         skin_npz = skin_npz.rename(skin_npz.with_name(name))
-        assert run_map(name, "-o", "[map].csv").code == 0
+        run_map(name, "-o", "[map].csv")
         assert skin_npz.with_name("[map].csv").exists()
 
 
@@ -378,11 +378,10 @@ def test_layouts_of_few_places(run, tmp_path):
     positions = np.repeat(np.random.default_rng(0).random((9, 3)), 2, axis=0)
     anisomap.write(anisomap.SensorMap(positions), tmp_path / "pairs.csv")
     found = run("diff", "pairs.csv", "pairs.csv")
-    assert found.code == 0
     assert "spacings" not in found.out
     anisomap.write(anisomap.SensorMap(np.ones((1, 3)), units="m"), tmp_path / "one.csv")
-    assert run("convert", "one.csv", "one.json").code == 0
-    assert run("place", "one.csv", "--spacing", "5mm", "-o", "o.csv").code == 0
+    run("convert", "one.csv", "one.json")
+    run("place", "one.csv", "--spacing", "5mm", "-o", "o.csv")
     assert (tmp_path / "o.csv").exists()
 
 
@@ -400,21 +399,9 @@ def test_what_is_probably_a_mistake_is_doubted(tmp_path, command, said):
     skin = flat_skin(n_frames=100)
     anisomap.write(skin, tmp_path / "skin.npz")
     np.savetxt(tmp_path / "turned.csv", skin.readings.T, delimiter=",")
-    quick = "-m r-anisomap --no-verdict --permutations 0 -o m.csv"
-    done = call(tmp_path, *command.split(), *quick.split())
-    assert done.code == 0
+    done = call(tmp_path, f"{command} -m r-anisomap --no-verdict --permutations 0 -o m.csv")
     assert said in done.err
     assert ("unlikely" in done.err) == ("unlikely" in said)
-
-
-def test_a_transposed_table_is_refused_before_it_is_mapped(tmp_path):
-    np.savetxt(tmp_path / "turned.csv", flat_skin(n_frames=100).readings.T, delimiter=",")
-    done = call(tmp_path, "map", "turned.csv")
-    assert done.code == 2
-    assert (
-        "rows of the file are the sensors, transpose it; if not, record the 80 frames" in done.err
-    )
-    assert not (tmp_path / "turned.map.csv").exists()
 
 
 def test_long_names_are_printed_in_one_piece(tmp_path):

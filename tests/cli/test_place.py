@@ -26,13 +26,12 @@ def skin_map(made, tmp_path):
     return tmp_path / "map.csv"
 
 
-def test_a_map_is_placed_by_four_anchors_in_every_format(run, skin_map, tmp_path):
+@pytest.mark.usefixtures("skin_map")
+def test_a_map_is_placed_by_four_anchors_in_every_format(run, tmp_path):
     formats = ("csv", "json", "npz", "urdf", "mjcf", "icub.txt", "ply", "pcd", "launch.xml")
     outputs = [word for suffix in formats for word in ("-o", f"placed.{suffix}")]
-    done = run("place", skin_map, "--anchors", "anchors.csv", "--frame", "l_forearm",
-               "--picture", "placed.png", "--json", *outputs)  # fmt: skip
-    assert done.code == 0, done.err
-    found = done.values
+    command = "place map.csv --anchors anchors.csv --frame l_forearm --picture placed.png --json"
+    found = run(command, *outputs).values
     assert (found["anchored"], found["handed"], found["units"]) == (True, True, "m")
     assert [anchor["sensor"] for anchor in found["anchors"]] == [f"s{i}" for i in ANCHORS]
     for suffix in formats[:-1]:
@@ -51,9 +50,9 @@ def test_long_tables_say_how_many_rows_they_leave_out(run, tmp_path):
     places = lattice(6, 9)
     anisomap.write(anisomap.SensorMap(places), tmp_path / "map.csv")
     anisomap.write(anisomap.SensorMap(places, units="mm"), tmp_path / "anchors.csv")
-    placing = ["place", "map.csv", "--anchors", "anchors.csv", "-o", "placed.csv"]
-    assert "... and 4 more" in run(*placing).out
-    assert len(run(*placing, "--json").values["anchors"]) == 54
+    command = "place map.csv --anchors anchors.csv -o placed.csv"
+    assert "... and 4 more" in run(command).out
+    assert len(run(command, "--json").values["anchors"]) == 54
 
 
 def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_path):
@@ -61,7 +60,6 @@ def test_anchors_on_the_command_line_and_the_default_output(run, skin_map, tmp_p
     for i in ANCHORS:
         words += ["--anchor", f"s{i}={TRUTH[i, 0] / 1000},{TRUTH[i, 1] / 1000}"]
     done = run("place", skin_map, *words)
-    assert done.code == 0, done.err
     assert "residual (mm)" in done.out
     assert io.read_map(tmp_path / "map.placed.csv").anchored
 
@@ -71,15 +69,13 @@ def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp
     truth = triangles(columns=3, rows=1)
     names = tuple(f"taxel{i}" for i in range(60))
     anisomap.write(anisomap.Recording(rubbed(truth), names=names), tmp_path / "patch.npz")
-    assert run_map("patch.npz", "-o", "map.csv").code == 0
+    run_map("patch.npz", "-o", "map.csv")
     write_layout(
         tmp_path / "triangle.csv", truth[:10], [f"P{i}" for i in range(10)], "name,x [mm],y [mm]"
     )
     modules = np.column_stack([np.arange(60) // 10, np.arange(60) % 10])
     write_layout(tmp_path / "modules.csv", modules, names, "sensor,module,pad")
-    words = ("--module-layout", "triangle.csv", "--module-table", "modules.csv")
-    done = run("place", "map.csv", *words, "-o", "placed.csv", "--json")
-    assert done.code == 0, done.err
+    run("place map.csv --module-layout triangle.csv --module-table modules.csv -o placed.csv")
     placed = io.read_map(tmp_path / "placed.csv")
     assert placed.handed
     assert not placed.anchored
@@ -103,8 +99,7 @@ def test_three_anchors_with_normals_tell_the_hand(run, tmp_path):
         0.05 * outward[rows], names=names, units="m", anchored=True, normals=outward[rows]
     )
     anisomap.write(layout, tmp_path / "anchors.npz")
-    done = run("place", "map.csv", "--anchors", "anchors.npz", "-o", "placed.csv")
-    assert done.code == 0, done.err
+    run("place", "map.csv", "--anchors", "anchors.npz", "-o", "placed.csv")
     placed = io.read_map(tmp_path / "placed.csv").positions
     np.testing.assert_allclose(placed, 0.05 * outward, atol=1e-6)
 
@@ -122,15 +117,13 @@ def test_a_map_lies_on_the_mesh_of_its_part(run, tmp_path):
         places[[3, 20, 41, 70]], names=("s3", "s20", "s41", "s70"), units="m"
     )
     anisomap.write(anchors, tmp_path / "anchors.csv")
-    words = ("place", "map.csv", "--anchors", "anchors.csv", "--mesh", "part.stl")
-    done = run(*words, "--mesh-units", "mm", "-o", "placed.json", "--picture", "placed.png")
-    assert done.code == 0, done.err
+    command = "place map.csv --anchors anchors.csv --mesh part.stl"
+    done = run(f"{command} --mesh-units mm -o placed.json --picture placed.png")
     assert "on the mesh" in done.out
     placed = io.read_map(tmp_path / "placed.json")
     np.testing.assert_allclose(np.linalg.norm(placed.positions, axis=1), 0.06, rtol=0.04)
     assert np.median(np.linalg.norm(placed.positions - places, axis=1)) < 0.004
-    far = run(*words, "-o", "far.csv")
-    assert (far.code, "check the unit and frame of the mesh" in far.err) == (2, True)
+    assert "check the unit and frame of the mesh" in run(command, "-o", "far.csv", code=2).err
 
 
 def test_sensors_worth_measuring_are_suggested(run, skin_map):
@@ -164,36 +157,24 @@ def two_arms(tmp_path_factory):
     return folder, scene.truth
 
 
-TOUCHING = {
-    "--self-touch": "touches.npz",
-    "--urdf": "robot.urdf",
-    "--joints": "joints.csv",
-    "--link": "left",
-    "--other": "other.csv",
-    "--other-link": "right",
-}
-
-
-def touching(**changes):
-    given = TOUCHING | {f"--{key.replace('_', '-')}": value for key, value in changes.items()}
-    return ["place", "shape.csv", *(word for pair in given.items() if pair[1] for word in pair)]
+TOUCHING = (
+    "place shape.csv --self-touch touches.npz --urdf robot.urdf --joints joints.csv --link left "
+    "--other other.csv --other-link right"
+)
 
 
 def test_a_map_is_placed_by_self_touch(two_arms, tmp_path):
     folder, truth = two_arms
-    outputs = [tmp_path / f"placed.{suffix}" for suffix in ("urdf", "npz")]
-    done = call(folder, *touching(), "-o", outputs[0], "-o", outputs[1],
-                "--picture", tmp_path / "placed.png", "--json")  # fmt: skip
-    assert done.code == 0, done.err
-    found = done.values
+    outputs = [word for suffix in ("urdf", "npz") for word in ("-o", tmp_path / f"placed.{suffix}")]
+    drawn = tmp_path / "placed.png"
+    found = call(folder, TOUCHING, *outputs, "--picture", drawn, "--json").values
     assert (found["anchored"], found["units"]) == (True, "m")
     assert 20 < sum(contact["used"] for contact in found["contacts"]) <= 40
-    placed = io.read_map(outputs[1])
+    placed = io.read_map(tmp_path / "placed.npz")
     assert placed.frame == "left"
-    assert (tmp_path / "placed.png").stat().st_size > 10_000
-    exact = call(folder, *touching(joints="degrees.csv"), "--degrees", "--fixed-shape",
-                 "-o", tmp_path / "exact.npz")  # fmt: skip
-    assert exact.code == 0, exact.err
+    assert drawn.stat().st_size > 10_000
+    in_degrees = TOUCHING.replace("joints.csv", "degrees.csv --degrees")
+    exact = call(folder, in_degrees, "--fixed-shape", "-o", tmp_path / "exact.npz")
     assert "agree" in exact.out
     for positions in (placed.positions, io.read_map(tmp_path / "exact.npz").positions):
         off = np.linalg.norm(positions - truth, axis=1)
@@ -201,23 +182,22 @@ def test_a_map_is_placed_by_self_touch(two_arms, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("right", "wrong", "message"),
     [
-        ({"joints": ""}, "give --joints as well"),
-        ({"urdf": "none.urdf"}, "none.urdf"),
-        ({"urdf": "shape.csv"}, "shape.csv is no URDF"),
-        ({"link": "nose"}, "no link 'nose'"),
-        ({"joints": "strange.csv"}, "angles of joint 'a1' are missing"),
-        ({"other": "strangers.csv"}, "sensors of the other patch"),
-        ({"anchor": "a0=1,2,3"}, "by self-touch alone"),
+        ("--joints joints.csv", "", "give --joints as well"),
+        ("robot.urdf", "none.urdf", "none.urdf"),
+        ("robot.urdf", "shape.csv", "shape.csv is no URDF"),
+        ("left", "nose", "no link 'nose'"),
+        ("joints.csv", "strange.csv", "angles of joint 'a1' are missing"),
+        ("other.csv", "strangers.csv", "sensors of the other patch"),
+        ("--link", "--anchor a0=1,2,3 --link", "by self-touch alone"),
     ],
-    ids=str,
 )
-def test_bad_input_of_self_touch(two_arms, changes, message):
+def test_bad_input_of_self_touch(two_arms, right, wrong, message):
     folder, _ = two_arms
     before = contents(folder)
-    done = call(folder, *touching(**changes), "--fixed-shape", "-o", "placed.csv")
-    assert done.code == 2
-    assert message in done.err
-    assert len(done.err.splitlines()) == 1
+    command = TOUCHING.replace(right, wrong)
+    told = call(folder, command, "--fixed-shape", "-o", "placed.csv", code=2).err
+    assert message in told
+    assert told.count("\n") == 1
     assert contents(folder) == before

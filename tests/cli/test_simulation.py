@@ -15,11 +15,8 @@ PNG, GIF = b"\x89PNG", b"GIF8"
 
 
 def test_a_body_is_simulated_and_drawn(run, tmp_path):
-    outcome = run(
-        *("simulate", "sphere", "--frames", "60", "--seed", "3", "-o", "run.npz"),
-        *("--picture", "run.png", "-p", "n_balls=60", "-p", "speed=4"),
-    )
-    assert outcome.code == 0, outcome.err
+    setting = "--frames 60 --seed 3 -p n_balls=60 -p speed=4"
+    outcome = run(f"simulate sphere {setting} -o run.npz --picture run.png")
     recording = anisomap.read("run.npz")
     assert recording.readings.shape == (60, 60)
     stated = {"n_balls": 60, "speed": 4, "seed": 3}
@@ -35,9 +32,8 @@ def test_a_body_is_simulated_and_drawn(run, tmp_path):
 
 @pytest.mark.parametrize("renderer", ["drawing", pytest.param("mujoco", marks=pytest.mark.slow)])
 def test_a_run_is_drawn_as_an_animation(run, tmp_path, renderer):
-    pictures = ("--picture", "run.png", "--video", "run.gif", "--renderer", renderer)
-    outcome = run("simulate", "plane", "-s", "rubbing", "--frames", "3", *pictures)
-    assert outcome.code == 0, outcome.err
+    pictures = f"--picture run.png --video run.gif --renderer {renderer}"
+    outcome = run(f"simulate plane -s rubbing --frames 3 {pictures}")
     assert (tmp_path / "run.png").read_bytes().startswith(PNG)
     assert (tmp_path / "run.gif").read_bytes().startswith(GIF)
     assert not outcome.err or "drawing instead" in outcome.err
@@ -45,11 +41,7 @@ def test_a_run_is_drawn_as_an_animation(run, tmp_path, renderer):
 
 @pytest.mark.slow
 def test_several_runs_have_consecutive_seeds(run):
-    outcome = run(
-        *("simulate", "plane", "-s", "rubbing", "--sensors", "25"),
-        *("--frames", "30", "--seed", "5", "--runs", "2"),
-    )
-    assert outcome.code == 0, outcome.err
+    run("simulate plane -s rubbing --sensors 25 --frames 30 --seed 5 --runs 2")
     for seed in (5, 6):
         recording = anisomap.read(f"plane-rubbing-{seed}.npz")
         expected = anisomap.simulate("plane", "rubbing", n_sensors=25, n_frames=30, seed=seed)
@@ -66,17 +58,16 @@ def test_a_robot_part_with_its_sensors_becomes_a_recording(run, tmp_path):
     names = [f"n{i}" for i in range(len(places))]
     write_layout(tmp_path / "sensors.csv", places, names, "name,x,y,z")
     anisomap.write(anisomap.SensorMap(places), tmp_path / "points.ply")  # and no mesh
-    for arguments in (
-        ("part.stl", "--sensors", "sensors.csv"),
-        ("part.stl", "--sensors", "41"),
-        ("sensors.csv",),
-        ("points.ply",),
+    for body in (
+        "part.stl --sensors sensors.csv",
+        "part.stl --sensors 41",
+        "sensors.csv",
+        "points.ply",
     ):
-        outcome = run("simulate", *arguments, "--frames", "3", "-o", "out.npz")
-        assert outcome.code == 0, outcome.err
+        run(f"simulate {body} --frames 3 -o out.npz")
         recording = anisomap.read("out.npz")
         assert recording.n_sensors == 41
-        if "sensors.csv" in arguments:
+        if "sensors.csv" in body:
             assert list(recording.names) == names
             np.testing.assert_allclose(recording.positions, places, atol=1e-5)
 
@@ -86,17 +77,13 @@ def test_without_a_screen_the_view_warns_and_the_recording_is_written(run, tmp_p
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     outcome = run("simulate", "sphere", "--frames", "3", "--view")
-    assert outcome.code == 0
     assert "needs a display" in outcome.err
     assert (tmp_path / "sphere-bombardment.npz").exists()
 
 
 def test_injected_faults_are_documented_in_the_file(run, skin_npz):
-    outcome = run(
-        *("spoil", skin_npz, "-o", "bad.npz", "--seed", "4"),
-        *("-f", "dead:s1,s2", "-f", "saturating:10%,level=2", "-f", "dropped-frames:share=0.2"),
-    )
-    assert outcome.code == 0, outcome.err
+    faults = "-f dead:s1,s2 -f saturating:10%,level=2 -f dropped-frames:share=0.2"
+    outcome = run(f"spoil skin.npz -o bad.npz --seed 4 {faults}")
     whole, spoilt = anisomap.read(skin_npz), anisomap.read("bad.npz")
     done = injected_faults(spoilt)
     assert [fault.sensor for fault in done if fault.kind == "dead"] == ["s1", "s2"]
@@ -109,11 +96,8 @@ def test_injected_faults_are_documented_in_the_file(run, skin_npz):
 
 @pytest.mark.slow
 def test_a_coverage_curve_is_printed_written_and_drawn(run, tmp_path):
-    outcome = run(
-        *("coverage", "sphere", "--sensors", "20", "--runs", "2", "-m", "r-anisomap"),
-        *("--frames", "50", "--frames", "800", "-o", "curve.csv", "--picture", "curve.png"),
-    )
-    assert outcome.code == 0, outcome.err
+    setting = "--sensors 20 --runs 2 -m r-anisomap --frames 50 --frames 800"
+    outcome = run(f"coverage sphere {setting} -o curve.csv --picture curve.png")
     rows = (tmp_path / "curve.csv").read_text().splitlines()
     assert rows[0].startswith("frames,seconds,sensors touched")
     assert [row.split(",")[0] for row in rows[1:]] == ["50", "800"]

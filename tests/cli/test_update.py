@@ -21,9 +21,8 @@ def first_days(tmp_path_factory):
     kept = [i for i in range(42) if i not in NEW]
     anisomap.write(monday.select(kept), folder / "monday.npz")
     anisomap.write(tuesday, folder / "tuesday.npz")
-    done = call(folder, "map", "monday.npz", "-d", 2, "-o", "map.csv", "--spacing", "6mm",
-                "--keep-statistics", "--no-verdict", "--permutations", 0)  # fmt: skip
-    assert done.code == 0, done.err
+    made = "map monday.npz -d 2 -o map.csv --spacing 6mm --keep-statistics"
+    call(folder, made, "--no-verdict", "--permutations", 0)
     return folder
 
 
@@ -35,10 +34,8 @@ def days(first_days, tmp_path):
 
 
 def test_a_map_is_updated_and_the_new_sensors_are_placed(run, days):
-    done = run("update", "map.csv", "tuesday.npz", "-o", "new.npz", "-o", "new.urdf",
-               "--picture", "new.png", "--json")  # fmt: skip
-    assert done.code == 0, done.err
-    found = done.values
+    files = "-o new.npz -o new.urdf --picture new.png"
+    found = run(f"update map.csv tuesday.npz {files} --json").values
     assert found["added"] == [f"s{i}" for i in NEW]
     assert (found["moved"], found["not_recorded"], found["not_placed"]) == ([], [], [])
     assert (found["recordings"], found["units"]) == (2, "mm")
@@ -54,16 +51,14 @@ def test_a_map_is_updated_and_the_new_sensors_are_placed(run, days):
     assert np.median(moved) < 3  # mm: the frame is that of the old map
     assert (days / "new.png").stat().st_size > 10_000
     assert len(io.read_map(days / "new.urdf").names) == 42
-    again = run("update", "new.npz", "tuesday.npz", "-o", "third.csv")
-    assert again.code == 2
+    again = run("update", "new.npz", "tuesday.npz", "-o", "third.csv", code=2)
     assert "part of the evidence already" in again.err
     assert not (days / "third.csv").exists()
 
 
 def test_a_map_that_was_placed_since_is_updated_with_its_statistics(run, days):
-    assert run("convert", "map.csv", "other.json", "--mirror").code == 0
+    run("convert", "map.csv", "other.json", "--mirror")
     done = run("update", "other.json", "tuesday.npz", "--statistics", "map.statistics.npz")
-    assert done.code == 0, done.err
     assert "added: s3, s25, s40" in done.out
     old, new = io.read_map(days / "other.json"), io.read_map(days / "other.updated.csv")
     assert np.nanmedian(np.linalg.norm(new.positions[:39] - old.positions, axis=1)) < 3
@@ -75,9 +70,7 @@ def test_rewired_and_missing_sensors_are_named(run, days):
     readings[:, [8, 33]] = readings[:, [33, 8]]
     readings[:, 20] = 0
     anisomap.write(anisomap.Recording(readings), days / "rewired.npz")
-    done = run("update", "map.csv", "rewired.npz", "-o", "new.csv", "--json")
-    assert done.code == 0, done.err
-    found = done.values
+    found = run("update map.csv rewired.npz -o new.csv --json").values
     assert {moved["sensor"] for moved in found["moved"]} == {"s8", "s33"}
     assert found["not_recorded"] == ["s20"]
     assert any("2 sensors moved" in note for note in found["notes"])

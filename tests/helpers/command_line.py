@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +18,8 @@ from anisomap.cli.app import run
 
 @dataclass(frozen=True)
 class Outcome:
-    """Exit code and output of a command."""
+    """Output of a command."""
 
-    code: int
     out: str
     err: str
 
@@ -29,8 +29,12 @@ class Outcome:
         return json.loads(self.out)
 
 
-def call(folder: Path, *arguments: object, width: int = 200) -> Outcome:
-    """Run a command in a folder; unexpected errors are raised instead of reported."""
+def call(folder: Path, *arguments: object, code: int = 0, width: int = 200) -> Outcome:
+    """Run a command in a folder, and check its exit code; unexpected errors are raised.
+
+    arguments: The command as it is typed, and further words.
+    """
+    typed, *words = arguments
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.chdir(folder),
@@ -41,8 +45,9 @@ def call(folder: Path, *arguments: object, width: int = 200) -> Outcome:
         patch.setenv("ANISOMAP_DEBUG", "1")
         for shown in (console.console, console.errors):
             patch.setattr(shown, "width", width)
-        code = run([str(argument) for argument in arguments])
-    return Outcome(code, out.getvalue(), err.getvalue())
+        ended = run([*shlex.split(str(typed)), *map(str, words)])
+    assert ended == code, err.getvalue()
+    return Outcome(out.getvalue(), err.getvalue())
 
 
 def write_layout(
