@@ -14,8 +14,7 @@ from anisomap.evaluation import compare_maps, score
 from anisomap.evidence import SIMILARITIES
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.placement import Anchors, place
-from anisomap.tracking import gather_evidence, map_evidence, update_map
-from anisomap.tracking.pair_sums import PairSums
+from anisomap.tracking import PairSums, gather_evidence, map_evidence, update_map
 from skins import flat_skin, lattice, quietly, rubbed
 
 seeds = st.integers(0, 10_000)

@@ -26,8 +26,7 @@ from anisomap.io.parsing.source import file_errors
 from anisomap.methods import find_method
 from anisomap.options import MethodOptions
 from anisomap.recording import Scalar
-from anisomap.tracking import Evidence
-from anisomap.tracking.pair_sums import PairSums
+from anisomap.tracking import Evidence, PairSums
 
 _SUFFIX = ".statistics.npz"
 _KIND = "anisomap statistics 1"

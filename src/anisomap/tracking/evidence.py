@@ -1,39 +1,182 @@
-"""What recordings tell of all pairs of sensors, added up, and sensors that it shows elsewhere."""
+"""What recordings tell of all pairs of sensors: sums over frames, which add up over recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import reduce
 from hashlib import blake2b
+from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri
 
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.evaluation.scoring import median_spacing
-from anisomap.evidence import PairStatistics
+from anisomap.evidence import SIMILARITIES, PairStatistics
 from anisomap.methods import check_even_spacing, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import (
     MIN_CONTACTS,
+    agreement_of_sums,
     distinct_contacts,
     is_on_off,
     shows_single_contacts,
+    weighted_contacts,
 )
-from anisomap.numerics.precision import check_pair_memory
-from anisomap.numerics.reliability.split_half import profile_agreement
+from anisomap.numerics.precision import Reals, check_pair_memory
+from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.options import MethodOptions
 from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import Recording, as_runs, match_names, sensor_mask
 from anisomap.sensor_map import SensorMap
-from anisomap.tracking.pair_sums import PairSums
 
+_MIN_CONTACTS = 2  # for a sampling variance
 _MIN_VARYING = 2  # sensors; fewer form no pair
 _DIGEST_BYTES = 16  # of a recording; equal digests of different recordings are out of the question
+
+
+@dataclass(frozen=True, eq=False)
+class PairSums(Immutable):
+    """Sums over the frames of one or several recordings, for all pairs of n sensors.
+
+    Attributes
+    ----------
+    products : ndarray of shape (n, n)
+        Sums of products, symmetric; see `_POOLINGS`.
+    squares : ndarray of shape (n, n)
+        Sums of squares of the sensor of the row, over recordings that contain the sensor of the
+        column as well.
+    weights : ndarray of shape (n, n)
+        Weights of the frames or contacts that were recorded with both sensors; symmetric.
+    precision : ndarray of shape (n, n)
+        Reciprocal of the sampling variance: the effective number of independent frames. 0 for pairs
+        that were not recorded together; symmetric.
+
+    Notes
+    -----
+    Means are those of each recording, so that a shift of the zero between two recordings relates
+    no sensors.
+    """
+
+    products: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, readings: NDArray[np.generic], similarity: str, *, bins: int) -> PairSums:
+        """Sum over the complete readings of one recording, shape (T, n), of varying sensors."""
+        if similarity not in SIMILARITIES:
+            raise InputError(f"there is no similarity {similarity!r}")
+        chosen, shape = SIMILARITIES[similarity], (readings.shape[1],) * 2
+        if similarity == _OF_CONTACTS and len(distinct_contacts(readings)) < _MIN_CONTACTS:
+            return cls(*(np.zeros(shape) for _ in fields(cls)))
+        readings, _ = chosen.referred(readings)
+        found, variance = chosen.with_variance(readings, bins)
+        pool, _ = _POOLINGS.get(similarity, _OF_CORRELATION)
+        products, squares, weight = pool(readings, found)
+        return cls(
+            products,
+            np.array(np.broadcast_to(squares[:, None], shape)),
+            np.full(shape, weight),
+            1.0 / np.asarray(variance, dtype=np.float64),
+        )
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Mask of the pairs that were recorded together, shape (n, n)."""
+        return np.asarray(self.precision > 0)
+
+    def merged(self, other: PairSums) -> PairSums:
+        """Add the sums of other frames of the same sensors, in any order."""
+        return PairSums(*map(np.add, vars(self).values(), vars(other).values()))
+
+    def spread(self, rows: NDArray[np.intp], n_sensors: int) -> PairSums:
+        """Return the sums of `n_sensors` sensors, of which these are the given rows."""
+        found = np.zeros((len(fields(self)), n_sensors, n_sensors))
+        for matrix, sums in zip(found, vars(self).values(), strict=True):
+            matrix[np.ix_(rows, rows)] = sums
+        return PairSums(*found)
+
+    def without(self, sensors: NDArray[np.intp]) -> PairSums:
+        """Return sums in which no pair of the given sensors is known."""
+        kept = ~np.isin(np.arange(len(self.products)), sensors)
+        return PairSums(
+            *(np.where(kept[:, None] & kept, sums, 0.0) for sums in vars(self).values())
+        )
+
+    def statistics(self, similarity: str) -> PairStatistics:
+        """Return the similarity of all pairs, by the key given to `of`, and its variance."""
+        known = self.known
+        _, finish = _POOLINGS.get(similarity, _OF_CORRELATION)
+        values = np.where(known | np.eye(len(known), dtype=bool), finish(self), 0.0)
+        noise = np.divide(1.0, self.precision, out=np.ones_like(values), where=known)
+        return PairStatistics.from_similarity(
+            values, noise=noise, known=known, statistic=similarity
+        )
+
+
+_Sums: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], float]
+"""Sums of products, shape (n, n), and of squares, shape (n,), and the weight of a recording."""
+
+
+def _correlation_sums(readings: NDArray[np.generic], similarity: Reals) -> _Sums:
+    """Weight a correlation by how much its sensors vary, in ranks, which have no unit."""
+    n_frames = len(readings)
+    ranks = ranks_of_depths(readings) / n_frames
+    squares = n_frames * np.asarray(ranks.var(axis=0))
+    spread = np.sqrt(squares)
+    # Multiplying the spreads first rounds (i, j) and (j, i) alike.
+    products = np.outer(spread, spread) * similarity
+    return np.asarray(products), np.asarray(squares), float(n_frames)
+
+
+def _finished_correlation(sums: PairSums) -> Reals:
+    size = np.sqrt(sums.squares) * np.sqrt(sums.squares.T)
+    correlation = np.divide(sums.products, size, out=np.zeros_like(size), where=size > 0)
+    np.clip(correlation, -1, 1, out=correlation)
+    np.fill_diagonal(correlation, 1.0)
+    return np.asarray(correlation)
+
+
+def _contact_sums(readings: NDArray[np.generic], _: Reals) -> _Sums:
+    together, total = weighted_contacts(readings)
+    return together, np.asarray(np.diag(together)), total
+
+
+def _mean_sums(readings: NDArray[np.generic], similarity: Reals) -> _Sums:
+    n_frames = float(len(readings))
+    return np.asarray(n_frames * similarity), np.full(len(similarity), n_frames), n_frames
+
+
+def _finished_mean(sums: PairSums) -> Reals:
+    found = np.zeros_like(sums.products)
+    return np.asarray(np.divide(sums.products, sums.weights, out=found, where=sums.weights > 0))
+
+
+_OF_CONTACTS = "contact-agreement"
+_Pooling: TypeAlias = tuple[
+    Callable[[NDArray[np.generic], Reals], _Sums], Callable[[PairSums], Reals]
+]
+_OF_CORRELATION: _Pooling = (_correlation_sums, _finished_correlation)
+_POOLINGS: Mapping[str, _Pooling] = MappingProxyType(
+    {
+        _OF_CONTACTS: (
+            _contact_sums,
+            lambda sums: agreement_of_sums(sums.products, sums.squares, sums.weights),
+        ),
+        "mutual-information": (_mean_sums, _finished_mean),
+    }
+)
+"""How readings and their similarity are summed, and the similarity of sums, if no correlation.
+
+Correlations are pooled as covariances within recordings are; a sensor that hardly varies in one of
+them has little weight there. Agreements have exact sums, over the distinct contacts of each
+recording. Mutual information is averaged over frames.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,97 +382,3 @@ def _evidence_of(
         recordings=(digest.hexdigest(),),
         single_contacts=single,
     )
-
-
-MIN_COMPARED = 8
-"""Minimum number of sensors on the map and in the recording; fewer give no typical difference."""
-
-FAR = 3.0
-"""Smallest distance of a move that is looked for, in spacings; nearer profiles are alike."""
-
-# From median absolute deviations to standard deviations of a normal distribution.
-_TO_SIGMA = 1 / float(ndtri(0.75))
-
-
-@dataclass(frozen=True, eq=False)
-class Moves(Immutable):
-    """Sensors that moved.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The compared sensors.
-    p_values : ndarray of shape (n,)
-        Probability that chance alone makes any sensor fit a far place so much better (Bonferroni);
-        1 for sensors that fit their own place better than any far one.
-    like : tuple of str
-        The far sensor of the map that each fits best.
-    moved : tuple of str
-        Sensors with a p value below the level.
-    """
-
-    names: tuple[str, ...]
-    p_values: NDArray[np.float64]
-    like: tuple[str, ...]
-    moved: tuple[str, ...]
-
-
-def find_moves(
-    sensor_map: SensorMap, evidence: Evidence, fresh: Evidence, level: float
-) -> Moves | None:
-    """Find sensors of which the similarity to all others is that of a far sensor before.
-
-    For each sensor, the agreement of its new profile with its own old one is compared with the
-    best agreement with the profile of a far sensor. A sensor moved if the far one fits better, by
-    more than chance explains: differences of sensors that did not move are taken as normal, with
-    the median and the median absolute deviation of all.
-    """
-    compared = set(evidence.names) & set(fresh.names)
-    placed = np.flatnonzero(sensor_map.placed)
-    placed = placed[[sensor_map.names[i] in compared for i in placed]]
-    if len(placed) < MIN_COMPARED:
-        return None
-    names = tuple(sensor_map.names[i] for i in placed)
-    key = common_similarity(evidence, fresh)
-    old_similarity, old_known = similarity_of(evidence, key, names)
-    new_similarity, new_known = similarity_of(fresh, key, names)
-    agreement = profile_agreement(new_similarity, old_similarity, new_known, old_known)
-    places, component = sensor_map.positions[placed], sensor_map.component[placed]
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    far = (apart > FAR * spacing_of(sensor_map)) | (component[:, None] != component)
-    if not far.any():
-        return None
-    elsewhere = np.where(far, agreement, -np.inf)
-    gain = elsewhere.max(axis=1) - np.diag(agreement)
-    finite = gain[np.isfinite(gain)]
-    middle = float(np.median(finite))
-    sigma = _TO_SIGMA * float(np.median(np.abs(finite - middle)))
-    z = (gain - middle) / max(sigma, np.finfo(float).tiny)
-    p_values = np.where(gain > 0, np.minimum(1.0, len(names) * ndtr(-z)), 1.0)
-    return Moves(
-        names=names,
-        p_values=p_values,
-        like=tuple(names[j] for j in elsewhere.argmax(axis=1)),
-        moved=tuple(name for name, p in zip(names, p_values, strict=True) if p < level),
-    )
-
-
-def spacing_of(sensor_map: SensorMap) -> float:
-    """Return the median distance between neighbours on the largest component, 0 of one sensor."""
-    places = sensor_map.positions[sensor_map.component == 0]
-    return median_spacing(places) if len(places) > 1 else 0.0
-
-
-def common_similarity(first: Evidence, second: Evidence) -> str:
-    """Return the most specific similarity of which both have sums."""
-    return next(key for key in reversed(tuple(first.sums)) if key in second.sums)
-
-
-def similarity_of(
-    evidence: Evidence, key: str, names: Sequence[str]
-) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
-    """Return the similarity of n sensors, and which pairs of them are known, (n, n) each."""
-    rows = match_names(names, evidence.names)
-    inside = np.ix_(rows, rows)
-    pairs = evidence.sums[key].statistics(key)
-    return pairs.similarity[inside], pairs.known[inside]

@@ -11,33 +11,116 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
+from scipy.special import ndtr, ndtri
 
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.difference import MIN_COMPARED, Difference
 from anisomap.evaluation.mantel_r import mantel
+from anisomap.evaluation.scoring import median_spacing
 from anisomap.health import assess
 from anisomap.numerics.neighbours import Kernel, labels_by_size, padded, predict_field
 from anisomap.numerics.procrustes import Similarity, fit_similarity, fit_similarity_robustly
+from anisomap.numerics.reliability.split_half import profile_agreement
 from anisomap.recording import Recording, as_runs, join_runs, match_names
 from anisomap.sensor_map import UNASSESSED, UNPLACED, SensorMap
-from anisomap.tracking.evidence import (
-    FAR,
-    Evidence,
-    Moves,
-    common_similarity,
-    find_moves,
-    gather_evidence,
-    map_evidence,
-    similarity_of,
-    spacing_of,
-)
+from anisomap.tracking.evidence import Evidence, gather_evidence, map_evidence
+
+FAR = 3.0
+"""Smallest distance of a move that is looked for, in spacings; nearer profiles are alike."""
+
+# From median absolute deviations to standard deviations of a normal distribution.
+_TO_SIGMA = 1 / float(ndtri(0.75))
 
 # The corrections of an old map, such as those by a mesh, are taken to change over a few spacings.
 _REACH, _NOISE = 3.0, 0.1
 _NEIGHBOURS = 4  # of which a new sensor takes the largest error
 _EXPLAINED = 0.5  # share of the variance of a map that its own evidence must explain
+
+
+@dataclass(frozen=True, eq=False)
+class Moves(Immutable):
+    """Sensors that moved.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The compared sensors.
+    p_values : ndarray of shape (n,)
+        Probability that chance alone makes any sensor fit a far place so much better (Bonferroni);
+        1 for sensors that fit their own place better than any far one.
+    like : tuple of str
+        The far sensor of the map that each fits best.
+    moved : tuple of str
+        Sensors with a p value below the level.
+    """
+
+    names: tuple[str, ...]
+    p_values: NDArray[np.float64]
+    like: tuple[str, ...]
+    moved: tuple[str, ...]
+
+
+def find_moves(
+    sensor_map: SensorMap, evidence: Evidence, fresh: Evidence, level: float
+) -> Moves | None:
+    """Find sensors of which the similarity to all others is that of a far sensor before.
+
+    For each sensor, the agreement of its new profile with its own old one is compared with the
+    best agreement with the profile of a far sensor. A sensor moved if the far one fits better, by
+    more than chance explains: differences of sensors that did not move are taken as normal, with
+    the median and the median absolute deviation of all.
+    """
+    compared = set(evidence.names) & set(fresh.names)
+    placed = np.flatnonzero(sensor_map.placed)
+    placed = placed[[sensor_map.names[i] in compared for i in placed]]
+    if len(placed) < MIN_COMPARED:
+        return None
+    names = tuple(sensor_map.names[i] for i in placed)
+    key = common_similarity(evidence, fresh)
+    old_similarity, old_known = similarity_of(evidence, key, names)
+    new_similarity, new_known = similarity_of(fresh, key, names)
+    agreement = profile_agreement(new_similarity, old_similarity, new_known, old_known)
+    places, component = sensor_map.positions[placed], sensor_map.component[placed]
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    far = (apart > FAR * spacing_of(sensor_map)) | (component[:, None] != component)
+    if not far.any():
+        return None
+    elsewhere = np.where(far, agreement, -np.inf)
+    gain = elsewhere.max(axis=1) - np.diag(agreement)
+    finite = gain[np.isfinite(gain)]
+    middle = float(np.median(finite))
+    sigma = _TO_SIGMA * float(np.median(np.abs(finite - middle)))
+    z = (gain - middle) / max(sigma, np.finfo(float).tiny)
+    p_values = np.where(gain > 0, np.minimum(1.0, len(names) * ndtr(-z)), 1.0)
+    return Moves(
+        names=names,
+        p_values=p_values,
+        like=tuple(names[j] for j in elsewhere.argmax(axis=1)),
+        moved=tuple(name for name, p in zip(names, p_values, strict=True) if p < level),
+    )
+
+
+def spacing_of(sensor_map: SensorMap) -> float:
+    """Return the median distance between neighbours on the largest component, 0 of one sensor."""
+    places = sensor_map.positions[sensor_map.component == 0]
+    return median_spacing(places) if len(places) > 1 else 0.0
+
+
+def common_similarity(first: Evidence, second: Evidence) -> str:
+    """Return the most specific similarity of which both have sums."""
+    return next(key for key in reversed(tuple(first.sums)) if key in second.sums)
+
+
+def similarity_of(
+    evidence: Evidence, key: str, names: Sequence[str]
+) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+    """Return the similarity of n sensors, and which pairs of them are known, (n, n) each."""
+    rows = match_names(names, evidence.names)
+    inside = np.ix_(rows, rows)
+    pairs = evidence.sums[key].statistics(key)
+    return pairs.similarity[inside], pairs.known[inside]
 
 
 @dataclass(frozen=True, eq=False)

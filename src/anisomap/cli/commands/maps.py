@@ -198,7 +198,6 @@ def update(
     """
     from anisomap import route
     from anisomap.cli.outputs import Outputs
-    from anisomap.sensor_map import UNSCALED
 
     maps = output or [options.beside(map_file, ".updated.csv")]
     old_statistics = statistics or io.statistics_beside(map_file)
@@ -216,12 +215,8 @@ def update(
             f"there is no file {old_statistics} with the statistics of the map; make the map with "
             "anisomap map --keep-statistics, or name the file with --statistics"
         )
-    for path in maps:
-        if io.needs_scale(path) and sensor_map.units in UNSCALED:
-            raise InputError(
-                f"cannot write {path}: its format is in metres, but the map has no scale; place "
-                "the map first with anisomap place"
-            )
+    hint = "place the map first with anisomap place"
+    options.DEFAULT_PLACING.check(maps, sensor_map.units, hint=hint)
     evidence = io.read_statistics(old_statistics)
     runs = route.read_runs(recordings, how, missing, progress=progress)
     joined = anisomap.join_runs(runs)
