@@ -145,8 +145,7 @@ def are_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
     if sum(map(size_on_disk, paths)) < PROBED_BYTES:
         return False
     total = 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the same warnings follow when the file is read
+    with warnings.catch_warnings(action="ignore"):  # the same warnings follow when the file is read
         for path in paths:
             with io.open_stream(path, options=how) as stream:
                 for block in stream.blocks:
@@ -217,8 +216,7 @@ def _first_frame_of_all(paths: Sequence[Path], how: io.ReadOptions) -> Recording
 
 
 def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         with io.open_stream(path, frames=1, options=how) as stream:
             frame = assemble(replace(stream, blocks=islice(stream.blocks, 1)))
     return with_grid(replace(frame, times=None, source=frame.source or path.name), how.grid)

@@ -485,8 +485,7 @@ def coverage_without_map(recording: Recording) -> TouchCoverage | None:
     if recording.n_sensors > _MAX_QUICK:
         return None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AnisomapWarning)
+        with warnings.catch_warnings(action="ignore", category=AnisomapWarning):
             complete = recording.complete("interpolate")
             return touch_coverage(reconstruct(complete, _QUICK_METHOD), recording)
     except InputError:  # too few sensors vary

@@ -194,8 +194,7 @@ class QuickMapper:
         correlation, before = pearson(recording.readings), self._before
         if before is not None and before.shape[1] != self.dimensions:
             before = None  # the number of dimensions has changed
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AnisomapWarning)
+        with warnings.catch_warnings(action="ignore", category=AnisomapWarning):
             made = reconstruct_from(
                 similarity=correlation,
                 method=QUICK_METHOD,

@@ -84,8 +84,7 @@ def examine(
     made: SensorMap | None = None
     examined: route.Examined | None = None
     verdict, error = Verdict(), float("nan")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         try:
             examined = route.examine(_read(path, n_frames, options, final))
             drop = [name for name in options.drop if name in examined.recording.names]

@@ -376,8 +376,7 @@ def check(
 def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -> bool:
     """Return whether the first file is a recording of sensors that the second one places."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", AnisomapWarning)
+        with warnings.catch_warnings(action="ignore", category=AnisomapWarning):
             recorded = io.read(layout_file, options=how).names
             return not set(recorded).isdisjoint(io.read_map(recording_file).names)
     except AnisomapError:
