@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import anisomap
+import example_files
 import watched
 from anisomap.cli import main
 from anisomap.cli.app import run
@@ -368,28 +369,6 @@ CHANGES = {
 }  # fmt: skip
 
 
-def large(path):
-    """Write readings that no buffer holds."""
-    values = np.random.default_rng(1).random((6_000, 8)).round(6)
-    if path.suffix in (".csv", ".npz", ".tsv"):
-        anisomap.write(anisomap.Recording(values), path)
-    elif path.suffix == ".npy":
-        np.save(path, values)
-    elif path.suffix == ".log":
-        rows = (" ".join(map(str, row)) for row in values.tolist())
-        path.write_text("".join(f"{i} {1.3e9 + i / 50:.6f} {row}\n" for i, row in enumerate(rows)))
-    elif path.suffix == ".h5":
-        with pytest.importorskip("h5py").File(path, "w") as file:
-            file.create_dataset("readings", data=values, chunks=(500, 8), compression="gzip")
-    else:
-        arrow = pytest.importorskip("pyarrow")
-        table = arrow.table({f"s{i}": values[:, i] for i in range(8)})
-        if path.suffix == ".parquet":
-            pytest.importorskip("pyarrow.parquet").write_table(table, path, row_group_size=500)
-        else:
-            pytest.importorskip("pyarrow.feather").write_feather(table, path, chunksize=500)
-
-
 def read_while_it_changes(path, done):
     """Change a file after its first block, in each way; every reading ends or is refused."""
     content = path.read_bytes()
@@ -398,7 +377,7 @@ def read_while_it_changes(path, done):
         path.write_bytes(content)
         with suppress(AnisomapError), anisomap.io.open_stream(path, frames=100) as stream:
             for number, block in enumerate(stream.blocks):
-                assert block.readings.shape[1] == 8
+                assert block.readings.shape[1] == stream.n_sensors
                 if not number:
                     change(path)
         (done / name).touch()
@@ -408,10 +387,12 @@ def read_while_it_changes(path, done):
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 @pytest.mark.parametrize(
     "name",
-    ["a.csv", "a.npz", "a.npy", "data.log", "a.h5", "a.parquet", "a.feather"],
+    ["skin.csv", "skin.npz", "skin.npy", "data.log", "skin.h5", "skin.parquet", "skin.feather"],
 )
-def test_a_file_that_changes_while_it_is_read(tmp_path, name):
-    large(tmp_path / name)
+def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(example_files, "N_FRAMES", 10_000)  # readings that no buffer holds
+    _, write = example_files.RECORDINGS[name]
+    write(tmp_path / name)
     done = tmp_path / "done"
     done.mkdir()
     # In another process, which a bus error would end.

@@ -73,28 +73,6 @@ def test_the_worst_sensors_of_a_map_are_named(run, truth_csv, tmp_path):
     assert "s40 " in run("score", "swapped.csv", truth_csv).out
 
 
-def test_two_days_are_compared(run, run_map, tmp_path):
-    """Tuesday's recording has two wires swapped and a dead sensor."""
-    monday, again = (flat_skin(seed=seed).readings for seed in (1, 2))
-    tuesday = again.copy()
-    tuesday[:, [8, 33]] = again[:, [33, 8]]
-    tuesday[:, 20] = 0
-    for day, readings in (("monday", monday), ("again", again), ("tuesday", tuesday)):
-        anisomap.write(anisomap.Recording(readings), f"{day}.npz")
-        run_map(f"{day}.npz", "-o", f"{day}.csv")
-    same = run("diff", "monday.csv", "again.csv", "--json")
-    assert same.values["different"] is False
-    words = ("diff", "monday.csv", "tuesday.csv")
-    values = run(*words, "--picture", "diff.png", "--json", code=1).values
-    assert {moved["sensor"] for moved in values["moved"]} == {"s8", "s33"}
-    assert values["lost"] == ["s20"]
-    assert (tmp_path / "diff.png").stat().st_size > 10_000
-    text = run(*words, code=1).out
-    assert "s33" in text
-    assert "lost: s20" in text
-    assert "distance (units of the first map)" in text
-
-
 def test_methods_are_compared_with_stock_methods_in_tables(run, skin_npz, tmp_path):
     (tmp_path / "skins").mkdir()
     skin_npz.rename(tmp_path / "skins" / "skin.npz")
@@ -262,15 +240,6 @@ def test_a_report_states_where_it_comes_from(tmp_path):
         assert stated in page
     assert "x (mm)" in page
     assert "x (m)" not in page
-
-
-def test_maps_are_converted_to_robot_formats_in_metres(run, made, tmp_path):
-    outcome = run(f"convert {made}/map.csv skin.urdf --spacing 6.5mm --frame l_forearm")
-    assert "6.5 mm" in outcome.out
-    assert 'name="l_forearm"' in (tmp_path / "skin.urdf").read_text()
-    found, before = anisomap.read_map("skin.urdf"), anisomap.read_map(made / "map.csv")
-    assert median_spacing(found) == pytest.approx(0.0065)
-    assert anisomap.mantel(found, before.positions, permutations=0).r == pytest.approx(1)
 
 
 def test_a_map_is_made_in_millimetres_and_mirrored_at_once(run_map, skin_npz):
