@@ -32,6 +32,7 @@ from anisomap.health import (
 )
 from anisomap.io.presets import with_grid
 from anisomap.io.stream import assemble
+from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.methods import check_even_spacing
 from anisomap.numerics.precision import check_pair_memory
 from anisomap.options import MethodOptions
@@ -216,9 +217,9 @@ def _first_frame_of_all(paths: Sequence[Path], how: io.ReadOptions) -> Recording
 
 
 def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
-    with warnings.catch_warnings(action="ignore"):
-        with io.open_stream(path, frames=1, options=how) as stream:
-            frame = assemble(replace(stream, blocks=islice(stream.blocks, 1)))
+    quiet = warnings.catch_warnings(action="ignore")
+    with quiet, io.open_stream(path, frames=1, options=how) as stream:
+        frame = assemble(replace(stream, blocks=islice(stream.blocks, 1)))
     return with_grid(replace(frame, times=None, source=frame.source or path.name), how.grid)
 
 
@@ -238,8 +239,6 @@ class _Files:
     kept: NDArray[np.intp] | None = None
 
     def __call__(self) -> Iterator[NDArray[Any]]:
-        from anisomap.large.chunks import complete_chunks  # noqa: PLC0415
-
         if len(self.paths) == 1:
             return complete_chunks(partial(self.raw, 0, self.kept), self.missing)()
         every = (
@@ -250,8 +249,6 @@ class _Files:
 
     def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
         """Yield the readings of a file, sensors in the order of `names`."""
-        from anisomap.large.chunks import chunk_frames  # noqa: PLC0415
-
         path, n_frames = self.paths[number], chunk_frames(len(self.names))
         with io.open_stream(path, frames=n_frames, options=self.how) as stream:
             own = {name: i for i, name in enumerate(stream.names or self.names)}

@@ -1,8 +1,4 @@
-"""The quick map of a live session: r-ANISOMAP of a sample of all frames, warm-started.
-
-It takes hundredths of a second for tens of sensors and a second for a thousand, so that it can
-follow the session. The default method takes ten times as long; it makes the checked map.
-"""
+"""The quick map of a live session: r-ANISOMAP of a sample of all frames, warm-started."""
 
 from __future__ import annotations
 
@@ -219,10 +215,7 @@ def neighbour_lines(positions: NDArray[np.float64]) -> NDArray[np.intp]:
 def warm_start(
     before: NDArray[np.float64], similarity: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return a start for the scaling: known positions, and guesses for the other sensors.
-
-    before (N, k), similarity (N, N) -> (N, k).
-    """
+    """Return known positions, and guesses for the others. before (N, k), similarity (N, N)."""
     start = before.copy()
     placed = np.isfinite(before).all(axis=1)
     fresh = np.flatnonzero(~placed)
@@ -237,10 +230,7 @@ def warm_start(
 def turned_onto(
     positions: NDArray[np.float64], before: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Turn a map onto the map before, with the handedness of that map.
-
-    positions (N, k), before (N, k) -> (N, k).
-    """
+    """Turn positions (N, k) onto those before, (N, k), with the handedness of these."""
     placed = np.isfinite(positions).all(axis=1)
     centred = positions - positions[placed].mean(axis=0)
     radius = np.sqrt(np.mean(np.sum(centred[placed] ** 2, axis=1)))

@@ -380,7 +380,8 @@ def update_map(
         recording, evidence.method, evidence.dimensions, options=evidence.options, drop=drop
     )
     _check_shared(sensor_map, evidence, fresh)
-    with warnings.catch_warnings(action="ignore", category=AnisomapWarning):  # they are notes of the result
+    # Warnings are notes of the result.
+    with warnings.catch_warnings(action="ignore", category=AnisomapWarning):
         moves = find_moves(sensor_map, evidence, fresh, level)
         moved = () if moves is None else moves.moved
         _check_agreement(sensor_map, fresh, moved)

@@ -160,7 +160,8 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
     quick, checked = session.maps.quick, session.maps.checked
     if quick is None:
         return None
-    positions = _checked_positions(checked, quick)
+    positions, truth = _checked_positions(checked, quick), session.maps.options.truth
+    stated = None if truth is None else _aligned(_in_order(truth, truth.positions, quick), quick)
     return {
         "names": list(quick.names),
         "dimensions": quick.positions.shape[1],
@@ -170,7 +171,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "checked_dimensions": None if positions is None else positions.shape[1],
         "checked_halo": _encoded(_checked_doubt(checked, quick)),
         "final": checked is not None and checked.final,
-        "stated": _encoded(_stated_positions(session.maps.options.truth, quick)),
+        "stated": _encoded(stated),
         "pairs": _encoded(quick.pairs, "<u4"),
         "halo": _encoded(_doubt(quick)),
         "contacts": quick.contacts.tolist(),
@@ -237,11 +238,6 @@ def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[
     if found.shape[1] != quick.positions.shape[1]:
         return turned_onto(found, None) if placed.any() else None
     return _aligned(found, quick)
-
-
-def _stated_positions(truth: SensorMap | None, quick: QuickMap) -> NDArray[np.float64] | None:
-    """Return the stated layout in the frame of the quick map; None if it cannot be turned."""
-    return None if truth is None else _aligned(_in_order(truth, truth.positions, quick), quick)
 
 
 def _aligned(found: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64] | None:

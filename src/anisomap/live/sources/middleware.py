@@ -88,9 +88,7 @@ def rosbridge(address: Address) -> Source:
 
     The option ``type`` is the type of the messages, ``field`` the path of the readings in them, as
     in ``data``. The protocol is rosbridge 2.0: ``{"op": "subscribe", "topic": ...}`` is answered
-    with ``{"op": "publish", "topic": ..., "msg": ...}``. It is spoken directly over the library
-    websockets: roslibpy needs the reactor of Twisted, which can be started once per process, and
-    holds what arrives in memory without a limit.
+    with ``{"op": "publish", "topic": ..., "msg": ...}``.
     """
     topic = address.path
     if not topic:
