@@ -120,12 +120,6 @@ def test_weights_and_missing_pairs(run, tmp_path, points):
     assert good > 0.999 > bent
 
 
-def test_objects_without_known_pairs_are_refused(run, tmp_path):
-    (tmp_path / "d.csv").write_text("A,B,1\nB,C,1\nD,E,1\nE,F,1\n")
-    told = run("map", "d.csv", "--dissimilarities", "-d", 2, code=2).err
-    assert "connect D, E, F with the other objects: there are 2 connected components" in told
-
-
 def test_the_choice_of_dimensions_speaks_of_objects(run, tmp_path):
     (tmp_path / "few.csv").write_text("A,B,1\nB,C,1\nA,C,1.5\n")
     values = np.random.default_rng(0).uniform(size=(30, 3))
@@ -138,21 +132,6 @@ def test_the_choice_of_dimensions_speaks_of_objects(run, tmp_path):
         assert said in text
         assert "dissimilarities" in text
         assert not re.search("readings|skin|sensor", text)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("--repair", "leave out other files, --repair"),
-        ("-m covariogram", "choose from anisomap, mds, ordinal"),
-        ("--drop p0,p1,p2,p3,p4,p5,p6,p7,p8,p9", "at least 3 objects, got 2"),
-        ("--drop p99", "there is no object 'p99'"),
-        ("--no-dissimilarities --weights w.csv", "give --dissimilarities as well"),
-    ],
-)
-@pytest.mark.usefixtures("dist_csv")
-def test_what_does_not_apply_is_refused(run, arguments, message):
-    assert message in run(f"map dist.csv {arguments}", code=2).err
 
 
 def test_ekman_has_the_stress_that_smacof_finds(run, tmp_path):

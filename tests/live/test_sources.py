@@ -300,18 +300,6 @@ def test_a_missing_library_is_named_with_its_command(address, library, extra, mo
         open_source(address)
 
 
-@pytest.mark.parametrize(
-    "address",
-    ["lsl://", "rosbridge://127.0.0.1:9090", "yarp://127.0.0.1:10000", "zenoh://", "tcp://[::1"],
-)
-def test_an_incomplete_address_is_an_error(address):
-    for library in ("pylsl", "websockets", "zenoh"):
-        if address.startswith(library[:3]):
-            pytest.importorskip(library)
-    with pytest.raises(InputError):
-        open_source(address)
-
-
 def test_every_kind_of_source_has_an_example_that_names_it():
     for scheme, entry in SOURCES.items():
         assert entry.example == "-" or entry.example.startswith(f"{scheme}://")
