@@ -43,7 +43,7 @@ map skin.csv --positions truth.csv -o truth.csv           | truth.csv
 map skin.npz -o a.csv --checkpoint skin.npz               | skin.npz is
 map skin.npz -o a.csv --checkpoint a.csv                  | a.csv is
 map skin.npz --min-quality usable --no-verdict            | verdict
-map skin.npz --min-quality excellent                      | usable
+map skin.npz --min-quality excellent                      | "usable", "usable-for-neighbours"
 map skin.npz --repair --approximate                       | --repair requires a recording in memory
 map skin.npz --workers 2 --keep-statistics                | --keep-statistics
 map skin.npz --approximate -m covariogram                 | r-anisomap only, got covariogram

@@ -108,10 +108,10 @@ class Outputs:
             if hint := _NOT_MAPS.get(path.suffix.lower()):
                 raise FileError(f"cannot write a map to {path}: {hint}")
             io.check_writable(path)
-        if self.recording:
-            check_target(self.recording)
-            if self.recording.suffix.lower() != ".npz":
-                raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
+        for other in filter(None, (self.recording, *self.others)):
+            check_target(other)
+        if self.recording and self.recording.suffix.lower() != ".npz":
+            raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
         if self.picture:
             from anisomap.drawing import figures
 

@@ -20,11 +20,10 @@ from rich.text import Text
 
 import anisomap
 from anisomap import io, placement
-from anisomap.base.wording import join_items, printable
+from anisomap.base.wording import printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.cli.console import console as terminal
 from anisomap.errors import FileError, InputError
-from anisomap.usability import LEVELS
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
@@ -202,17 +201,8 @@ RecordingFile: TypeAlias = Annotated[Path, Parameter(help="File of a recording."
 MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map."), existing]
 
 
-def _read_quality(_: object, tokens: Sequence[Token]) -> str:
-    level = tokens[0].value.replace("-", " ")
-    if level not in list(LEVELS)[1:]:
-        raise ValueError(f"choose from {QUALITIES}")
-    return level
-
-
-QUALITIES = join_items([level.replace(" ", "-") for level in reversed(list(LEVELS)[1:])])
-"""Levels of a verdict that can be asked for, as options name them."""
-
-Quality: TypeAlias = Annotated[str, Parameter(converter=_read_quality)]
+Quality: TypeAlias = Literal["usable", "usable-for-neighbours"]
+"""Levels of a verdict that can be asked for."""
 
 Output: TypeAlias = Annotated[list[Path] | None, Parameter(alias="-o", group=outputs_group)]
 Picture: TypeAlias = Annotated[

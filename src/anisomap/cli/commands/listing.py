@@ -68,14 +68,14 @@ def scenarios(
     scenario
         Scenario for which to list the parameters, with their defaults for a sphere of 1 m.
     """
+    from anisomap.simulation import SCENARIOS, find_scenario
     from anisomap.simulation.options import meanings_of
 
     if scenario is None:
-        known = anisomap.simulation.SCENARIOS.items()
-        rows = [(name, entry.summary) for name, entry in known]
+        rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
         _print_rows(printer, "Scenarios", "name summary", rows)
         return
-    options_of = anisomap.simulation.find_scenario(scenario).options()
+    options_of = find_scenario(scenario).options()
     parameters = [
         {"name": name, "default": getattr(options_of, name), "summary": text}
         for name, text in meanings_of(options_of).items()
@@ -88,15 +88,17 @@ def scenarios(
 
 def faults(*, printer: options.Printing = options.PRINTER) -> None:
     """List the faults that `anisomap spoil` can inject."""
-    injected, rows = anisomap.simulation.FAULTS, []
-    for name, function in {**injected, **anisomap.simulation.FRAME_FAULTS}.items():
+    from anisomap.simulation import FAULTS, FRAME_FAULTS
+
+    rows = []
+    for name, function in {**FAULTS, **FRAME_FAULTS}.items():
         parameters = inspect.signature(function).parameters.values()
         taken = ", ".join(
             f"{one.name}={one.default}"
             for one in parameters
             if one.kind is one.KEYWORD_ONLY and one.name not in ("rng", "source")
         )
-        affects = "sensors" if name in injected else "all sensors"
+        affects = "sensors" if name in FAULTS else "all sensors"
         rows.append((name, affects, taken or "-", _first_line(function)))
     _print_rows(printer, "Faults", "name affects parameters summary", rows)
 

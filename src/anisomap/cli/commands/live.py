@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.errors import InputError
-from anisomap.files.paths import check_target, together
+from anisomap.files.paths import together
 from anisomap.usability import Verdict
 
 if TYPE_CHECKING:
@@ -137,7 +138,6 @@ def live(
     target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
     if target.suffix.lower() != ".csv":
         raise InputError(f"the recording is written as CSV: {target} must end in .csv")
-    check_target(target)
     if target.exists():
         raise InputError(f"{target} exists; a live session writes a new recording")
     given = Path(source) if source and Path(source).exists() else None
@@ -203,11 +203,11 @@ def _run(
     finish: Callable[[], None],
 ) -> None:
     """Show the session until it ends, and finish it while the page still shows it."""
-    ends = None if page.duration is None else time.monotonic() + page.duration
+    ends = time.monotonic() + (page.duration or math.inf)
 
     def over() -> bool:
-        done = page.until is not None and session.maps.reached(page.until)
-        return done or (ends is not None and time.monotonic() >= ends)
+        done = page.until is not None and session.maps.reached(page.until.replace("-", " "))
+        return done or time.monotonic() >= ends
 
     if server is None:
         with _until_interrupted(printer):

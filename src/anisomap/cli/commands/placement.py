@@ -69,6 +69,8 @@ class SelfTouchOptions:
 
         alone: Whether nothing else is given that places the map.
         """
+        from anisomap.placement.kinematics import TURNING
+
         recording, robot, joints, other = self.files
         needed = ("self_touch", "urdf", "joints", "link", "other", "other_link")
         missing = [f"--{name.replace('_', '-')}" for name in needed if not getattr(self, name)]
@@ -81,8 +83,6 @@ class SelfTouchOptions:
                 "a map is placed by self-touch alone; leave out anchors, modules, --mesh and "
                 "--spacing"
             )
-        from anisomap.placement.kinematics import TURNING
-
         tree, table = io.read_robot(robot), io.read(joints).complete("error")
         angles = dict(zip(table.names, table.readings.T.astype(np.float64), strict=True))
         if self.degrees:

@@ -375,11 +375,9 @@ def map_recording(
         judge=judge if verdict else None,
         write_others=write_statistics,
     )
-    if not min_quality or judged.verdict.is_at_least(min_quality):
+    if not min_quality or judged.verdict.is_at_least(min_quality.replace("-", " ")):
         return 0
-    print_warning(
-        f"below --min-quality {min_quality.replace(' ', '-')}: the map is {judged.verdict}"
-    )
+    print_warning(f"below --min-quality {min_quality}: the map is {judged.verdict}")
     return 1
 
 

@@ -19,7 +19,7 @@ from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Columns, Printer, errors, print_warning, progress
 from anisomap.errors import FileError, InputError, import_extra
-from anisomap.files.paths import atomic_write, check_target, together
+from anisomap.files.paths import atomic_write, together
 
 _looks = Group("Pictures", sort_key=1)
 
@@ -223,8 +223,6 @@ def coverage(
     from anisomap.simulation.coverage import LENGTHS, coverage_curve
 
     Outputs(picture=picture, others=[output])
-    if output:
-        check_target(output)
     skin = read_body(body, sensors)
     with progress(f"simulating {runs} runs of {scenario} of {skin.name}"):
         curve = coverage_curve(
