@@ -3,6 +3,7 @@
 import os
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -255,20 +256,21 @@ def refused(folder, *words):
     return found.err
 
 
-def cases(table):
+needs_physics = pytest.mark.skipif(
+    find_spec("mujoco") is None, reason="needs the extra 'simulation'"
+)
+
+
+def cases(table, *marks):
     """Return the rows of a table of commands as parameters."""
     rows = (tuple(map(str.strip, row.split("|"))) for row in table.strip().splitlines())
-    return [pytest.param(*row, id=row[0][:60]) for row in rows]
+    return [pytest.param(*row, id=row[0][:60], marks=marks) for row in rows]
 
 
-@pytest.mark.parametrize(("command", "reason"), cases(REFUSED))
+@pytest.mark.parametrize(
+    ("command", "reason"), [*cases(REFUSED), *cases(NEEDS_PHYSICS, needs_physics)]
+)
 def test_commands_that_are_refused(folder, command, reason):
-    assert reason in refused(folder, command)
-
-
-@pytest.mark.parametrize(("command", "reason"), cases(NEEDS_PHYSICS))
-def test_commands_of_simulation_that_are_refused(folder, command, reason):
-    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
     assert reason in refused(folder, command)
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import anisomap
 from anisomap.recording import Recording
 from command_line import write_layout
 from skins import flat_skin
@@ -91,15 +90,6 @@ def test_from_the_file_to_a_scored_map(run, run_map, skin, tmp_path, name):
     assert score["sensors_compared"] == skin.n_sensors - (1 - first)
     # On eight seeds of this skin, contacts reach .95 to .99 and readings .98 to .998.
     assert score["mantel_r"] > 0.85
-
-
-def test_a_calibration_is_converted(run, skin):
-    calibrate(skin, 1)
-    run("convert", CALIBRATION, "skin.csv")
-    made = anisomap.read_map("skin.csv")
-    assert made.names == tuple(str(k) for k in range(1, skin.n_sensors + 1))
-    assert made.units == "m"
-    np.testing.assert_allclose(made.positions[:, :2], skin.positions / 1000)
 
 
 def test_the_default_bins_are_said(run, skin, tmp_path):

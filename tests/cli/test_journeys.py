@@ -22,16 +22,6 @@ from command_line import call, write_layout
 from skins import flat_skin
 
 
-def test_faults_are_named_and_warned_of(run, run_map, tmp_path):
-    readings = np.array(flat_skin().readings)
-    readings[:, 9] = 0
-    anisomap.write(anisomap.Recording(readings), tmp_path / "dead.npz")
-    for found in (run("info", "dead.npz"), run_map("dead.npz", "-o", "m.csv")):
-        assert "silent" in found.out
-        assert found.err.count("never varied") == 1
-    assert "never varied" in run("info", "dead.npz", "--quiet").err
-
-
 def test_info_lists_what_there_is_to_choose_from(run, run_map, tmp_path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "skin.h5", "w") as file:

@@ -134,16 +134,6 @@ def test_separate_components_are_warned_of_and_written_apart(run_map, tmp_path):
     assert (tmp_path / "m-2.urdf").exists()
 
 
-def test_several_recordings_are_one_map(run_map, skin_csv, tmp_path):
-    header, *lines = skin_csv.read_text().splitlines()
-    for name, part in (("one", lines[:700]), ("two", lines[700:])):
-        (tmp_path / f"{name}.csv").write_text("\n".join([header, *part]) + "\n")
-    run_map("skin.csv", "-o", "whole.csv")
-    run_map("one.csv", "two.csv", "-o", "parts.csv")
-    whole, parts = (anisomap.read_map(f"{name}.csv") for name in ("whole", "parts"))
-    np.testing.assert_allclose(parts.positions, whole.positions, atol=1e-6)
-
-
 def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):
     """Under a preset, what never varies is absent: but only if it never does in any run."""
     readings = np.round(flat_skin().readings[:, :36] * 10).astype(int)

@@ -135,16 +135,15 @@ def test_all_commands_and_files_say_the_same(run, made):
     readings = np.array(skin.readings)
     readings[:, 9] = 0
     anisomap.write(anisomap.Recording(readings), "silent.npz")
-    said = [
-        run(*words, "--json").values["health"]
-        for words in (
-            ("info", "silent.npz"),
-            ("map", "silent.npz", "-m", "r-anisomap", "-d", 2, "--no-verdict", "-o", "m.csv"),
-            ("repair", "silent.npz", "-o", "r.npz"),
-        )
-    ]
-    assert said[0] == said[1] == said[2]
-    ((sensor, status),) = ((one["name"], one["status"]) for one in said[0])
+    mapping = "map silent.npz -m r-anisomap -d 2 --no-verdict -o m.csv"
+    info, mapped, repaired = (
+        run(command, "--json") for command in ("info silent.npz", mapping, "repair silent.npz")
+    )
+    said = info.values["health"]
+    assert said == mapped.values["health"] == repaired.values["health"]
+    for err in (info.err, mapped.err, run("info silent.npz --quiet").err):
+        assert err.count("never varied") == 1
+    ((sensor, status),) = ((one["name"], one["status"]) for one in said)
     stated = anisomap.read_map("m.csv")
     assert stated.health[stated.names.index(sensor)] == status == "silent"
 
