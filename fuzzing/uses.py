@@ -16,8 +16,7 @@ from anisomap.layout import check_layout
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.quick_map import QuickMapper
 from anisomap.live.session import read_levels
-from anisomap.live.sources.lines import LineParser
-from anisomap.live.sources.middleware import _yarp_translation
+from anisomap.live.sources.connections import LineParser, _yarp_translation
 from anisomap.placement import Anchors, place
 from anisomap.recording import default_names
 from anisomap.tracking import update_map

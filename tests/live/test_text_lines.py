@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.live.batches import Batch, Names, Notice
-from anisomap.live.sources.lines import MAX_LINE, LineParser
+from anisomap.live.sources.connections import MAX_LINE, LineParser
 
 ROWS = st.integers(2, 6).flatmap(
     lambda n: st.lists(

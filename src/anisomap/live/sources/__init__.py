@@ -1,8 +1,8 @@
 """Sources of live sessions: where the frames come from.
 
-Recordings that are replayed and a simulated hand are here; `lines` and `middleware` hold the
-others. To add a source, add a function from an `Address` to a `Source`, both of
-`anisomap.live.batches`, and one line to `SOURCES`.
+Recordings that are replayed and a simulated hand are here, the others in `connections`. To add a
+source, add a function from an `Address` to a `Source`, both of `anisomap.live.batches`, and one
+line to `SOURCES`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from anisomap import io
 from anisomap.errors import InputError
 from anisomap.io.stream import Block
 from anisomap.live.batches import Address, Batch, Item, Notice, Source
-from anisomap.live.sources import lines, middleware
+from anisomap.live.sources import connections
 from anisomap.recording import default_names
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body
@@ -39,15 +39,15 @@ class Entry(NamedTuple):
 
 SOURCES: Mapping[str, Entry] = MappingProxyType(
     {
-        "-": Entry("-", lines.standard_input),
-        "tcp": Entry("tcp://HOST:PORT", lines.tcp),
-        "tcp-listen": Entry("tcp-listen://HOST:PORT", lines.tcp_listen),
-        "udp": Entry("udp://HOST:PORT", lines.udp),
-        "serial": Entry("serial:///dev/ttyUSB0?baud=115200", lines.serial_port),
-        "lsl": Entry("lsl://NAME", middleware.lsl),
-        "rosbridge": Entry("rosbridge://HOST:9090/TOPIC", middleware.rosbridge),
-        "zenoh": Entry("zenoh://KEY?connect=tcp/HOST:7447", middleware.zenoh),
-        "yarp": Entry("yarp://HOST:10000/PORT", middleware.yarp),
+        "-": Entry("-", connections.standard_input),
+        "tcp": Entry("tcp://HOST:PORT", connections.tcp),
+        "tcp-listen": Entry("tcp-listen://HOST:PORT", connections.tcp_listen),
+        "udp": Entry("udp://HOST:PORT", connections.udp),
+        "serial": Entry("serial:///dev/ttyUSB0?baud=115200", connections.serial_port),
+        "lsl": Entry("lsl://NAME", connections.lsl),
+        "rosbridge": Entry("rosbridge://HOST:9090/TOPIC", connections.rosbridge),
+        "zenoh": Entry("zenoh://KEY?connect=tcp/HOST:7447", connections.zenoh),
+        "yarp": Entry("yarp://HOST:10000/PORT", connections.yarp),
     }
 )
 """Kinds of sources by the scheme of their addresses."""
