@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from anisomap import io
+from anisomap import drawing, io
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Columns, Printer, attributes, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
@@ -113,13 +113,9 @@ class Outputs:
         if self.recording and self.recording.suffix.lower() != ".npz":
             raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
         if self.picture:
-            from anisomap.drawing import figures
-
-            figures.check_writable(self.picture)
+            drawing.figures.check_writable(self.picture)
         if self.report:
-            from anisomap.drawing import report
-
-            report.check_writable(self.report)
+            drawing.report.check_writable(self.report)
 
     def write(
         self,
@@ -146,9 +142,7 @@ class Outputs:
                     io.write(sensor_map, path)
                 written += [(content, file) for file in files]
             if self.picture and draw:
-                from anisomap.drawing import figures
-
-                figures.save_figure(draw(), self.picture)
+                drawing.figures.save_figure(draw(), self.picture)
                 written.append(("picture", self.picture))
         return written
 
@@ -167,9 +161,7 @@ class Outputs:
         """
         if not (self.picture or self.report):
             return self.write(sensor_map)
-        from anisomap.drawing import figures, report
-
-        shown = in_millimetres(sensor_map)
+        figures, shown = drawing.figures, in_millimetres(sensor_map)
         figure = figures.map_figure(shown, result)
         with together():
             written = self.write(sensor_map, draw or (lambda: figure))
@@ -179,12 +171,12 @@ class Outputs:
                     doubted = [sensor for sensor in examined.health if sensor.status != "ok"]
                     touch = figures.plot_touches(shown, coverage, result).figure
                     series = figures.series_figure(examined.recording, doubted) if doubted else None
-                    touches = report.Touches(
+                    touches = drawing.report.Touches(
                         touch_facts(coverage, shown.names),
                         figures.figure_bytes(touch),
                         None if series is None else figures.figure_bytes(series),
                     )
-                report.write_report(
+                drawing.report.write_report(
                     self.report,
                     shown,
                     score=result,
@@ -203,9 +195,8 @@ class Outputs:
         for path in filter(None, self.inputs):
             if path.is_file():
                 with path.open("rb") as file:
-                    found[f"SHA-256 of {path.name}"] = hashlib.file_digest(
-                        file, "sha256"
-                    ).hexdigest()
+                    digest = hashlib.file_digest(file, "sha256")
+                found[f"SHA-256 of {path.name}"] = digest.hexdigest()
         return found
 
 

@@ -5,6 +5,7 @@ from .anchors import parse_anchor as parse_anchor
 from .anchors import suggest_anchors as suggest_anchors
 from .frames import METRES as METRES
 from .frames import Taxels as Taxels
+from .frames import length_shown as length_shown
 from .frames import median_spacing as median_spacing
 from .frames import mirrored as mirrored
 from .frames import pad_to_3d as pad_to_3d

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap import io
+from anisomap import drawing, io
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Printer, attributes, progress
 from anisomap.cli.outputs import Outputs, Truth, print_map, record_map
@@ -158,13 +158,11 @@ def map_objects(
 
 def draw(kind: str, made: SensorMap, fit: Fit) -> Figure:
     """Draw one of `PICTURES`."""
-    from anisomap.drawing import figures
-
     if kind == "shepard":
-        drawn: Figure = figures.plot_shepard(fit.diagram).figure
+        drawn: Figure = drawing.figures.plot_shepard(fit.diagram).figure
         return drawn
     title = f"{made.method}, {made.n_sensors} objects, Stress-1 {made.stress:.3f}"
-    return figures.stress_figure(title, fit.diagram, fit.shares, made.names, fit.test)
+    return drawing.figures.stress_figure(title, fit.diagram, fit.shares, made.names, fit.test)
 
 
 def print_pairs(printer: Printer, table: io.Dissimilarities) -> None:

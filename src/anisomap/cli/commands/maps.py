@@ -41,7 +41,6 @@ def convert(
     `anisomap formats` lists the formats.
     """
     from anisomap.cli.outputs import Outputs
-    from anisomap.placement.frames import length_shown
 
     outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)
     sensor_map = io.read_map(map_file)
@@ -54,7 +53,7 @@ def convert(
     written = outputs.write(placed)
     facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
     if spacing is not None:
-        unit, factor = length_shown(placed.units, "")
+        unit, factor = placement.length_shown(placed.units, "")
         facts["median spacing"] = f"{number(factor * spacing)} {unit}"
     printer.facts(f"Map of {map_file.name}", facts | {"pose": placed.pose})
     printer.files(written)
@@ -104,9 +103,7 @@ def diff(
 
 
 def _print_difference(printer: Printer, found: anisomap.evaluation.Difference, title: str) -> None:
-    from anisomap.placement.frames import length_shown
-
-    units, factor = length_shown(found.units, "units of the first map")
+    units, factor = placement.length_shown(found.units, "units of the first map")
     spacing = found.spacing  # 0 if most sensors have the place of another
     chance = found.chance if found.chance > _ROUNDING * spacing else 0.0
     masks = {"moved": found.moved, "appeared": found.appeared, "lost": found.lost}
@@ -236,11 +233,9 @@ def update(
 
 
 def _print_update(printer: Printer, found: tracking.Update, name: str) -> None:
-    from anisomap.placement.frames import length_shown
-
     changes, total = found.difference, found.evidence
     known = changes.distance[changes.compared & ~changes.moved]
-    units, factor = length_shown(changes.units, "units of the map")
+    units, factor = placement.length_shown(changes.units, "units of the map")
     facts = {
         "recordings": f"{len(total.recordings)}, {total.n_frames} frames",
         "sensors placed": f"{int(found.map.placed.sum())} of {found.map.n_sensors}",
@@ -384,8 +379,6 @@ def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -
 
 
 def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
-    from anisomap.placement.frames import length_shown
-
     layout = found.layout
     accused = int(np.count_nonzero(found.accused))
     printer.facts(
@@ -403,7 +396,7 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
     )
     records = [_record(found, finding) for finding in found.findings]
     if records:
-        unit, factor = length_shown(layout.units, "unit of the layout")
+        unit, factor = placement.length_shown(layout.units, "unit of the layout")
         columns: Columns = {
             "kind": ("kind", str),
             "sensors": ("sensors", lambda each: join_items([one["sensor"] for one in each], 3)),

@@ -28,7 +28,6 @@ from anisomap.errors import InputError
 if TYPE_CHECKING:
     from anisomap import route
     from anisomap.health import Finding
-    from anisomap.recording import MissingPolicy
 
 
 def info(
@@ -406,7 +405,7 @@ def _read_source(
     doubted: bool,
     repair: bool,
     keep_statistics: bool,
-    missing: MissingPolicy,
+    missing: options.Missing,
     large: LargeOptions,
     **settings: Any,
 ) -> tuple[route.Source, Sequence[Finding]]:
