@@ -117,6 +117,7 @@ place map.csv --anchors anchors.csv -o anchors.csv        | anchors.csv
 place map.csv --anchors anchors.csv -o a.unknown          | unknown suffix
 place map.csv --anchors anchors.csv --module-layout anchors.csv  | either --module-table
 place map.csv --anchors anchors.csv --mesh map.csv        | map.csv
+place map.csv --mesh part.stl --mesh-units feet           | --mesh-units must be one of m, dm
 place map.csv --module-size 5                             | modules need the positions of their pads
 place map.csv --spacing 6                                 | is not a length
 place map.csv --anchor s1=0,0,0 --link left               | give --self-touch

@@ -73,10 +73,13 @@ def test_modules_give_millimetres_and_the_hand_without_anchors(run, run_map, tmp
     write_layout(
         tmp_path / "triangle.csv", truth[:10], [f"P{i}" for i in range(10)], "name,x [mm],y [mm]"
     )
-    modules = np.column_stack([np.arange(60) // 10, np.arange(60) % 10])
-    write_layout(tmp_path / "modules.csv", modules, names, "sensor,module,pad")
-    run("place map.csv --module-layout triangle.csv --module-table modules.csv -o placed.csv")
-    placed = io.read_map(tmp_path / "placed.csv")
+    numbers = np.column_stack([np.arange(60) // 10, np.arange(60) % 10])
+    write_layout(tmp_path / "modules.csv", numbers, names, "sensor,module,pad")
+    modules = "--module-layout triangle.csv"
+    run(f"place map.csv {modules} --module-table modules.csv -o placed.csv")
+    run(f"place map.csv {modules} --module-size 10 -o by-numbers.csv")
+    placed, same = (io.read_map(tmp_path / f"{name}.csv") for name in ("placed", "by-numbers"))
+    np.testing.assert_array_equal(same.positions, placed.positions)
     assert placed.handed
     assert not placed.anchored
     free = anisomap.align(io.read_map(tmp_path / "map.csv").positions, truth / 1000)
