@@ -55,8 +55,7 @@ class PageOptions:
     headless
         Show no page: print lines instead, or JSON objects with --json.
     until
-        End the session when two checked maps in a row reach this level, or a better one: usable
-        or usable-for-neighbours.
+        End the session when two checked maps in a row reach this level, or a better one.
     duration
         End the session after this number of seconds.
     """

@@ -266,8 +266,7 @@ def map_recording(
         Also write NAME.statistics.npz beside the map, from which `anisomap update` adds recordings
         to it.
     min_quality
-        Exit with code 1 if the verdict is worse than this, or cannot tell: usable or
-        usable-for-neighbours. All files are written.
+        Exit with code 1 if the verdict is worse than this, or cannot tell. All files are written.
     """
     from anisomap import route
     from anisomap.cli import outputs
