@@ -1,1 +1,279 @@
-"""The page of a session in the browser: its server, what it shows, and what its buttons do."""
+"""The page of a session in the browser: what it shows, as plain data, and what its buttons do."""
+
+from __future__ import annotations
+
+import base64
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap import io
+from anisomap.errors import InputError
+from anisomap.evaluation import median_spacing
+from anisomap.files.paths import together
+from anisomap.live.quick_map import QuickMap, turned_onto
+from anisomap.live.saving import EXPORTS, save_report
+from anisomap.live.session import LiveSession
+from anisomap.live.workers import Examination
+from anisomap.numerics.neighbours import padded
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.placement import anchors_at, parse_anchor
+from anisomap.sensor_map import SensorMap
+from anisomap.usability import UNKNOWN
+
+_TRUTH_SUFFIXES = (".csv", ".tsv", ".txt", ".json", ".ply", ".pcd", ".urdf", ".xml", ".mjcf")
+
+
+class Done(NamedTuple):
+    """The result of an action: one sentence, and files that were written."""
+
+    text: str
+    files: tuple[Path, ...] = ()
+
+
+def act(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    """Carry out a request of the page."""
+    name = request.get("do")
+    if not isinstance(name, str) or name not in ACTIONS:
+        raise InputError(f"an action must be one of {', '.join(ACTIONS)}")
+    return ACTIONS[name](session, request)
+
+
+def _pause(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    session.pause(bool(request.get("on")))
+    return Done("paused: nothing is recorded" if session.paused else "recording")
+
+
+def _restart(session: LiveSession, _: Mapping[str, Any]) -> Done:
+    session.restart()
+    return Done("the next frame begins a new recording")
+
+
+def _drop(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    names = request.get("sensors")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError("sensors must be a list of names")
+    session.drop(names)
+    return Done(f"left out: {', '.join(names)}" if names else "no sensor is left out")
+
+
+def _truth(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    text, suffix = _text(request, "text"), Path(_text(request, "name")).suffix.lower()
+    if suffix not in _TRUTH_SUFFIXES:
+        raise InputError(f"a file of positions must be one of {', '.join(_TRUTH_SUFFIXES)}")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"positions{suffix}"
+        path.write_text(text, encoding="utf-8")
+        truth = io.read_map(path)
+    session.declare_truth(truth)
+    return Done(f"the next checked map is compared with {truth.n_sensors} positions")
+
+
+def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    lines = map(str.strip, _text(request, "text").split("\n"))
+    given = [parse_anchor(line) for line in lines if line]
+    if not given:
+        session.anchors = None
+        return Done("there are no anchors: maps have no frame")
+    anchors = anchors_at(given)
+    if unknown := [name for name in anchors.names if name not in session.maps.names]:
+        raise InputError(f"there is no sensor {unknown[0]}")
+    session.anchors = anchors
+    return Done(f"saved maps are placed by {len(given)} anchors, in metres")
+
+
+def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    with together():
+        made = _written(session, request, ".map.csv")
+        report = save_report(session.maps.checked, _recording(session).with_suffix(".report.html"))
+    return Done(f"{made.text}, {report.name}", (*made.files, report))
+
+
+def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
+    suffix = _text(request, "suffix")
+    if suffix not in EXPORTS:
+        raise InputError(f"a format must be one of {', '.join(EXPORTS)}")
+    return _written(session, request, f".map{suffix}")
+
+
+def _written(session: LiveSession, request: Mapping[str, Any], suffix: str) -> Done:
+    """Write the checked map beside the recording."""
+    target = _recording(session).with_suffix(suffix)
+    path = session.save(target, str(request.get("spacing") or ""))
+    return Done(f"written: {path.name}", (path,))
+
+
+def _end(session: LiveSession, _: Mapping[str, Any]) -> Done:
+    session.wanted_end.set()
+    return Done("ending the session: the final map follows")
+
+
+ACTIONS: Mapping[str, Callable[[LiveSession, Mapping[str, Any]], Done]] = MappingProxyType(
+    {
+        "pause": _pause,
+        "restart": _restart,
+        "drop": _drop,
+        "truth": _truth,
+        "anchors": _anchors,
+        "save": _save,
+        "export": _export,
+        "end": _end,
+    }
+)
+"""Actions by name."""
+
+
+def _recording(session: LiveSession) -> Path:
+    if session.segment is None:
+        raise InputError("nothing is recorded yet")
+    return session.segment.path
+
+
+def _text(request: Mapping[str, Any], key: str) -> str:
+    value = request.get(key)
+    if not isinstance(value, str):
+        raise InputError(f"{key} must be text")
+    return value
+
+
+_DIGITS = 3  # of seconds and errors
+
+
+def readings_snapshot(session: LiveSession) -> dict[str, Any]:
+    """Return what changes with every frame: counts, and the readings from 0 to 255."""
+    levels = np.round(255 * session.levels)
+    return {
+        "frames": session.recorder.n_frames,
+        "seconds": round(session.seconds, _DIGITS),
+        "levels": _encoded(levels, "u1"),
+    }
+
+
+def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
+    """Return the quick map and, turned onto it, the checked map; None before the first one."""
+    quick, checked = session.maps.quick, session.maps.checked
+    if quick is None:
+        return None
+    positions, truth = _checked_positions(checked, quick), session.maps.options.truth
+    stated = None if truth is None else _aligned(_in_order(truth, truth.positions, quick), quick)
+    return {
+        "names": list(quick.names),
+        "dimensions": quick.positions.shape[1],
+        "frames": quick.n_frames,
+        "positions": _encoded(quick.positions),
+        "checked": _encoded(positions),
+        "checked_dimensions": None if positions is None else positions.shape[1],
+        "checked_halo": _encoded(_checked_doubt(checked, quick)),
+        "final": checked is not None and checked.final,
+        "stated": _encoded(stated),
+        "pairs": _encoded(quick.pairs, "<u4"),
+        "halo": _encoded(_doubt(quick)),
+        "contacts": quick.contacts.tolist(),
+        "left_out": list(quick.left_out),
+        "untouched": list(quick.advice.untouched),
+        "places": [list(place.sensors) for place in quick.advice.places],
+        "reason": quick.reason,
+    }
+
+
+def status_snapshot(session: LiveSession) -> dict[str, Any]:
+    """Return the rest: verdict, curves, faults, advice, notices and files."""
+    checked = session.maps.checked
+    verdict = None if checked is None else checked.verdict
+    advice, enough = session.guidance
+    return {
+        "state": session.state,
+        "source": session.source.description,
+        "seconds": round(session.seconds, _DIGITS),
+        "frames": session.recorder.n_frames,
+        "sensors": session.maps.n_sensors,
+        "rate_hz": _finite(session.rate_hz),
+        "share_touched": session.maps.share_touched,
+        "map_age": round(session.map_age, _DIGITS),
+        "lags": session.lags,
+        "level": UNKNOWN if verdict is None else verdict.level,
+        "expected_error": None if verdict is None else _finite(verdict.expected_error),
+        "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
+        "reasons": [] if verdict is None else list(verdict.reasons),
+        "advice": advice,
+        "enough": enough,
+        "faulty": [
+            {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
+            for sensor in session.maps.faults
+        ],
+        "dropped": list(session.maps.options.drop),
+        "curve": [
+            [round(seconds, _DIGITS), *map(_finite, errors)]
+            for seconds, *errors in session.maps.curve
+        ],
+        "touched": [
+            [round(seconds, 1), round(share, _DIGITS)] for seconds, share in session.maps.touched
+        ],
+        "checked_frames": 0 if checked is None else checked.n_frames,
+        "examining": session.maps.examining,
+        "notices": [[round(note.seconds, 1), note.text] for note in list(session.notices)],
+        "recording": "" if session.segment is None else str(session.segment.path),
+    }
+
+
+def _in_order(made: SensorMap, values: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64]:
+    """Return values of the largest component by the sensors of the quick map, NaN for others."""
+    own = {made.names[i]: values[i] for i in np.flatnonzero(made.component == 0)}
+    unknown = np.full(values.shape[1:], np.nan)
+    return np.array([own.get(name, unknown) for name in quick.names])
+
+
+def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64] | None:
+    """Return the checked map in the frame of the quick one, by the names of the sensors."""
+    if checked is None or checked.sensor_map is None:
+        return None
+    found = _in_order(checked.sensor_map, checked.sensor_map.positions, quick)
+    placed = np.isfinite(found).all(axis=1)
+    if found.shape[1] != quick.positions.shape[1]:
+        return turned_onto(found, None) if placed.any() else None
+    return _aligned(found, quick)
+
+
+def _aligned(found: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64] | None:
+    """Fit positions of the sensors of a quick map to it, in its dimensions; None for too few."""
+    shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
+    width = max(found.shape[1], quick.positions.shape[1])
+    if np.count_nonzero(shared) <= width:
+        return None
+    places, points = padded(found, width), padded(quick.positions, width)
+    turned = fit_similarity(places[shared], points[shared]).apply(places)
+    return np.asarray(turned[:, : quick.positions.shape[1]])
+
+
+def _doubt(quick: QuickMap) -> NDArray[np.float64]:
+    """Return the uncertainty of each sensor, from 0 to 1 for a sensor without a contact."""
+    # The standard error of a mean over independent contacts falls with the root of their number.
+    return np.asarray(1 / np.sqrt(1.0 + quick.contacts))
+
+
+def _checked_doubt(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64]:
+    """Return the standard deviation of each sensor of the checked map in spacings, at most 1."""
+    doubt = _doubt(quick)
+    made = None if checked is None else checked.sensor_map
+    if made is None or made.covariances is None or np.count_nonzero(made.component == 0) < 2:
+        return doubt
+    spacing = median_spacing(made.positions[made.component == 0])
+    spread = np.sqrt(np.trace(made.covariances, axis1=1, axis2=2)) / (spacing or 1.0)
+    found = _in_order(made, spread, quick)
+    return np.where(np.isfinite(found), np.minimum(found, 1.0), doubt)
+
+
+def _encoded(array: NDArray[Any] | None, kind: str = "<f4") -> str | None:
+    if array is None:
+        return None
+    return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode("ascii")
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)

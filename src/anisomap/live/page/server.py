@@ -22,12 +22,7 @@ from pathlib import Path
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from anisomap.errors import AnisomapError, InputError
-from anisomap.live.page.content import (
-    act,
-    map_snapshot,
-    readings_snapshot,
-    status_snapshot,
-)
+from anisomap.live.page import act, map_snapshot, readings_snapshot, status_snapshot
 from anisomap.live.session import LiveSession
 
 logger = logging.getLogger(__name__)
