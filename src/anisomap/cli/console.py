@@ -146,12 +146,13 @@ class Printer:
         self.values |= attributes(source, names) | values
 
     def facts(self, title: str, facts: Mapping[str, str]) -> None:
-        """Print names and values, one per line."""
+        """Print names and values, one per line; names without a value are left out."""
         if not self._prints_text:
             return
         self._emit(console.print, _text(title, "bold"))
-        left = max((len(name) for name in facts), default=0) + 3
-        for name, value in facts.items():
+        known = {name: value for name, value in facts.items() if value}
+        left = max(map(len, known), default=0) + 3
+        for name, value in known.items():
             # Names and paths stay whole, to be copied, however narrow the terminal is.
             lines = textwrap.wrap(
                 printable(value),

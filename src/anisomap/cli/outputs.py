@@ -348,37 +348,30 @@ def print_findings(
 
 def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     """Print what a map places, and how well it fits."""
-    n_placed, sizes = int(np.count_nonzero(sensor_map.placed)), sensor_map.component_sizes
-    approximate = ", approximate" if sensor_map.approximate else ""
+    n_placed, dimensions = int(np.count_nonzero(sensor_map.placed)), sensor_map.dimensions
+    kind, sizes, order = sensor_map.kind, sensor_map.component_sizes, _order(sensor_map)
+    placed = f"{n_placed} of {sensor_map.n_sensors}, in {dimensions} dimensions"
+    components, means = str(len(sizes)), "0 is a perfect fit of the metric"
+    if len(sizes) > 1:
+        placed += f", of which {sizes[0]} relative to one another"
+        components += f"; {kind}s in each: {join_items(sizes, max_items=12)}"
+        means = "within components; small components always fit"
     because = sensor_map.provenance.get("dimensions_because")
-    steps, order = steps_of(sensor_map), _order(sensor_map)
     printer.facts(
-        f"Map by {sensor_map.method}{approximate}",
+        f"Map by {sensor_map.method}{', approximate' if sensor_map.approximate else ''}",
         {
-            f"{sensor_map.kind}s placed": f"{n_placed} of {sensor_map.n_sensors}, "
-            f"in {sensor_map.dimensions} dimensions"
-            + (f", of which {sizes[0]} relative to one another" if len(sizes) > 1 else ""),
-            **({"dimensions": f"{sensor_map.dimensions}, chosen: {because}"} if because else {}),
-            **({"order along the line": join_items(order, len(order))} if order else {}),
-            **({"refined by": join_items(steps)} if steps else {}),
-            "components": f"{len(sizes)}"
-            + (
-                f"; {sensor_map.kind}s in each: {join_items(sizes, max_items=12)}"
-                if len(sizes) > 1
-                else ""
-            ),
-            "Stress-1": f"{number(sensor_map.stress)} "
-            + (
-                "(within components; small components always fit)"
-                if len(sizes) > 1
-                else "(0 is a perfect fit of the metric)"
-            ),
+            f"{kind}s placed": placed,
+            "dimensions": f"{dimensions}, chosen: {because}" if because else "",
+            "order along the line": join_items(order, len(order)),
+            "refined by": join_items(steps_of(sensor_map)),
+            "components": components,
+            "Stress-1": f"{number(sensor_map.stress)} ({means})",
             "pose": sensor_map.pose,
         },
     )
-    if sensor_map.dimensions > 3:
+    if dimensions > 3:
         print_warning(
-            f"maps in {sensor_map.dimensions} dimensions fit tables only (CSV, JSON, NPZ), and "
+            f"maps in {dimensions} dimensions fit tables only (CSV, JSON, NPZ), and "
             "pictures show three of them: skins need 2 (-d 2) or 3 (-d 3)"
         )
 
@@ -416,16 +409,13 @@ def _order(sensor_map: SensorMap) -> list[str]:
 def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: str) -> None:
     """Print the comparison of a map with reference positions, and name the worst sensors."""
     units = result.units or "units of the reference"
-    null = result.mantel.quantiles()
-    facts = {"Mantel r": number(result.mantel.r)}
-    if null:
-        facts |= {
-            "null distribution": ", ".join(
-                f"{_QUANTILES.get(level, f'{level:.0%}')} {r:.3f}" for level, r in null.items()
-            ),
-            "p": f"{number(result.mantel.p_value, 3)} ({result.mantel.null.size} permutations)",
-        }
-    facts |= {
+    null, permutations = result.mantel.quantiles(), result.mantel.null.size
+    facts = {
+        "Mantel r": number(result.mantel.r),
+        "null distribution": ", ".join(
+            f"{_QUANTILES.get(level, f'{level:.0%}')} {r:.3f}" for level, r in null.items()
+        ),
+        "p": f"{number(result.mantel.p_value, 3)} ({permutations} permutations)" if null else "",
         "RMS error": f"{number(result.rms)} {units}, or "
         f"{number(result.rms_in_spacings, 3)} spacings of {number(result.spacing)} {units}",
         "median error": f"{number(result.median_error)} {units}",
@@ -451,7 +441,7 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
             "mantel_r": result.mantel.r,
             "null_quantiles": {str(level): r for level, r in null.items()},
             "p_value": result.mantel.p_value if null else None,
-            "permutations": result.mantel.null.size,
+            "permutations": permutations,
             **attributes(result, "rms median_error units rms_in_spacings"),
             "median_spacing": result.spacing,
             "reflected": result.alignment.reflected,
