@@ -14,7 +14,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -159,35 +159,28 @@ def write_text(sensor_map: SensorMap, path: Path) -> None:
             quoting=csv.QUOTE_NONNUMERIC,
             lineterminator="\n",
         )
-        further, values = _further_columns(sensor_map)
-        axes = axis_names(sensor_map.dimensions)
-        table.writerow(("name", *axes, "component", "health", *further))
-        for name, position, component, health, more in zip(
-            map(guard_formula, sensor_map.names),
-            sensor_map.positions.tolist(),
-            sensor_map.component.tolist(),
-            map(guard_formula, sensor_map.health),
-            values.tolist(),
-            strict=True,
-        ):
-            table.writerow((name, *position, component, health, *more))
+        columns = _columns(sensor_map)
+        table.writerow(columns)
+        table.writerows(zip(*columns.values(), strict=True))
 
 
-def _further_columns(sensor_map: SensorMap) -> tuple[list[str], NDArray[np.float64]]:
-    """Return the columns of errors, covariances and normals, if the map has them."""
-    columns = [np.empty((sensor_map.n_sensors, 0))]
-    names: list[str] = []
+def _columns(sensor_map: SensorMap) -> dict[str, Iterable[Any]]:
+    """Return the columns of a map, of which errors, covariances and normals may be absent."""
+    dimensions = sensor_map.dimensions
+    columns: dict[str, Iterable[Any]] = {
+        "name": map(guard_formula, sensor_map.names),
+        **dict(zip(axis_names(dimensions), sensor_map.positions.T.tolist(), strict=True)),
+        "component": sensor_map.component.tolist(),
+        "health": map(guard_formula, sensor_map.health),
+    }
     if not np.isnan(sensor_map.errors).all():
-        columns.append(sensor_map.errors[:, None])
-        names.append(_ERROR)
+        columns[_ERROR] = sensor_map.errors.tolist()
     if sensor_map.covariances is not None:
-        rows, others = np.triu_indices(sensor_map.dimensions)
-        columns.append(sensor_map.covariances[:, rows, others])
-        names += _covariance_names(sensor_map.dimensions)
+        entries = sensor_map.covariances[:, *np.triu_indices(dimensions)]
+        columns |= zip(_covariance_names(dimensions), entries.T.tolist(), strict=True)
     if sensor_map.normals is not None:
-        columns.append(sensor_map.normals)
-        names += _NORMAL
-    return names, np.hstack(columns)
+        columns |= zip(_NORMAL, sensor_map.normals.T.tolist(), strict=True)
+    return columns
 
 
 def _covariance_names(dimensions: int) -> list[str]:
