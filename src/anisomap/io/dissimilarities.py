@@ -185,7 +185,7 @@ def _names_pairs(pairs: Rows) -> bool:
 
 
 def _numbers_pairs(pairs: Rows) -> bool:
-    """Return whether rows hold each pair of whole numbers once, and more pairs than numbers."""
+    """Return whether rows hold each pair of whole numbers once, and no fewer pairs than numbers."""
     found = {frozenset(row[:2]) for row in pairs}
     numbers = {cell for pair in found for cell in pair}
     once = len(found) == len(pairs) and {*map(len, found)} == {2}

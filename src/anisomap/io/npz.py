@@ -321,7 +321,7 @@ def _stream_events(archive: Archive, at: str, which: str, bin_s: float | None) -
 
 @contextmanager
 def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open an array, (T, N), without mapping it: reading a map of a cut file ends the process."""
+    """Open an array, (T, N), not mapped into memory: a file that is cut would end the process."""
     with open_regular(path) as stream:
         shape, fortran_order, dtype = read_header(stream, "the array")
         if dtype.kind not in NUMBERS:

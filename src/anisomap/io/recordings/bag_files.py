@@ -88,7 +88,7 @@ class _Repair:
 
 
 class _BagFile(io.BufferedReader):
-    """A file, repaired if necessary, that limits reads, for which Python allocates, to its size."""
+    """A file, perhaps repaired, that limits reads to its size: Python allocates before it reads."""
 
     def __init__(self, path: Path, repair: _Repair | None = None) -> None:
         super().__init__(io.FileIO(path, "r") if repair is None else _Repaired(path, repair))

@@ -172,7 +172,7 @@ _BRACKETS = str.maketrans("()", "  ")
 
 
 def is_yarp(path: Path, head: bytes) -> bool:
-    """Recognise a count, a stamp, from 0 only in a ``data.log``, and values."""
+    """Recognise a count, a stamp (in a ``data.log`` also from 0) and values."""
     if path.is_dir():
         return bool(_logs(path))
     lines = head.splitlines()
