@@ -66,15 +66,15 @@ def read_text(path: Path) -> SensorMap:
     if not rows:
         raise FileError(f"{path} holds no line of positions")
     n_empty = empty_columns([fields for _, fields in rows])
-    first, fields = rows[0][0], rows[0][1][: len(rows[0][1]) - n_empty]
+    rows = [(line, fields[: len(fields) - n_empty]) for line, fields in rows]
+    first, fields = rows[0]
     axes, header, units = _find_columns(path, first, fields)
     body = rows[1:] if header else rows
     if not body:
         raise FileError(f"{path} holds only a header")
     for line, row in rows:
-        if len(row) - n_empty != len(fields):
-            n_fields = len(row) - n_empty
-            problem = f" has {n_fields} fields, but line {first} has {len(fields)}"
+        if len(row) != len(fields):
+            problem = f" has {len(row)} fields, but line {first} has {len(fields)}"
             raise LineError(path, line, problem)
 
     def column(index: int, parse: Callable[[str], Any], expected: str = "text") -> list[Any]:
