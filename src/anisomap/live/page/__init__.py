@@ -20,12 +20,11 @@ from anisomap.files.paths import together
 from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.saving import EXPORTS, save_report
 from anisomap.live.session import LiveSession
-from anisomap.live.workers import Examination
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement import anchors_at, parse_anchor
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import UNKNOWN
+from anisomap.usability import Verdict
 
 _TRUTH_SUFFIXES = (".csv", ".tsv", ".txt", ".json", ".ply", ".pcd", ".urdf", ".xml", ".mjcf")
 
@@ -160,7 +159,8 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
     quick, checked = session.maps.quick, session.maps.checked
     if quick is None:
         return None
-    positions, truth = _checked_positions(checked, quick), session.maps.options.truth
+    made = None if checked is None else checked.sensor_map
+    positions, truth = _checked_positions(made, quick), session.maps.options.truth
     stated = None if truth is None else _aligned(_in_order(truth, truth.positions, quick), quick)
     return {
         "names": list(quick.names),
@@ -169,7 +169,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "positions": _encoded(quick.positions),
         "checked": _encoded(positions),
         "checked_dimensions": None if positions is None else positions.shape[1],
-        "checked_halo": _encoded(_checked_doubt(checked, quick)),
+        "checked_halo": _encoded(_checked_doubt(made, quick)),
         "final": checked is not None and checked.final,
         "stated": _encoded(stated),
         "pairs": _encoded(quick.pairs, "<u4"),
@@ -185,7 +185,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
 def status_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return the rest: verdict, curves, faults, advice, notices and files."""
     checked = session.maps.checked
-    verdict = None if checked is None else checked.verdict
+    verdict = Verdict() if checked is None else checked.verdict
     advice, enough = session.guidance
     return {
         "state": session.state,
@@ -197,10 +197,10 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "share_touched": session.maps.share_touched,
         "map_age": round(session.map_age, _DIGITS),
         "lags": session.lags,
-        "level": UNKNOWN if verdict is None else verdict.level,
-        "expected_error": None if verdict is None else _finite(verdict.expected_error),
+        "level": verdict.level,
+        "expected_error": _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
-        "reasons": [] if verdict is None else list(verdict.reasons),
+        "reasons": list(verdict.reasons),
         "advice": advice,
         "enough": enough,
         "faulty": [
@@ -229,11 +229,11 @@ def _in_order(made: SensorMap, values: NDArray[np.float64], quick: QuickMap) -> 
     return np.array([own.get(name, unknown) for name in quick.names])
 
 
-def _checked_positions(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64] | None:
+def _checked_positions(made: SensorMap | None, quick: QuickMap) -> NDArray[np.float64] | None:
     """Return the checked map in the frame of the quick one, by the names of the sensors."""
-    if checked is None or checked.sensor_map is None:
+    if made is None:
         return None
-    found = _in_order(checked.sensor_map, checked.sensor_map.positions, quick)
+    found = _in_order(made, made.positions, quick)
     placed = np.isfinite(found).all(axis=1)
     if found.shape[1] != quick.positions.shape[1]:
         return turned_onto(found, None) if placed.any() else None
@@ -257,10 +257,9 @@ def _doubt(quick: QuickMap) -> NDArray[np.float64]:
     return np.asarray(1 / np.sqrt(1.0 + quick.contacts))
 
 
-def _checked_doubt(checked: Examination | None, quick: QuickMap) -> NDArray[np.float64]:
+def _checked_doubt(made: SensorMap | None, quick: QuickMap) -> NDArray[np.float64]:
     """Return the standard deviation of each sensor of the checked map in spacings, at most 1."""
     doubt = _doubt(quick)
-    made = None if checked is None else checked.sensor_map
     if made is None or made.covariances is None or np.count_nonzero(made.component == 0) < 2:
         return doubt
     spacing = median_spacing(made.positions[made.component == 0])
