@@ -55,14 +55,15 @@ class Verdict:
     """Evidence for a move.
 
     gain: Increase of the log-likelihood, in nats.
+    least: What it must be at least.
     half_gains: The same in two halves of the frames.
     agreement_gain: Increase of the mean similarity to the sensors around.
     chance: Largest such increase of shifted readings.
     median_gain: Such increase of the median sensor; 0 if less than half of all stay in place.
     """
 
-    n_sensors: int
     gain: float
+    least: float
     half_gains: tuple[float, ...]
     agreement_gain: float
     chance: float
@@ -76,7 +77,7 @@ class Verdict:
         all of them were moved.
         """
         return (
-            self.gain >= MIN_GAIN * max(1, self.n_sensors / 2)
+            self.gain >= self.least
             and min(self.half_gains) > 0
             and self.agreement_gain > max(self.chance, 0.0)
             and self.median_gain > 0
@@ -161,9 +162,12 @@ class Search:
     ) -> Verdict:
         """Weigh the evidence for a move.
 
-        rigid: Whether to places that no sensor has.
+        rigid: Whether to places that no sensor has. Readings of the sensors of a patch have errors
+            in common, and each pair of them must gain as much as two that are swapped.
         """
+        least = MIN_GAIN
         if rigid:
+            least *= max(1.0, len(move.sensors) / 2)
             evidence = without_smaller_patches(evidence, move)
         halves = tuple(
             evidence.with_similarity(half).gain(move) for half in self._statistics.halves
@@ -181,4 +185,4 @@ class Search:
         of_all = agreement_gain(evidence, move)
         # Few sensors should not outweigh the others of a group that is moved as a whole.
         of_all = min(of_all, of_median) if alternatives or rigid else of_all
-        return Verdict(len(move.sensors), evidence.gain(move), halves, of_all, chance, of_median)
+        return Verdict(evidence.gain(move), least, halves, of_all, chance, of_median)
