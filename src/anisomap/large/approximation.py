@@ -38,8 +38,8 @@ from anisomap.large.sensor_graph import (
 )
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.graph.neighbour_graphs import most_similar
+from anisomap.numerics.precision import Floats
 from anisomap.numerics.scaling.multidimensional_scaling import (
-    Floats,
     SmacofOptions,
     SolverResult,
     minimise_lbfgs,
@@ -375,7 +375,7 @@ def stress_of(targets: Targets, positions: Floats) -> tuple[float, float]:
 class PlacedComponent(NamedTuple):
     """Positions (n, k) of a component, and sums of (d - D)^2 and d^2 over pairs with landmarks."""
 
-    positions: NDArray[np.float64]
+    positions: Floats
     raw_stress: float
     spread: float
     converged: bool
@@ -442,7 +442,7 @@ def paths_from(landmarks: ArrayLike, graph: csr_array[Any, tuple[int, int]]) -> 
     return found
 
 
-def triangulate(rows: NDArray[np.float32], landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
+def triangulate(rows: NDArray[np.float32], landmarks: Floats) -> Floats:
     """Compute positions from distances to landmarks. rows (N, L), landmarks (L, k) -> (N, k).
 
     De Silva & Tenenbaum (2004), "Sparse multidimensional scaling using landmark points", section

@@ -14,6 +14,8 @@ from anisomap.errors import InputError
 Reals: TypeAlias = NDArray[np.floating[Any]]
 """Array of float32 or float64."""
 
+Floats: TypeAlias = NDArray[np.float64]
+
 MIN_FLOAT32_SENSORS = 2000
 """Minimum number of sensors for which (N, N) matrices are float32.
 

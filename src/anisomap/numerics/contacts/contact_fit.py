@@ -15,7 +15,6 @@ from anisomap.numerics.contacts.likelihood import (
     Contacts,
     Levels,
     LocatedContacts,
-    Matrix,
     Profile,
     Roots,
     assign_levels,
@@ -27,7 +26,7 @@ from anisomap.numerics.contacts.likelihood import (
     sensor_steps,
 )
 from anisomap.numerics.neighbours import nearest_distances
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.similarity.rest import Rest
 
 # Chosen by hand on simulated skins; lengths in sensor spacings.
@@ -132,12 +131,12 @@ class ContactFit:
         Reason for not using the fit; empty if it was used.
     """
 
-    positions: Matrix
+    positions: Floats
     n_contacts: int
     explained: float
     at_rest: float
     n_levels: int
-    gains: Matrix
+    gains: Floats
     used: bool
     reason: str = ""
 
@@ -222,7 +221,7 @@ def fit_contacts(
     return _fitted(moved * unit + centre, levels, "", n_contacts, explained)
 
 
-def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tuple[Matrix, float]:
+def _alternate(contacts: Contacts, start: Floats, options: ContactOptions) -> tuple[Floats, float]:
     """Alternate between contacts, profile and sensors.
 
     Returns the positions, and the share of the entropy of the levels that distances explain. start
@@ -263,11 +262,11 @@ def _alternate(contacts: Contacts, start: Matrix, options: ContactOptions) -> tu
     return positions, 1 + float(score[included].mean()) / entropy
 
 
-def _rounded(positions: Matrix) -> Reals:
+def _rounded(positions: Floats) -> Reals:
     return positions.astype(np.float32 if len(positions) >= _MIN_SINGLE else np.float64)
 
 
-def _follow(contacts: Contacts, located: LocatedContacts, roots: Roots, moves: Matrix) -> Matrix:
+def _follow(contacts: Contacts, located: LocatedContacts, roots: Roots, moves: Floats) -> Floats:
     """Move the states of contacts along with the sensors, to first order, (E, k + 1)."""
     moved = moves.T.astype(located.directions.dtype)[:, contacts.sensors]
     changes = np.einsum("km,km->m", located.directions[:-1], moved) * located.curvatures
@@ -276,8 +275,8 @@ def _follow(contacts: Contacts, located: LocatedContacts, roots: Roots, moves: M
 
 
 def _centre_radii(
-    states: Matrix, fitted: Profile, undetermined: Matrix, kept: NDArray[np.bool_]
-) -> tuple[Matrix, Profile]:
+    states: Floats, fitted: Profile, undetermined: Floats, kept: NDArray[np.bool_]
+) -> tuple[Floats, Profile]:
     """Set the first threshold to 0, and the distribution of radii to their moments.
 
     undetermined: Posterior over prior variance of the radii of kept contacts: the share of each
@@ -298,7 +297,7 @@ def _centre_radii(
     )
 
 
-def _initial_contacts(contacts: Contacts, positions: Matrix) -> tuple[Matrix, Profile]:
+def _initial_contacts(contacts: Contacts, positions: Floats) -> tuple[Floats, Profile]:
     """Start from the centre of the touched sensors, in 3D on the more likely side of the skin."""
     k = positions.shape[1]
     points, pressed = positions[contacts.sensors], contacts.levels > 0
@@ -335,7 +334,7 @@ def _initial_contacts(contacts: Contacts, positions: Matrix) -> tuple[Matrix, Pr
 
 
 def _fitted(
-    positions: Matrix, levels: Levels, reason: str, n_contacts: int = 0, explained: float = np.nan
+    positions: Floats, levels: Levels, reason: str, n_contacts: int = 0, explained: float = np.nan
 ) -> ContactFit:
     """Describe a fit, which is used unless there is a reason against it."""
     positions.setflags(write=False)
@@ -351,7 +350,7 @@ def _fitted(
     )
 
 
-def _check(values: NDArray[np.generic], given: Matrix) -> None:
+def _check(values: NDArray[np.generic], given: Floats) -> None:
     if values.ndim != 2 or not values.size:
         raise InputError(f"readings must have shape (T, N), got {values.shape}")
     n_sensors = values.shape[1]

@@ -16,10 +16,9 @@ from scipy.spatial.distance import cdist
 
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import spanning_tree
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _MIN_DEPTH = 0.02  # of a sensor's range; readings below are at rest
@@ -49,7 +48,7 @@ class Levels:
     values: NDArray[np.int8]
     max_level: int
     at_rest: float
-    gains: Matrix
+    gains: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +194,7 @@ def find_contacts(levels: Levels, positions: ArrayLike, *, min_sensors: int) -> 
     )
 
 
-def _neighbourhood(positions: Matrix) -> tuple[Matrix, csr_array, float]:
+def _neighbourhood(positions: Floats) -> tuple[Floats, csr_array, float]:
     """Return distances, an adjacency of neighbours and their median distance."""
     distances = cdist(positions, positions)
     n_near = min(_N_NEIGHBOURS, len(distances) - 1)
@@ -243,7 +242,7 @@ class Profile(NamedTuple):
     radius, radius_sd: Mean and standard deviation of R over contacts.
     """
 
-    thresholds: Matrix
+    thresholds: Floats
     softness: float
     radius: float
     radius_sd: float
@@ -261,14 +260,14 @@ class LocatedContacts(NamedTuple):
     slopes, curvatures (M,): Derivatives of log-likelihoods by u; see `level_log_likelihood`.
     """
 
-    states: Matrix
-    scores: Matrix
-    gradients: Matrix
-    precisions: Matrix
-    inside: Matrix
-    directions: Matrix
-    slopes: Matrix
-    curvatures: Matrix
+    states: Floats
+    scores: Floats
+    gradients: Floats
+    precisions: Floats
+    inside: Floats
+    directions: Floats
+    slopes: Floats
+    curvatures: Floats
 
 
 _OF_CONTACTS = ("states", "scores", "gradients", "precisions")
@@ -276,7 +275,7 @@ _OF_CONTACTS = ("states", "scores", "gradients", "precisions")
 
 def level_log_likelihood(
     levels: ArrayLike, inside: ArrayLike, profile: Profile
-) -> tuple[Matrix, Matrix, Matrix]:
+) -> tuple[Floats, Floats, Floats]:
     """Return the log-likelihood of levels, and its derivatives by the distance u, each (M,).
 
     With ``a = P(level >= l)``, ``b = P(level >= l + 1)`` and the outlier share e, the score is
@@ -299,7 +298,7 @@ def level_log_likelihood(
 
 
 def evaluate(
-    contacts: Contacts, positions: Reals, states: Matrix, profile: Profile
+    contacts: Contacts, positions: Reals, states: Floats, profile: Profile
 ) -> LocatedContacts:
     """Evaluate the log-likelihoods of contacts at given states, and their derivatives.
 
@@ -332,7 +331,7 @@ def evaluate(
 
 
 def locate(
-    contacts: Contacts, positions: Reals, states: Matrix, profile: Profile, *, steps: int
+    contacts: Contacts, positions: Reals, states: Floats, profile: Profile, *, steps: int
 ) -> LocatedContacts:
     """Maximise the likelihood of each contact separately (Levenberg-Marquardt).
 
@@ -366,8 +365,8 @@ class Roots(NamedTuple):
     of_readings (k + 1, M): ``L n`` for the direction n of each reading.
     """
 
-    of_contacts: Matrix
-    of_readings: Matrix
+    of_contacts: Floats
+    of_readings: Floats
 
     @classmethod
     def of(cls, contacts: Contacts, located: LocatedContacts) -> Roots:
@@ -385,7 +384,7 @@ class Roots(NamedTuple):
         return np.asarray(np.einsum("eji,je->ie", self.of_contacts, halved))
 
 
-def leave_one_out(located: LocatedContacts, roots: Roots) -> Matrix:
+def leave_one_out(located: LocatedContacts, roots: Roots) -> Floats:
     """Predict the distance u of each reading from a fit of its contact without it, (M,).
 
     This is one Newton step from the fit to all readings: with the direction n, the precision C of
@@ -398,7 +397,7 @@ def leave_one_out(located: LocatedContacts, roots: Roots) -> Matrix:
 
 
 def fit_profile(
-    levels: NDArray[np.intp], inside: Matrix, weights: ArrayLike, profile: Profile
+    levels: NDArray[np.intp], inside: Floats, weights: ArrayLike, profile: Profile
 ) -> Profile:
     """Fit thresholds and softness to readings at known distances (maximum likelihood).
 
@@ -414,7 +413,7 @@ def fit_profile(
     shares = (counts / counts.sum()).reshape(n_levels + 1, _BINS)
     centres = (np.arange(_BINS) + 0.5) * width - far
 
-    def value_and_gradient(parameters: Matrix) -> tuple[float, Matrix]:
+    def value_and_gradient(parameters: Floats) -> tuple[float, Floats]:
         steps, softness = np.exp(parameters[1:-1]), np.exp(parameters[-1])
         thresholds = np.cumsum(np.append(parameters[0], steps))
         scaled = (centres - thresholds[:, None]) / softness
@@ -448,10 +447,10 @@ def sensor_steps(
     located: LocatedContacts,
     roots: Roots,
     weights: ArrayLike,
-    deviations: Matrix,
+    deviations: Floats,
     *,
     prior_sd: float,
-) -> Matrix:
+) -> Floats:
     """Make a damped Gauss-Newton step of the sensors, with the contacts re-optimised.
 
     weights (E,): Of the contacts; deviations (N, k): Positions less those of the prior.

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,10 +39,7 @@ from anisomap.numerics.covariogram.objective import (
     solve_amplitude_and_offset,
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
-from anisomap.numerics.precision import Reals
-
-Matrix: TypeAlias = Reals
-Vector: TypeAlias = NDArray[np.float64]
+from anisomap.numerics.precision import Floats, Reals
 
 _MAX_RANGE_SENSORS = 4000  # from which the range is estimated; bounds time and memory
 _RANGE_CORRELATIONS = (0.15, 0.45)  # around 1 / e; pairs with these are about one range apart
@@ -88,16 +85,16 @@ class Covariogram(Immutable):
         Triangular factor of the curvature near the positions; (1, 1) if it was not computed.
     """
 
-    positions: Matrix
+    positions: Reals
     amplitude: float
     exponent: float
     offset: float
     objective: float
     iterations: int
     converged: bool
-    factor: Matrix
+    factor: Reals
 
-    def at(self, distances: ArrayLike) -> Matrix:
+    def at(self, distances: ArrayLike) -> Reals:
         """Return the expected correlation at distances in units of `positions`."""
         d = np.asarray(distances, dtype=np.float64)
         return np.asarray(self.amplitude * np.exp(-(d**self.exponent)) + self.offset)
@@ -211,7 +208,7 @@ def fit_covariogram(
     )
 
 
-def _estimate_range(similarity: Matrix, positions: Matrix, known: NDArray[np.bool_]) -> float:
+def _estimate_range(similarity: Reals, positions: Reals, known: NDArray[np.bool_]) -> float:
     """Return the median distance of pairs with a correlation of about 1 / e."""
     step = -(-len(positions) // _MAX_RANGE_SENSORS)
     distances, similar = pdist(positions[::step]), pack(similarity[::step, ::step])
@@ -224,7 +221,7 @@ def _estimate_range(similarity: Matrix, positions: Matrix, known: NDArray[np.boo
 
 
 def _check(
-    similarity: Matrix, positions: Matrix, metric: Matrix, known: NDArray[np.bool_], noise: float
+    similarity: Reals, positions: Reals, metric: Reals, known: NDArray[np.bool_], noise: float
 ) -> None:
     n_sensors = len(similarity)
     if positions.ndim != 2 or len(positions) != n_sensors or not positions.shape[1]:
@@ -259,7 +256,7 @@ def overlapping_blocks(positions: ArrayLike, max_size: int) -> list[NDArray[np.i
     return [np.sort(block) for block in [*near, *(order[i::count] for i in range(count))]]
 
 
-def _bisection_order(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> NDArray[np.intp]:
+def _bisection_order(points: Floats, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
     """Order points by recursive bisection along their longest axis."""
     if len(chosen) <= 2:
         return chosen
@@ -275,17 +272,17 @@ def _bisection_order(points: NDArray[np.float64], chosen: NDArray[np.intp]) -> N
 class Minimum(NamedTuple):
     """A minimum of the objective, and the factor of the last curvature; positions (N, k)."""
 
-    positions: Matrix
+    positions: Reals
     log_exponent: float
     value: float
     iterations: int
     converged: bool
-    factor: Matrix
+    factor: Reals
 
 
 def minimise(
     blocks: Sequence[Block],
-    start: Matrix,
+    start: Reals,
     options: CovariogramOptions,
     *,
     tolerance: float,
@@ -326,7 +323,7 @@ class _Search:
         self,
         blocks: Sequence[Block],
         start: Minimum,
-        factor: Matrix,
+        factor: Reals,
         tolerances: tuple[float, float],
         map_blocks: MapFunction,
     ) -> None:
@@ -337,7 +334,7 @@ class _Search:
         self._before = np.inf
         self._converged = False
 
-    def _solved(self, y: Vector, *, transposed: bool = False) -> Vector:
+    def _solved(self, y: Floats, *, transposed: bool = False) -> Floats:
         """Return U^-1 y, or U'^-1 y if transposed; y itself if there is no factor."""
         if len(self._factor) < len(y):
             return y
@@ -345,7 +342,7 @@ class _Search:
         # The factor is C-contiguous: BLAS takes its transpose, which is lower triangular.
         return np.asarray(solve(self._factor.T, y, lower=True, trans=not transposed), float)
 
-    def _at(self, y: Vector) -> tuple[Matrix, float]:
+    def _at(self, y: Floats) -> tuple[Reals, float]:
         """Return positions, (N, k), and the log exponent."""
         parameters = self._origin + self._solved(y)
         by_axes = parameters[:-1].reshape(self._start.positions.shape[::-1])
@@ -376,7 +373,7 @@ class _Search:
         iterations = self._start.iterations + int(ended.nit)
         return Minimum(*self._at(ended.x), float(ended.fun), iterations, converged, self._factor)
 
-    def _value_and_slope(self, y: Vector) -> tuple[float, Vector]:
+    def _value_and_slope(self, y: Floats) -> tuple[float, Floats]:
         positions, log_exponent = self._at(y)
         value, slope = objective(self._blocks, positions, log_exponent, self._map)
         by_axes = slope[:-1].reshape(positions.shape).T
@@ -400,7 +397,7 @@ class _Search:
             raise StopIteration
 
 
-def _factor(curvature: Matrix) -> Matrix:
+def _factor(curvature: Reals) -> Reals:
     """Return the triangular factor U of a damped curvature U'U, in its place."""
     diagonal = np.diag(curvature).copy()
     damping = _DAMPING * diagonal + _LEAST_DAMPING * diagonal.mean()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,6 @@ from anisomap.numerics.compiled.parallel import (
 from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
 
-Matrix: TypeAlias = Reals
-Vector: TypeAlias = Reals
-
 _SQUARE_BOUNDS = (1e-12, 1e30)  # of squared distances in ranges; keep all terms finite in float32
 _MAX_LOG_POWER = float(np.log(80))  # of d^b; exp(-80) is nearly the smallest normal float32
 
@@ -42,10 +39,10 @@ class Decay(NamedTuple):
     logarithms: ``log d``.
     """
 
-    shape: Vector
-    steepness: Vector
-    squares: Vector
-    logarithms: Vector
+    shape: Reals
+    steepness: Reals
+    squares: Reals
+    logarithms: Reals
 
 
 class Weights(NamedTuple):
@@ -66,11 +63,11 @@ class Pairs:
     whitened_known, whitened_similarity: Pairs of W A W for these.
     """
 
-    known: Vector
-    similarity: Vector
-    whitened_known: Vector
-    whitened_similarity: Vector
-    inverse_metric: Vector
+    known: Reals
+    similarity: Reals
+    whitened_known: Reals
+    whitened_similarity: Reals
+    inverse_metric: Reals
     n_sensors: int
 
     def decay(self, points: Reals, log_exponent: float) -> Decay:
@@ -91,8 +88,8 @@ class Pairs:
         return Decay(shape, steepness, squares, logarithms)
 
     def slope(
-        self, decayed: Decay, whitened_shape: Vector, weights: Weights
-    ) -> tuple[float, float, Vector]:
+        self, decayed: Decay, whitened_shape: Reals, weights: Weights
+    ) -> tuple[float, float, Reals]:
         """Return the objective, its derivative by the log exponent, and the force, (P,).
 
         The force is half the derivative by the distance of each pair, over the distance.
@@ -124,16 +121,16 @@ class Pairs:
         force -= np.divide(weights.repulsion / 2, decayed.squares, out=term)
         return value, by_exponent, force
 
-    def gradient(self, force: Vector, points: Reals) -> Reals:
+    def gradient(self, force: Reals, points: Reals) -> Reals:
         """Return the gradient by positions, shape (n, k), of the force of `slope`."""
         forces = self.unpack(force.astype(np.float64, copy=False))
         return np.asarray(2 * (forces.sum(axis=1)[:, None] * points - forces @ points))
 
-    def product(self, first: Vector, second: Vector) -> float:
+    def product(self, first: Reals, second: Reals) -> float:
         """Sum the products of two symmetric matrices without diagonal, given by their pairs."""
         return 2 * _sum(first * second)
 
-    def unpack(self, values: Vector) -> Reals:
+    def unpack(self, values: Reals) -> Reals:
         """Return the symmetric matrix, shape (n, n), of values of pairs; its diagonal is 0."""
         return np.asarray(squareform(values, checks=False))
 
@@ -151,8 +148,8 @@ class CompiledPairs(Pairs):
         return found
 
     def slope(
-        self, decayed: Decay, whitened_shape: Vector, weights: Weights
-    ) -> tuple[float, float, Vector]:
+        self, decayed: Decay, whitened_shape: Reals, weights: Weights
+    ) -> tuple[float, float, Reals]:
         """See `Pairs.slope`."""
         force = np.empty_like(self.known)
         data = (
@@ -167,29 +164,29 @@ class CompiledPairs(Pairs):
         )
         return value, by_exponent, force
 
-    def gradient(self, force: Vector, points: Reals) -> Reals:
+    def gradient(self, force: Reals, points: Reals) -> Reals:
         """See `Pairs.gradient`."""
         gradient = np.zeros(points.shape[::-1])
         load_loops("covariogram").pull(force, np.ascontiguousarray(points.T), gradient)
         return gradient.T
 
-    def product(self, first: Vector, second: Vector) -> float:
+    def product(self, first: Reals, second: Reals) -> float:
         """See `Pairs.product`."""
         return float(load_loops("covariogram").product_of(first, second))
 
-    def unpack(self, values: Vector) -> Reals:
+    def unpack(self, values: Reals) -> Reals:
         """See `Pairs.unpack`."""
         matrix = np.empty((self.n_sensors, self.n_sensors), values.dtype)
         load_loops("covariogram").unpack(values, matrix)
         return matrix
 
 
-def pack(matrix: Reals) -> Vector:
+def pack(matrix: Reals) -> Reals:
     """Return the pairs i < j of a matrix, shape (n, n)."""
     return np.asarray(squareform(matrix, checks=False))
 
 
-def _sum(values: Vector) -> float:
+def _sum(values: Reals) -> float:
     """Sum values of pairs: parts in their own precision, which numpy adds pairwise."""
     n_points = round((1 + np.sqrt(1 + 8 * len(values))) / 2)
     rows = values.reshape(n_points - 1 + n_points % 2, -1)
@@ -257,8 +254,8 @@ class CovariogramOptions:
 class Problem:
     """Data and parameters of the fit, with lengths in units of the covariogram's range."""
 
-    similarity: Matrix
-    metric: Matrix
+    similarity: Reals
+    metric: Reals
     known: NDArray[np.bool_]
     noise: float
     options: CovariogramOptions
@@ -274,9 +271,9 @@ class BlockTerms:
     shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
     """
 
-    products: Matrix
+    products: Reals
     decay: Decay
-    whitened_shape: Vector
+    whitened_shape: Reals
 
 
 class Block:
@@ -306,9 +303,9 @@ class Block:
             pairs.product(pairs.similarity, pairs.whitened_similarity),
         )
         self._noise = problem.noise
-        self._latest: tuple[Matrix, float, BlockTerms] | None = None
+        self._latest: tuple[Reals, float, BlockTerms] | None = None
 
-    def terms(self, positions: Matrix, log_exponent: float) -> BlockTerms:
+    def terms(self, positions: Reals, log_exponent: float) -> BlockTerms:
         """Evaluate the block at positions of all sensors, shape (N, k)."""
         points = positions[self.sensors]
         # A curvature is followed by a search from the same positions, and the reverse.
@@ -326,8 +323,8 @@ class Block:
         return terms
 
     def gradient(
-        self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float, offset: float
-    ) -> tuple[float, Matrix, float]:
+        self, terms: BlockTerms, positions: Reals, exponent: float, amplitude: float, offset: float
+    ) -> tuple[float, Reals, float]:
         """Return the value, and the gradient by the positions and by the log exponent."""
         options = self._options
         prior, repulsion = self._noise * options.prior_weight, self._noise * options.repulsion
@@ -336,8 +333,8 @@ class Block:
         return value, self._pairs.gradient(force, positions[self.sensors]), by_exponent
 
     def curvature(
-        self, terms: BlockTerms, positions: Matrix, exponent: float, amplitude: float
-    ) -> tuple[dict[tuple[int, int], Matrix], Matrix, Matrix]:
+        self, terms: BlockTerms, positions: Reals, exponent: float, amplitude: float
+    ) -> tuple[dict[tuple[int, int], Reals], Reals, Reals]:
         """Return the contribution to `gauss_newton_matrix`, with the curvatures of the priors.
 
         These are the products of the derivatives by coordinates p and q >= p of two sensors,
@@ -375,7 +372,7 @@ class Block:
         linear = [[self._pairs.product(a, b) for b in whitened] for a in linear_terms]
         return coordinates, np.array(cross), np.array(linear)
 
-    def _whitened(self, matrix: Matrix) -> Vector:
+    def _whitened(self, matrix: Reals) -> Reals:
         """Return the pairs of W A W, which is symmetric as A is."""
         weights, n_sensors = self._whitening, len(matrix)
         product, whitened = weights @ matrix, np.empty_like(weights)
@@ -387,10 +384,10 @@ class Block:
 
 def objective(
     blocks: Sequence[Block],
-    positions: Matrix,
+    positions: Reals,
     log_exponent: float,
     map_blocks: MapFunction = serial_map,
-) -> tuple[float, Matrix]:
+) -> tuple[float, Reals]:
     """Return the objective and its gradient. positions (N, k) -> value, gradient (N k + 1,)."""
     terms = map_blocks(lambda block: block.terms(positions, log_exponent), blocks)
     products = np.sum([term.products for term in terms], axis=0)
@@ -411,10 +408,10 @@ def objective(
 
 def gauss_newton_matrix(
     blocks: Sequence[Block],
-    positions: Matrix,
+    positions: Reals,
     log_exponent: float,
     dtype: type[np.floating] = np.float64,
-) -> Matrix:
+) -> Reals:
     """Return the Gauss-Newton matrix by positions (N, k) and log exponent, (N k + 1, N k + 1).
 
     With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
@@ -452,7 +449,7 @@ def gauss_newton_matrix(
 
 
 def _add_block(
-    matrix: Matrix, block: Matrix, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    matrix: Reals, block: Reals, rows: NDArray[np.intp], columns: NDArray[np.intp]
 ) -> None:
     """Add a block as `anisomap.numerics.compiled.covariogram.add_block`, at sorted indices."""
     if rows[-1] - rows[0] < len(rows) and columns[-1] - columns[0] < len(columns):
@@ -462,7 +459,7 @@ def _add_block(
         matrix[np.ix_(rows, columns)] += block
 
 
-def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
+def solve_amplitude_and_offset(products: Reals) -> tuple[float, float]:
     """Return the amplitude and offset that minimise the whitened residual."""
     ee, eo, es, oo, os, _ = products
     determinant = ee * oo - eo * eo
@@ -474,7 +471,7 @@ def solve_amplitude_and_offset(products: Matrix) -> tuple[float, float]:
     return amplitude, float((os - amplitude * eo) / oo) if oo > 0 else 0.0
 
 
-def _whitening(similarity: Matrix, ridge: float) -> Matrix:
+def _whitening(similarity: Reals, ridge: float) -> Reals:
     """Return W of `fit_covariogram`, shape (n, n): the regularised inverse without the mean."""
     covariance = similarity.copy()
     np.fill_diagonal(covariance, 1 + ridge)

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO, partial_correlation
 from anisomap.numerics.graph.metric import minimax_paths
 from anisomap.numerics.neighbours import spanning_tree
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.split_half import blended_correlation, split_blocks
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 
@@ -69,7 +69,7 @@ def unevenness(positions: ArrayLike, adjacency: ArrayLike) -> float:
     return float(np.log(edge_distances(positions, adjacency)).std())
 
 
-def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> NDArray[np.float64]:
+def edge_distances(positions: ArrayLike, adjacency: ArrayLike) -> Floats:
     """Return the map distances of links i < j in row-major order, clipped above 0."""
     mask = np.asarray(adjacency, dtype=bool)
     points = np.asarray(positions, dtype=np.float64)
@@ -116,8 +116,6 @@ def _without_detours(adjacent: NDArray[np.bool_], partial: Reals) -> NDArray[np.
     return np.asarray(kept | kept.T)
 
 
-Matrix = NDArray[np.float64]
-
 _MIN_PATH = 0.3  # typical links; bounds the largest weight. Chosen by hand
 _SCALE_ITERATIONS = 3  # alternations between positions and the scale of the guide; chosen by hand
 _POWER = 6.0  # weight H^-p of a path of length H; 4 to 8 give similar maps
@@ -130,11 +128,8 @@ MAX_UNEVENNESS = 0.5
 
 
 def fit_path_lengths(
-    lengths: ArrayLike,
-    dimensions: int = 3,
-    *,
-    guide: ArrayLike | None = None,
-) -> Matrix:
+    lengths: ArrayLike, dimensions: int = 3, *, guide: ArrayLike | None = None
+) -> Floats:
     """Fit positions to the short paths on a graph, optionally guided by a map.
 
     lengths (N, N), guide (N, k) -> (N, k).
@@ -178,7 +173,7 @@ def fit_path_lengths(
 
 def refine_by_even_spacing(
     readings: ArrayLike, positions: ArrayLike, *, similarity: ArrayLike | None = None
-) -> Matrix | None:
+) -> Floats | None:
     """Refine a map under the declared prior that neighbours are evenly spaced.
 
     readings (T, N), positions (N, k), similarity (N, N) -> (N, k); None if the map is uneven and

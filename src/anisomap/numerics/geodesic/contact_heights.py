@@ -19,10 +19,10 @@ from scipy.spatial.distance import pdist
 
 from anisomap.numerics.columns import mean_ranks, ranks_from_counts
 from anisomap.numerics.graph.metric import minimax_paths
+from anisomap.numerics.precision import Floats
 from anisomap.numerics.reliability.split_half import split_blocks
 
-Matrix = NDArray[np.float64]
-Peaks = tuple[NDArray[np.intp], NDArray[np.float64]]
+Peaks = tuple[NDArray[np.intp], Floats]
 
 MIN_PEAKS = 8
 """Minimum number of matched peaks from which a length is estimated; chosen by hand."""
@@ -32,9 +32,7 @@ _RANGE_QUANTILE = 0.995  # top of the range; excludes outliers. Chosen by hand
 _MIN_DIFFERENCE = 0.05  # of 1 - rho; keeps lengths above 0. Chosen by hand
 
 
-def contacts_of(
-    raised: ArrayLike,
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
+def contacts_of(raised: ArrayLike) -> tuple[NDArray[np.intp], Floats, NDArray[np.intp]]:
     """Find the peak of each contact of one sensor, and its number of frames. raised (T,)."""
     values = np.asarray(raised, dtype=np.float64)
     level = _CONTACT_THRESHOLD * max(float(np.quantile(values, _RANGE_QUANTILE)), 0.0)
@@ -73,9 +71,9 @@ class HeightSimilarity:
     n_contacts: Number of contacts of either sensor.
     """
 
-    similarity: Matrix
-    partial: Matrix
-    n_contacts: Matrix
+    similarity: Floats
+    partial: Floats
+    n_contacts: Floats
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ class ContactHeights:
         return HeightSimilarity(similarity, (partials + partials.T) / 2, pooled)
 
     @staticmethod
-    def _partial(sensor: int, ranks: Matrix, lowest: Matrix) -> Matrix:
+    def _partial(sensor: int, ranks: Floats, lowest: Floats) -> Floats:
         """Return the partial correlations of a sensor with those that share its contacts."""
         found = np.zeros(ranks.shape[1])
         if len(ranks) < MIN_PEAKS:
@@ -208,7 +206,7 @@ def explained_share(
     return Explained(reliability, 1 - unexplained)
 
 
-def peak_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Matrix:
+def peak_lengths(heights: ContactHeights, links: NDArray[np.bool_]) -> Floats:
     """Estimate the lengths of links. links (N, N) -> (N, N), NaN elsewhere and for few peaks.
 
     ``(1 - rho_ij)^(1/2)`` with Spearman's rho of the heights of those peaks of i and j that are
@@ -255,7 +253,7 @@ def height_links(similarity: HeightSimilarity) -> NDArray[np.bool_]:
     return np.asarray(links | links.T)
 
 
-def _highest_around(depths: Matrix, half: int) -> Matrix:
+def _highest_around(depths: Floats, half: int) -> Floats:
     """Return the maximum over `half` frames to each side of every frame."""
     width = 2 * half + 1
     highest = np.pad(depths, half)
@@ -268,7 +266,7 @@ def _highest_around(depths: Matrix, half: int) -> Matrix:
     return highest
 
 
-def _ranks_of_runs(values: Matrix) -> Matrix:
+def _ranks_of_runs(values: Floats) -> Floats:
     """Rank values as `mean_ranks`, faster where most are equal to those before. values (T,)."""
     begins = np.flatnonzero(np.diff(values, prepend=np.nan))
     lengths = np.diff(begins, append=len(values))

@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, eigh
 from scipy.linalg.blas import dsymv, ssymv
 from scipy.optimize import OptimizeResult, minimize
@@ -23,9 +23,7 @@ from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, p
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric, metricise
 from anisomap.numerics.graph.neighbour_graphs import components
-from anisomap.numerics.precision import Reals, row_blocks
-
-Floats = NDArray[np.float64]
+from anisomap.numerics.precision import Floats, Reals, row_blocks
 
 logger = logging.getLogger(__name__)
 
@@ -263,12 +261,7 @@ def minimise_auto(
 
 
 def lbfgs(
-    problem: Problem,
-    start: Floats,
-    tolerance: float,
-    max_iterations: int,
-    *,
-    single: bool = False,
+    problem: Problem, start: Floats, tolerance: float, max_iterations: int, *, single: bool = False
 ) -> SolverResult:
     """Minimise the raw stress by L-BFGS; the first Hessian is twice the weight of each point."""
     n_points = len(start)
@@ -326,13 +319,13 @@ SOLVERS = {"auto": minimise_auto, "lbfgs": lbfgs, "majorization": majorise}
 DENSE_LIMIT = 200
 """Maximum number of points for which a full eigendecomposition is faster than an iterative one."""
 
-Eigen: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
-Product: TypeAlias = Callable[[NDArray[np.float64]], Reals]
+Eigen: TypeAlias = tuple[Floats, Floats]
+Product: TypeAlias = Callable[[Floats], Reals]
 
 _NEARLY_GREATEST = 1 - 1e-6  # magnitudes above this share differ by rounding only
 
 
-def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
+def torgerson(distances: ArrayLike, dimensions: int) -> Floats:
     """Classical scaling: positions from the leading eigenvectors of the inner products.
 
     Parameters
@@ -375,7 +368,7 @@ def torgerson(distances: ArrayLike, dimensions: int) -> NDArray[np.float64]:
     return _principal_coordinates(leading or _leading_dense(squares, dimensions), dimensions)
 
 
-def classical_scaling(multiply: Product, n_points: int, dimensions: int) -> NDArray[np.float64]:
+def classical_scaling(multiply: Product, n_points: int, dimensions: int) -> Floats:
     """Scale as `torgerson`, given products with the squared distances in float32, -> (N, k)."""
     found = leading_eigenvectors(multiply, n_points, dimensions, single=True)
     if found is None:
@@ -383,7 +376,7 @@ def classical_scaling(multiply: Product, n_points: int, dimensions: int) -> NDAr
     return _principal_coordinates(found, dimensions)
 
 
-def _principal_coordinates(found: Eigen, dimensions: int) -> NDArray[np.float64]:
+def _principal_coordinates(found: Eigen, dimensions: int) -> Floats:
     """Scale eigenvectors (N, k) by the roots of their eigenvalues, and choose their signs."""
     values, vectors = found
     order = np.argsort(values)[::-1]
@@ -411,7 +404,7 @@ def leading_eigenvectors(
     single: Whether products are in float32.
     """
 
-    def double_centred(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def double_centred(vector: Floats) -> Floats:
         product = multiply(vector - vector.mean()).astype(np.float64, copy=False)
         return np.asarray((product - product.mean()) / -2)
 
@@ -480,10 +473,10 @@ class Scaling:
         Whether the tolerance was met within the maximum number of iterations.
     """
 
-    positions: NDArray[np.float64]
+    positions: Floats
     raw_stress: float
     spread: float
-    trace: NDArray[np.float64]
+    trace: Floats
     converged: bool
 
     @property
@@ -586,7 +579,7 @@ def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
     return checked
 
 
-def _check_start(start: ArrayLike, n_points: int) -> NDArray[np.float64]:
+def _check_start(start: ArrayLike, n_points: int) -> Floats:
     positions = np.array(start, dtype=np.float64)
     if positions.ndim != 2 or len(positions) != n_points or not positions.shape[1]:
         raise InputError(f"the start has shape {positions.shape}; it must be ({n_points}, k)")

@@ -13,7 +13,7 @@ from scipy.sparse import csc_array
 
 from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
-from anisomap.numerics.precision import MAX_SQUARED, Reals, float_type, mirror, row_blocks
+from anisomap.numerics.precision import MAX_SQUARED, Floats, Reals, float_type, mirror, row_blocks
 from anisomap.numerics.similarity.co_occurrence import (
     CHUNK_FRAMES,
     Codes,
@@ -22,8 +22,6 @@ from anisomap.numerics.similarity.co_occurrence import (
     co_occurrences,
 )
 from anisomap.numerics.similarity.rest import estimate_rest
-
-Floats = NDArray[np.float64]
 
 _DENSE_PER_SPARSE = 40  # dense products in the time of one sparse product; measured
 _SAMPLE_FRAMES = 63  # frames from which the rest value is estimated
@@ -114,8 +112,8 @@ class Moments:
     """
 
     n_frames: int
-    mean: NDArray[np.float64]
-    comoment: NDArray[np.float64]
+    mean: Floats
+    comoment: Floats
 
     @classmethod
     def of(cls, readings: ArrayLike, *, single: bool = False) -> Moments:
@@ -214,9 +212,7 @@ class StoredCodes:
         return np.concatenate(self.parts)
 
 
-def correlation_of_blocks(
-    squares: NDArray[Any], comoments: Callable[[slice], NDArray[np.float64]]
-) -> Reals:
+def correlation_of_blocks(squares: NDArray[Any], comoments: Callable[[slice], Floats]) -> Reals:
     """Normalise co-moments to correlations, some rows at a time. squares (N,) -> (N, N)."""
     n_sensors = len(squares)
     spread = np.sqrt(squares)
@@ -234,9 +230,7 @@ def correlation_of_blocks(
     return correlation
 
 
-def _float32_deviations(
-    chunk: NDArray[Any],
-) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
+def _float32_deviations(chunk: NDArray[Any]) -> tuple[Floats, NDArray[np.float32]] | None:
     """Return approximate means and float32 deviations; None if squares would overflow float32."""
     lowest, highest = (np.asarray(f(chunk, axis=0), np.float64) for f in (np.min, np.max))
     extent = highest - lowest
@@ -300,7 +294,7 @@ def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
     """
     on = np.diag(counts).astype(np.int64)
 
-    def comoments(rows: slice) -> NDArray[np.float64]:
+    def comoments(rows: slice) -> Floats:
         products = counts[rows].astype(np.int64)
         products *= n_frames
         products -= np.outer(on[rows], on)
@@ -309,7 +303,7 @@ def phi_from_counts(counts: Counts, n_frames: int) -> Reals:
     return correlation_of_blocks(n_frames * on - on * on, comoments)
 
 
-def squares_overflow(magnitude: NDArray[np.float64]) -> NDArray[np.bool_]:
+def squares_overflow(magnitude: Floats) -> NDArray[np.bool_]:
     """Return True for sensors with squares outside float64, given greatest magnitudes, (N,)."""
     return (magnitude > MAX_SQUARED) | ((magnitude < 1 / MAX_SQUARED) & (magnitude > 0))
 
@@ -330,7 +324,7 @@ _STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen b
 
 
 def resampled_correlation(
-    readings: NDArray[np.floating], edges: NDArray[np.intp], weights: NDArray[np.float64]
+    readings: NDArray[np.floating], edges: NDArray[np.intp], weights: Floats
 ) -> NDArray[np.float32]:
     """Compute Pearson's r of every pair of sensors over weighted blocks of frames.
 
