@@ -18,7 +18,7 @@ from anisomap.numerics.columns import ranked
 from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.sampling_noise import (
     sampling_variance,
     thinning,
@@ -208,7 +208,7 @@ class PairStatistics:
         return replace(found, common_share=self.common_share)
 
     @property
-    def weights(self) -> NDArray[np.float64] | None:
+    def weights(self) -> Floats | None:
         """Weights of distances in scaling: 0 for unknown pairs; None if all pairs are known."""
         return None if self.known.all() else self.known.astype(np.float64)
 

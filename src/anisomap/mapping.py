@@ -26,7 +26,7 @@ from anisomap.evidence import PairStatistics, compare
 from anisomap.methods import METHODS, Method, find_method
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import components
-from anisomap.numerics.precision import Reals, row_blocks
+from anisomap.numerics.precision import Floats, Reals, row_blocks
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 from anisomap.options import MethodOptions
 from anisomap.recording import Recording
@@ -50,7 +50,7 @@ class Configuration:
     refinements: How each component was refined, before it was rescaled; empty if none was.
     """
 
-    positions: NDArray[np.float64]
+    positions: Floats
     component: NDArray[np.intp]
     stress: float
     converged: bool
@@ -105,7 +105,7 @@ def configure_pairs(
     dimensions: int,
     options: MethodOptions,
     *,
-    start: NDArray[np.float64] | None = None,
+    start: Floats | None = None,
 ) -> Configuration:
     """Compute the configuration of sensors of which all pairs were compared.
 
@@ -169,7 +169,7 @@ def configure(
     options: MethodOptions,
     *,
     weights: Reals | None = None,
-    start: NDArray[np.float64] | None = None,
+    start: Floats | None = None,
 ) -> tuple[Configuration, DimensionPlan]:
     """Scale a metric and refine the positions; once more if these contradict the plan.
 
@@ -195,7 +195,7 @@ def scale(
     metric: Reals,
     dimensions: int,
     *,
-    start: NDArray[np.float64] | None = None,
+    start: Floats | None = None,
     weights: Reals | None = None,
     options: SmacofOptions | None = None,
 ) -> Configuration:
@@ -229,7 +229,7 @@ def scale(
     )
 
 
-def of_positions(positions: NDArray[np.float64], metric: Reals) -> Configuration:
+def of_positions(positions: Floats, metric: Reals) -> Configuration:
     """Take given positions, shape (n, k), for the scaling of a metric, in its unit."""
     labels = components(metric)
     scaled = positions.copy()
@@ -274,7 +274,7 @@ def _among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:
     return matrix if sensors.all() else matrix[np.ix_(sensors, sensors)]
 
 
-def _best_scale(positions: NDArray[np.float64], lengths: Reals) -> tuple[float, float, float]:
+def _best_scale(positions: Floats, lengths: Reals) -> tuple[float, float, float]:
     """Find the least-squares scale of positions to given distances."""
     size = product = missed = 0.0
     for rows in row_blocks(len(positions)):

@@ -22,6 +22,7 @@ from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.neighbours import labels_by_size
+from anisomap.numerics.precision import Floats
 from anisomap.numerics.reliability.sampling_noise import MIN_SHARED, count_shared_neighbours
 from anisomap.numerics.signals import count_contacts
 
@@ -87,8 +88,8 @@ class Sketch:
     """
 
     n_frames: int
-    mean: NDArray[np.float64]
-    deviation: NDArray[np.float64]
+    mean: Floats
+    deviation: Floats
     varying: NDArray[np.bool_]
     contacts: NDArray[np.int64]
     active_frames: NDArray[np.int64]
@@ -160,7 +161,7 @@ class SensorPairs(NamedTuple):
 
     firsts: NDArray[np.int64]
     seconds: NDArray[np.int64]
-    r: NDArray[np.float64]
+    r: Floats
 
     def concatenate(self, others: SensorPairs) -> SensorPairs:
         """Append other pairs."""
@@ -174,7 +175,7 @@ class SensorPairs(NamedTuple):
         """Return the pairs where a mask is true."""
         return SensorPairs(self.firsts[mask], self.seconds[mask], self.r[mask])
 
-    def best(self, n_sensors: int) -> NDArray[np.float64]:
+    def best(self, n_sensors: int) -> Floats:
         """Return the highest r of each sensor, -inf without a pair, shape (N,)."""
         best = np.full(n_sensors, -np.inf)
         for sensors in (self.firsts, self.seconds):
@@ -280,7 +281,7 @@ def bridge_components(
 
 def largest_null_r(
     pairs: SensorPairs, sketch: Sketch, coincidences: float = EXTRA_COINCIDENCES
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return, for each pair, the expected maximum r if no sensors were related.
 
     Two sensors touched c and c' times in T frames, for d and d' frames each, are touched together
@@ -297,14 +298,14 @@ def largest_null_r(
     return np.asarray(deviations * np.sqrt(together) + coincidences / contacts)
 
 
-def edge_lengths(pairs: SensorPairs, edges: SensorPairs, mu: float) -> NDArray[np.float64]:
+def edge_lengths(pairs: SensorPairs, edges: SensorPairs, mu: float) -> Floats:
     """Return the length of every edge, the regularised reciprocal of its r. Returns (E,)."""
     smallest = float(pairs.r.min(where=pairs.r >= NUMERICAL_ZERO, initial=1.0))
     return np.asarray(1 / (edges.r + mu * smallest))
 
 
 def adjacency_matrix(
-    edges: SensorPairs, lengths: NDArray[np.float64], n_sensors: int
+    edges: SensorPairs, lengths: Floats, n_sensors: int
 ) -> csr_array[np.float64, tuple[int, int]]:
     """Return the symmetric sparse matrix of edge lengths, with sorted column indices."""
     ends = np.concatenate([edges.firsts, edges.seconds])

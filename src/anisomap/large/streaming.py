@@ -35,6 +35,7 @@ from anisomap.numerics.columns import ranks_from_counts
 from anisomap.numerics.geodesic.adjacency import MAX_UNEVENNESS, adjacency_graph, unevenness
 from anisomap.numerics.precision import (
     MAX_SQUARED,
+    Floats,
     Reals,
     check_memory,
     check_pair_memory,
@@ -337,9 +338,7 @@ def _limitations(found: StreamedSimilarity, made: SensorMap) -> Iterator[str]:
         yield _NOT_EXAMINED
 
 
-def _is_uneven(
-    found: StreamedSimilarity, sensors: NDArray[np.intp], positions: NDArray[np.float64]
-) -> bool:
+def _is_uneven(found: StreamedSimilarity, sensors: NDArray[np.intp], positions: Floats) -> bool:
     """Return whether neighbours on a map lie at very unequal distances."""
     if len(positions) < MIN_SENSORS or positions.shape[1] < 2:
         return False

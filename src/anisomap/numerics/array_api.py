@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError, import_extra
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
-from anisomap.numerics.precision import float_type, slices_of
+from anisomap.numerics.precision import Floats, float_type, slices_of
 from anisomap.numerics.scaling.multidimensional_scaling import (
     COINCIDENT,
     LARGE_TOLERANCE,
@@ -283,24 +283,20 @@ def scale(metric: Array, dimensions: int, options: SmacofOptions) -> Scaling:
     return Scaling(positions, trace[-1], spread, history, bool(converged))
 
 
-def _classical_scaling(
-    xp: Any, squares: Array, dimensions: int
-) -> tuple[NDArray[np.float64], float]:
+def _classical_scaling(xp: Any, squares: Array, dimensions: int) -> tuple[Floats, float]:
     """Scale squared distances (N, N) by their leading eigenvectors -> (N, k), and sum them."""
 
-    def multiply(vector: NDArray[np.float64]) -> NDArray[np.floating[Any]]:
+    def multiply(vector: Floats) -> NDArray[np.floating[Any]]:
         return to_numpy(xp.matmul(squares, _like(vector, squares)))
 
     total = float(multiply(np.ones(squares.shape[0])).sum(dtype=np.float64))
     return classical_scaling(multiply, squares.shape[0], dimensions), total
 
 
-def _raw_stress(
-    xp: Any, targets: Array
-) -> Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]:
+def _raw_stress(xp: Any, targets: Array) -> Callable[[Floats], tuple[float, Floats]]:
     """Return the raw stress of positions (N, k) and its gradient, as `objective` of smacof."""
 
-    def raw_stress(positions: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def raw_stress(positions: Floats) -> tuple[float, Floats]:
         n_axes = positions.shape[1]
         points = _like(positions, targets)
         raw, slopes = 0.0, []
@@ -345,7 +341,7 @@ def _moved(values: NDArray[Any], array: Array) -> Array:
     return known.to_device(array_namespace(array).asarray(values), known.device(array))
 
 
-def _like(values: NDArray[np.float64], array: Array) -> Array:
+def _like(values: Floats, array: Array) -> Array:
     """Copy values to the library, the device and the type of an array."""
     return _moved(values.astype(str(array.dtype).rpartition(".")[2]), array)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import gammaincinv
 
 from anisomap.errors import InputError
+from anisomap.numerics.precision import Floats
 
 SINGULAR = 1e-9
 """Relative singular value below which points are flat: reflection and rotation fit equally."""
@@ -29,24 +29,24 @@ class Similarity:
     translation (k,)
     """
 
-    rotation: NDArray[np.float64]
+    rotation: Floats
     scale: float
-    translation: NDArray[np.float64]
+    translation: Floats
 
     @property
     def reflected(self) -> bool:
         """Whether the map is a mirror image."""
         return bool(np.linalg.det(self.rotation) < 0)
 
-    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, points: Floats) -> Floats:
         """Transform points, shape (n, k)."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
 
 def fit_similarity(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    weights: NDArray[np.float64] | None = None,
+    source: Floats,
+    target: Floats,
+    weights: Floats | None = None,
     *,
     scaling: bool = True,
     reflection: bool | None = None,
@@ -83,12 +83,12 @@ def similarity_freedom(n_points: int, dimensions: int, *, scaling: bool = True) 
     return max(0, n_points * k - k - k * (k - 1) // 2 - scaling)
 
 
-def extent(points: NDArray[np.float64]) -> float:
+def extent(points: Floats) -> float:
     """Return the root of the summed variance of the coordinates. points (n, k)."""
     return float(np.sqrt(np.sum(np.var(points, axis=0))))
 
 
-def noise_scale(residuals: NDArray[np.float64], dimensions: int) -> float:
+def noise_scale(residuals: Floats, dimensions: int) -> float:
     """Estimate the standard deviation per coordinate from lengths of residuals, robustly.
 
     The median length over that of a standard normal vector (the median of the chi distribution).
@@ -97,11 +97,7 @@ def noise_scale(residuals: NDArray[np.float64], dimensions: int) -> float:
 
 
 def fit_similarity_robustly(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    *,
-    scaling: bool = True,
-    reflection: bool | None = None,
+    source: Floats, target: Floats, *, scaling: bool = True, reflection: bool | None = None
 ) -> Similarity:
     """Fit a similarity that points far from their target do not bend. source, target (n, k).
 
@@ -130,14 +126,14 @@ def fit_similarity_robustly(
     return min(fits, key=lambda found: found[:2])[2]
 
 
-def rotations(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(angles: Floats) -> Floats:
     """Return rotations by angles in the plane, (B, 1), or rotation vectors, (B, 3): (B, k, k)."""
     if angles.shape[1] == 3:
         return Rotation.from_rotvec(angles).as_matrix()
     return Rotation.from_rotvec(np.pad(angles, ((0, 0), (2, 0)))).as_matrix()[:, :2, :2]
 
 
-def similarity_derivatives(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def similarity_derivatives(points: Floats) -> Floats:
     """Return derivatives of points by shift, rotation and scale, which is last, (n, k, p)."""
     n, k = points.shape
     columns = [np.tile(np.eye(k), (n, 1, 1))]
@@ -149,9 +145,7 @@ def similarity_derivatives(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([*columns, points[:, :, None]], axis=2)
 
 
-def leverage(
-    fitted: NDArray[np.float64], points: NDArray[np.float64], *, scaling: bool = True
-) -> NDArray[np.float64]:
+def leverage(fitted: Floats, points: Floats, *, scaling: bool = True) -> Floats:
     """Return variances that a similarity fitted to (n, k) gives to points (m, k), shape (m,).
 
     Sums over coordinates, for independent errors of variance 1 of a coordinate.

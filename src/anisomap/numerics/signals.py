@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import centred_rows, transposed
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.similarity.rest import Levels, Rest, find_levels
 
 MAX_FRAMES = 4096
@@ -55,7 +55,7 @@ class Signals:
         """Number of distinct readings of each sensor: see `Levels`."""
         return self._levels.distinct
 
-    def differ_by_less(self, limits: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def differ_by_less(self, limits: Floats) -> NDArray[np.bool_]:
         """Return whether two readings of each sensor differ, by less than a limit, shape (N,)."""
         found = np.zeros(len(limits), dtype=bool)
         for some in (slice(_N_DIFFERING), slice(None)):  # mostly, few frames are enough
@@ -121,7 +121,7 @@ class Signals:
         return self._pearson
 
     @cached_property
-    def lag_correlation(self) -> NDArray[np.float64]:
+    def lag_correlation(self) -> Floats:
         """Autocorrelation of each sensor at a lag of one frame; NaN if it is constant."""
         squares, products = squares_and_lagged(self.readings, self.rest.value)
         found = np.full(len(squares), np.nan)
@@ -146,7 +146,7 @@ class Signals:
 
 def squares_and_lagged(
     readings: NDArray[Any], centre: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return sums of squared deviations from the means, and of products of successive ones, (N,).
 
     centre (N,): Values near the means, or readings: of others, sums might be below 0 by rounding.
@@ -157,9 +157,7 @@ def squares_and_lagged(
     return found
 
 
-def _lagged(
-    readings: NDArray[Any], centre: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lagged(readings: NDArray[Any], centre: NDArray[np.floating]) -> tuple[Floats, Floats]:
     sums, n_frames = np.zeros((3, len(centre))), len(readings)
     near = centre.astype(readings.dtype)
     ends = (readings[0] - near).astype(np.float64) + (readings[-1] - near)
@@ -212,7 +210,7 @@ def count_joint_contacts(active: ArrayLike, pairs: ArrayLike) -> NDArray[np.intp
     return np.array(both, dtype=np.intp)
 
 
-def normal_maximum(count: ArrayLike) -> NDArray[np.float64]:
+def normal_maximum(count: ArrayLike) -> Floats:
     """Return the value that the largest of `count` normal variables exceeds with probability 1 %.
 
     Bonferroni's bound, with the tail of the normal distribution approximated by exp(-z^2 / 2) / 2.
@@ -260,7 +258,7 @@ def some_sensors(n_sensors: int, most: int = MAX_SENSORS) -> NDArray[np.intp]:
     return np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, most)).astype(np.intp))
 
 
-def deviation_from_median(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def deviation_from_median(values: Floats) -> Floats:
     """Return the median absolute deviation of each column, shape (N,)."""
     return medians(np.abs(values - medians(values)))
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.graph.neighbour_graphs import neighbour_graph
-from anisomap.numerics.precision import Reals, mirror
+from anisomap.numerics.precision import Floats, Reals, mirror
 from anisomap.numerics.similarity.correlation import pearson
 
 MIN_CONTACTS = 50
@@ -113,7 +113,7 @@ def contact_agreement(readings: ArrayLike) -> Reals:
     return _agreement(*weighted_contacts(readings))
 
 
-def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
+def weighted_contacts(readings: ArrayLike) -> tuple[Floats, float]:
     """Sum the weights of the distinct contacts in which both sensors of each pair are active.
 
     readings (T, N) -> together (N, N), total.
@@ -130,7 +130,7 @@ def weighted_contacts(readings: ArrayLike) -> tuple[NDArray[np.float64], float]:
     return together, total
 
 
-def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[NDArray[np.float64], float]:
+def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[Floats, float]:
     """Sum the weights of contacts with both sensors of each pair, and of all. contacts (C, N)."""
     scaled = contacts.astype(np.float64)
     weights = 1 / scaled.sum(axis=1)
@@ -138,15 +138,13 @@ def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[NDArray[np.float64]
     return scaled.T @ scaled, float(weights.sum())
 
 
-def _agreement(together: NDArray[np.float64], total: float) -> Reals:
+def _agreement(together: Floats, total: float) -> Reals:
     """Compute the agreement from the sums of `weighted_contacts`."""
     active = np.broadcast_to(np.diag(together)[:, None], together.shape)
     return agreement_of_sums(together, active, np.broadcast_to(total, together.shape))
 
 
-def agreement_of_sums(
-    together: NDArray[np.float64], active: NDArray[np.float64], total: NDArray[np.float64]
-) -> Reals:
+def agreement_of_sums(together: Floats, active: Floats, total: Floats) -> Reals:
     """Compute the agreement of every pair from sums over contacts; see `contact_agreement`.
 
     together (N, N), active (N, N), total (N, N) -> (N, N).
@@ -164,8 +162,8 @@ def agreement_of_sums(
 
 
 def resampled_contact_agreement(
-    readings: ArrayLike, edges: NDArray[np.intp], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    readings: ArrayLike, edges: NDArray[np.intp], weights: Floats
+) -> Floats:
     """Compute `contact_agreement` of weighted blocks of frames.
 
     readings (T, N), weights (R, B) -> (R, N, N).

@@ -6,13 +6,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.precision import Reals, mirror, slices_of
+from anisomap.numerics.precision import Floats, Reals, mirror, slices_of
 
 _TILE_ROWS = 4  # rows of tiles per task; few enough for many threads
 _TILE_MIDDLES = 2  # blocks of nodes through which a tile is lowered while it is in the cache
@@ -135,7 +135,7 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
     return paths
 
 
-def minimax_paths(dissimilarity: ArrayLike) -> NDArray[np.float64]:
+def minimax_paths(dissimilarity: ArrayLike) -> Floats:
     """Return the least possible longest edge between two objects, (N, N).
 
     `tree_edges` adds one object after another to a minimum spanning tree. The longest edge between

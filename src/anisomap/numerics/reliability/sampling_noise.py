@@ -16,7 +16,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.neighbours import labels_by_size, tree_edges
-from anisomap.numerics.precision import Reals, as_reals, float_type, row_blocks
+from anisomap.numerics.precision import Floats, Reals, as_reals, float_type, row_blocks
 
 _MAX_LAG_SHARE = 4  # maximum lag T / 4: longer lags average too few products
 _MAX_LAG = 4096  # frames; longer than a contact
@@ -166,9 +166,7 @@ def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     return np.linspace(0, len(values), count + 1).astype(np.intp)
 
 
-def balanced_weights(
-    n_blocks: int, n_resamples: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def balanced_weights(n_blocks: int, n_resamples: int, rng: np.random.Generator) -> Floats:
     """Draw how often each block occurs in each resample, (R, B).
 
     The balanced bootstrap of Davison, Hinkley & Schechtman (1986), doi:10.1093/biomet/73.3.555:
@@ -348,7 +346,7 @@ LEAST_RATIO = float(np.exp(-_LEAST_SPREAD * ndtri(_LEAST_P)))
 """Ratio to the median that every outlying level exceeds."""
 
 
-def outlying(levels: NDArray[np.float64], variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
+def outlying(levels: Floats, variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
     """Return whether each of n positive levels is too high among the others, (n,).
 
     variance: Sampling variance of the logarithm of each level. Logarithms are taken to be normal.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import moments, scale_extremes
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
@@ -20,11 +20,8 @@ _MAX_CORRELATION = 0.999  # a profile hardly repeats better; Fisher's z stays fi
 
 
 def profile_agreement(
-    first: Reals,
-    second: Reals,
-    known_first: NDArray[np.bool_],
-    known_second: NDArray[np.bool_],
-) -> NDArray[np.float64]:
+    first: Reals, second: Reals, known_first: NDArray[np.bool_], known_second: NDArray[np.bool_]
+) -> Floats:
     """Correlate the profile of each sensor in one similarity with each profile in another.
 
     first, second (N, N) -> (N, N).

@@ -13,16 +13,15 @@ from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
 from anisomap.numerics.graph.metric import check_semi_metric, metricise
+from anisomap.numerics.precision import Floats
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 
 _STEPS = 10  # of SMACOF between two monotone regressions
 
 
 def monotone_regression(
-    dissimilarities: NDArray[np.float64],
-    distances: NDArray[np.float64],
-    weights: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    dissimilarities: Floats, distances: Floats, weights: Floats | None = None
+) -> tuple[NDArray[np.intp], Floats]:
     """Fit a non-decreasing function of P dissimilarities to distances.
 
     dissimilarities, distances, weights (P,) -> order of the pairs, and disparities in it (P,).
@@ -43,7 +42,7 @@ def ordinal_smacof(
     start: ArrayLike | None = None,
     weights: ArrayLike | None = None,
     options: SmacofOptions | None = None,
-) -> tuple[Scaling, NDArray[np.float64]]:
+) -> tuple[Scaling, Floats]:
     """Find a configuration whose distances have the order of dissimilarities.
 
     Parameters
@@ -106,16 +105,16 @@ def ordinal_smacof(
     return done, disparities
 
 
-def _by_paths(values: ArrayLike, **settings: Any) -> tuple[Scaling, NDArray[np.float64]]:
+def _by_paths(values: ArrayLike, **settings: Any) -> tuple[Scaling, Floats]:
     metric = np.asarray(metricise(values), dtype=np.float64)
     return smacof(metric, **settings), metric
 
 
-def _by_values(values: ArrayLike, **settings: Any) -> tuple[Scaling, NDArray[np.float64]]:
+def _by_values(values: ArrayLike, **settings: Any) -> tuple[Scaling, Floats]:
     return smacof(values, **settings), np.asarray(values, dtype=np.float64)
 
 
-SCALINGS: Mapping[str, Callable[..., tuple[Scaling, NDArray[np.float64]]]] = MappingProxyType(
+SCALINGS: Mapping[str, Callable[..., tuple[Scaling, Floats]]] = MappingProxyType(
     {"anisomap": _by_paths, "mds": _by_values, "ordinal": ordinal_smacof}
 )
 """How dissimilarities are scaled: by the lengths of shortest paths, as they are, or by their order.
@@ -125,7 +124,7 @@ approximates.
 """
 
 
-def find_scaling(name: str) -> Callable[..., tuple[Scaling, NDArray[np.float64]]]:
+def find_scaling(name: str) -> Callable[..., tuple[Scaling, Floats]]:
     """Return the function of a name in `SCALINGS`."""
     if name not in SCALINGS:
         raise InputError(

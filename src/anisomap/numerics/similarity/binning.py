@@ -21,6 +21,7 @@ from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import columns
 from anisomap.numerics.compiled.parallel import load_loops
+from anisomap.numerics.precision import Floats
 from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
 
 _MAX_BINS = 1024  # the joint counts of more need over a million frames
@@ -188,7 +189,7 @@ class ValueCounts:
     """
 
     n_frames: int
-    values: tuple[NDArray[np.float64], ...]
+    values: tuple[Floats, ...]
     counts: tuple[NDArray[np.int64], ...]
     n_rounded_bits: NDArray[np.int64]
     max_values: int
@@ -237,15 +238,12 @@ class ValueCounts:
 class Recoding:
     """Step function of the readings of each sensor: outcomes, and readings where the next begin."""
 
-    starts: tuple[NDArray[np.float64], ...]
+    starts: tuple[Floats, ...]
     outcomes: tuple[NDArray[Any], ...]
 
     @classmethod
     def of(
-        cls,
-        values: Iterable[NDArray[np.float64]],
-        outcomes: Iterable[NDArray[Any]],
-        dtype: type,
+        cls, values: Iterable[Floats], outcomes: Iterable[NDArray[Any]], dtype: type
     ) -> Recoding:
         """Assign outcomes to increasing values; readings between two values take the lower's."""
         starts, kept = [], []
@@ -282,7 +280,7 @@ class Recoding:
 
 def _round_to(
     values: NDArray[Any], counts: NDArray[np.int64], n_bits: int, max_values: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
+) -> tuple[Floats, NDArray[np.int64], int]:
     """Round values by `n_bits` or more bits, until at most `max_values` are distinct."""
     order = np.argsort(values, kind="stable")
     sorted_values, weights = values[order].astype(np.float64) + 0.0, counts[order]
@@ -299,7 +297,7 @@ def _run_starts(keys: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
 
 
-def _ordered_integers(values: NDArray[np.float64]) -> NDArray[np.int64]:
+def _ordered_integers(values: Floats) -> NDArray[np.int64]:
     """Reinterpret the bits of floats as integers in the same order."""
     bits = values.view(np.int64)
     return np.asarray(np.where(bits < 0, bits ^ _MAGNITUDE, bits))

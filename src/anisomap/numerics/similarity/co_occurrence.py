@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from scipy.special import xlogy
 
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
-from anisomap.numerics.precision import mirror
+from anisomap.numerics.precision import Floats, mirror
 
 MIN_COMPILED_SENSORS = 300
 """Minimum number of sensors for compiled loops; below, loading numba takes longer than it saves."""
@@ -123,9 +123,7 @@ def co_occurrences(codes: Codes, layout: Layout, counting: Counting = "auto") ->
     return counts
 
 
-def joint_logarithms(
-    codes: Codes, n_codes: int, counting: Counting = "auto"
-) -> NDArray[np.float64]:
+def joint_logarithms(codes: Codes, n_codes: int, counting: Counting = "auto") -> Floats:
     """Sum n log n over the joint counts of every pair of sensors, without storing the counts.
 
     Returns (N, N).
@@ -147,16 +145,14 @@ def joint_logarithms(
     return joint
 
 
-def joint_logarithms_of_counts(
-    counts: Counts, first: NDArray[np.int64], n_frames: int
-) -> NDArray[np.float64]:
+def joint_logarithms_of_counts(counts: Counts, first: NDArray[np.int64], n_frames: int) -> Floats:
     """Sum n log n over the joint counts of every pair of sensors, given the counts.
 
     Returns (N, N).
     """
     marginals = np.diag(counts).astype(np.int64)
     own = _marginal_logarithms(marginals, first, n_frames)
-    joint: NDArray[np.float64] = np.add.outer(own, own) - float(xlogy(n_frames, n_frames))
+    joint: Floats = np.add.outer(own, own) - float(xlogy(n_frames, n_frames))
     varying = np.flatnonzero(np.diff(first))
     begins = first[varying]
     for sensor in varying:
@@ -175,7 +171,7 @@ def joint_logarithms_of_counts(
 
 def _marginal_logarithms(
     marginals: NDArray[np.int64], first: NDArray[np.int64], n_frames: int
-) -> NDArray[np.float64]:
+) -> Floats:
     """Sum n log n over the counts of all codes of each sensor, the reference included, (N,)."""
     sums = np.concatenate([[0], np.cumsum(marginals)])
     reference = n_frames - (sums[first[1:]] - sums[first[:-1]])
@@ -184,7 +180,7 @@ def _marginal_logarithms(
     return np.asarray(logs + _n_log_n(reference))
 
 
-def _n_log_n(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+def _n_log_n(counts: NDArray[np.integer[Any]]) -> Floats:
     return np.asarray(xlogy(counts, counts), dtype=np.float64)
 
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import xlogy
 
 from anisomap.base.defaults import DEFAULT_BINS
-from anisomap.numerics.precision import Reals, float_type, row_blocks
+from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.co_occurrence import (
     CHUNK_FRAMES,
@@ -63,7 +63,7 @@ def information_from_codes(codes: ArrayLike) -> Reals:
     return information_from_logarithms(joint, n_frames)
 
 
-def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Reals:
+def information_from_logarithms(joint: Floats, n_frames: int) -> Reals:
     """Compute the mutual information from the sums of n log n over joint counts.
 
     joint (N, N) -> (N, N).
@@ -82,7 +82,7 @@ def information_from_logarithms(joint: NDArray[np.float64], n_frames: int) -> Re
     return information
 
 
-def _joint_logarithms_by_products(codes: NDArray[np.generic], n_codes: int) -> NDArray[np.float64]:
+def _joint_logarithms_by_products(codes: NDArray[np.generic], n_codes: int) -> Floats:
     """Sum n log n over joint counts, by one matrix product per pair of codes.
 
     Memory does not grow with the number of codes.
@@ -98,7 +98,7 @@ def _joint_logarithms_by_products(codes: NDArray[np.generic], n_codes: int) -> N
     return joint
 
 
-def _count_pair(codes: NDArray[np.generic], first: int, second: int) -> NDArray[np.float64]:
+def _count_pair(codes: NDArray[np.generic], first: int, second: int) -> Floats:
     """Count frames in which sensor i has the first code and sensor j the second, shape (N, N)."""
     n_sensors = codes.shape[1]
     counts = np.zeros((n_sensors, n_sensors))

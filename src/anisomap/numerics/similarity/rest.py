@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import columns, mean_ranks, transposed
+from anisomap.numerics.precision import Floats
 
 _MIN_REST_SHARE = 0.1  # of the frames at one value for this value to be the rest; chosen by hand
 _NOISE_QUANTILE = 0.99  # of deviations opposite to contact that count as noise; 2.6 sigma if normal
@@ -33,9 +34,9 @@ class Rest:
     known: Whether there is a rest: see `estimate_rest`.
     """
 
-    value: NDArray[np.float64]
-    side: NDArray[np.float64]
-    threshold: NDArray[np.float64]
+    value: Floats
+    side: Floats
+    threshold: Floats
     known: NDArray[np.bool_]
 
     def select(self, sensors: NDArray[Any]) -> Rest:
@@ -43,7 +44,7 @@ class Rest:
         chosen = (self.value, self.side, self.threshold, self.known)
         return Rest(*(one[sensors] for one in chosen))
 
-    def depth(self, readings: ArrayLike) -> NDArray[np.float64]:
+    def depth(self, readings: ArrayLike) -> Floats:
         """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
         beyond = self.side * (np.asarray(readings, dtype=np.float64) - self.value) - self.threshold
         return np.asarray(np.maximum(beyond, 0))
@@ -72,7 +73,7 @@ class Rest:
         def deep(numbers: NDArray[Any], some: Any = slice(None)) -> NDArray[np.bool_]:
             return np.asarray(numbers.astype(np.float64) - rest[some] > self.threshold[some])
 
-        def beside(numbers: NDArray[np.float64], step: float) -> NDArray[Any]:
+        def beside(numbers: Floats, step: float) -> NDArray[Any]:
             return np.asarray(np.nextafter(numbers.astype(dtype), dtype.type(step)))
 
         with np.errstate(over="ignore"):
@@ -153,7 +154,7 @@ def find_levels(readings: NDArray[Any]) -> Levels:
     return Levels(rest, frequent > 0, distinct.astype(np.intp))
 
 
-def _of_ordered(ordered: NDArray[Any]) -> NDArray[np.float64]:
+def _of_ordered(ordered: NDArray[Any]) -> Floats:
     """Return rest and levels, in the order of `find_levels`. ordered (n, T) -> (6, n)."""
     n_sensors, n_frames = ordered.shape
     least = math.ceil(_least_frequent(n_frames))
@@ -173,7 +174,7 @@ def _of_ordered(ordered: NDArray[Any]) -> NDArray[np.float64]:
     return found
 
 
-def _of_continuous(ordered: NDArray[Any]) -> NDArray[np.float64]:
+def _of_continuous(ordered: NDArray[Any]) -> Floats:
     """Return the rest of sensors without a frequent reading. ordered (n, T) -> (4, n)."""
     n_sensors, n_frames = ordered.shape
     if ordered.dtype.char not in "fd":
@@ -201,8 +202,8 @@ def _quantile(
     *,
     first: Any,
     step: int = 1,
-    origin: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    origin: Floats,
+) -> Floats:
     """Return a quantile of `counts` readings of each sensor, from `first` on, less an origin.
 
     ordered (n, T), counts, origin (n,) -> (n,).
@@ -214,12 +215,7 @@ def _quantile(
     return np.asarray(low + (place - below) * (high - low))
 
 
-def _of_deviations(
-    value: NDArray[np.float64],
-    total: NDArray[np.float64],
-    downwards: NDArray[np.float64],
-    upwards: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _of_deviations(value: Floats, total: Floats, downwards: Floats, upwards: Floats) -> Floats:
     """Return the rest of sensors from their medians, and from deviations from these, (4, n).
 
     total: Sums of all deviations. downwards, upwards: Quantiles of those to either side.
@@ -231,7 +227,7 @@ def _of_deviations(
     return np.stack([value, side, np.where(known, noise, 0), known])
 
 
-def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> NDArray[np.float64]:
+def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> Floats:
     """Return rest and levels of sensors with many frames, (n, T) -> (6, n).
 
     ordered (n, t): Readings in random frames, ordered.
@@ -328,9 +324,7 @@ def rest_from_counts(
     return Rest(value=value, side=side, threshold=threshold, known=known > 0)
 
 
-def quantile_from_counts(
-    values: NDArray[np.float64], counts: NDArray[np.integer[Any]], level: float
-) -> float:
+def quantile_from_counts(values: Floats, counts: NDArray[np.integer[Any]], level: float) -> float:
     """Return a quantile of repeated values, interpolated linearly as by `numpy.quantile`.
 
     The values are distinct, in increasing or decreasing order.
@@ -345,9 +339,7 @@ def quantile_from_counts(
     return float(low + (place - below) * (high - low))
 
 
-def _rest_of(
-    values: NDArray[np.float64], counts: NDArray[np.integer[Any]]
-) -> tuple[float, float, float, bool]:
+def _rest_of(values: Floats, counts: NDArray[np.integer[Any]]) -> tuple[float, float, float, bool]:
     """Return the rest value, the side of contact, the threshold, and whether there is a rest."""
     n_frames = int(counts.sum())
     rests = counts.max() >= _least_frequent(n_frames)
