@@ -93,12 +93,12 @@ class ContactHeights:
     """Heights of the contacts of all sensors.
 
     contacts: Frames and heights of the peaks of the contacts of each sensor.
-    graded: Sensors with contacts of different heights.
+    usable: Whether most sensors have contacts of different heights.
     ranks: Relative rank, in (0, 1], of the highest reading of each sensor around each frame.
     """
 
     contacts: tuple[Peaks, ...]
-    graded: NDArray[np.bool_]
+    usable: bool
     ranks: NDArray[np.float32]
 
     @classmethod
@@ -106,7 +106,7 @@ class ContactHeights:
         """Find the contacts of all sensors. depths (T, N)."""
         by_sensor = np.ascontiguousarray(np.asarray(depths, dtype=np.float64).T)
         peaks, heights, durations = zip(*map(contacts_of, by_sensor), strict=True)
-        graded = [np.unique(one).size >= _MIN_HEIGHTS for one in heights]
+        graded = np.mean([np.unique(one).size >= _MIN_HEIGHTS for one in heights])
         lasting = np.concatenate(durations)
         half = max(1, round(_WINDOW * float(np.median(lasting)))) if lasting.size else 1
         # The highest reading around a frame is the height of the contact that matches a peak there;
@@ -114,7 +114,8 @@ class ContactHeights:
         ranks = np.empty(by_sensor.shape, np.float32)
         for row, depth in zip(ranks, by_sensor, strict=True):
             row[:] = _ranks_of_runs(_highest_around(depth, half)) / len(depth)
-        return cls(tuple(zip(peaks, heights, strict=True)), np.array(graded), ranks.T)
+        usable = bool(graded > _MIN_TOUCHED)
+        return cls(tuple(zip(peaks, heights, strict=True)), usable, ranks.T)
 
     @cached_property
     def halves(self) -> list[HeightSimilarity]:
@@ -124,11 +125,6 @@ class ContactHeights:
             half[frames] = True
         parts = [tuple((at[half[at]], h[half[at]]) for at, h in self.contacts) for half in inside]
         return [replace(self, contacts=part).compare(partial=False) for part in parts]
-
-    @property
-    def usable(self) -> bool:
-        """Whether most sensors have contacts of different heights."""
-        return bool(np.mean(self.graded) > _MIN_TOUCHED)
 
     def compare(self, *, partial: bool = True) -> HeightSimilarity:
         """Compare the heights of the contacts of all pairs of sensors.

@@ -40,23 +40,17 @@ class Problem:
     """Distances to fit, and their weights, (N, N) each; 0 where unknown.
 
     weights: One row of ones if all weights are equal.
-    compiled: Whether to use compiled loops; by default from 500 points on.
+    compiled: Whether to use compiled loops.
     """
 
     targets: Reals
     weights: Reals
-    compiled: bool | None = None
+    compiled: bool = False
 
     @property
     def equal_weights(self) -> bool:
         """Whether all distances have the same weight."""
         return len(self.weights) < len(self.targets)
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether the stress is computed by compiled loops."""
-        large = len(self.targets) >= MIN_COMPILED_ROWS
-        return large if self.compiled is None else self.compiled
 
     def single(self) -> Problem | None:
         """Return the problem in float32; None if values are outside its range."""
@@ -102,7 +96,7 @@ def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
 
     Borg & Groenen (2005), section 8.6: for point i ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
-    if not problem.is_compiled:
+    if not problem.compiled:
         # New matrices would take longer to allocate than to compute.
         workspace = np.empty((3, *problem.targets.shape))
         yield lambda positions: plain_stress(problem, positions, workspace)
@@ -245,7 +239,7 @@ def minimise_auto(
         found = lbfgs(problem, start, tolerance, max_iterations)
         other = majorise(problem, start, tolerance, max_iterations)
         return other if other.trace[-1] < found.trace[-1] else found
-    coarse = problem.single() if problem.is_compiled else None
+    coarse = problem.single() if problem.compiled else None
     if coarse is None:
         return lbfgs(problem, start, tolerance, max_iterations)
     large = len(start) >= MIN_LARGE
@@ -525,7 +519,8 @@ def smacof(
     """
     chosen = options or SmacofOptions()
     targets = check_semi_metric(distances, copy=False)
-    problem = Problem(targets, _check_weights(weights, targets))
+    compiled = len(targets) >= MIN_COMPILED_ROWS
+    problem = Problem(targets, _check_weights(weights, targets), compiled)
     known = targets if problem.equal_weights else _connected_targets(problem)
     if start is None:
         start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
