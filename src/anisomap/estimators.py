@@ -37,7 +37,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     method : str, default="covariogram"
         A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
     regularisation, entropy_bins : float, int
-        See `anisomap.methods.MethodOptions`.
+        See `anisomap.MethodOptions`.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
     missing : {"error", "drop-frames", "interpolate"}, default="error"
