@@ -6,16 +6,12 @@ plain arithmetic, which compilers vectorise, unlike calls of functions.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.parallel import loop
-from anisomap.numerics.compiled.stress import REORDERED, WIDTH
-
-Singles: TypeAlias = NDArray[np.float32]
-Reals: TypeAlias = NDArray[np.floating[Any]]
+from anisomap.numerics.compiled.stress import REORDERED, WIDTH, Ints, Reals, Singles
 
 # Not in any order, since the reduction of exponents is exact only in the order written.
 _IN_ORDER = REORDERED - {"reassoc"}
@@ -192,9 +188,6 @@ def unpack(values: Singles, matrix: Singles) -> None:
             matrix[i, j] = value
             matrix[j, i] = value
         first += n_points - 1 - i
-
-
-Ints = NDArray[np.int64]
 
 
 @loop()

@@ -11,11 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.parallel import loop
-from anisomap.numerics.compiled.stress import REORDERED
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
+from anisomap.numerics.compiled.stress import REORDERED, Floats, Ints, Reals, Singles
 
 
 @loop()
@@ -48,9 +44,6 @@ def add_bin(
                     best, at = cost, begin
             result[end], cut[end] = best, at
         stride //= 2
-
-
-Reals = NDArray[np.floating[Any]]
 
 
 @loop()
