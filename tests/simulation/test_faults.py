@@ -294,7 +294,7 @@ def test_faults_are_parsed_from_text():
     some = whole.select([3, 0])
     np.testing.assert_array_equal(fault_mask(some), fault_mask(whole)[:, [3, 0]])
     assert fault_mask(some, ["dead"]).sum() == some.n_frames
-    everyone = parse_fault("thresholded:*").inject(clean, 0)
+    everyone = inject(clean, [parse_fault("thresholded:*")])
     assert len(injected_faults(everyone)) == 6
     again = inject(clean, requests, 5)
     np.testing.assert_array_equal(again.readings, faulty.readings)
@@ -330,7 +330,7 @@ def test_faults_are_parsed_from_text():
 def test_an_invalid_request_raises_an_error(text, message):
     recording = Recording(np.eye(4)) if "needs a recording" in message else random_touches(0)
     with pytest.raises(InputError, match=message):
-        parse_fault(text).inject(recording, 0)
+        inject(recording, [parse_fault(text)])
 
 
 @pytest.mark.parametrize("kind", [*FAULTS, *FRAME_FAULTS])

@@ -313,14 +313,6 @@ class FaultRequest:
     sensors: tuple[str, ...]
     parameters: dict[str, float]
 
-    def inject(self, recording: Recording, rng: np.random.Generator | int) -> Recording:
-        """Inject the fault into a recording."""
-        generator = np.random.default_rng(rng)
-        if self.kind in FRAME_FAULTS:
-            return FRAME_FAULTS[self.kind](recording, rng=generator, **self.parameters)
-        chosen = [name for text in self.sensors for name in _resolved(text, recording, generator)]
-        return FAULTS[self.kind](recording, chosen, rng=generator, **self.parameters)
-
 
 def parse_fault(text: str) -> FaultRequest:
     """Parse a fault such as ``saturating:s3,s7,level=1`` or ``dead:10%``.
@@ -377,8 +369,12 @@ def inject(
         If a sensor does not exist, or a fault does not apply to this recording.
     """
     generator = np.random.default_rng(rng)
-    for request in requests:
-        recording = request.inject(recording, generator)
+    for one in requests:
+        if one.kind in FRAME_FAULTS:
+            recording = FRAME_FAULTS[one.kind](recording, rng=generator, **one.parameters)
+        else:
+            chosen = [s for text in one.sensors for s in _resolved(text, recording, generator)]
+            recording = FAULTS[one.kind](recording, chosen, rng=generator, **one.parameters)
     return recording
 
 
