@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +76,7 @@ def _render_here(
 ) -> list[NDArray[np.uint8]]:
     os.environ["MUJOCO_GL"] = "egl"  # must be set before MuJoCo is imported
     mujoco = load_mujoco()
-    visual = _VisualModel(mujoco, scene, width, height)
+    visual = _VisualModel(scene, width, height)
     model = visual.model
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
@@ -97,9 +96,8 @@ def show(scene: Scene) -> None:
     named = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not (named or sys.platform in ("darwin", "win32")):
         raise NoScreenError("MuJoCo's viewer needs a display, and none is available")
-    mujoco = load_mujoco()
+    visual = _VisualModel(scene)
     viewer = importlib.import_module("mujoco.viewer")
-    visual = _VisualModel(mujoco, scene)
     step = float(np.median(np.diff(scene.times))) if scene.n_frames > 1 else 1.0
     frame = 0
     with viewer.launch_passive(visual.model, visual.data) as window:
@@ -113,10 +111,9 @@ def show(scene: Scene) -> None:
 class _VisualModel:
     """A MuJoCo model for display: one mocap body per object, then one per sensor."""
 
-    def __init__(
-        self, mujoco: ModuleType, scene: Scene, width: int = 960, height: int = 720
-    ) -> None:
-        self._mujoco, self._scene = mujoco, scene
+    def __init__(self, scene: Scene, width: int = 960, height: int = 720) -> None:
+        self._mujoco = mujoco = load_mujoco()
+        self._scene = scene
         self._spec = spec = mujoco.MjSpec()
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
         spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
