@@ -1,9 +1,11 @@
-"""What figures and reports share: components, their neighbours, colours and directions of view."""
+"""What figures and reports share: components prepared for drawing, views, and names of files."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.base.wording import printable, shortened
+from anisomap.errors import FileError
 from anisomap.evaluation import Score
 from anisomap.numerics.neighbours import padded
 from anisomap.sensor_map import SensorMap, ellipses, is_faulty, radius
@@ -366,3 +369,13 @@ def span_dimensions(points: Points) -> int:
 def with_axes(points: Points, dimensions: int) -> Points:
     """Append zeros or drop the last coordinates, to a given number of coordinates."""
     return padded(points[:, :dimensions], dimensions)
+
+
+def checked_kind(path: str | os.PathLike[str], kinds: tuple[str, ...], what: str) -> str:
+    """Return the suffix of a file name without its dot, if it is one of `kinds`."""
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in kinds:
+        *others, last = (f".{one}" for one in kinds)
+        ends = " or ".join(filter(None, (", ".join(others), last)))
+        raise FileError(f"cannot save {what} as {path}; the name must end in {ends}")
+    return kind

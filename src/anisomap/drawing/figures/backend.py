@@ -14,14 +14,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import printable, shortened
-from anisomap.errors import FileError, InputError, import_extra
+from anisomap.drawing.view import checked_kind
+from anisomap.errors import InputError, import_extra
 from anisomap.files.paths import atomic_write, check_target
 
 if TYPE_CHECKING:
@@ -278,13 +278,3 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a picture can be saved to a file."""
     checked_kind(check_target(path), KINDS, "a picture")
     load("matplotlib")
-
-
-def checked_kind(path: str | os.PathLike[str], kinds: tuple[str, ...], what: str) -> str:
-    """Return the suffix of a file name without its dot, if it is one of `kinds`."""
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in kinds:
-        *others, last = (f".{one}" for one in kinds)
-        ends = " or ".join(filter(None, (", ".join(others), last)))
-        raise FileError(f"cannot save {what} as {path}; the name must end in {ends}")
-    return kind

@@ -16,7 +16,6 @@ from anisomap.drawing.figures.backend import (
     INK,
     Axes,
     add_axes,
-    checked_kind,
     load,
     new_figure,
     panel,
@@ -24,7 +23,7 @@ from anisomap.drawing.figures.backend import (
     set_title,
     write_title,
 )
-from anisomap.drawing.view import axis_title
+from anisomap.drawing.view import axis_title, checked_kind
 from anisomap.errors import FileError, InputError
 from anisomap.files.paths import atomic_write, check_target
 

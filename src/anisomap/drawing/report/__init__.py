@@ -16,8 +16,8 @@ import numpy as np
 
 from anisomap.base.wording import UNKNOWN, join_items, number, percent, printable
 from anisomap.drawing.report.interactive import interactive_views, status_colours
-from anisomap.drawing.view import MAX_JOINED, drawn_components, layout_notes
-from anisomap.errors import FileError, import_extra
+from anisomap.drawing.view import MAX_JOINED, checked_kind, drawn_components, layout_notes
+from anisomap.errors import import_extra
 from anisomap.evaluation import Score
 from anisomap.evidence import SIMILARITIES
 from anisomap.files.paths import atomic_write, check_target
@@ -27,7 +27,7 @@ from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_
 
 TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}
 
-SUFFIXES = (".html", ".htm")
+SUFFIXES = ("html", "htm")
 """Suffixes of report files."""
 
 MAX_ROWS = 2000
@@ -409,6 +409,5 @@ def render_report(
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a report can be written to a file."""
-    if check_target(path).suffix.lower() not in SUFFIXES:
-        raise FileError(f"cannot write a report to {path}; the name must end in .html or .htm")
+    checked_kind(check_target(path), SUFFIXES, "a report")
     _libraries()
