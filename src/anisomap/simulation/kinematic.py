@@ -173,7 +173,7 @@ class Palm:
 def rubbing(
     body: Body, n_frames: int, options: RubbingOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate hands that rub a body."""
+    """Simulate palms that rub the skin along lines and circles."""
     skin = sample_skin(body, rng)
     pads, radii, n_strokes = [], [], 0
     for _ in range(options.n_hands):
@@ -241,7 +241,7 @@ class RollerOptions(StrokeOptions):
 def roller(
     body: Body, n_frames: int, options: RollerOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate a roller, a capsule across its direction of motion, which touches whole lines."""
+    """Simulate a roller, a capsule, that rolls along the skin."""
     radius, half = options.roller_radius, options.roller_length / 2
     sensing = options.detection_radius
     skin = sample_skin(body, rng)
@@ -300,7 +300,7 @@ class SelfTouchOptions(StrokeOptions):
 def self_touch(
     body: Body, n_frames: int, options: SelfTouchOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate a fingertip with sensors that strokes a body; the sensors of both respond."""
+    """Simulate a fingertip that strokes the body; the sensors of both are recorded."""
     radius, sensing = options.finger_radius, options.detection_radius
     skin = sample_skin(body, rng)
     path = draw_strokes(skin, n_frames, options, rng)
@@ -397,7 +397,7 @@ class PressingOptions(ScenarioOptions):
 def pressing(
     body: Body, n_frames: int, options: PressingOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate a large flat surface that is repeatedly pressed against a body from all sides.
+    """Simulate a large flat surface that is pressed on the body from all sides.
 
     The surface is aimed at the normals of all sensors in turn. It does not reach into hollows, and
     touches all sensors along a straight line at once: the length of a cylinder is not observed.
@@ -472,7 +472,7 @@ class PulsesOptions(ScenarioOptions):
 def pulses(
     body: Body, n_frames: int, options: PulsesOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate point sources around a body that emit pulses, to which sensors respond by distance.
+    """Simulate point sources around the body that emit pulses; readings fall off with distance.
 
     The body does not shield its sensors. Follows Modayil (2010), "Discovering sensor space:
     constructing spatial embeddings that explain sensor correlations" (IEEE International Conference

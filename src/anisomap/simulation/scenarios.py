@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from inspect import signature
+from inspect import getdoc, signature
 from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any
@@ -40,15 +40,21 @@ class Scenario:
 
     options: Subclass of `ScenarioOptions`.
     function: Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
-        `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`.
+        `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`. Its docstring begins with
+        "Simulate" and says what stimulates the body.
     accepts: Predicate of a body. `function` raises InputError for bodies that are not accepted.
     """
 
-    summary: str
     options: type[Any]
     function: Callable[..., ScenarioResult]
     uses_mujoco: bool = False
     accepts: Callable[[Body], bool] = lambda _: True
+
+    @property
+    def summary(self) -> str:
+        """What stimulates the body, in one line."""
+        first_line = (getdoc(self.function) or "").partition("\n")[0]
+        return first_line.removeprefix("Simulate ").removesuffix(".")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,42 +70,13 @@ class Simulation:
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {
-        "bombardment": Scenario(
-            "elastic balls bounce off the body in a box without gravity",
-            BombardmentOptions,
-            bombardment,
-            uses_mujoco=True,
-        ),
-        "locomotion": Scenario(
-            "the body, a sphere or a cylinder, rolls over uneven ground",
-            LocomotionOptions,
-            locomotion,
-            uses_mujoco=True,
-            accepts=can_roll,
-        ),
-        "rubbing": Scenario(
-            "a palm rubs the skin along lines and circles",
-            kinematic.RubbingOptions,
-            kinematic.rubbing,
-        ),
-        "roller": Scenario(
-            "a roller rolls along the skin", kinematic.RollerOptions, kinematic.roller
-        ),
-        "pressing": Scenario(
-            "a flat surface presses on the body from all sides",
-            kinematic.PressingOptions,
-            kinematic.pressing,
-        ),
-        "self-touch": Scenario(
-            "a fingertip strokes the body; the sensors of both are recorded",
-            kinematic.SelfTouchOptions,
-            kinematic.self_touch,
-        ),
-        "pulses": Scenario(
-            "point sources around the body emit pulses; readings fall off with distance",
-            kinematic.PulsesOptions,
-            kinematic.pulses,
-        ),
+        "bombardment": Scenario(BombardmentOptions, bombardment, uses_mujoco=True),
+        "locomotion": Scenario(LocomotionOptions, locomotion, uses_mujoco=True, accepts=can_roll),
+        "rubbing": Scenario(kinematic.RubbingOptions, kinematic.rubbing),
+        "roller": Scenario(kinematic.RollerOptions, kinematic.roller),
+        "pressing": Scenario(kinematic.PressingOptions, kinematic.pressing),
+        "self-touch": Scenario(kinematic.SelfTouchOptions, kinematic.self_touch),
+        "pulses": Scenario(kinematic.PulsesOptions, kinematic.pulses),
     }
 )
 

@@ -183,7 +183,7 @@ def bombardment(
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> ScenarioResult:
-    """Simulate balls that bombard a fixed body."""
+    """Simulate elastic balls that bounce off the body in a box without gravity."""
     # MuJoCo's tolerances suit lengths of about 1, so the body is scaled to a reach of 1.
     reach = body.reach
     flight = simulate_flight(

@@ -315,7 +315,7 @@ def locomotion(
     rng: np.random.Generator,
     progress: Progress = no_progress,
 ) -> ScenarioResult:
-    """Simulate a sphere or cylinder that rolls over uneven ground."""
+    """Simulate the body, a sphere or a cylinder, that rolls over uneven ground."""
     reach = body.reach
     scaled = options.scaled(1 / reach)
     unit = body.scaled(1 / reach)
