@@ -234,10 +234,8 @@ def shown_name(name: str) -> str:
 
 def axis_title(axis: str, units: str) -> str:
     """Name an axis with its unit: ``x (mm)``."""
-    if not units:
-        return f"{axis} (unit unknown)"
-    known = shortened(printable(units), MAX_UNITS)
-    return f"{axis} ({'arbitrary units' if units == 'arbitrary' else known})"
+    known = "arbitrary units" if units == "arbitrary" else shortened(printable(units), MAX_UNITS)
+    return f"{axis} ({known or 'unit unknown'})"
 
 
 def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]:

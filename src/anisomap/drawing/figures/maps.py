@@ -169,7 +169,7 @@ def plot(
     return plot_map(sensor_map, result, ax=ax)
 
 
-@panel(lambda sensor_map, score=None: drawn_dimensions(sensor_map, score))
+@panel(drawn_dimensions)
 def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes = None) -> None:
     """Plot the largest component of a map in one panel.
 
