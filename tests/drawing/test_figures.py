@@ -144,16 +144,10 @@ def test_faulty_and_excluded_sensors_are_marked():
 
 
 def test_names_are_drawn_literally_on_few_or_coincident_sensors():
-    sensor_map = SensorMap(
-        spread(len(UNFRIENDLY), 3),
-        names=UNFRIENDLY,
-        method="$\\frac{$",
-        units="$\\frac{$\ud800\n",
-        notes=UNFRIENDLY,
-        health=UNFRIENDLY,
-    )
+    facts, odd = dict.fromkeys(("names", "notes", "health"), UNFRIENDLY), "$\\frac{$\ud800\n"
+    sensor_map = SensorMap(spread(len(UNFRIENDLY), 3), method=odd, units=odd, **facts)
     truth = spread(len(UNFRIENDLY), 3, seed=3)
-    scored = score(sensor_map, truth, units="$\\frac{$\ud800\n", permutations=0)
+    scored = score(sensor_map, truth, units=odd, permutations=0)
     for places in (*(spread(n, 3) for n in (1, 2, 3)), np.ones((7, 3))):
         assert figure_bytes(map_figure(SensorMap(places)), "svg")
     assert figure_bytes(map_figure(sensor_map), "pdf")
@@ -209,14 +203,11 @@ assert "matplotlib.pyplot" not in sys.modules
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-points = arrays(
-    np.float64,
-    st.tuples(st.integers(1, 30), st.integers(2, 3)),
-    elements=st.floats(-1e3, 1e3).map(lambda value: round(value, 3)),
-)
+coordinates = st.floats(-1e3, 1e3).map(lambda value: round(value, 3))
+shapes = st.tuples(st.integers(1, 30), st.integers(2, 3))
 
 
-@given(points)
+@given(arrays(np.float64, shapes, elements=coordinates))
 def test_colours_are_valid_and_independent_of_scale(places):
     colours = place_colours(places)
     assert colours.shape == (len(places), 3)

@@ -66,24 +66,13 @@ def test_a_report_is_self_contained_and_runs_only_its_own_scripts(tmp_path):
 
 def hostile_report(texts):
     places = np.random.default_rng(0).normal(size=(len(texts), 3))
-    sensor_map = SensorMap(
-        places,
-        names=texts,
-        health=texts,
-        units=texts[0],
-        method=texts[0],
-        notes=texts,
-        provenance={text: text for text in texts},
-    )
+    facts = dict.fromkeys(("names", "health", "notes"), texts)
+    facts |= {"units": texts[0], "method": texts[0], "provenance": {text: text for text in texts}}
+    sensor_map = SensorMap(places, **facts)
     scored = score(sensor_map, places[::-1], units=texts[0], permutations=9)
-    source = render_report(
-        sensor_map,
-        score=scored,
-        health=[SensorHealth(text, "noisy", text, 0, 1, 2, 0.1, 3, 0.2, 0.3) for text in texts],
-        summary=summary(*texts),
-        figure_png=PNG,
-        title=texts[0],
-    )
+    health = [SensorHealth(text, "noisy", text, 0, 1, 2, 0.1, 3, 0.2, 0.3) for text in texts]
+    told = {"health": health, "summary": summary(*texts), "title": texts[0]}
+    source = render_report(sensor_map, score=scored, figure_png=PNG, **told)
     return source.replace(LIBRARY, "")
 
 
