@@ -51,6 +51,7 @@ def in_readings(
 _MIN_PATTERNS = 3
 _N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
 _N_COMPARED = 2048  # frames of which patterns are counted
+_MIN_ALONE = 3  # frames in which a sensor is touched and another rests; fewer may be noise
 _MIN_TURNING = 1 / 3  # share of the frames
 _N_SHIFTED = 19  # shifts, of which the largest is exceeded by chance with probability 1 / 20
 
@@ -65,17 +66,38 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
     Patterns of contact of the member with most contacts and the sensors most similar to it are
     counted by parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447): the
     eigenvalues of their correlations, down to the first one that chance explains. Chance is what
-    the same readings give if each sensor is shifted in time, by its own number of frames.
+    the same readings give if each sensor is shifted in time, by its own number of frames. If these
+    sensors have a rest, they must also be touched at several places.
     """
-    rows = unit_rows(recording.readings[excerpt_frames(recording.readings, _N_COMPARED)])
-    most = members[recording.signals.contacts[members].argmax()]
-    near = rows[np.argsort(-np.abs(rows @ rows[most]), kind="stable")[:_N_NEAR]]
+    signals = recording.signals
+    frames = excerpt_frames(recording.readings, _N_COMPARED)
+    rows = unit_rows(recording.readings[frames])
+    most = members[signals.contacts[members].argmax()]
+    nearest = np.argsort(-np.abs(rows @ rows[most]), kind="stable")[:_N_NEAR]
+    near = rows[nearest]
     eigenvalues = np.linalg.eigvalsh(near @ near.T)[::-1]
     by_chance = np.zeros(len(near))
     for shifts in np.random.default_rng(0).integers(near.shape[1], size=(_N_SHIFTED, len(near))):
         shifted = np.stack([np.roll(row, n) for row, n in zip(near, shifts, strict=True)])
         by_chance = np.maximum(by_chance, np.linalg.eigvalsh(shifted @ shifted.T)[::-1])
-    return bool((eigenvalues > by_chance)[:_MIN_PATTERNS].all() and len(near) >= _MIN_PATTERNS)
+    if len(near) < _MIN_PATTERNS or not (eigenvalues > by_chance)[:_MIN_PATTERNS].all():
+        return False
+    with_rest = nearest[signals.rest.known[nearest]]
+    if 2 * with_rest.size < nearest.size:
+        return True
+    return _at_several_places(signals.touched[:, with_rest], signals.active[:, with_rest])
+
+
+def _at_several_places(touched: NDArray[np.bool_], active: NDArray[np.bool_]) -> bool:
+    """Return whether each of three sensors is touched while each of the others rests.
+
+    touched, active (T, n): Clearly beyond rest, and beyond rest at all.
+
+    Contacts at one place reach the same sensors first, whatever their force.
+    """
+    alone = touched.T.astype(np.float32) @ ~active
+    apart = np.minimum(alone, alone.T) >= _MIN_ALONE
+    return bool((apart & (apart.astype(np.float32) @ apart > 0)).any())
 
 
 def turns_like_noise(course: NDArray[np.floating]) -> bool:
