@@ -51,10 +51,8 @@ def load_sphere() -> Bunch:
     >>> anisomap.score(sensor_map, recording, permutations=0).mantel.r > 0.99
     True
     """
-    return _recording(
-        "sphere", n=60, where="on a sphere", scenario="bombardment", frames=2000,
-        touched="Elastic balls bounce off the sphere, as in the paper.",
-    )  # fmt: skip
+    touched = "Elastic balls bounce off the sphere, as in the paper."
+    return _recording("sphere", "on a sphere", "bombardment", touched)
 
 
 def load_hexagon() -> Bunch:
@@ -66,10 +64,8 @@ def load_hexagon() -> Bunch:
         `recording`, a `Recording` of 1,500 frames of 60 sensors with true positions; `DESCR`, how
         it was made, and the licence.
     """
-    return _recording(
-        "hexagon", n=60, where="on six triangles around a vertex", scenario="rubbing", frames=1500,
-        touched="A palm rubs the patch along lines and circles.",
-    )  # fmt: skip
+    touched = "A palm rubs the patch along lines and circles."
+    return _recording("hexagon", "on six triangles around a vertex", "rubbing", touched)
 
 
 def load_hand() -> Bunch:
@@ -81,10 +77,8 @@ def load_hand() -> Bunch:
         `recording`, a `Recording` of 2,000 frames of 160 sensors with true positions; `DESCR`, how
         it was made, and the licence.
     """
-    return _recording(
-        "hand", n=160, where="on a hand with a palm and five fingers", scenario="rubbing",
-        frames=2000, touched="A palm rubs the hand along lines and circles.",
-    )  # fmt: skip
+    touched = "A palm rubs the hand along lines and circles."
+    return _recording("hand", "on a hand with a palm and five fingers", "rubbing", touched)
 
 
 def load_ekman() -> Bunch:
@@ -122,6 +116,8 @@ def _dissimilarities(name: str, description: str) -> Bunch:
     return Bunch(dissimilarities=found.values, names=found.names, DESCR=description)
 
 
-def _recording(name: str, **facts: str | int) -> Bunch:
-    description = _SIMULATED.format(body=name, **facts)
-    return Bunch(recording=read(_DATA / f"{name}.npz"), DESCR=description)
+def _recording(name: str, where: str, scenario: str, touched: str) -> Bunch:
+    recording = read(_DATA / f"{name}.npz")
+    size = {"n": recording.n_sensors, "frames": recording.n_frames}
+    facts = {"body": name, "where": where, "scenario": scenario, "touched": touched}
+    return Bunch(recording=recording, DESCR=_SIMULATED.format(**facts, **size))

@@ -265,12 +265,11 @@ def uneven_sphere(n_sensors: int = 100) -> Body:
 
     The density rises linearly along the axis, by a factor of `MAX_DENSITY`.
     """
-    body = covered(
-        "uneven-sphere",
-        [solids.ball(SPHERE_RADIUS)],
-        n_sensors,
-        lambda points: 1 + (MAX_DENSITY - 1) * (points[:, 2] / SPHERE_RADIUS + 1) / 2,
-    )
+
+    def density(points: Points) -> Points:
+        return 1 + (MAX_DENSITY - 1) * (points[:, 2] / SPHERE_RADIUS + 1) / 2
+
+    body = covered("uneven-sphere", [solids.ball(SPHERE_RADIUS)], n_sensors, density)
     return replace(body, geodesic=great_circles)
 
 

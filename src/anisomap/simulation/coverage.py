@@ -123,22 +123,17 @@ def coverage_curve(
         body, scenario, chosen, workers=workers, n_frames=int(lengths[-1]), **parameters
     )
     neighbours = neighbouring_pairs(recordings[0])
-    active = [estimate_rest(run.readings).active(run.readings) for run in recordings]
-    cells = [
-        [
-            (
-                on[:n].any(axis=0).mean(),
-                np.quantile(count_contacts(on[:n]), QUANTILES),
-                np.count_nonzero(count_joint_contacts(on[:n], neighbours)),
-                _mantel_r(run, n, method, dimensions),
-            )
-            for run, on in zip(recordings, active, strict=True)
-        ]
-        for n in lengths
-    ]
-    touched, contacts, pairs, mantel_r = (
-        np.array([[cell[i] for cell in row] for row in cells]) for i in range(4)
-    )
+    shape = len(lengths), len(recordings)
+    touched, mantel_r, pairs = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.intp)
+    contacts = np.empty((*shape, len(QUANTILES)))
+    for j, run in enumerate(recordings):
+        whole = estimate_rest(run.readings).active(run.readings)
+        for i, n in enumerate(lengths):
+            active = whole[:n]
+            touched[i, j] = active.any(axis=0).mean()
+            contacts[i, j] = np.quantile(count_contacts(active), QUANTILES)
+            pairs[i, j] = np.count_nonzero(count_joint_contacts(active, neighbours))
+            mantel_r[i, j] = _mantel_r(run, n, method, dimensions)
     rate_hz = recordings[0].rate_hz or 1.0
     return CoverageCurve(lengths, rate_hz, touched, contacts, len(neighbours), pairs, mantel_r)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -340,15 +340,12 @@ def with_fingertip(body: Body, options: SelfTouchOptions) -> Body:
         distances[n_body:, n_body:] = great_circles(positions[n_body:] - middle)
         return distances
 
-    return Body(
-        body.name,
-        np.vstack([body.positions, middle + radius * directions]),
-        np.vstack([body.normals, directions]),
-        [*body.solids, solids.ball(radius, middle)],
+    return replace(
+        body,
+        positions=np.vstack([body.positions, middle + radius * directions]),
+        normals=np.vstack([body.normals, directions]),
+        solids=[*body.solids, solids.ball(radius, middle)],
         names=(*body.names, *(f"finger{i}" for i in range(len(directions)))),
-        units=body.units,
-        origin=body.origin,
-        is_whole=body.is_whole,
         geodesic=geodesic and separate_geodesics,
     )
 

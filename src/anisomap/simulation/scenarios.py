@@ -20,7 +20,7 @@ from anisomap._version import __version__
 from anisomap.base.scene import Scene
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
-from anisomap.recording import Recording
+from anisomap.recording import Recording, Scalar
 from anisomap.simulation import kinematic
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
@@ -158,18 +158,11 @@ def run_simulation(
     reported = (report,) if chosen.uses_mujoco else ()
     result = chosen.function(given, n_frames, options, rng, *reported)
     report(1.0)
-    metadata = {
-        "body": given.name,
-        "scenario": scenario,
-        "seed": number,
-        **{
-            # Files cannot store numpy scalars.
-            name: value.item() if isinstance(value, np.generic) else value
-            for name, value in {**asdict(options), **result.facts}.items()
-            if value is not None
-        },
-        "anisomap": __version__,
-    }
+    metadata: dict[str, Scalar] = {"body": given.name, "scenario": scenario, "seed": number}
+    for name, value in {**asdict(options), **result.facts}.items():
+        if value is not None:  # files cannot store it, nor numpy scalars
+            metadata[name] = value.item() if isinstance(value, np.generic) else value
+    metadata["anisomap"] = __version__
     if chosen.uses_mujoco:
         metadata["mujoco"] = load_mujoco().__version__
     rate_hz = 1 / options.frame_interval

@@ -22,6 +22,7 @@ from anisomap.drawing.figures.backend import (
     panel,
     set_title,
 )
+from anisomap.drawing.view import axis_title
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard
 from anisomap.health import SensorHealth
@@ -274,12 +275,8 @@ def plot_shepard(found: Shepard, *, units: str = "", ax: Axes = None) -> None:
         markersize=3, markeredgewidth=0,
     )  # fmt: skip
     ax.step(found.dissimilarities, found.disparities, where="post", color=PALETTE[1], linewidth=1.4)
-    ax.set(
-        xlabel="dissimilarity",
-        ylabel=f"distance on the map ({units})" if units else "distance on the map",
-        xlim=(0, None),
-        ylim=(0, None),
-    )
+    ax.set(xlabel="dissimilarity", xlim=(0, None), ylim=(0, None))
+    ax.set_ylabel(axis_title("distance on the map", units), parse_math=False)
     fit = f"monotone fit: R squared {found.nonmetric_fit:.3f}, linear {found.linear_fit:.3f}"
     set_title(ax, f"Shepard diagram ({fit})")
 
