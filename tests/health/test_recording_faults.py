@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from benchmarks.skins.clean_recordings import COURSES, FORMS, Case, cases
+from benchmarks.skins.clean_recordings import COURSES, FORMS, TRUE_OF_CLEAN, Case, cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -252,6 +252,13 @@ def pressed_at_one_place(seed):
     apart = np.linalg.norm(places - places[rng.choice(64)], axis=1)
     readings = np.maximum(0, force[:, None] - 0.3 * apart**2)
     return readings + 0.01 * rng.normal(size=readings.shape)
+
+
+@pytest.mark.parametrize("form", ["exact", "noise of 1 %", "8 bits", "binary"])
+@pytest.mark.parametrize("n_sensors", [20, 60])
+def test_a_contact_that_changes_its_force_but_not_its_place_is_no_fault(form, n_sensors):
+    sound = Case("plane", "one place", form, n_sensors, 1000).draw(301)
+    assert kinds(find_faults(sound)) <= TRUE_OF_CLEAN
 
 
 @pytest.mark.parametrize("seed", range(3))

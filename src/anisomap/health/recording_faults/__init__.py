@@ -66,15 +66,16 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
     Patterns of contact of the member with most contacts and the sensors most similar to it are
     counted by parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447): the
     eigenvalues of their correlations, down to the first one that chance explains. Chance is what
-    the same readings give if each sensor is shifted in time, by its own number of frames. If these
-    sensors have a rest, they must also be touched at several places.
+    the same readings give if each sensor is shifted in time, by its own number of frames. Sensors
+    that are similar but not in the group must also be touched at several places, unless most of
+    them always vary.
     """
     signals = recording.signals
     frames = excerpt_frames(recording.readings, _N_COMPARED)
     rows = unit_rows(recording.readings[frames])
     most = members[signals.contacts[members].argmax()]
-    nearest = np.argsort(-np.abs(rows @ rows[most]), kind="stable")[:_N_NEAR]
-    near = rows[nearest]
+    nearest = np.argsort(-np.abs(rows @ rows[most]), kind="stable")
+    near = rows[nearest[:_N_NEAR]]
     eigenvalues = np.linalg.eigvalsh(near @ near.T)[::-1]
     by_chance = np.zeros(len(near))
     for shifts in np.random.default_rng(0).integers(near.shape[1], size=(_N_SHIFTED, len(near))):
@@ -82,10 +83,12 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
         by_chance = np.maximum(by_chance, np.linalg.eigvalsh(shifted @ shifted.T)[::-1])
     if len(near) < _MIN_PATTERNS or not (eigenvalues > by_chance)[:_MIN_PATTERNS].all():
         return False
-    with_rest = nearest[signals.rest.known[nearest]]
-    if 2 * with_rest.size < nearest.size:
+    outside = nearest[~np.isin(nearest, members)][:_N_NEAR]
+    touched, active = signals.touched[:, outside], signals.active[:, outside]
+    always = np.count_nonzero(touched.all(axis=0))
+    if outside.size < _MIN_PATTERNS or 2 * always > outside.size:
         return True
-    return _at_several_places(signals.touched[:, with_rest], signals.active[:, with_rest])
+    return _at_several_places(touched, active)
 
 
 def _at_several_places(touched: NDArray[np.bool_], active: NDArray[np.bool_]) -> bool:
