@@ -254,6 +254,16 @@ def pressed_at_one_place(seed):
     return readings + 0.01 * rng.normal(size=readings.shape)
 
 
+@pytest.mark.parametrize("n_levels", [3, 8])
+def test_few_levels_of_contacts_that_last_are_no_saturation(n_levels):
+    rng, places = np.random.default_rng(n_levels), lattice(8, 9)
+    lasting = np.repeat(places[rng.integers(len(places), size=40)], 60, axis=0)
+    apart = np.linalg.norm(places - lasting[:, None], axis=2)
+    force = np.tile(np.minimum(np.arange(60), np.arange(60)[::-1]) / 5, 40).clip(max=1)
+    readings = np.round(n_levels * force[:, None] * np.maximum(0, 1 - apart**2 / 5))
+    assert "saturation" not in kinds(find_faults(Recording(readings)))
+
+
 @pytest.mark.parametrize("form", ["exact", "noise of 1 %", "8 bits", "binary"])
 @pytest.mark.parametrize("n_sensors", [20, 60])
 def test_a_contact_that_changes_its_force_but_not_its_place_is_no_fault(form, n_sensors):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults import Found
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import columns
 from anisomap.recording import Recording
 
@@ -25,8 +26,8 @@ _STRAY = 0.02  # share of a sensor's active frames with the other region
 def find_clipped(recording: Recording) -> Iterator[Found]:
     """Find sensors whose readings are limited by a range that is too small.
 
-    High contacts are rarer than low ones, so the extreme reading of a sensor should not be twice as
-    frequent as each of the values next to it.
+    High contacts are rarer than low ones, so the extreme reading of a sensor should not occur twice
+    as often as each of the values next to it. A reading that lasts occurs once.
     """
     readings, shares = recording.readings, np.zeros(recording.n_sensors)
     for sign, limit in zip((-1, 1), recording.extremes, strict=True):
@@ -47,10 +48,11 @@ def find_clipped(recording: Recording) -> Iterator[Found]:
 
 def _at_limit(column: NDArray[Any]) -> float:
     """Return the share of a sensor's frames, (T,), at its highest reading; 0 unless clipped."""
-    counts = np.unique(column, return_counts=True)[1]
-    beside = counts[-1 - _LEVELS : -1].max(initial=0)
-    clipped = counts[-1] > 2 * beside and counts.argmax() != counts.size - 1
-    return float(counts[-1] / column.size) if clipped else 0.0
+    frames = np.unique(column, return_counts=True)[1]
+    times = np.unique(column[np.diff(column, prepend=np.nan) != 0], return_counts=True)[1]
+    beside = times[-1 - _LEVELS : -1].max(initial=0)
+    often = times[-1] >= MIN_CONTACTS and times[-1] > 2 * beside
+    return float(frames[-1] / column.size) if often and frames.argmax() != frames.size - 1 else 0.0
 
 
 def find_regions(recording: Recording) -> Iterator[Found]:
