@@ -152,6 +152,19 @@ def test_a_sensor_in_the_place_of_a_dead_one(recording):
     np.testing.assert_array_equal(found.corrected.positions, TRUTH)
 
 
+def test_two_sides_that_are_loaded_alike_are_neither_doubled_nor_copies():
+    """Even steps on two equal soles, of which no reading shows that they are two."""
+    sole = np.array([(x, y, 0) for x in range(4) for y in range(14)], dtype=float)
+    frames = np.arange(520)
+    step, phase = frames // 40, frames % 40 / 40
+    along = np.exp(-(((sole[:, 1] / 13 - (1.4 * phase - 0.2)[:, None]) / 0.22) ** 2))
+    across = 1 + 0.3 * np.sin(2.3 * step[:, None] + sole[:, 0])
+    load = np.maximum(along * across - 0.1, 0) * (phase < 0.7)[:, None]
+    both = Recording(np.hstack([load, load]))
+    assert not anisomap.find_faults(both)
+    assert check_layout(np.vstack([sole, np.add(sole, [0, 0, 9])]), both).consistent
+
+
 def test_noise_accuses_nobody():
     noise = np.random.default_rng(404).normal(size=(400, len(TRUTH)))
     with pytest.raises(InputError, match=r"only 0 of 120 sensors .* record more contacts"):

@@ -16,7 +16,7 @@ from anisomap.base.defaults import N_SHIFTS
 from anisomap.base.wording import html_table, join_items
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
-from anisomap.health.recording_faults.copies import find_copies
+from anisomap.health.recording_faults.copies import copied_groups
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.explanation import explain, module_members
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -290,7 +290,7 @@ def check_layout(
             rows,
             joined.signals.contacts[columns],
             constant=~joined.varying()[columns],
-            copies=[one.sensors for one in find_copies(part.readings, *part.extremes)],
+            copies=[one.sensors for one in copied_groups(part)],
             spacing=spacing,
             members=members,
             statistics=known.select(columns),

@@ -67,17 +67,17 @@ class Copies:
     noise: float
 
 
-def find_copied(recording: Recording) -> Iterator[Found]:
-    """Find groups of sensors that read one wire.
+def copied_groups(recording: Recording) -> list[Copies]:
+    """List the groups of sensors that read one wire.
 
     Noisy sensors that always differ from rest and agree in every frame have their noise in common.
     Others must have been in contact, and in contacts of several kinds: sensors that one place of
     contact touches alike read the same, too.
     """
-    names, signals = recording.names, recording.signals
-    groups = [
+    signals = recording.signals
+    return [
         one
-        for one in find_copies(recording.readings, *recording.extremes)
+        for one in _alike(recording.readings, *recording.extremes)
         if (
             one.noise == 0
             and np.isin(one.sensors, signals.never_at_rest).all()
@@ -88,6 +88,11 @@ def find_copied(recording: Recording) -> Iterator[Found]:
             and has_contacts(recording, np.array(one.sensors))
         )
     ]
+
+
+def find_copied(recording: Recording) -> Iterator[Found]:
+    """Find groups of sensors that read one wire: see `copied_groups`."""
+    names, groups = recording.names, copied_groups(recording)
     left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
     some_left = left_out < np.count_nonzero(recording.varying())
     for copies in groups:
@@ -110,10 +115,10 @@ def _leave_out(names: frozenset[str]) -> Callable[[Recording], Recording]:
     return lambda recording: recording.select([name not in names for name in recording.names])
 
 
-def find_copies(
+def _alike(
     readings: NDArray[Any], lowest: NDArray[np.floating], highest: NDArray[np.floating]
 ) -> tuple[Copies, ...]:
-    """Find groups of sensors that read one wire.
+    """Find groups of sensors that read the same.
 
     readings (T, N), lowest, highest (N,).
 
