@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_MU
-from anisomap.errors import InputError
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.ranges import COUNT, NOT_NEGATIVE, POSITIVE, at_least, check_ranges
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 
 
@@ -46,7 +44,7 @@ class MethodOptions:
     Raises
     ------
     InputError
-        If `regularisation` or `independent_frames` is out of range.
+        If a value is out of range.
     """
 
     regularisation: float = DEFAULT_MU
@@ -61,16 +59,13 @@ class MethodOptions:
     min_sensors: int = 3
 
     def __post_init__(self) -> None:
-        for name, least in (("entropy_bins", 2), ("n_neighbours", 1), ("min_sensors", 1)):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | np.integer) and value >= least):
-                raise InputError(
-                    f"{name} must be a whole number of at least {least}, got {value!r}"
-                )
-        mu = self.regularisation
-        if not (isinstance(mu, int | float) and np.isfinite(mu) and mu >= 0):
-            raise InputError(f"regularisation must be a finite number of at least 0, got {mu}")
-        if not (np.isfinite(self.independent_frames) and self.independent_frames > 0):
-            raise InputError(
-                f"independent_frames must be a finite number above 0, got {self.independent_frames}"
-            )
+        check_ranges(self, _RANGES)
+
+
+_RANGES = {
+    "regularisation": NOT_NEGATIVE,
+    "entropy_bins": at_least(2, whole=True),
+    "n_neighbours": COUNT,
+    "independent_frames": POSITIVE,
+    "min_sensors": COUNT,
+}

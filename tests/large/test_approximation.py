@@ -368,5 +368,5 @@ TOO_SMALL = {"n_neighbours": 2, "n_candidates": 10, "sketch_size": 4, "n_landmar
 
 @pytest.mark.parametrize(("name", "value"), TOO_SMALL.items())
 def test_options_out_of_range_are_refused(name, value):
-    with pytest.raises(InputError, match=f"{name} must be at least"):
+    with pytest.raises(InputError, match=f"{name} must be an integer of at least"):
         ApproximateOptions(**{name: value})

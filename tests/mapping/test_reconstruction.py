@@ -236,12 +236,12 @@ def test_invalid_arguments_are_refused(arguments, message):
     ("option", "value", "message"),
     [
         ("entropy_bins", 1, "at least 2, got 1"),
-        ("entropy_bins", 2.5, "whole number"),
+        ("entropy_bins", 2.5, "an integer"),
         ("n_neighbours", 0, "at least 1, got 0"),
         ("min_sensors", 0, "at least 1"),
         ("regularisation", -1, "regularisation must be"),
         ("regularisation", "1", "regularisation must be"),
-        ("independent_frames", 0, "above 0"),
+        ("independent_frames", 0, "positive"),
     ],
 )
 def test_options_out_of_range_are_refused(option, value, message):

@@ -23,6 +23,7 @@ from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.graph.neighbour_graphs import NO_SENSOR, most_similar
 from anisomap.numerics.neighbours import labels_by_size
 from anisomap.numerics.precision import Floats
+from anisomap.numerics.ranges import at_least, check_ranges
 from anisomap.numerics.reliability.sampling_noise import MIN_SHARED, count_shared_neighbours
 from anisomap.numerics.signals import count_contacts
 
@@ -66,15 +67,9 @@ class ApproximateOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in {
-            "n_neighbours": 3,
-            "n_candidates": self.n_neighbours,
-            "sketch_size": 16,
-            "n_landmarks": 8,
-            "seed": 0,
-        }.items():
-            if getattr(self, name) < least:
-                raise InputError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        least = {"n_neighbours": 3, "sketch_size": 16, "n_landmarks": 8, "seed": 0}
+        check_ranges(self, {name: at_least(low, whole=True) for name, low in least.items()})
+        check_ranges(self, {"n_candidates": at_least(self.n_neighbours, whole=True)})
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,9 @@ from types import MappingProxyType
 import numpy as np
 
 from anisomap.errors import InputError
+from anisomap.numerics.ranges import COUNT
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body, straight_lines
-from anisomap.simulation.checks import COUNT
 from anisomap.simulation.solids import Density, Points, Solid, spread
 
 _GOLDEN_ANGLE = float(np.pi * (3 - np.sqrt(5)))  # between points of a Fibonacci lattice

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.neighbours import nearest_others
+from anisomap.numerics.ranges import COUNT, FINITE, INNER_SHARE, POSITIVE, SHARE, at_least
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
-from anisomap.simulation.checks import COUNT, FINITE, INNER_SHARE, POSITIVE, SHARE, at_least
 from anisomap.simulation.injection import (
     ALL_SENSORS,
     Channel,

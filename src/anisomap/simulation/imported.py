@@ -23,11 +23,11 @@ from anisomap.files.meshes import read_mesh
 from anisomap.files.paths import check_regular, open_regular
 from anisomap.files.reader_process import opened
 from anisomap.numerics.neighbours import nearest_distances
+from anisomap.numerics.ranges import COUNT
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.recording import default_names
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
-from anisomap.simulation.checks import COUNT
 from anisomap.simulation.physics.models import load_mujoco
 from anisomap.simulation.solids import Points, Solid, spread
 

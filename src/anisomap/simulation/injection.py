@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError
+from anisomap.numerics.ranges import Range
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
-from anisomap.simulation.checks import Range
 
 Readings: TypeAlias = NDArray[np.floating]
 Sensors: TypeAlias = Iterable[str | int]

@@ -21,10 +21,10 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.base.scene import Prop
 from anisomap.errors import InputError
+from anisomap.numerics.ranges import COUNT, between
 from anisomap.simulation import solids
 from anisomap.simulation.bodies import fibonacci_cap, great_circles
 from anisomap.simulation.body import Body
-from anisomap.simulation.checks import COUNT, between
 from anisomap.simulation.options import (
     REACH,
     ScenarioOptions,

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from anisomap.base.scene import Prop
 from anisomap.errors import InputError
+from anisomap.numerics.ranges import POSITIVE, Range
 from anisomap.recording import Scalar
 from anisomap.simulation.bodies import sphere
 from anisomap.simulation.body import Body
-from anisomap.simulation.checks import POSITIVE, Range
 
 REACH, SPACING = "reach", "spacing"
 _ROUNDING = 1e-9  # relative error of scaled lengths

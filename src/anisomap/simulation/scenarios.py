@@ -20,11 +20,11 @@ from anisomap._version import __version__
 from anisomap.base.scene import Scene
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
+from anisomap.numerics.ranges import COUNT
 from anisomap.recording import Recording, Scalar
 from anisomap.simulation import kinematic
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
-from anisomap.simulation.checks import COUNT
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
 from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.physics.locomotion import LocomotionOptions, can_roll, locomotion

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.numerics.neighbours import nearest_distances
+from anisomap.numerics.ranges import between
 from anisomap.simulation.body import ON_SURFACE, Body
-from anisomap.simulation.checks import between
 from anisomap.simulation.options import REACH, ScenarioOptions, count_steps, option, positive
 from anisomap.simulation.solids import Points, sample_surface
 

@@ -27,6 +27,15 @@ from anisomap.numerics.contacts.likelihood import (
 )
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.precision import Floats, Reals
+from anisomap.numerics.ranges import (
+    COUNT,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    at_least,
+    between,
+    check_ranges,
+)
 from anisomap.numerics.similarity.rest import Rest
 
 # Chosen by hand on simulated skins; lengths in sensor spacings.
@@ -87,23 +96,17 @@ class ContactOptions:
     min_at_rest: float = 0.2
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("max_readings", 1),
-            ("readings_per_sensor", 1),
-            ("min_sensors", 2),
-            ("n_steps", 1),
-            ("max_gain_spread", 0),
-        ):
-            if not getattr(self, name) >= least:
-                raise InputError(f"{name} must be at least {least}, got {getattr(self, name)}")
-        if not 1 <= self.n_levels <= 100:
-            raise InputError(f"n_levels must be between 1 and 100, got {self.n_levels}")
-        if not 0 < self.contact_weight <= 1:
-            raise InputError(
-                f"contact_weight must be above 0 and at most 1, got {self.contact_weight}"
-            )
-        if not (np.isfinite(self.prior_sd) and self.prior_sd > 0):
-            raise InputError(f"prior_sd must be positive and finite, got {self.prior_sd}")
+        check_ranges(self, _RANGES)
+
+
+_RANGES = {
+    **dict.fromkeys(("max_readings", "readings_per_sensor", "n_steps"), COUNT),
+    "min_sensors": at_least(2, whole=True),
+    "max_gain_spread": NOT_NEGATIVE,
+    "n_levels": between(1, 100),
+    "contact_weight": SHARE,
+    "prior_sd": POSITIVE,
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk, ssyrk
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
     MapFunction,
@@ -25,6 +24,7 @@ from anisomap.numerics.compiled.parallel import (
 )
 from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.ranges import NOT_NEGATIVE, POSITIVE, at_least, check_ranges
 
 _SQUARE_BOUNDS = (1e-12, 1e30)  # of squared distances in ranges; keep all terms finite in float32
 _MAX_LOG_POWER = float(np.log(80))  # of d^b; exp(-80) is nearly the smallest normal float32
@@ -239,15 +239,15 @@ class CovariogramOptions:
     block: int = 500
 
     def __post_init__(self) -> None:
-        for name in ("prior_weight", "repulsion", "tolerance"):
-            if not (np.isfinite(value := getattr(self, name)) and value >= 0):
-                raise InputError(f"{name} must be finite and at least 0, got {value}")
-        if not (np.isfinite(self.ridge) and self.ridge > 0):
-            raise InputError(f"ridge must be finite and above 0, got {self.ridge}")
-        if self.max_iterations < 0:
-            raise InputError(f"max_iterations must be at least 0, got {self.max_iterations}")
-        if self.block < 3:
-            raise InputError(f"block must be at least 3, got {self.block}")
+        check_ranges(self, _RANGES)
+
+
+_RANGES = {
+    **dict.fromkeys(("prior_weight", "repulsion", "tolerance"), NOT_NEGATIVE),
+    "ridge": POSITIVE,
+    "max_iterations": at_least(0, whole=True),
+    "block": at_least(3, whole=True),
+}
 
 
 @dataclass(frozen=True, eq=False)

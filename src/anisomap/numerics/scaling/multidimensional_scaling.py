@@ -24,6 +24,7 @@ from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric, metricise
 from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.precision import Floats, Reals, row_blocks
+from anisomap.numerics.ranges import NOT_NEGATIVE, at_least, check_ranges
 
 logger = logging.getLogger(__name__)
 
@@ -443,10 +444,7 @@ class SmacofOptions:
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
             raise InputError(f"unknown solver {self.solver!r}; choose from {', '.join(SOLVERS)}")
-        if not self.tolerance >= 0:
-            raise InputError(f"tolerance must be at least 0, got {self.tolerance}")
-        if self.max_iterations < 0:
-            raise InputError(f"max_iterations must be at least 0, got {self.max_iterations}")
+        check_ranges(self, {"tolerance": NOT_NEGATIVE, "max_iterations": at_least(0, whole=True)})
 
 
 @dataclass(frozen=True, eq=False)

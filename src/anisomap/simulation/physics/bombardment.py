@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from anisomap.base.scene import Prop
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.numerics.ranges import COUNT, at_least
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
-from anisomap.simulation.checks import COUNT, at_least
 from anisomap.simulation.kinematic import read_balls
 from anisomap.simulation.options import (
     REACH,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,13 +20,10 @@ class Range:
 
     def check(self, name: str, value: float, unit: str = "") -> None:
         """Check that a parameter is within the range."""
-        if self.whole:
-            valid = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            shown = str(value)
-        else:
-            valid = bool(np.isfinite(value))
-            shown = f"{value:g}{unit and ' ' + unit}"
+        types = (int, np.integer) if self.whole else (int, float, np.integer, np.floating)
+        valid = isinstance(value, types) and not isinstance(value, bool) and np.isfinite(value)
         if not (valid and self.contains(value)):
+            shown = f"{value:g}{unit and ' ' + unit}" if isinstance(value, float) else repr(value)
             raise InputError(f"{name} must be {self.text}, got {shown}")
 
 
@@ -41,7 +38,15 @@ def between(low: float, high: float) -> Range:
     return Range(f"between {low:g} and {high:g}", lambda value: low <= value <= high)
 
 
+def check_ranges(options: object, ranges: Mapping[str, Range]) -> None:
+    """Check the attributes of an object that have a range; those that are None are not set."""
+    for name, values in ranges.items():
+        if (value := getattr(options, name)) is not None:
+            values.check(name, value)
+
+
 FINITE = Range("finite", lambda _: True)
+NOT_NEGATIVE = at_least(0)
 POSITIVE = Range("positive", lambda value: value > 0)
 COUNT = at_least(1, whole=True)
 SHARE = Range("above 0 and at most 1", lambda value: 0 < value <= 1)
