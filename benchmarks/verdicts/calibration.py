@@ -8,7 +8,6 @@ of skin that were left out of the fit.
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -44,22 +43,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def usable(outcomes: Any) -> Any:
     """Keep outcomes with known map and evidence, within the range of the measurements."""
-    known = np.isfinite(outcomes[["error", "r", "difference"]]).all(axis=1)
+    known = np.isfinite(outcomes[["error", "r", "difference", "regional"]]).all(axis=1)
     kept = outcomes[known & ~outcomes.fault.str.startswith(_UNSAYABLE)]
-    measured = ["repeatability", "difference"]
+    measured = ["repeatability", "difference", "regional"]
     return kept.assign(**{name: kept[name].clip(0.01, _LARGEST) for name in measured})
 
 
-def expected_errors(outcomes: Any, factors: Floats) -> Any:
+_WHOLE, _REGIONS = ("difference", "error"), ("regional", "region")
+"""Columns of the second measurement, and of the true errors: of maps, and of regions."""
+
+
+def expected_errors(outcomes: Any, factors: Floats, range_: tuple[str, str] = _WHOLE) -> Any:
     """Return the expected errors, given the factors of the two measurements."""
-    return np.hypot(factors[0] * outcomes.repeatability, factors[1] * outcomes.difference)
+    return np.hypot(factors[0] * outcomes.repeatability, factors[1] * outcomes[range_[0]])
 
 
-def fitted(outcomes: Any) -> Floats:
+def fitted(outcomes: Any, range_: tuple[str, str] = _WHOLE) -> Floats:
     """Fit the two factors of the expected error, robustly, to the logarithms of errors."""
 
     def loss(factors: Floats) -> float:
-        apart = np.abs(np.log(expected_errors(outcomes, np.exp(factors)) / outcomes.error))
+        expected = expected_errors(outcomes, np.exp(factors), range_)
+        apart = np.abs(np.log(expected / outcomes[range_[1]]))
         return float(np.where(apart < _HUBER, apart**2, 2 * _HUBER * apart - _HUBER**2).mean())
 
     return np.exp(minimize(loss, [-0.7, -0.5], method="Nelder-Mead").x)
@@ -68,23 +72,22 @@ def fitted(outcomes: Any) -> Floats:
 def constants(outcomes: Any) -> str:
     """Return the constants that fit all outcomes, and the quantiles of what they miss."""
     factors = fitted(outcomes)
-    expected = np.log(expected_errors(outcomes, factors))
     missed = np.quantile(held_out(outcomes), [0.05, 0.95])
-    known = outcomes.region > 0
-    region = np.log(outcomes.region[known])
-    power, scale = np.polyfit(expected[known], region, 1)
-    apart = region - power * expected[known] - scale
-    kept = logit(outcomes.kept.clip(*_ENDS))
-    slope, odds = np.polyfit(expected, kept, 1)
-    beyond = np.quantile(kept - slope * expected - odds, [0.05, 0.95])
+    regions = outcomes[outcomes.region > 0]
+    of_regions = fitted(regions, _REGIONS)
+    expected = expected_errors(regions, of_regions, _REGIONS)
+    apart = np.quantile(regions.region / expected, [0.05, 0.95])
+    kept = logit(regions.kept.clip(*_ENDS))
+    slope, odds = np.polyfit(np.log(expected), kept, 1)
+    beyond = np.quantile(kept - slope * np.log(expected) - odds, [0.05, 0.95])
     at = expit(odds + slope * np.log(0.5))
     return "\n".join(
         [
             f"BY_CHANCE, BY_DIFFERENCE = {factors[0]:.2f}, {factors[1]:.2f}",
             "ERROR_INTERVAL = ({:.2f}, {:.1f})".format(*np.exp(missed)),
-            f"REGION, REGION_POWER = {math.exp(scale):.2f}, {power:.2f}",
-            "REGION_INTERVAL = ({:.2f}, {:.1f})".format(*np.exp(np.quantile(apart, [0.05, 0.95]))),
-            f"NEIGHBOURS, NEIGHBOURS_SLOPE = {odds:.1f}, {slope:.1f}  # {at:.0%} at .5 spacings",
+            "REGION_BY_CHANCE, REGION_BY_DIFFERENCE = {:.2f}, {:.2f}".format(*of_regions),
+            "REGION_INTERVAL = ({:.2f}, {:.1f})".format(*apart),
+            f"NEIGHBOURS, NEIGHBOURS_SLOPE = {odds:.2f}, {slope:.2f}  # {at:.0%} at .5 spacings",
             "NEIGHBOURS_INTERVAL = ({:.1f}, {:.1f})".format(*beyond),
         ]
     )

@@ -26,6 +26,7 @@ from scipy.stats import chi2
 
 import anisomap
 from anisomap.diagnosis import judge
+from anisomap.diagnosis.accuracy import MIN_REGION, REGION_RADIUS
 from anisomap.diagnosis.diagnostics import examine
 from anisomap.evaluation import align, median_spacing
 from anisomap.reconstruction import reconstruct_with_stages
@@ -41,7 +42,7 @@ SEEDS = 130
 COLUMNS = (
     "source", "name", "group", "kind", "fault", "level", "expected", "r", "error", "kept",
     "reasons", "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
-    "repeatability", "difference", "region", "inside", "placed",
+    "repeatability", "difference", "regional", "region", "inside", "placed",
     *(name for name in ACCURACY if name != "repeatability"),
 )  # fmt: skip
 """Columns of the results, one row for each recording: verdict, truth, evidence, and what follows.
@@ -49,9 +50,6 @@ COLUMNS = (
 source: Seed or file; group, kind: See `Case`; expected: Error in spacings; r, error, kept: Mantel
 r, RMS error in spacings, and share of neighbours kept.
 """
-
-REGION, MIN_REGION = 5.0, 6
-"""Radius of a region in spacings, and sensors of the smallest one."""
 
 REFUSED = "refused"
 """Level of a recording of which no map is made."""
@@ -167,6 +165,7 @@ def judged(case: Case, source: str = "") -> Outcome:
         "cpu verdict": judged - mapped,
         "repeatability": evidence.repeatability,
         "difference": evidence.difference,
+        "regional": evidence.regional,
         "region": region_error(made, truth),
         "inside": share_inside(made, covariances, truth),
         "placed": float(np.mean(made.component == 0)),
@@ -179,7 +178,7 @@ def region_error(made: anisomap.SensorMap, truth: np.ndarray) -> float:
     largest = made.component == 0
     points, true = made.positions[largest], truth[largest]
     spacing = median_spacing(true)
-    near = KDTree(true).query_ball_point(true, REGION * spacing)
+    near = KDTree(true).query_ball_point(true, REGION_RADIUS * spacing)
     regions = [one for one in near if len(one) >= MIN_REGION]
     if not regions:
         return math.nan

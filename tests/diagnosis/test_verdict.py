@@ -20,6 +20,7 @@ from anisomap.diagnosis.accuracy import (
     expected_error,
     neighbours_kept,
     region_error,
+    regional_difference,
     rms_in_spacings,
 )
 from anisomap.diagnosis.chance import (
@@ -29,6 +30,7 @@ from anisomap.diagnosis.chance import (
     part_of,
 )
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evaluation import align
 from anisomap.health import Finding
 from anisomap.large import reconstruct_chunks
 from anisomap.options import MethodOptions
@@ -42,7 +44,8 @@ ERRORS = st.floats(0, 10)
 
 
 def evidence(repeatability=0.1, difference=0.3, **others):
-    return Evidence(repeatability, difference, **{"placed": 40, "largest": 40} | others)
+    known = {"regional": 0.7 * difference, "placed": 40, "largest": 40}
+    return Evidence(repeatability, difference, **known | others)
 
 
 def rank(verdict):
@@ -72,10 +75,28 @@ def test_every_verdict_has_reasons_and_intervals_around_its_numbers(chance, diff
         assert 0 <= low <= value <= high
     assert found.neighbours_kept_high <= 1
     error = expected_error(chance, difference).value
-    assert (region_error(error).value, neighbours_kept(error).value) == (
-        found.region_error,
-        found.neighbours_kept,
-    )
+    region = region_error(chance, 0.7 * difference, error).value
+    assert found.region_error == region <= found.expected_error == error
+    assert found.neighbours_kept == neighbours_kept(region).value
+
+
+def test_regions_show_noise_as_the_whole_does_but_not_a_slow_change_of_scale():
+    places = lattice(14, 14)
+    stretched = places.copy()
+    stretched[:, 0] += 0.03 * places[:, 0] ** 2
+    noisy = places + np.random.default_rng(0).normal(0, 0.1, places.shape)
+    for other, least, most in ((stretched, 0, 0.6), (noisy, 0.9, 1.05)):
+        aligned = align(other, places).aligned - places
+        whole, regions = rms_in_spacings(aligned, places), regional_difference(aligned, places)
+        assert least * whole <= regions <= most * whole
+        doubled = regional_difference(2 * aligned, 2 * places)
+        assert doubled == pytest.approx(regions)
+
+
+def test_a_map_that_is_stretched_slowly_has_right_neighbours():
+    found = judge(evidence(0.05, 1.5, regional=0.4))
+    assert found.level == "usable for neighbours"
+    assert judge(evidence(0.05, 1.5, regional=1.4)).level == "not usable"
 
 
 def test_only_faults_that_no_measurement_shows_exclude_usable_maps():

@@ -3,14 +3,16 @@
 Resamples of a recording show what chance does to a map, but not what bends all maps alike. A map
 that rests on another assumption shows this: the numbers of steps between sensors on a graph of
 neighbours assume nothing of contacts, but that neighbours are equally far apart. The accuracy of
-maps of known skins followed these two measurements. The constants are fitted to them by
-``python -m benchmarks.verdicts.calibration``, which also leaves out each kind of skin in turn.
+maps of known skins followed these two measurements, the second of them taken over the whole map or
+in regions. The constants are fitted by ``python -m benchmarks.verdicts.calibration``, which also
+leaves out each kind of skin in turn.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,11 +47,18 @@ BY_CHANCE, BY_DIFFERENCE = 0.6, 0.6
 ERROR_INTERVAL = (0.37, 2.9)
 """5 % and 95 % quantiles of true errors, relative to the expected ones."""
 
-REGION, REGION_POWER, REGION_INTERVAL = 0.75, 0.7, (0.48, 2.2)
-"""Error of regions, ``REGION error ** REGION_POWER``, and its interval, relative to it."""
+REGION_BY_CHANCE, REGION_BY_DIFFERENCE, REGION_INTERVAL = 0.35, 0.73, (0.42, 2.1)
+"""Error of regions per RMS difference of resamples, and per difference of regions of the two maps;
+and its interval, relative to it.
+"""
 
-NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.4, -1.0, (-1.3, 1.3)
-"""Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(error)``, and interval."""
+NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.05, -1.43, (-1.4, 1.4)
+"""Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(e)``, with the error e of
+regions, and their interval.
+"""
+
+REGION_RADIUS, MIN_REGION = 5.0, 6
+"""Radius of a region in spacings, and sensors of the smallest one."""
 
 ELLIPSE_SCALE = 4.0
 """Ratio of the covariances of positions to the square of the expected error.
@@ -69,15 +78,19 @@ def expected_error(repeatability: float, difference: float) -> Estimate:
     return Estimate(error, *(factor * error for factor in ERROR_INTERVAL))
 
 
-def region_error(error: float) -> Estimate:
-    """Estimate the RMS error of regions of 5 spacings from that of the map, in spacings."""
-    found = min(error, REGION * error**REGION_POWER)
+def region_error(repeatability: float, difference: float, error: float) -> Estimate:
+    """Estimate the RMS error of regions, at most that of the map, all in spacings.
+
+    difference: That of regions of two maps, each aligned by itself.
+    """
+    found = math.hypot(REGION_BY_CHANCE * repeatability, REGION_BY_DIFFERENCE * difference)
+    found = min(found, error)
     return Estimate(found, *(factor * found for factor in REGION_INTERVAL))
 
 
-def neighbours_kept(error: float) -> Estimate:
-    """Estimate the share of true neighbours that are neighbours on a map of a given error."""
-    odds = NEIGHBOURS + NEIGHBOURS_SLOPE * math.log(min(max(error, _LEAST), _MAX_ERROR))
+def neighbours_kept(region: float) -> Estimate:
+    """Estimate the share of true neighbours that are neighbours on the map, from `region_error`."""
+    odds = NEIGHBOURS + NEIGHBOURS_SLOPE * math.log(min(max(region, _LEAST), _MAX_ERROR))
     return Estimate(*(float(expit(odds + more)) for more in (0.0, *NEIGHBOURS_INTERVAL)))
 
 
@@ -109,6 +122,23 @@ def rms_in_spacings(differences: NDArray[np.float64], positions: NDArray[np.floa
     spacing = median_spacing(positions)
     rms = math.sqrt(float(np.square(differences).sum(axis=1).mean()))
     return rms / spacing if spacing > 0 else math.inf
+
+
+def regional_difference(differences: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
+    """Return the RMS difference of two maps in regions that are each aligned, in spacings.
+
+    differences, positions (n, k). A map of fewer than 6 sensors within 5 spacings is one region.
+    """
+    spacing = median_spacing(positions)
+    if spacing == 0 or not np.isfinite(differences).all():
+        return math.inf
+    near: Any = KDTree(positions).query_ball_point(positions, REGION_RADIUS * spacing)
+    squares = []
+    for inside in [one for one in near if len(one) >= MIN_REGION] or [slice(None)]:
+        here, there = positions[inside], positions[inside] + differences[inside]
+        left = fit_similarity(there, here).apply(there) - here
+        squares.append(float(np.square(left).sum(axis=1).mean()))
+    return math.sqrt(float(np.mean(squares))) / spacing
 
 
 def pooled(

@@ -18,6 +18,7 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.diagnosis.accuracy import (
     differences_from_steps,
     expected_error,
+    regional_difference,
     rms_in_spacings,
     with_systematic_errors,
 )
@@ -228,7 +229,9 @@ def examine(
         done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
         told = _part_of(report, done, share)
         if label == 0:
-            evidence = replace(evidence, repeatability=math.inf, difference=math.inf)
+            evidence = replace(
+                evidence, repeatability=math.inf, difference=math.inf, regional=math.inf
+            )
         with limited_blas(1):  # products are those of short blocks of frames, or of few sensors
             try:
                 part = part_of(sensor_map, label, run, options, stages)
@@ -241,7 +244,12 @@ def examine(
         repeatability = error_in_spacings(chance, positions)
         difference = rms_in_spacings(differences, positions)
         if label == 0:
-            evidence = replace(evidence, repeatability=repeatability, difference=difference)
+            evidence = replace(
+                evidence,
+                repeatability=repeatability,
+                difference=difference,
+                regional=regional_difference(differences, positions),
+            )
         error = expected_error(repeatability, difference).value
         if math.isfinite(error):
             members = sensor_map.component == label

@@ -34,6 +34,7 @@ class Evidence:
 
     repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
     difference: RMS difference from a map of evenly spaced sensors, in spacings.
+    regional: The same of regions, each aligned by itself.
     placed: Number of sensors with positions.
     largest: Number of sensors in the largest component.
     faults: Sentences on faults of the recording that the measurements show.
@@ -44,6 +45,7 @@ class Evidence:
 
     repeatability: float = math.nan
     difference: float = math.nan
+    regional: float = math.nan
     placed: int = 0
     largest: int = 0
     faults: tuple[str, ...] = ()
@@ -62,10 +64,11 @@ def judge(evidence: Evidence) -> Verdict:
             "unknown: touch the skin where they join"
         )
     measured = evidence.repeatability, evidence.difference
-    if evidence.unknown or any(map(math.isnan, measured)):
+    if evidence.unknown or any(map(math.isnan, (*measured, evidence.regional))):
         return Verdict(reasons=(evidence.unknown or "the map was not examined", *limits))
     error = expected_error(*measured)
-    region, kept = region_error(error.value), neighbours_kept(error.value)
+    region = region_error(evidence.repeatability, evidence.regional, error.value)
+    kept = neighbours_kept(region.value)
     if error.value < MAX_ERROR and not limits:
         level = "usable"
     elif (
