@@ -18,7 +18,7 @@ below it, and fewer than one in a hundred wrong ones (r below .9 or an error abo
 MIN_KEPT = 5 / 6
 """Expected share of kept neighbours of a map that is usable for neighbours: five of six.
 
-In five tables of ``make trust``, 14 to 20 % of the wrong maps reach it.
+Of 221 wrong maps of ``make trust`` (seeds 3601 to 3630, and real skins), 10 % reach it.
 """
 
 MAX_CHANCE = 1.0
