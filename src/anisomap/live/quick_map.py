@@ -170,15 +170,16 @@ class QuickMapper:
                 positions = self._positions(recording)
             except InputError as error:
                 reason = str(error)
-        rest, touched = recording.signals.rest, recording.signals.touched
+        signals = recording.signals
+        rest = signals.rest
         side_of_contact = np.where(rest.side > 0, *recording.extremes[::-1])
         return QuickMap(
             positions=positions,
             n_frames=self.sample.n_frames,
             seconds=time.monotonic() - begun,
-            contacts=count_contacts(touched),
+            contacts=signals.contacts,
             pairs=neighbour_lines(positions),
-            advice=advise(positions, touched, self.names, self.drop),
+            advice=advise(positions, signals.touched, self.names, self.drop),
             rest=rest,
             highest_depth=rest.depth(side_of_contact[None])[0],
             names=tuple(self.names),

@@ -239,7 +239,9 @@ def excerpt_frames(readings: NDArray[Any], most: int = MAX_FRAMES) -> slice:
     It rests where fewer than half as many sensors change as in the busiest part of that length. A
     sensor changes in a part if its readings there span half of those of all parts. readings (T, N).
     """
-    middle = max(0, (len(readings) - most) // 2)
+    if len(readings) <= most:
+        return slice(0, most)
+    middle = (len(readings) - most) // 2
     starts = np.linspace(0, 2 * middle, min(_MAX_PARTS, 2 * (len(readings) // most) + 1))
     starts[len(starts) // 2] = middle
     parts = [readings[begin : begin + most] for begin in starts.astype(np.intp).tolist()]

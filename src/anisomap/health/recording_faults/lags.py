@@ -270,6 +270,8 @@ class _Fit:
         The highest correlation at any lag, of any of their links, must be one that unrelated
         readings with the same autocorrelations reach with probability 1 %.
         """
+        if not self.lags.any():
+            return self
         variance = sampling_variance(np.concatenate(self.parts))[self.i, self.j]
         across = self.groups[self.i] != self.groups[self.j]
         ends = np.concatenate([self.groups[end][across] for end in (self.i, self.j)])
