@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import anisomap
-from anisomap.reconstruction import reconstruct_with_stages
+from anisomap.method.reconstruction import reconstruct_with_stages
 from benchmarks.harness import columns, markdown_table
 
 PACKAGE = Path(anisomap.__file__).parent

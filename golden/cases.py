@@ -13,7 +13,7 @@ import numpy as np
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.methods import METHODS
+from anisomap.method.named import METHODS
 from anisomap.recording import MissingPolicy, Recording
 
 _ROOT = Path(__file__).parents[1]

@@ -14,7 +14,7 @@ import anisomap
 from anisomap import Recording, SensorMap, join_runs, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import assess
-from anisomap.methods import MethodOptions
+from anisomap.method.named import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.recording import as_runs
 from skins import flat_skin

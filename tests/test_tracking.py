@@ -11,7 +11,7 @@ import anisomap
 from anisomap import Recording, SensorMap
 from anisomap.errors import InputError
 from anisomap.evaluation import compare_maps, score
-from anisomap.evidence import SIMILARITIES
+from anisomap.method.evidence import SIMILARITIES
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.placement import Anchors, place
 from anisomap.tracking import PairSums, gather_evidence, map_evidence, update_map

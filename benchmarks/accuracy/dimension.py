@@ -17,8 +17,8 @@ import numpy as np
 
 import anisomap
 from anisomap.base.defaults import MIN_TOUCHES
-from anisomap.comparison import spanned_dimensions, touched
 from anisomap.errors import InputError
+from anisomap.evaluation.compare import spanned_dimensions, touched
 from anisomap.paper.map_scores import n_dimensions, published_metric, spectrum
 from anisomap.simulation import BODIES, Body, find_body, find_scenario, simulate, solids
 from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS, covered, midpoints
@@ -45,8 +45,7 @@ class Row:
     answer: One of `ANSWERS`: a map in 2 dimensions with a note that the sensors lie along a line, a
         map in 2 or 3 dimensions, or one in 3 with a note that their number is not clear.
     largest_drop: Dimensions by Pierce & Kuipers' rule, on the metric of r-ANISOMAP.
-    elbow_1, elbow_2, elbow_3: See `anisomap.dimensions.DimensionChoice.elbow`; NaN if the metric
-        was not examined.
+    elbow_1, elbow_2, elbow_3: Of the stress; NaN if the metric was not examined.
     """
 
     body: str

@@ -28,12 +28,12 @@ from sklearn.isotonic import IsotonicRegression
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
-from anisomap.comparison import RIVALS, compare_methods, spanned_dimensions, touched
 from anisomap.evaluation import mantel
-from anisomap.evidence import compare
-from anisomap.mapping import Configuration, dissimilarities, refine_components
-from anisomap.methods import METHODS
-from anisomap.options import MethodOptions
+from anisomap.evaluation.compare import RIVALS, compare_methods, spanned_dimensions, touched
+from anisomap.method.evidence import compare
+from anisomap.method.named import METHODS
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import Configuration, dissimilarities, refine_components
 from anisomap.recording import Recording
 from benchmarks.harness import files_in, keyed_table, markdown_table, measured, options, publish
 

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.cli.commands import comparison as comparison_tables
-from anisomap.comparison import COMPARED, RIVALS, Comparison, compare_methods
-from anisomap.methods import METHODS
+from anisomap.evaluation.compare import COMPARED, RIVALS, Comparison, compare_methods
+from anisomap.method.named import METHODS
 from benchmarks.harness import (
     COLOURS,
     files_in,

@@ -18,11 +18,11 @@ from unittest.mock import patch
 import numpy as np
 
 import anisomap
-from anisomap import evidence
 from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
-from anisomap.comparison import spanned_dimensions, touched
-from anisomap.methods import METHODS, Method
-from anisomap.reconstruction import reconstruct_with_stages
+from anisomap.evaluation.compare import spanned_dimensions, touched
+from anisomap.method import evidence
+from anisomap.method.named import METHODS, Method
+from anisomap.method.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from benchmarks.harness import files_in, frame, markdown_table, measured, options, publish
 

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import Recording, diagnose
-from anisomap.comparison import map_by_rival
 from anisomap.errors import InputError
+from anisomap.evaluation.compare import map_by_rival
 from anisomap.health import assess, find_faults
-from anisomap.reconstruction import reconstruct_with_stages
+from anisomap.method.reconstruction import reconstruct_with_stages
 from benchmarks.harness import markdown_table, options, quietly, write_rows
 from benchmarks.skins.inputs import Press, directions
 from benchmarks.speed.measuring import MAX_REPEATED_SECONDS, measure, threads

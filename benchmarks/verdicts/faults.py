@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 import anisomap
-from anisomap.comparison import spanned_dimensions
+from anisomap.evaluation.compare import spanned_dimensions
 from anisomap.sensor_map import is_faulty
 from anisomap.simulation import inject, parse_fault
 from benchmarks.harness import (

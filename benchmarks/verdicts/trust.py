@@ -25,12 +25,12 @@ from scipy.spatial import KDTree
 from scipy.stats import chi2
 
 import anisomap
-from anisomap.diagnosis import judge
-from anisomap.diagnosis.accuracy import MIN_REGION, REGION_RADIUS
-from anisomap.diagnosis.diagnostics import examine
 from anisomap.evaluation import align, median_spacing
-from anisomap.reconstruction import reconstruct_with_stages
+from anisomap.method.reconstruction import reconstruct_with_stages
 from anisomap.usability import ACCURACY
+from anisomap.verdict import judge
+from anisomap.verdict.accuracy import MIN_REGION, REGION_RADIUS
+from anisomap.verdict.diagnosis import examine
 from benchmarks.harness import in_parallel, keyed_table, markdown_table, options, quietly, write_csv
 from benchmarks.skins.other_skins import cases_of_other
 from benchmarks.verdicts.trust_recordings import Case, cases_of_file, cases_of_seed

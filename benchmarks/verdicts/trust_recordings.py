@@ -17,7 +17,7 @@ import numpy as np
 
 import anisomap
 from anisomap.base.defaults import MIN_TOUCHES
-from anisomap.comparison import spanned_dimensions, touched
+from anisomap.evaluation.compare import spanned_dimensions, touched
 from anisomap.simulation import BODIES, SCENARIOS, find_body, inject, parse_fault
 from anisomap.simulation.options import options_for
 from benchmarks.skins.footprints import FOOTPRINTS

@@ -5,7 +5,6 @@ from . import io as io
 from . import placement as placement
 from . import simulation as simulation
 from ._version import __version__ as __version__
-from .diagnosis.diagnostics import diagnose as diagnose
 from .drawing.figures import plot as plot
 from .errors import AnisomapError as AnisomapError
 from .errors import AnisomapWarning as AnisomapWarning
@@ -18,7 +17,6 @@ from .evaluation import permutation_test as permutation_test
 from .evaluation import score as score
 from .evaluation import shepard as shepard
 from .evaluation import stress_per_point as stress_per_point
-from .evidence import SIMILARITIES as SIMILARITIES
 from .health import assess as assess
 from .health import find_faults as find_faults
 from .health import repair as repair
@@ -28,10 +26,11 @@ from .io import read_dissimilarities as read_dissimilarities
 from .io import read_map as read_map
 from .io import write as write
 from .layout import check_layout as check_layout
-from .methods import METHODS as METHODS
-from .options import MethodOptions as MethodOptions
-from .reconstruction import reconstruct as reconstruct
-from .reconstruction import reconstruct_from as reconstruct_from
+from .method.evidence import SIMILARITIES as SIMILARITIES
+from .method.named import METHODS as METHODS
+from .method.options import MethodOptions as MethodOptions
+from .method.reconstruction import reconstruct as reconstruct
+from .method.reconstruction import reconstruct_from as reconstruct_from
 from .recording import Recording as Recording
 from .recording import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
@@ -40,3 +39,4 @@ from .simulation import simulate as simulate
 from .tracking import gather_evidence as gather_evidence
 from .tracking import update_map as update_map
 from .usability import Verdict as Verdict
+from .verdict.diagnosis import diagnose as diagnose

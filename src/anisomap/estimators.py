@@ -15,16 +15,16 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
 from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
-from anisomap.diagnosis.diagnostics import diagnose
-from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large.chunks import sample_of
+from anisomap.method.dimensions import AUTO, Dimensions
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import reconstruct
 from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.correlation import Moments
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import MissingPolicy, Recording
+from anisomap.verdict.diagnosis import diagnose
 
 
 class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
@@ -35,7 +35,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     n_components : int or "auto", default="auto"
         Number of dimensions of the map: see `anisomap.reconstruct`.
     method : str, default="covariogram"
-        A key of `anisomap.methods.METHODS`; the default is that of `anisomap.reconstruct`.
+        A key of `anisomap.method.named.METHODS`; the default is that of `anisomap.reconstruct`.
     regularisation, entropy_bins : float, int
         See `anisomap.MethodOptions`.
     tol, max_iter : float, int

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.wording import as_text
-from anisomap.diagnosis.diagnostics import diagnose
-from anisomap.dimensions import Dimensions
 from anisomap.errors import InputError
 from anisomap.files.budget import size_on_disk
 from anisomap.health import (
@@ -33,12 +31,14 @@ from anisomap.health import (
 from anisomap.io.presets import with_grid
 from anisomap.io.stream import assemble
 from anisomap.large.chunks import chunk_frames, complete_chunks
-from anisomap.methods import check_even_spacing
+from anisomap.method.dimensions import Dimensions
+from anisomap.method.named import check_even_spacing
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import reconstruct_with_stages
 from anisomap.numerics.precision import check_pair_memory
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, join_runs
 from anisomap.sensor_map import SensorMap
+from anisomap.verdict.diagnosis import diagnose
 
 # Packages for recordings that are too large for memory are imported only for them.
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from scipy.spatial.distance import cdist
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.comparison import COMPARED
+from anisomap.evaluation.compare import COMPARED
 from skins import flat_skin, triangles
 
 

@@ -14,8 +14,8 @@ import pytest
 
 import anisomap
 from anisomap.cli.app import app
-from anisomap.evidence import SIMILARITIES
-from anisomap.methods import METHODS
+from anisomap.method.evidence import SIMILARITIES
+from anisomap.method.named import METHODS
 from anisomap.placement import median_spacing
 from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS
 from command_line import call, write_layout

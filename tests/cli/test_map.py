@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.methods import METHODS
+from anisomap.method.named import METHODS
 from command_line import write_layout
 from skins import flat_skin, lattice
 

@@ -14,7 +14,7 @@ from benchmarks.placing import placement, self_touch, updating
 from benchmarks.verdicts import faults, trust
 
 from anisomap.cli.commands import comparison as comparison_tables
-from anisomap.comparison import COMPARED
+from anisomap.evaluation.compare import COMPARED
 from anisomap.paper import accuracy, bodies, claims
 
 ROOT = Path(__file__).parents[2]

@@ -10,15 +10,15 @@ from sklearn.decomposition import PCA
 from sklearn.manifold import Isomap
 
 import anisomap
-from anisomap.comparison import (
+from anisomap.errors import InputError, MissingExtraError
+from anisomap.evaluation import mantel
+from anisomap.evaluation.compare import (
     RIVALS,
     compare_methods,
     map_by_rival,
     spanned_dimensions,
     touched,
 )
-from anisomap.errors import InputError, MissingExtraError
-from anisomap.evaluation import mantel
 from skins import flat_skin, lattice, rubbed
 
 NAMES = [

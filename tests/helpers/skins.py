@@ -11,10 +11,10 @@ from scipy.stats import ortho_group
 
 from anisomap import Recording, SensorMap, io, mantel, reconstruct, score
 from anisomap.errors import AnisomapWarning
-from anisomap.evidence import compare
-from anisomap.mapping import dissimilarities
-from anisomap.methods import find_method
-from anisomap.options import MethodOptions
+from anisomap.method.evidence import compare
+from anisomap.method.named import find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import dissimilarities
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 

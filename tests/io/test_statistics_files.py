@@ -5,8 +5,8 @@ import pytest
 
 from anisomap import Recording, io
 from anisomap.errors import FileError
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.options import MethodOptions
 from anisomap.tracking import gather_evidence
 from skins import lattice, rubbed
 

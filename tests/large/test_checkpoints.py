@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from anisomap.errors import FileError
 from anisomap.large.map_reduce import Checkpoint, map_reduce
 from anisomap.large.streaming import stream_similarity
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.similarity.correlation import Moments
-from anisomap.options import MethodOptions
 from dying import PowerCutError, failing
 from skins import flat_skin
 

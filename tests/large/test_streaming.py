@@ -13,16 +13,16 @@ from threadpoolctl import threadpool_limits
 import anisomap
 from anisomap import Recording, diagnose, reconstruct
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evidence import SIMILARITIES
 from anisomap.large import chunks
 from anisomap.large.map_reduce import Checkpoint, WorkerPool, map_reduce
 from anisomap.large.streaming import CHUNKED, computed_similarity, reconstruct_chunks
-from anisomap.methods import METHODS
+from anisomap.method.evidence import SIMILARITIES
+from anisomap.method.named import METHODS
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.similarity import binning as value_counts
 from anisomap.numerics.similarity import co_occurrence
 from anisomap.numerics.similarity.binning import ValueCounts
 from anisomap.numerics.similarity.correlation import Moments, StoredCodes
-from anisomap.options import MethodOptions
 from dying import Dying, ThreadLimits
 from skins import flat_skin, lattice
 

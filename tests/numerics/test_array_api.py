@@ -12,14 +12,14 @@ from scipy.sparse.csgraph import floyd_warshall
 
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.large import reconstruct_on_device
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import reconstruct
 from anisomap.numerics import array_api
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct
 from skins import flat_skin, mantel_r, rubbed
 
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
 from anisomap.errors import InputError
+from anisomap.method.reconstruction import reconstruct_from
 from anisomap.numerics.contacts import ContactOptions, fit_contacts
 from anisomap.numerics.contacts.likelihood import (
     Contacts,
@@ -22,7 +23,6 @@ from anisomap.numerics.contacts.likelihood import (
     sensor_steps,
 )
 from anisomap.numerics.reliability.split_half import blended_correlation
-from anisomap.reconstruction import reconstruct_from
 from skins import lattice, likeness
 
 PROFILE = Profile(np.array([0.0, 0.4, 1.1]), 0.2, 1.8, 0.3)

@@ -17,17 +17,17 @@ from anisomap import drawing, io
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Columns, Printer, attributes, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
-from anisomap.diagnosis.chance import MIN_FRAMES
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files.paths import check_distinct, check_target, together
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
+from anisomap.method.reconstruction import reconstruct
 from anisomap.placement.frames import in_millimetres
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.route import Examined, Judge
 from anisomap.sensor_map import SensorMap, steps_of
+from anisomap.verdict.chance import MIN_FRAMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -247,7 +247,7 @@ Exclude: TypeAlias = Annotated[
 
 def _read_dimensions(_: object, tokens: Sequence[Token]) -> int | Literal["auto"]:
     """Read a number of dimensions: the default conversion rounds fractions."""
-    from anisomap.dimensions import AUTO, check_dimensions
+    from anisomap.method.dimensions import AUTO, check_dimensions
 
     text = tokens[0].value
     try:

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
-from anisomap.evidence import SIMILARITIES
 from anisomap.files.paths import atomic_write, check_target
 from anisomap.io.npz import NUMBERS, Archive, open_archive, to_json, write_arrays
 from anisomap.io.parsing.facts import check_encodable
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import file_errors
-from anisomap.methods import find_method
-from anisomap.options import MethodOptions
+from anisomap.method.evidence import SIMILARITIES
+from anisomap.method.named import find_method
+from anisomap.method.options import MethodOptions
 from anisomap.recording import Scalar
 from anisomap.tracking import Evidence, PairSums
 

@@ -13,7 +13,6 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from anisomap._version import __version__
-from anisomap.dimensions import AUTO, Dimensions, check_dimensions, given_dimensions
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, assess
 from anisomap.large.chunks import (
@@ -36,6 +35,9 @@ from anisomap.large.sensor_graph import (
     edge_lengths,
     pairs_of,
 )
+from anisomap.method.dimensions import AUTO, Dimensions, check_dimensions, given_dimensions
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import caveats, check_unlike
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.numerics.precision import Floats
@@ -45,8 +47,6 @@ from anisomap.numerics.scaling.multidimensional_scaling import (
     minimise_lbfgs,
     smacof,
 )
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import caveats, check_unlike
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
 from anisomap.sensor_map import UNPLACED, SensorMap
 

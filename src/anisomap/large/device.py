@@ -9,21 +9,21 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.dimensions import AUTO, check_dimensions
 from anisomap.errors import InputError
-from anisomap.mapping import Configuration
-from anisomap.methods import find_method
-from anisomap.numerics import array_api
-from anisomap.numerics.array_api import Array
-from anisomap.numerics.columns import centred_rows
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import (
+from anisomap.method.dimensions import AUTO, check_dimensions
+from anisomap.method.named import find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import Configuration
+from anisomap.method.reconstruction import (
     as_map,
     check_frames,
     check_sensors,
     check_unlike,
     options_provenance,
 )
+from anisomap.numerics import array_api
+from anisomap.numerics.array_api import Array
+from anisomap.numerics.columns import centred_rows
 from anisomap.recording import check_names, default_names
 from anisomap.sensor_map import SensorMap
 

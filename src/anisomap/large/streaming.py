@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.dimensions import AUTO, Dimensions
 from anisomap.errors import InputError
 from anisomap.health import SensorHealth, assess
 from anisomap.large.chunks import (
@@ -30,7 +29,11 @@ from anisomap.large.chunks import (
     split_array,
 )
 from anisomap.large.map_reduce import SERIAL, Checkpoint, Mapper, WorkerPool, map_reduce
-from anisomap.methods import check_even_spacing, find_method
+from anisomap.method.dimensions import AUTO, Dimensions
+from anisomap.method.named import check_even_spacing, find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import reconstruct_from
+from anisomap.method.refinements import MIN_SENSORS
 from anisomap.numerics.columns import ranks_from_counts
 from anisomap.numerics.geodesic.adjacency import MAX_UNEVENNESS, adjacency_graph, unevenness
 from anisomap.numerics.precision import (
@@ -56,10 +59,7 @@ from anisomap.numerics.similarity.information import (
     information_from_logarithms,
 )
 from anisomap.numerics.similarity.rest import rest_from_counts
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import MissingPolicy, Recording, sensor_mask
-from anisomap.refinements import MIN_SENSORS
 from anisomap.sensor_map import SILENT, SensorMap
 
 logger = logging.getLogger(__name__)

@@ -22,11 +22,11 @@ from anisomap.health.touch_coverage import (
     next_places,
 )
 from anisomap.large.chunks import sample_of
+from anisomap.method.reconstruction import reconstruct_from
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest
-from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import Recording
 from anisomap.sensor_map import is_faulty
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.dimensions import AUTO
 from anisomap.drawing import figures, report
 from anisomap.errors import InputError, import_extra
 from anisomap.evaluation import median_spacing
 from anisomap.files.paths import atomic_write
 from anisomap.live.workers import Examination, ExaminationOptions
+from anisomap.method.dimensions import AUTO
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.placement import METRES, Anchors, parse_length, place, scaled_to_spacing
 from anisomap.recording import Recording

@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import printable
-from anisomap.diagnosis.chance import MIN_FRAMES
-from anisomap.dimensions import AUTO, SPATIAL
 from anisomap.errors import AnisomapError, InputError
 from anisomap.health import SensorHealth
 from anisomap.live.batches import Names, Notice, Source
@@ -23,9 +21,11 @@ from anisomap.live.quick_map import QuickMap, confirmed_faults
 from anisomap.live.recorder import Recorder, Segment
 from anisomap.live.saving import command_for, save_map
 from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task, Worker
+from anisomap.method.dimensions import AUTO, SPATIAL
 from anisomap.placement import Anchors
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import LEVELS, UNKNOWN
+from anisomap.verdict.chance import MIN_FRAMES
 
 MAX_CURVE = 500
 """Points of a curve over time; when there are more, every other one is left out."""

@@ -23,13 +23,13 @@ import numpy as np
 
 from anisomap import io, route
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.dimensions import AUTO, SPATIAL, Dimensions
 from anisomap.errors import AnisomapError, InputError
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.large.chunks import Excerpt
 from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
+from anisomap.method.dimensions import AUTO, SPATIAL, Dimensions
 from anisomap.numerics.precision import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from anisomap.base.defaults import DEFAULT_BINS
-from anisomap.comparison import map_by_rival
 from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
 from anisomap.evaluation import mantel
-from anisomap.mapping import dissimilarities
+from anisomap.evaluation.compare import map_by_rival
+from anisomap.method.pipeline import dissimilarities
+from anisomap.method.reconstruction import reconstruct
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.graph.neighbour_graphs import smallest_connected_neighbour_graph
 from anisomap.numerics.precision import Reals
@@ -51,7 +52,6 @@ from anisomap.paper.map_scores import (
     spectrum,
     stopped,
 )
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 
 MORE_BINS = (6, 8)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.methods import PAPER_METHODS
+from anisomap.method.named import PAPER_METHODS
 from anisomap.paper.experiment import Settings
 from anisomap.recording import Recording
 from anisomap.simulation import dead, saturating, simulate

@@ -19,16 +19,16 @@ from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.evaluation import Mantel, Score, align, score
-from anisomap.evidence import PairStatistics, compare
-from anisomap.mapping import dissimilarities
-from anisomap.methods import find_method
+from anisomap.method.evidence import PairStatistics, compare
+from anisomap.method.named import find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import dissimilarities
+from anisomap.method.reconstruction import reconstruct, reconstruct_from
 from anisomap.numerics.neighbours import nearest_distances, nearest_others
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.options import MethodOptions
 from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row, Settings
-from anisomap.reconstruction import reconstruct, reconstruct_from
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import METHOD_LOOKS, CurvePanel, curves_figure
 from anisomap.errors import InputError
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information
-from anisomap.options import MethodOptions
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case, true_positions
 from anisomap.paper.experiment import (
     Picture,

@@ -20,11 +20,11 @@ from anisomap.base.immutable import Immutable
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import score
 from anisomap.health.touch_coverage import NEIGHBOUR_RADIUS
-from anisomap.methods import find_method
+from anisomap.method.named import find_method
+from anisomap.method.reconstruction import reconstruct
 from anisomap.numerics.ranges import COUNT
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.simulation.body import Body
 from anisomap.simulation.scenarios import simulate_runs

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.evidence import SIMILARITIES, PairStatistics
-from anisomap.methods import check_even_spacing, find_method
+from anisomap.method.evidence import SIMILARITIES, PairStatistics
+from anisomap.method.named import check_even_spacing, find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import reconstruct_from
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.contacts.contact_agreement import (
     MIN_CONTACTS,
@@ -28,8 +30,6 @@ from anisomap.numerics.contacts.contact_agreement import (
 )
 from anisomap.numerics.precision import Reals, check_pair_memory
 from anisomap.numerics.similarity.rest import ranks_of_depths
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct_from
 from anisomap.recording import Recording, as_runs, match_names, sensor_mask
 from anisomap.sensor_map import SensorMap
 

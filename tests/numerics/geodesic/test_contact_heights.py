@@ -9,7 +9,9 @@ from scipy.spatial.distance import cdist
 from scipy.stats import rankdata
 
 from anisomap import Recording
-from anisomap.evidence import compare
+from anisomap.method.evidence import compare
+from anisomap.method.options import MethodOptions
+from anisomap.method.refinements import by_heights
 from anisomap.numerics.geodesic.contact_heights import (
     MIN_PEAKS,
     ContactHeights,
@@ -21,8 +23,6 @@ from anisomap.numerics.geodesic.contact_heights import (
 )
 from anisomap.numerics.neighbours import local_dimension
 from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.options import MethodOptions
-from anisomap.refinements import by_heights
 from skins import flat_skin, lattice, likeness, swept
 
 SEEDS = range(301, 303)

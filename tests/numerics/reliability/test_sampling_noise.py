@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
-from anisomap.evidence import SIMILARITIES
+from anisomap.method.evidence import SIMILARITIES
 from anisomap.numerics.contacts.contact_agreement import (
     contact_agreement,
     resampled_contact_agreement,

@@ -140,7 +140,7 @@ def test_correlations_of_many_sensors_are_accurate_to_float32(offset, unit):
 def test_small_maps_do_not_import_numba():
     program = (
         "import sys, numpy as np; from anisomap import Recording, reconstruct;"
-        "from anisomap.methods import METHODS;"
+        "from anisomap.method.named import METHODS;"
         "touch = np.random.default_rng(0).uniform(size=(300, 1));"
         "skin = Recording(np.maximum(0, 0.2 - abs(touch - np.linspace(0, 1, 16))));"
         "[reconstruct(skin, method, 2) for method in METHODS];"

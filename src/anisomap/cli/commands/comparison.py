@@ -23,7 +23,7 @@ from anisomap.errors import FileError, InputError
 from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 
 if TYPE_CHECKING:
-    from anisomap.comparison import Comparison
+    from anisomap.evaluation.compare import Comparison
 
 _FACTS = ("recording", "sensors x frames", "map", "scored")
 _LEGEND = (
@@ -35,7 +35,7 @@ _LEGEND = (
 
 def to_markdown(comparisons: Sequence[Comparison]) -> str:
     """Format comparisons of the same methods as a Markdown table, followed by its losses."""
-    from anisomap.comparison import RIVALS
+    from anisomap.evaluation.compare import RIVALS
 
     methods = [s.method for s in comparisons[0].scores]
     lines = [[*_FACTS, *methods], ["---"] * (len(_FACTS) + len(methods))]
@@ -171,7 +171,7 @@ def compare(
     output
         File for the table, in Markdown (.md) or CSV (.csv); may be repeated.
     """
-    from anisomap.comparison import COMPARED, check_methods, compare_methods
+    from anisomap.evaluation.compare import COMPARED, check_methods, compare_methods
 
     check_methods(method or ())
     outputs = output or []

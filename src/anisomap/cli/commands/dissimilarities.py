@@ -15,9 +15,9 @@ from anisomap import drawing, io
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Printer, attributes, progress
 from anisomap.cli.outputs import Outputs, Truth, print_map, record_map
-from anisomap.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard, permutation_test, shepard, stress_per_point
+from anisomap.method.dimensions import AUTO, Dimensions, plan_dimensions
 from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.scaling.dissimilarity_scaling import SCALINGS, find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions

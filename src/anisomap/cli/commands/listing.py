@@ -15,8 +15,8 @@ from anisomap.cli.console import Printer
 
 def methods(*, printer: options.Printing = options.PRINTER) -> None:
     """List the methods and the similarities."""
-    from anisomap.comparison import RIVALS
-    from anisomap.methods import PAPER_METHODS
+    from anisomap.evaluation.compare import RIVALS
+    from anisomap.method.named import PAPER_METHODS
 
     own = [
         (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")

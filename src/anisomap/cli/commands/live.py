@@ -132,7 +132,7 @@ def live(
     from anisomap.live.page.server import Server
     from anisomap.live.saving import SESSIONS
     from anisomap.live.sources import SimulatedHand
-    from anisomap.methods import find_method
+    from anisomap.method.named import find_method
 
     target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
     if target.suffix.lower() != ".csv":

@@ -271,7 +271,7 @@ def map_recording(
     from anisomap import route
     from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
-    from anisomap.methods import METHODS, check_even_spacing, find_method
+    from anisomap.method.named import METHODS, check_even_spacing, find_method
 
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")

@@ -19,10 +19,10 @@ from anisomap.drawing.report.interactive import interactive_views, status_colour
 from anisomap.drawing.view import MAX_JOINED, checked_kind, drawn_components, layout_notes
 from anisomap.errors import import_extra
 from anisomap.evaluation import Score
-from anisomap.evidence import SIMILARITIES
 from anisomap.files.paths import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth
-from anisomap.methods import METHODS
+from anisomap.method.evidence import SIMILARITIES
+from anisomap.method.named import METHODS
 from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
 
 TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}

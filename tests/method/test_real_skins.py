@@ -8,11 +8,11 @@ import pytest
 from benchmarks.skins.inputs import tiled_places, tiled_torso
 
 from anisomap import io, reconstruct, reconstruct_from
-from anisomap.comparison import compare_methods
 from anisomap.evaluation import mantel
+from anisomap.evaluation.compare import compare_methods
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.options import MethodOptions
 from skins import mantel_r, quietly, stages
 
 PLAIN = ("covariogram", "r-anisomap", "isomap-on-r")

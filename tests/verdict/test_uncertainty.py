@@ -11,18 +11,18 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
-from anisomap.diagnosis.chance import (
-    aligned_to_mean,
-    covariances,
-    deviations_from_mean,
-    error_in_spacings,
-)
-from anisomap.diagnosis.diagnostics import estimate_uncertainty
 from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.placement import mirrored, scaled_to_spacing
 from anisomap.sensor_map import ellipses, radius
+from anisomap.verdict.chance import (
+    aligned_to_mean,
+    covariances,
+    deviations_from_mean,
+    error_in_spacings,
+)
+from anisomap.verdict.diagnosis import estimate_uncertainty
 from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.dimensions import (
+from anisomap.method.dimensions import (
     AUTO,
     SPATIAL,
     DimensionPlan,
     Dimensions,
     plan_dimensions,
 )
-from anisomap.evidence import PairStatistics, compare
-from anisomap.methods import METHODS, Method, find_method
+from anisomap.method.evidence import PairStatistics, compare
+from anisomap.method.named import METHODS, Method, find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.refinements import RefinedMap, Step, refine
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.precision import Floats, Reals, row_blocks
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
-from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.refinements import RefinedMap, Step, refine
 
 logger = logging.getLogger(__name__)
 
@@ -128,7 +128,7 @@ def dissimilarities(
     Parameters
     ----------
     pairs : PairStatistics
-        From `anisomap.evidence.compare`.
+        From `anisomap.method.evidence.compare`.
     method : str
         A key of `METHODS`.
     options : MethodOptions, optional

@@ -1,7 +1,7 @@
 """The refinements of a map: steps that propose positions, and the loop that averages them.
 
 A step is a function ``step(pairs, metric, positions, options)`` that returns a `Proposal`, or
-None where it has nothing to propose. A method names its steps in order, in `anisomap.methods`.
+None where it has nothing to propose. A method names its steps in order, in `anisomap.method.named`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.dimensions import SPATIAL
-from anisomap.evidence import PairStatistics
+from anisomap.method.dimensions import SPATIAL
+from anisomap.method.evidence import PairStatistics
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.contacts import ContactFit, fit_contacts
 from anisomap.numerics.contacts.contact_agreement import is_on_off
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
@@ -40,7 +41,6 @@ from anisomap.numerics.reliability.sampling_noise import typical_variance
 from anisomap.numerics.reliability.split_half import N_BLOCKS, at_frames
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson
-from anisomap.options import MethodOptions
 from anisomap.recording import Scalar
 
 logger = logging.getLogger(__name__)

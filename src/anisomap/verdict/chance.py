@@ -15,23 +15,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.diagnosis.accuracy import pooled
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.evaluation.scoring import align, median_spacing
-from anisomap.evidence import PairStatistics, compare
-from anisomap.mapping import Stages, configure_pairs
-from anisomap.methods import Method, find_method
+from anisomap.method.evidence import PairStatistics, compare
+from anisomap.method.named import Method, find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import Stages, configure_pairs
+from anisomap.method.reconstruction import reconstruct_with_stages
 from anisomap.numerics.contacts.contact_agreement import resampled_contact_agreement
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.reliability.sampling_noise import balanced_weights, block_edges
 from anisomap.numerics.reliability.split_half import N_BLOCKS, split_blocks
 from anisomap.numerics.similarity.correlation import resampled_correlation
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct_with_stages
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
+from anisomap.verdict.accuracy import pooled
 
 logger = logging.getLogger(__name__)
 

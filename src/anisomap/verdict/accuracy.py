@@ -22,7 +22,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import expit
 
 from anisomap.evaluation.scoring import median_spacing
-from anisomap.evidence import PairStatistics
+from anisomap.method.evidence import PairStatistics
 from anisomap.numerics.geodesic.adjacency import adjacency_graph
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from anisomap.diagnosis.accuracy import expected_error, neighbours_kept, region_error
 from anisomap.usability import Verdict
+from anisomap.verdict.accuracy import expected_error, neighbours_kept, region_error
 
 MAX_ERROR = 0.42
 """Expected error of a usable map, in spacings.

@@ -15,14 +15,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.diagnosis.accuracy import (
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
+from anisomap.method.named import METHODS
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import Stages
+from anisomap.method.refinements import CURVE
+from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.recording import Recording, as_runs, join_runs
+from anisomap.sensor_map import SensorMap
+from anisomap.usability import Verdict
+from anisomap.verdict.accuracy import (
     differences_from_steps,
     expected_error,
     regional_difference,
     rms_in_spacings,
     with_systematic_errors,
 )
-from anisomap.diagnosis.chance import (
+from anisomap.verdict.chance import (
     MAX_SENSORS,
     MIN_FRAMES,
     MIN_SENSORS,
@@ -32,17 +42,7 @@ from anisomap.diagnosis.chance import (
     made_again,
     part_of,
 )
-from anisomap.diagnosis.verdict import Evidence, judge
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
-from anisomap.mapping import Stages
-from anisomap.methods import METHODS
-from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.options import MethodOptions
-from anisomap.recording import Recording, as_runs, join_runs
-from anisomap.refinements import CURVE
-from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
+from anisomap.verdict.judge import Evidence, judge
 
 logger = logging.getLogger(__name__)
 
@@ -94,8 +94,8 @@ def diagnose(
     progress : callable, optional
         Called with the completed share, from 0 to 1.
     stages : Stages, optional
-        From `anisomap.reconstruction.reconstruct_with_stages`, if the map comes from it. Without
-        them, the map is made again; the result is the same.
+        From `anisomap.method.reconstruction.reconstruct_with_stages`, if the map comes from it.
+        Without them, the map is made again; the result is the same.
 
     Returns
     -------
@@ -185,7 +185,7 @@ def estimate_uncertainty(
     of contacts. If the map does not follow from that fit, because lengths were taken from the
     heights of contacts, halves of the recording are mapped from the beginning instead. Systematic
     errors are estimated from the differences from a map of evenly spaced sensors: see
-    `anisomap.diagnosis.accuracy`.
+    `anisomap.verdict.accuracy`.
     """
     evidence, found = examine(
         sensor_map, as_runs(recording), options=options, rng=rng, progress=progress

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 import anisomap
 from anisomap import MethodOptions, Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.methods import METHODS
+from anisomap.method.named import METHODS
+from anisomap.method.refinements import EXACT, Proposal, by_covariogram, by_heights, refine
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from anisomap.refinements import EXACT, Proposal, by_covariogram, by_heights, refine
 from skins import flat_skin, lattice, mantel_r, quietly, seeing_patch, stages, stored, swept
 
 EVEN = MethodOptions(even_spacing=True)

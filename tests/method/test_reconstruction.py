@@ -12,12 +12,12 @@ import anisomap
 from anisomap import Recording, SensorMap, diagnose, reconstruct, score
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evidence import SIMILARITIES, compare
 from anisomap.large import reconstruct_approximately, reconstruct_chunks, reconstruct_on_device
-from anisomap.methods import METHODS, PAPER_METHODS
+from anisomap.method.evidence import SIMILARITIES, compare
+from anisomap.method.named import METHODS, PAPER_METHODS
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
-from anisomap.options import MethodOptions
 from anisomap.placement import median_spacing
 from skins import flat_map, flat_skin, lattice, mantel_r, quietly, rubbed, seeing_patch
 

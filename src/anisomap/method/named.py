@@ -5,7 +5,7 @@ A method is a chain of stages::
     readings --similarity--> S --dissimilarity--> M --metric--> D --scaling--> positions
 
 and some methods refine the positions by S. To add a method, add one line to `METHODS`; to add a
-similarity, add one line to `anisomap.evidence.SIMILARITIES`.
+similarity, add one line to `anisomap.method.evidence.SIMILARITIES`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,17 @@ import numpy as np
 
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.evidence import PairStatistics
+from anisomap.method.evidence import PairStatistics
+from anisomap.method.options import MethodOptions
+from anisomap.method.refinements import (
+    Step,
+    by_contacts,
+    by_covariogram,
+    by_even_spacing,
+    by_heights,
+    by_paths,
+    only_contacts,
+)
 from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
 from anisomap.numerics.graph.dissimilarity import (
     direct_dissimilarity,
@@ -33,17 +43,7 @@ from anisomap.numerics.graph.neighbour_graphs import (
 )
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import remove_insignificant_links
-from anisomap.options import MethodOptions
 from anisomap.recording import Recording
-from anisomap.refinements import (
-    Step,
-    by_contacts,
-    by_covariogram,
-    by_even_spacing,
-    by_heights,
-    by_paths,
-    only_contacts,
-)
 
 logger = logging.getLogger(__name__)
 
@@ -59,14 +59,14 @@ class Method:
     summary : str
         Description in one line, for lists of methods.
     similarity : str
-        A key of `anisomap.evidence.SIMILARITIES`.
+        A key of `anisomap.method.evidence.SIMILARITIES`.
     dissimilarity : callable
         ``dissimilarity(pairs, options)`` returns M, shape (n, n).
     metric : callable
         ``metric(M)`` returns D.
     refinements : mapping of str to callable
         Steps that refine the positions of one component, in order: see
-        `anisomap.refinements`. Empty if the scaled positions are the result.
+        `anisomap.method.refinements`. Empty if the scaled positions are the result.
     contact_similarity : str, optional
         Similarity that takes the place of `similarity` for readings that are on or off and show
         one contact at a time.

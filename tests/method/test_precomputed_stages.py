@@ -10,10 +10,10 @@ import anisomap
 from anisomap import reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
-from anisomap.methods import METHODS
+from anisomap.method.named import METHODS
+from anisomap.method.options import MethodOptions
 from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.options import MethodOptions
 from skins import flat_skin, lattice, mantel_r, stages
 
 WITHOUT_CONTACTS = MethodOptions(contacts=ContactOptions(min_explained=2))

@@ -3,14 +3,14 @@
 `reconstruct` computes a map from readings, stage by stage; `reconstruct_from` starts from a
 precomputed stage. Every stage can be called separately:
 
-=============  ====================================  =====================================
-S              `anisomap.evidence.compare`           similarity of all pairs of sensors
-M              `anisomap.mapping.dissimilarities`    dissimilarity of all pairs of sensors
-D              `anisomap.methods.Method.metric`      metric: shortest path lengths
-dimensions     `anisomap.dimensions`                 their number, if it is not given
-positions      `anisomap.mapping.scale`              scaling by SMACOF
-refinement     `anisomap.mapping.refine_components`  positions refined by S
-=============  ====================================  =====================================
+==========  ===========================================  =====================================
+S           `anisomap.method.evidence.compare`           similarity of all pairs of sensors
+M           `anisomap.method.pipeline.dissimilarities`   dissimilarity of all pairs of sensors
+D           `anisomap.method.named.Method.metric`        metric: shortest path lengths
+dimensions  `anisomap.method.dimensions`                 their number, if it is not given
+positions   `anisomap.method.pipeline.scale`             scaling by SMACOF
+refinement  `anisomap.method.pipeline.refine_components` positions refined by S
+==========  ===========================================  =====================================
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap._version import __version__
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.wording import join_items, noun_and_items
-from anisomap.dimensions import (
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.method.dimensions import (
     AUTO,
     SPATIAL,
     Dimensions,
@@ -35,16 +36,21 @@ from anisomap.dimensions import (
     given_dimensions,
     plan_dimensions,
 )
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evidence import PairStatistics
-from anisomap.mapping import Configuration, Stages, compute_stages, configure, dissimilarities
-from anisomap.methods import Method, check_even_spacing, examined_metric, find_method
+from anisomap.method.evidence import PairStatistics
+from anisomap.method.named import Method, check_even_spacing, examined_metric, find_method
+from anisomap.method.options import MethodOptions
+from anisomap.method.pipeline import (
+    Configuration,
+    Stages,
+    compute_stages,
+    configure,
+    dissimilarities,
+)
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.precision import Reals, check_pair_memory, float_type
-from anisomap.options import MethodOptions
 from anisomap.recording import (
     Recording,
     Scalar,
@@ -113,8 +119,8 @@ def reconstruct(
     the positions by S, which is not part of the paper.
 
     ``"auto"`` compares how much the third and the fourth dimension improve the fit of the metric of
-    the default method: see `anisomap.dimensions.choose_dimensions`. Readings show distances along
-    the skin, so skins that are bent like a sheet of paper are mapped in 2D.
+    the default method: see `anisomap.method.dimensions.choose_dimensions`. Readings show distances
+    along the skin, so skins that are bent like a sheet of paper are mapped in 2D.
 
     Examples
     --------

@@ -27,9 +27,9 @@ from anisomap.base.immutable import Immutable
 from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.methods import METHODS, PAPER_METHODS
+from anisomap.method.named import METHODS, PAPER_METHODS
+from anisomap.method.reconstruction import reconstruct
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from anisomap.reconstruction import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
@@ -265,7 +265,7 @@ class MethodScore:
     Attributes
     ----------
     method : str
-        A key of `anisomap.METHODS` or `anisomap.comparison.RIVALS`.
+        A key of `anisomap.METHODS` or `anisomap.evaluation.compare.RIVALS`.
     mantel_r, rms_in_spacings : float
         Mantel r, and RMS error in median spacings, over the sensors of the `Comparison`; NaN
         without a score.
@@ -361,7 +361,7 @@ def compare_methods(
     recording : Recording
         Complete readings, with true positions.
     methods : sequence of str
-        Keys of `anisomap.METHODS` and `anisomap.comparison.RIVALS`. A stock method whose
+        Keys of `anisomap.METHODS` and `anisomap.evaluation.compare.RIVALS`. A stock method whose
         library is not installed has no score, but a reason.
     dimensions : int, optional
         Number of coordinates; by default as many as the true positions span.

@@ -11,10 +11,10 @@ from scipy.stats import special_ortho_group
 
 import anisomap
 from anisomap import Recording, reconstruct, reconstruct_from
-from anisomap.dimensions import choose_dimensions
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.estimators import SensorMapper
 from anisomap.large import reconstruct_approximately, reconstruct_chunks
+from anisomap.method.dimensions import choose_dimensions
 from anisomap.numerics.graph.metric import metricise
 from anisomap.simulation import simulate
 from skins import flat_map, flat_skin, quietly, stored

@@ -14,8 +14,15 @@ from hypothesis import strategies as st
 
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, reconstruct_from
-from anisomap.diagnosis import LEVELS, UNKNOWN, Evidence, Verdict, judge
-from anisomap.diagnosis.accuracy import (
+from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evaluation import align
+from anisomap.health import Finding
+from anisomap.large import reconstruct_chunks
+from anisomap.method.options import MethodOptions
+from anisomap.method.reconstruction import reconstruct_with_stages
+from anisomap.usability import RANGES
+from anisomap.verdict import LEVELS, UNKNOWN, Evidence, Verdict, judge
+from anisomap.verdict.accuracy import (
     differences_from_steps,
     expected_error,
     neighbours_kept,
@@ -23,19 +30,12 @@ from anisomap.diagnosis.accuracy import (
     regional_difference,
     rms_in_spacings,
 )
-from anisomap.diagnosis.chance import (
+from anisomap.verdict.chance import (
     covariances,
     deviations_of_halves,
     error_in_spacings,
     part_of,
 )
-from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation import align
-from anisomap.health import Finding
-from anisomap.large import reconstruct_chunks
-from anisomap.options import MethodOptions
-from anisomap.reconstruction import reconstruct_with_stages
-from anisomap.usability import RANGES
 from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

@@ -1,0 +1,1 @@
+"""The method: from readings to positions, stage by stage; `pipeline` shows it on one page."""
