@@ -17,7 +17,7 @@ from benchmarks.accuracy.check import (
     table,
 )
 from benchmarks.harness import read_rows, write_rows
-from benchmarks.placing import placement, self_touch, updating
+from benchmarks.placing import placement, updating
 from benchmarks.verdicts import trust
 from scipy.spatial.distance import cdist
 
@@ -98,14 +98,6 @@ def test_placed_maps_are_measured(tmp_path, monkeypatch):
     assert 0 < float(found["mesh and 3 anchors: median error (spacings)"]["median"]) < 1
     right = found["mesh and 3 anchors: share of the right hand where placed"]
     assert float(right["median"]) > 0.5
-
-
-@pytest.mark.slow
-def test_the_accuracy_of_self_touch_is_measured(tmp_path):
-    known = ["--seeds", "1", "--contacts", "30"]
-    found = measured(self_touch, tmp_path, "taxel positions", *known)
-    assert set(found) == {"known", "from a map"}
-    assert all(0 < float(row["in spacings"]) < 1 for row in found.values())
 
 
 @pytest.mark.slow

@@ -120,7 +120,6 @@ place map.csv --anchors anchors.csv --mesh map.csv        | map.csv
 place map.csv --mesh part.stl --mesh-units feet           | --mesh-units must be one of m, dm
 place map.csv --module-size 5                             | modules need the positions of their pads
 place map.csv --spacing 6                                 | is not a length
-place map.csv --anchor s1=0,0,0 --link left               | give --self-touch
 place placed.csv --anchors anchors.csv -o a.csv           | in the frame of the robot already
 update kept.csv absent.npz                                | absent.npz
 update kept.csv skin.npz -o kept.csv                      | also an input

@@ -1,14 +1,11 @@
 """Journeys of `anisomap place`: a map in the frame of the robot."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from benchmarks.placing import self_touch
 
 import anisomap
 from anisomap import io
-from command_line import call, contents, write_layout
+from command_line import write_layout
 from skins import flat_skin, lattice, rubbed, triangles
 
 SPACING = 6.0  # mm, of the lattice of flat_skin in the frame of the robot
@@ -135,72 +132,3 @@ def test_sensors_worth_measuring_are_suggested(run, skin_map):
     chosen = TRUTH[[int(name[1:]) for name in names]]
     assert np.ptp(chosen, axis=0).max() > np.ptp(TRUTH, axis=0).max() / 3
     assert not {"s0", "s6", "s35", "s41"} & set(names)  # the corners
-
-
-@pytest.fixture(scope="module")
-def two_arms(tmp_path_factory):
-    """Files of a robot that touches one patch with another, and the truth."""
-    pytest.importorskip("defusedxml")
-    folder = tmp_path_factory.mktemp("arms")
-    (folder / "robot.urdf").write_text(self_touch.URDF)
-    scene = self_touch.simulate(io.read_robot(folder / "robot.urdf"), 561, 40, "flat")
-    anisomap.write(scene.touches.recording, folder / "touches.npz")
-    strangers = replace(scene.other, names=tuple(f"c{i}" for i in range(60)))
-    for name, layout in (("shape", scene.shape), ("other", scene.other), ("strangers", strangers)):
-        anisomap.write(layout, folder / f"{name}.csv")
-    angles = np.column_stack(list(scene.touches.angles.values()))
-    degrees = angles * np.where(np.arange(6) < 5, 180 / np.pi, 1)  # the last joint slides
-    joints = ",".join(scene.touches.angles)
-    for name, values, header in (
-        ("joints", angles, joints),
-        ("degrees", degrees, joints),
-        ("strange", angles, joints.replace("a1", "x1")),
-    ):
-        np.savetxt(folder / f"{name}.csv", values, delimiter=",", header=header, comments="")
-    return folder, scene.truth
-
-
-TOUCHING = (
-    "place shape.csv --self-touch touches.npz --urdf robot.urdf --joints joints.csv --link left "
-    "--other other.csv --other-link right"
-)
-
-
-def test_a_map_is_placed_by_self_touch(two_arms, tmp_path):
-    folder, truth = two_arms
-    outputs = [word for suffix in ("urdf", "npz") for word in ("-o", tmp_path / f"placed.{suffix}")]
-    drawn = tmp_path / "placed.png"
-    found = call(folder, TOUCHING, *outputs, "--picture", drawn, "--json").values
-    assert (found["anchored"], found["units"]) == (True, "m")
-    assert 20 < sum(contact["used"] for contact in found["contacts"]) <= 40
-    placed = io.read_map(tmp_path / "placed.npz")
-    assert placed.frame == "left"
-    assert drawn.stat().st_size > 10_000
-    in_degrees = TOUCHING.replace("joints.csv", "degrees.csv --degrees")
-    exact = call(folder, in_degrees, "--fixed-shape", "-o", tmp_path / "exact.npz")
-    assert "agree" in exact.out
-    for positions in (placed.positions, io.read_map(tmp_path / "exact.npz").positions):
-        off = np.linalg.norm(positions - truth, axis=1)
-        assert np.median(off) < 0.4 * self_touch.SPACING
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "message"),
-    [
-        ("--joints joints.csv", "", "give --joints as well"),
-        ("robot.urdf", "none.urdf", "none.urdf"),
-        ("robot.urdf", "shape.csv", "shape.csv is no URDF"),
-        ("left", "nose", "no link 'nose'"),
-        ("joints.csv", "strange.csv", "angles of joint 'a1' are missing"),
-        ("other.csv", "strangers.csv", "sensors of the other patch"),
-        ("--link", "--anchor a0=1,2,3 --link", "by self-touch alone"),
-    ],
-)
-def test_bad_input_of_self_touch(two_arms, right, wrong, message):
-    folder, _ = two_arms
-    before = contents(folder)
-    command = TOUCHING.replace(right, wrong)
-    told = call(folder, command, "--fixed-shape", "-o", "placed.csv", code=2).err
-    assert message in told
-    assert told.count("\n") == 1
-    assert contents(folder) == before

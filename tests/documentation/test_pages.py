@@ -10,7 +10,7 @@ import pytest
 from benchmarks.accuracy import check, dimension, limits, quality
 from benchmarks.harness import columns
 from benchmarks.live import coach, session
-from benchmarks.placing import placement, self_touch, updating
+from benchmarks.placing import placement, updating
 from benchmarks.verdicts import faults, trust
 
 from anisomap.cli.commands import comparison as comparison_tables
@@ -100,7 +100,6 @@ HEADERS = {
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns(COMPARED),
     "rivals": accuracy.RIVALS_COLUMNS,
-    "self-touch": self_touch.HEADER,
     "trust": trust.COLUMNS,
     "updating": columns(updating.Figure),
 }

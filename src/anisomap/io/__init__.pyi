@@ -3,7 +3,6 @@ from .dissimilarities import find_dissimilarities as find_dissimilarities
 from .dissimilarities import read_dissimilarities as read_dissimilarities
 from .dissimilarities import read_pair_weights as read_pair_weights
 from .maps.point_files import to_montage as to_montage
-from .maps.robot_models import read_robot as read_robot
 from .maps.text_files import read_modules as read_modules
 from .presets import apply_preset as apply_preset
 from .presets import numbering as numbering

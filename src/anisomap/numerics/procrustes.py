@@ -96,9 +96,7 @@ def noise_scale(residuals: Floats, dimensions: int) -> float:
     return float(np.median(residuals) / np.sqrt(2 * gammaincinv(dimensions / 2, 0.5)))
 
 
-def fit_similarity_robustly(
-    source: Floats, target: Floats, *, scaling: bool = True, reflection: bool | None = None
-) -> Similarity:
+def fit_similarity_robustly(source: Floats, target: Floats) -> Similarity:
     """Fit a similarity that points far from their target do not bend. source, target (n, k).
 
     Iteratively reweighted least squares: first least absolute distances, then the weights of Geman
@@ -108,8 +106,8 @@ def fit_similarity_robustly(
     fits = []
     # Residuals of an exact fit are rounding errors, of which the ratios mean nothing.
     least = max(float(np.finfo(float).eps * np.ptp(target)), float(np.finfo(float).tiny))
-    for hand in (False, True) if reflection is None else (reflection,):
-        fit = fit_similarity(source, target, scaling=scaling, reflection=hand)
+    for hand in (False, True):
+        fit = fit_similarity(source, target, reflection=hand)
         weights = np.ones(len(source))
         for i in range(_MAX_ITERATIONS):
             residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
@@ -119,7 +117,7 @@ def fit_similarity_robustly(
                 weights = scale / np.maximum(residuals, scale)
             else:
                 weights = 1 / (1 + (residuals / (_WIDTH * scale)) ** 2) ** 2
-            fit = fit_similarity(source, target, weights, scaling=scaling, reflection=hand)
+            fit = fit_similarity(source, target, weights, reflection=hand)
             if i > _FIRST_ITERATIONS and np.abs(weights - before).max() < _CONVERGED:
                 break
         fits.append((float(np.median(residuals)), hand, fit))
@@ -145,15 +143,12 @@ def similarity_derivatives(points: Floats) -> Floats:
     return np.concatenate([*columns, points[:, :, None]], axis=2)
 
 
-def leverage(fitted: Floats, points: Floats, *, scaling: bool = True) -> Floats:
+def leverage(fitted: Floats, points: Floats) -> Floats:
     """Return variances that a similarity fitted to (n, k) gives to points (m, k), shape (m,).
 
     Sums over coordinates, for independent errors of variance 1 of a coordinate.
     """
     centre, size = fitted.mean(axis=0), extent(fitted)
-    here, there = (
-        similarity_derivatives((one - centre) / size)[:, :, : None if scaling else -1]
-        for one in (fitted, points)
-    )
+    here, there = (similarity_derivatives((one - centre) / size) for one in (fitted, points))
     spread = np.linalg.pinv(np.einsum("nki,nkj->ij", here, here), rcond=1e-9)
     return np.asarray(np.einsum("mki,ij,mkj->m", there, spread, there))

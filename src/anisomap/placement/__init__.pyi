@@ -21,6 +21,3 @@ from .modules import modules_by_name as modules_by_name
 from .modules import modules_by_size as modules_by_size
 from .placing import Placement as Placement
 from .placing import place as place
-from .self_touch import SelfTouch as SelfTouch
-from .self_touch import TouchPlacement as TouchPlacement
-from .self_touch import place_by_self_touch as place_by_self_touch

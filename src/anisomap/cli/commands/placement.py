@@ -23,81 +23,6 @@ from anisomap.errors import InputError
 _MM = 1e3  # per metre
 
 
-@Parameter(name="*", group=Group("Self-touch", sort_key=4))
-@dataclass(frozen=True)
-class SelfTouchOptions:
-    """Contacts of the patch with another patch of the robot, whose positions are known.
-
-    Parameters
-    ----------
-    self_touch
-        Recording of the sensors of both patches, while they touch each other in many postures.
-    urdf
-        With --self-touch: kinematics of the robot.
-    joints
-        With --self-touch: angles of the joints, a file with a column per joint and a row per frame
-        of the recording. In radians, and metres for prismatic joints.
-    degrees
-        The angles of --joints are in degrees.
-    link
-        With --self-touch: link of the patch that is placed.
-    other
-        With --self-touch: layout of the other patch, in the frame of its link.
-    other_link
-        With --self-touch: link of the other patch.
-    fixed_shape
-        With --self-touch: keep the shape and size of the map, which has a unit, and fit its pose
-        alone.
-    """
-
-    self_touch: Path | None = None
-    urdf: Annotated[Path | None, options.expert] = None
-    joints: Annotated[Path | None, options.expert] = None
-    degrees: Annotated[bool, options.expert] = False
-    link: Annotated[str, options.expert] = ""
-    other: Annotated[Path | None, options.expert] = None
-    other_link: Annotated[str, options.expert] = ""
-    fixed_shape: Annotated[bool, options.expert] = False
-
-    @property
-    def files(self) -> list[Path | None]:
-        """Files that are read."""
-        return [self.self_touch, self.urdf, self.joints, self.other]
-
-    def read(self, *, alone: bool) -> tuple[placement.SelfTouch, anisomap.SensorMap] | None:
-        """Read the contacts and the other layout; None if no option is given.
-
-        alone: Whether nothing else is given that places the map.
-        """
-        from anisomap.placement.kinematics import TURNING
-
-        recording, robot, joints, other = self.files
-        needed = ("self_touch", "urdf", "joints", "link", "other", "other_link")
-        missing = [f"--{name.replace('_', '-')}" for name in needed if not getattr(self, name)]
-        if len(missing) == len(needed) and not (self.fixed_shape or self.degrees):
-            return None
-        if missing or not (recording and robot and joints and other):
-            raise InputError(f"to place a map by self-touch, give {', '.join(missing)} as well")
-        if not alone:
-            raise InputError(
-                "a map is placed by self-touch alone; leave out anchors, modules, --mesh and "
-                "--spacing"
-            )
-        tree, table = io.read_robot(robot), io.read(joints).complete("error")
-        angles = dict(zip(table.names, table.readings.T.astype(np.float64), strict=True))
-        if self.degrees:
-            turning = {joint.name for joint in tree.joints if joint.kind in TURNING}
-            angles |= {name: np.radians(angles[name]) for name in turning & angles.keys()}
-        touches = placement.SelfTouch(
-            recording=io.read(recording).complete("error"),
-            robot=tree,
-            angles=angles,
-            link=self.link,
-            other_link=self.other_link,
-        )
-        return touches, io.read_map(other)
-
-
 @Parameter(name="*", group=Group("Anchors", sort_key=2))
 @dataclass(frozen=True)
 class AnchorOptions:
@@ -191,7 +116,6 @@ def place_map(
     frame: Annotated[str, options.expert] = "",
     known: AnchorOptions = AnchorOptions(),
     rigid: ModuleOptions = ModuleOptions(),
-    touching: SelfTouchOptions = SelfTouchOptions(),
     mesh: Path | None = None,
     mesh_units: Annotated[str, options.expert] = "m",
     spacing: str = "",
@@ -203,7 +127,7 @@ def place_map(
 
     Anchors, modules and a mesh can be given together. Three or more anchors, sensors with a known
     position, determine the pose. Rigid modules of known shape determine the scale and make the map
-    more accurate. With --self-touch, contacts with another patch are used instead of all these.
+    more accurate.
 
     Parameters
     ----------
@@ -235,27 +159,18 @@ def place_map(
     outputs = Outputs(
         maps=output or [options.beside(map_file, ".placed.csv")],
         picture=picture,
-        inputs=[map_file, *rigid.files, known.anchors, mesh, *touching.files],
+        inputs=[map_file, *rigid.files, known.anchors, mesh],
     )
-    alone = not (known.anchor or known.anchors or rigid.given or mesh or spacing)
-    touches = touching.read(alone=alone)
     sensor_map, anchors = io.read_map(map_file), known.read()
     surface = None if mesh is None else _read_mesh(mesh, mesh_units)
-    hand = handedness or ""
-    if touches is not None:
-        touched = placement.place_by_self_touch(
-            sensor_map, *touches, exact=touching.fixed_shape, handedness=hand
-        )
-        found = touched.placement
-    else:
-        found = placement.place(
-            sensor_map,
-            anchors,
-            modules=rigid.read(sensor_map),
-            mesh=surface,
-            spacing=placement.parse_length(spacing) if spacing else None,
-            handedness=hand,
-        )
+    found = placement.place(
+        sensor_map,
+        anchors,
+        modules=rigid.read(sensor_map),
+        mesh=surface,
+        spacing=placement.parse_length(spacing) if spacing else None,
+        handedness=handedness or "",
+    )
     if frame:
         found = replace(found, map=replace(found.map, frame=frame))
     files = outputs.write(
@@ -264,8 +179,6 @@ def place_map(
     _print(printer, found, map_file.name)
     if spacing:
         options.doubt_spacing(spacing)
-    if touches is not None:
-        _print_contacts(printer, touched)
     printer.files(files)
 
 
@@ -324,20 +237,6 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
         anchors=anchors,
         left_out=found.left_out,
     )
-
-
-def _print_contacts(printer: Printer, touched: placement.TouchPlacement) -> None:
-    median = float(np.median(touched.residuals[touched.used]))
-    printer.line(
-        f"contacts: {int(touched.used.sum())} of {len(touched.used)} agree, "
-        f"{_in_mm(median)} mm apart in the median"
-    )
-    contacts = _records(
-        frame=touched.frames.tolist(),
-        residual=touched.residuals.tolist(),
-        used=touched.used.tolist(),
-    )
-    printer.record(contacts=contacts)
 
 
 def _records(**columns: Sequence[Any]) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ for tactile sensors: a channel, and position and shape of each sensor.
 from __future__ import annotations
 
 import math
-import os
 import re
 import shlex
 import warnings
@@ -23,9 +22,8 @@ from numpy.typing import NDArray
 
 from anisomap.errors import AnisomapWarning, FileError, error_reason, import_extra
 from anisomap.files.paths import open_regular
-from anisomap.io.parsing.source import HEAD_BYTES, file_errors, quote
+from anisomap.io.parsing.source import quote
 from anisomap.placement import METRES, Taxels, to_taxels
-from anisomap.placement.kinematics import SLIDING, TURNING, Joint, KinematicTree, Mimic, transform
 from anisomap.sensor_map import SensorMap
 
 EXTRA = "xml"
@@ -33,7 +31,7 @@ EXTRA = "xml"
 _MAX_FRAMES = 100  # without a warning; chosen by hand
 _RADIUS = "0.002"  # in metres, of the spheres that represent sensors; for display only
 _CHANNEL = "tactile"
-_ZERO, _X_AXIS = "0 0 0", "1 0 0"  # the defaults of URDF
+_ZERO = "0 0 0"  # the default of URDF
 
 _MAX_BYTES, _MAX_DEPTH = 1 << 24, 1000
 # The first element, after declarations and comments. It takes linear time.
@@ -237,69 +235,6 @@ def read_mjcf(path: Path) -> SensorMap:
             raise FileError(f"{path}: two sites have the name {quote(name)}")
         positions[name] = _vector(path, f"pos of {quote(name)}", site.get("pos", _ZERO))
     return _map_of(path, positions, "sites")
-
-
-def read_robot(path: str | os.PathLike[str]) -> KinematicTree:
-    """Read the links and joints of a URDF file.
-
-    Parameters
-    ----------
-    path : path-like
-        Plain URDF; run xacro first.
-
-    Returns
-    -------
-    KinematicTree
-
-    Raises
-    ------
-    FileError
-        If the file is missing, damaged, no URDF, has no joint, or its joints form no tree.
-    MissingExtraError
-        If defusedxml is not installed.
-    """
-    file = Path(path)
-    with file_errors(file):
-        with open_regular(file) as stream:
-            if _root(stream.read(HEAD_BYTES)) != b"robot":
-                raise FileError(f"{file} is no URDF: its first element must be robot")
-        # Transmissions list joints farther inside.
-        found = (each for around, each in _elements(file) if len(around) == 1)
-        joints = tuple(_joint(file, each) for each in found if each.tag == "joint")
-        if not joints:
-            raise FileError(f"{file} has no joint")
-        return KinematicTree(joints)
-
-
-def _joint(path: Path, joint: Any) -> Joint:
-    name, kind = joint.get("name", ""), joint.get("type", "")
-    what = f"joint {quote(name)}"
-    parent, child = (_part(joint, part, "link") for part in ("parent", "child"))
-    if not (name and parent and child):
-        raise FileError(f"{path}: {what} must have a name, a parent and a child link")
-    parts = (("origin", "xyz", _ZERO), ("origin", "rpy", _ZERO), ("axis", "xyz", _X_AXIS))
-    xyz, rpy, axis = (
-        _vector(path, f"{key} of {what}", _part(joint, part, key, usual))
-        for part, key, usual in parts
-    )
-    length = float(np.linalg.norm(axis))
-    if kind in TURNING + SLIDING and not (0 < length < math.inf):
-        raise FileError(f"{path}: the axis of {what} must not have the length {length:g}")
-    unit = axis / length if length else axis
-    return Joint(name, kind, parent, child, transform(xyz, rpy), unit, _mimic(path, joint, what))
-
-
-def _mimic(path: Path, joint: Any, what: str) -> Mimic | None:
-    if joint.find("mimic") is None:
-        return None
-    try:
-        usual = (("multiplier", "1"), ("offset", "0"))
-        factors = [float(_part(joint, "mimic", key, default)) for key, default in usual]
-    except ValueError:
-        factors = [math.nan]
-    if not np.isfinite(factors).all():
-        raise FileError(f"{path}: mimic of {what} must have finite numbers")
-    return Mimic(_part(joint, "mimic", "joint"), *factors)
 
 
 def _elements(path: Path) -> Iterator[tuple[list[Any], Any]]:
