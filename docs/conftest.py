@@ -15,7 +15,6 @@ _RUNNABLE = [
     "how-to/map-a-skin.md",
     "how-to/place-a-map.md",
     "how-to/score-a-map.md",
-    "how-to/update-a-map.md",
     "reference/formats.md",
     "robots/*.md",
 ]

@@ -23,7 +23,6 @@ from anisomap.large.map_reduce import Checkpoint
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, load_body
-from anisomap.tracking import map_evidence
 from fuzzing.subjects import map_suffixes, recording_suffixes
 
 MAX_MESSAGE = 300
@@ -201,14 +200,6 @@ def check_checkpoint(path: Path, found: Findings, rng: Generator) -> None:
     checkpoint = _within_memory(found, "Checkpoint", lambda: Checkpoint(path, "a computation"))
     if checkpoint is not None:
         found.attempt("remaining", lambda: checkpoint.remaining([], "total"))
-    del rng
-
-
-def check_statistics(path: Path, found: Findings, rng: Generator) -> None:
-    """Read the statistics of a map, and make the map of them."""
-    evidence = _within_memory(found, "read_statistics", lambda: io.read_statistics(path))
-    if evidence is not None and len(evidence.names) <= _MAX_MAPPED:
-        found.attempt("map_evidence", lambda: map_evidence(evidence))
     del rng
 
 

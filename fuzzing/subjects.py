@@ -24,7 +24,6 @@ from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation.imported import MESH_SUFFIXES, MODEL_SUFFIXES
-from anisomap.tracking import gather_evidence
 
 Tree: TypeAlias = Mapping[str, bytes]
 
@@ -74,8 +73,8 @@ class Subject:
         Name of the format.
     kind : str
         How its files are used: ``"file"`` (recordings and maps), ``"body"``, ``"definition"`` (of
-        messages), ``"checkpoint"``, ``"statistics"`` (of a map), ``"maps"`` (with a recording) or
-        ``"source"`` (of live sessions).
+        messages), ``"checkpoint"``, ``"maps"`` (with a recording) or ``"source"`` (of live
+        sessions).
     seeds : sequence of Tree
         The file to read comes first; if it is in a folder, the folder is read.
     """
@@ -92,8 +91,8 @@ def subjects() -> list[Subject]:
     -------
     list of Subject
         One per format in `anisomap.io.FORMATS`, one per suffix of meshes and models, and one for
-        definitions of messages, for checkpoints, for statistics of maps, for maps with a recording,
-        and for sources of live sessions.
+        definitions of messages, for checkpoints, for maps with a recording, and for sources of live
+        sessions.
     """
     seeds: dict[str, list[Tree]] = {known.name: [] for known in io.FORMATS}
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name, warnings.catch_warnings():
@@ -105,7 +104,7 @@ def subjects() -> list[Subject]:
                 _remove(path)
         found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
         found += _bodies(folder)
-        found += [_checkpoint(folder), _statistics(folder), _maps(folder)]
+        found += [_checkpoint(folder), _maps(folder)]
     found.append(Subject("live source", "source", [{"lines": text} for text in _LINES]))
     definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
     return [*found, Subject("message definition", "definition", [definition])]
@@ -201,14 +200,8 @@ def _checkpoint(folder: Path) -> Subject:
     return Subject("checkpoint", "checkpoint", [_tree(path)])
 
 
-def _statistics(folder: Path) -> Subject:
-    path = folder / "skin.statistics.npz"
-    io.write_statistics(gather_evidence(examples.example_recording(), dimensions=2), path)
-    return Subject("statistics", "statistics", [_tree(path)])
-
-
 def _maps(folder: Path) -> Subject:
-    """Make two maps, the statistics of one, and a recording of a row of sensors."""
+    """Make two maps, and a recording of a row of sensors."""
     rng, places = np.random.default_rng(22), np.arange(12)
     readings = np.maximum(0, 2 - np.abs(places - rng.uniform(0, 11, (300, 1)))).round(3)
     skin = Recording(readings, names=tuple(f"a{i}" for i in places))
@@ -218,9 +211,7 @@ def _maps(folder: Path) -> Subject:
     io.write(before, folder / "before.json")
     io.write(after, folder / "after.json")
     io.write(skin, folder / "skin.csv")
-    later = replace(skin, readings=skin.readings[::-1])
-    io.write_statistics(gather_evidence(later, dimensions=3), folder / "before.statistics.npz")
-    names = ("before.json", "after.json", "skin.csv", "before.statistics.npz")
+    names = ("before.json", "after.json", "skin.csv")
     return Subject("maps", "maps", [{name: (folder / name).read_bytes() for name in names}])
 
 

@@ -19,26 +19,24 @@ from anisomap.live.session import read_levels
 from anisomap.live.sources.connections import LineParser, _yarp_translation
 from anisomap.placement import Anchors, place
 from anisomap.recording import default_names
-from anisomap.tracking import update_map
 from fuzzing.checks import Findings
 
-BEFORE, AFTER, SKIN, STATISTICS = "before.json", "after.json", "skin.csv", "before.statistics.npz"
+BEFORE, AFTER, SKIN = "before.json", "after.json", "skin.csv"
 """Files of a case with two maps and a recording."""
 
 _MAX_SENSORS, _MAX_FRAMES = 60, 400
 
 
 def check_maps(path: Path, found: Findings, rng: Generator) -> None:
-    """Compare, align, place, check and update maps of the folder, by a recording."""
+    """Compare, align, place and check maps of the folder, by a recording."""
     del path
     before, after = (_read(found, io.read_map, name) for name in (BEFORE, AFTER))
-    skin, evidence = _read(found, io.read, SKIN), _read(found, io.read_statistics, STATISTICS)
+    skin = _read(found, io.read, SKIN)
     uses: tuple[tuple[str, Sequence[Any], Callable[[], Any]], ...] = (
         ("compare_maps", (before, after), lambda: compare_maps(before, after)),
         ("align", (before, after), lambda: align(before.positions, after.positions)),
         ("place", (before, after), lambda: place(before, _anchors(after, rng))),
         ("check_layout", (before, skin), lambda: check_layout(before, skin, n_shifts=19, rng=0)),
-        ("update_map", (before, evidence, skin), lambda: update_map(before, evidence, skin)),
     )
     name, needed, use = uses[rng.integers(len(uses))]
     small = skin is None or skin.readings.size <= _MAX_SENSORS * _MAX_FRAMES
@@ -55,7 +53,6 @@ def check_maps_by_command(path: Path, found: Findings, rng: Generator) -> None:
         ("score", folder / BEFORE, folder / AFTER, "--permutations", "0"),
         ("place", folder / BEFORE, *anchors, "-o", folder / "output.csv"),
         ("check", folder / BEFORE, folder / SKIN),
-        ("update", folder / BEFORE, folder / SKIN, "-o", folder / "output.csv"),
     )
     found.command(*commands[rng.integers(len(commands))])
 

@@ -45,7 +45,6 @@ _CHECKS: Mapping[str, tuple[Any, Any]] = {
     "body": (checks.check_body, checks.check_body_by_command),
     "definition": (checks.check_definition, checks.check_definition),
     "checkpoint": (checks.check_checkpoint, checks.check_checkpoint),
-    "statistics": (checks.check_statistics, checks.check_statistics),
     "maps": (uses.check_maps, uses.check_maps_by_command),
     "source": (uses.check_source, uses.check_source),
 }

@@ -36,7 +36,5 @@ from .recording import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
 from .sensor_map import ellipses as ellipses
 from .simulation import simulate as simulate
-from .tracking import gather_evidence as gather_evidence
-from .tracking import update_map as update_map
 from .usability import Verdict as Verdict
 from .verdict.diagnosis import diagnose as diagnose

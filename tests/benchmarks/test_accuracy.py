@@ -17,7 +17,7 @@ from benchmarks.accuracy.check import (
     table,
 )
 from benchmarks.harness import read_rows, write_rows
-from benchmarks.placing import placement, updating
+from benchmarks.placing import placement
 from benchmarks.verdicts import trust
 from scipy.spatial.distance import cdist
 
@@ -98,15 +98,6 @@ def test_placed_maps_are_measured(tmp_path, monkeypatch):
     assert 0 < float(found["mesh and 3 anchors: median error (spacings)"]["median"]) < 1
     right = found["mesh and 3 anchors: share of the right hand where placed"]
     assert float(right["median"]) > 0.5
-
-
-@pytest.mark.slow
-def test_the_accuracy_of_updates_is_measured(tmp_path):
-    found = measured(updating, tmp_path, "measure", "--only", "sphere", "--draws", "1")
-    medians = {measure: float(row["median"]) for measure, row in found.items()}
-    assert 0 < medians["new sensors: RMS error in the update (spacings)"] < 1
-    named = medians["2 sensors 3 spacings apart or more exchanged: share named"]
-    assert named > medians["share of unchanged sensors accused"]
 
 
 def result(method, r, *, seed=1, recording="sphere, bombardment", n_frames=2000):

@@ -46,7 +46,6 @@ map skin.npz -o a.csv --checkpoint a.csv                  | a.csv is
 map skin.npz --min-quality usable --no-verdict            | verdict
 map skin.npz --min-quality excellent                      | "usable", "usable-for-neighbours"
 map skin.npz --repair --approximate                       | --repair requires a recording in memory
-map skin.npz --workers 2 --keep-statistics                | --keep-statistics
 map skin.npz --approximate -m covariogram                 | r-anisomap only, got covariogram
 map skin.npz --approximate --workers 2                    | does not support --workers
 map skin.npz --approximate --even-spacing                 | even spacing
@@ -121,14 +120,6 @@ place map.csv --mesh part.stl --mesh-units feet           | --mesh-units must be
 place map.csv --module-size 5                             | modules need the positions of their pads
 place map.csv --spacing 6                                 | is not a length
 place placed.csv --anchors anchors.csv -o a.csv           | in the frame of the robot already
-update kept.csv absent.npz                                | absent.npz
-update kept.csv skin.npz -o kept.csv                      | also an input
-update kept.csv skin.npz -o kept.npz                      | also an input
-update map.csv skin.npz                                   | --keep-statistics
-update kept.csv skin.npz --statistics map.csv             | map.csv
-update kept.csv zero.csv                                  | no evidence
-update kept.csv skin.npz -o a.xyz                         | suffix
-update kept.csv skin.npz -o a.urdf                        | place the map first
 repair nothing.npz                                        | there is no file nothing.npz
 repair skin.npz -o skin.npz                               | another file
 repair skin.npz -o a.csv                                  | .npz
@@ -210,14 +201,11 @@ def folder(tmp_path_factory):
         "map.csv": anisomap.SensorMap(skin.positions),
         "layout.csv": anisomap.SensorMap(flat / 1000, units="m"),
         "placed.csv": anisomap.SensorMap(flat / 1000, units="m", anchored=True),
-        "kept.csv": anisomap.SensorMap(skin.positions),
         "pieces-1.csv": anisomap.SensorMap(lattice(2, 3), component=[0, 0, 0, 1, 1, 1]),
         **{name: anisomap.SensorMap(flat * scale) for name, scale in SCALES.items()},
     }
     for name, sensor_map in maps.items():
         anisomap.write(sensor_map, folder / name)
-    evidence = anisomap.gather_evidence(skin, "r-anisomap", 2)
-    anisomap.io.write_statistics(evidence, folder / "kept.statistics.npz")
     write_layout(folder / "truth.csv", skin.positions, skin.names)
     write_layout(
         folder / "anchors.csv", 6 * skin.positions[:4], skin.names[:4], "name,x [mm],y [mm]"

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.accuracy import check, dimension, limits, quality
 from benchmarks.harness import columns
 from benchmarks.live import coach, session
-from benchmarks.placing import placement, updating
+from benchmarks.placing import placement
 from benchmarks.verdicts import faults, trust
 
 from anisomap.cli.commands import comparison as comparison_tables
@@ -101,7 +101,6 @@ HEADERS = {
     "recordings": comparison_tables.columns(COMPARED),
     "rivals": accuracy.RIVALS_COLUMNS,
     "trust": trust.COLUMNS,
-    "updating": columns(updating.Figure),
 }
 
 

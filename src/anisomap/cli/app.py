@@ -58,7 +58,6 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "info": "recording:info",
         "score": "comparison:score_map",
         "diff": "maps:diff",
-        "update": "maps:update",
         "place": "placement:place_map",
         "check": "maps:check",
         "convert": "maps:convert",

@@ -17,9 +17,6 @@ from .registry import read as read
 from .registry import read_map as read_map
 from .registry import write as write
 from .registry import write_components as write_components
-from .statistics_files import read_statistics as read_statistics
-from .statistics_files import statistics_beside as statistics_beside
-from .statistics_files import write_statistics as write_statistics
 from .stream import Block as Block
 from .stream import ChoiceError as ChoiceError
 from .stream import Content as Content

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -107,22 +106,3 @@ class Kernel:
         """Return the covariance of the field at points, shape (len(a), len(b)): Matern 3/2."""
         scaled = np.sqrt(3.0) * cdist(a, b) / self.reach
         return np.asarray((1.0 + scaled) * np.exp(-scaled))
-
-
-def predict_field(
-    points: NDArray[np.float64],
-    values: NDArray[np.float64],
-    where: NDArray[np.float64],
-    kernel: Kernel,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Predict a field of mean 0 by simple kriging (Rasmussen & Williams 2006, eq. 2.25 and 2.26).
-
-    points (n, k), values (n, l), where (m, k) -> values (m, l), variances (m,).
-    """
-    covariance = kernel.between(points, points)
-    covariance[np.diag_indices_from(covariance)] += kernel.noise
-    factor = cho_factor(covariance)
-    across = kernel.between(where, points)
-    found = across @ cho_solve(factor, values)
-    explained = np.einsum("mn,nm->m", across, cho_solve(factor, across.T))
-    return np.asarray(found), np.clip(1.0 - explained, 0.0, 1.0)

@@ -1,11 +1,9 @@
-"""``anisomap convert``, ``diff``, ``update`` and ``check``: maps rewritten, compared, checked."""
+"""``anisomap convert``, ``diff`` and ``check``: maps rewritten, compared, checked."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,13 +12,12 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 import anisomap
-from anisomap import drawing, io, placement, tracking
+from anisomap import drawing, io, placement
 from anisomap.base.defaults import LEVEL, N_SHIFTS
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
-from anisomap.files.paths import together
 
 if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding
@@ -132,7 +129,14 @@ def _print_difference(printer: Printer, found: anisomap.evaluation.Difference, t
         }
         for i in moved[np.argsort(-found.distance[moved], kind="stable")]
     ]
-    _print_moved(printer, records, units, factor)
+    if records:
+        columns: Columns = {
+            "sensor": ("sensor", str),
+            f"distance ({units})": ("distance", lambda distance: number(factor * distance)),
+            "spacings": ("spacings", lambda spacings: number(spacings, 3)),
+            "p": ("p_value", lambda p: number(p, 2)),
+        }
+        printer.rows("Sensors that moved", columns, records, max_rows=MAX_SHOWN)
     printer.names({kind: names[kind] for kind in ("appeared", "lost")})
     printer.notes(found.notes)
     printer.record(
@@ -145,144 +149,6 @@ def _print_difference(printer: Printer, found: anisomap.evaluation.Difference, t
         lost=names["lost"],
         median_spacing=spacing,
         reflected=found.reflected,
-    )
-
-
-def _print_moved(
-    printer: Printer, records: Sequence[Mapping[str, Any]], units: str, factor: float
-) -> None:
-    """Print a table of the sensors that moved, and what they moved like if that is known."""
-    columns: Columns = {
-        "sensor": ("sensor", str),
-        "like": ("like", str),
-        f"distance ({units})": ("distance", lambda distance: number(factor * distance)),
-        "spacings": ("spacings", lambda spacings: number(spacings, 3)),
-        "p": ("p_value", lambda p: number(p, 2)),
-    }
-    if records:
-        known = {title: column for title, column in columns.items() if column[0] in records[0]}
-        printer.rows("Sensors that moved", known, records, max_rows=MAX_SHOWN)
-
-
-def update(
-    map_file: options.MapFile,
-    recordings: Annotated[
-        list[Path], Parameter(help="Files of new recordings of the skin."), options.existing
-    ],
-    /,
-    *,
-    output: options.Output = None,
-    picture: options.Picture = None,
-    statistics: Annotated[Path | None, options.expert] = None,
-    drop: options.Drop = None,
-    missing: options.Missing = "error",
-    reading: options.ReadingOptions = options.DEFAULT_READING,
-    printer: options.Printing = options.PRINTER,
-) -> None:
-    """Add the evidence of a new recording to a map, and say what changed.
-
-    New sensors are placed in the frame of the map. Sensors that moved, according to the recording,
-    are named, and their positions follow from the new recording. The map must have been made with
-    `anisomap map --keep-statistics`; it may have been placed on the robot since.
-
-    Parameters
-    ----------
-    output
-        File for the map; its suffix chooses the format. May be repeated. Default: NAME.updated.csv
-        in the current folder. The new statistics are written beside the first.
-    statistics
-        Statistics of the map. Default: NAME.statistics.npz beside the map.
-    """
-    from anisomap import route
-    from anisomap.cli.outputs import Outputs
-
-    maps = output or [options.beside(map_file, ".updated.csv")]
-    old_statistics = statistics or io.statistics_beside(map_file)
-    new_statistics = io.statistics_beside(maps[0])
-    outputs = Outputs(
-        maps=maps,
-        picture=picture,
-        others=[new_statistics],
-        inputs=[map_file, old_statistics, *recordings, *reading.inputs],
-    )
-    how = reading.checked()
-    sensor_map = io.read_map(map_file)
-    if not old_statistics.exists():
-        raise InputError(
-            f"there is no file {old_statistics} with the statistics of the map; make the map with "
-            "anisomap map --keep-statistics, or name the file with --statistics"
-        )
-    hint = "place the map first with anisomap place"
-    options.DEFAULT_PLACING.check(maps, sensor_map.units, hint=hint)
-    evidence = io.read_statistics(old_statistics)
-    runs = route.read_runs(recordings, how, missing, progress=progress)
-    joined = anisomap.join_runs(runs)
-    dropped = route.split_names(drop, joined.names, joined.metadata)
-    with progress("updating the map"):
-        found = tracking.update_map(sensor_map, evidence, runs, drop=dropped)
-    provenance = {**found.map.provenance, "updated_by": joined.source}
-    updated = replace(found.map, provenance=provenance)
-    title = f"{map_file.name} and its update"
-    with together():
-        io.write_statistics(found.evidence, new_statistics)
-        written = outputs.write(
-            updated, lambda: drawing.figures.plot_difference(found.difference, title=title).figure
-        )
-    _print_update(printer, found, map_file.name)
-    printer.files([("statistics", new_statistics), *written])
-
-
-def _print_update(printer: Printer, found: tracking.Update, name: str) -> None:
-    changes, total = found.difference, found.evidence
-    known = changes.distance[changes.compared & ~changes.moved]
-    units, factor = placement.length_shown(changes.units, "units of the map")
-    facts = {
-        "recordings": f"{len(total.recordings)}, {total.n_frames} frames",
-        "sensors placed": f"{int(found.map.placed.sum())} of {found.map.n_sensors}",
-        "added": str(len(found.added)),
-        "moved": str(len(found.moved)),
-        "not recorded": str(len(found.silent)),
-        "agreement": f"r = {number(found.agreement, 3)} of the old and the new similarity",
-    }
-    if known.size:
-        facts["other shifts"] = (
-            f"{number(factor * float(np.median(known)), 3)} {units} (median), "
-            f"{number(factor * float(known.max()), 3)} at most; the spacing is "
-            f"{number(factor * changes.spacing, 3)}"
-        )
-    printer.facts(f"Update of {name}", facts)
-    tested = found.moves
-    like = {} if tested is None else dict(zip(tested.names, tested.like, strict=True))
-    moved = [
-        {
-            "sensor": sensor,
-            "like": like[sensor],
-            "distance": float(changes.distance[i]),
-            "spacings": float(changes.distance[i] / changes.spacing),
-            "p_value": float(changes.p_values[i]),
-        }
-        for sensor, i in ((name, changes.names.index(name)) for name in found.moved)
-    ]
-    _print_moved(printer, moved, units, factor)
-    printer.names(
-        {"added": found.added, "not recorded": found.silent, "not placed": found.unplaced}
-    )
-    printer.notes(found.notes)
-    printer.record(
-        found,
-        "added notes",
-        recordings=len(total.recordings),
-        frames=total.n_frames,
-        sensors=found.map.n_sensors,
-        placed=int(found.map.placed.sum()),
-        units=changes.units,
-        median_spacing=changes.spacing,
-        similarity_agreement=found.agreement,
-        moved=moved,
-        not_recorded=found.silent,
-        not_placed=found.unplaced,
-        shifts=dict(zip(changes.names, changes.distance.tolist(), strict=True)),
-        errors=dict(zip(found.map.names, found.map.errors.tolist(), strict=True)),
     )
 
 

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 import anisomap
-from anisomap import io, tracking
+from anisomap import io
 from anisomap.base.defaults import (
     DEFAULT_BINS,
     DEFAULT_METHOD,
@@ -212,7 +212,6 @@ def map_recording(
     tuning: TuningOptions = TuningOptions(),
     reading: options.ReadingOptions = options.DEFAULT_READING,
     verdict: Annotated[bool, Parameter(group=options.method_group, negative="--no-verdict")] = True,
-    keep_statistics: Annotated[bool, Parameter(group=options.outputs_group)] = False,
     min_quality: Annotated[options.Quality | None, options.expert] = None,
     placing: options.PlacingOptions = options.DEFAULT_PLACING,
     truth: options.Truth = None,
@@ -262,9 +261,6 @@ def map_recording(
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
-    keep_statistics
-        Also write NAME.statistics.npz beside the map, from which `anisomap update` adds recordings
-        to it.
     min_quality
         Exit with code 1 if the verdict is worse than this, or cannot tell. All files are written.
     """
@@ -277,21 +273,18 @@ def map_recording(
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
     chosen = tuning.checked()
     table = objects.find(recordings, wanted=dissimilarities, weights=weights)
-    if table is not None and (
-        len(recordings) > 1 or repair or keep_statistics or min_quality or large.given
-    ):
+    if table is not None and (len(recordings) > 1 or repair or min_quality or large.given):
         raise InputError(
             "dissimilarities are read from one file, and get no verdict: leave out other files, "
-            "--repair, --keep-statistics, --min-quality and the options for large recordings"
+            "--repair, --min-quality and the options for large recordings"
         )
     maps = output or [options.beside(recordings[0], ".map.csv")]
-    statistics = io.statistics_beside(maps[0]) if keep_statistics else None
     drawn = str(picture) if table is not None and str(picture) in objects.PICTURES else ""
     files = outputs.Outputs(
         maps=maps,
         picture=options.beside(recordings[0], f".{drawn}.png") if drawn else picture,
         report=report,
-        others=(large.checkpoint, statistics),
+        others=(large.checkpoint,),
         inputs=(*recordings, *reading.inputs, truth, weights),
         placing=placing,
     )
@@ -326,7 +319,6 @@ def map_recording(
         reading.checked(),
         doubted=dissimilarities is None,
         repair=repair,
-        keep_statistics=keep_statistics,
         missing=missing,
         large=large,
         method=by,
@@ -354,16 +346,6 @@ def map_recording(
         provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
         sensor_map = replace(sensor_map, provenance=provenance)
 
-    def write_statistics() -> list[tuple[str, Path]]:
-        if statistics is None:
-            return []
-        with progress("collecting statistics"):
-            evidence = tracking.gather_evidence(
-                examined.runs, by, sensor_map.dimensions, options=chosen, drop=dropped
-            )
-        io.write_statistics(evidence, statistics)
-        return [("statistics", statistics)]
-
     judged = outputs.finish(
         printer,
         files,
@@ -371,7 +353,6 @@ def map_recording(
         examined,
         replace(scored, exclude=left_out),
         judge=judge if verdict else None,
-        write_others=write_statistics,
     )
     if not min_quality or judged.verdict.is_at_least(min_quality.replace("-", " ")):
         return 0
@@ -403,7 +384,6 @@ def _read_source(
     *,
     doubted: bool,
     repair: bool,
-    keep_statistics: bool,
     missing: options.Missing,
     large: LargeOptions,
     **settings: Any,
@@ -419,8 +399,6 @@ def _read_source(
         from anisomap.large.map_reduce import WorkerPool
 
         needs = "a recording in memory, below 512 MiB and without the options for large recordings"
-        if keep_statistics:
-            raise InputError(f"--keep-statistics requires {needs}")
         if repair:
             raise InputError(f"--repair requires {needs}; repair parts of it with anisomap repair")
         source = route.read_in_blocks(

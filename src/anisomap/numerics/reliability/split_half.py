@@ -11,36 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import Floats, Reals
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import moments, scale_extremes
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
-
-_MAX_CORRELATION = 0.999  # a profile hardly repeats better; Fisher's z stays finite
-
-
-def profile_agreement(
-    first: Reals, second: Reals, known_first: NDArray[np.bool_], known_second: NDArray[np.bool_]
-) -> Floats:
-    """Correlate the profile of each sensor in one similarity with each profile in another.
-
-    first, second (N, N) -> (N, N).
-    """
-    others = ~np.eye(len(first), dtype=bool)
-    a_known, b_known = (
-        (known & others).astype(np.float64) for known in (known_first, known_second)
-    )
-    a, b = first * a_known, second * b_known
-    count = np.maximum(a_known @ b_known.T, 1.0)
-    sum_a, sum_b = a @ b_known.T, a_known @ b.T
-    covariance = a @ b.T - sum_a * sum_b / count
-    variance_a = (a * a) @ b_known.T - sum_a**2 / count
-    variance_b = a_known @ (b * b).T - sum_b**2 / count
-    size = np.sqrt(np.maximum(variance_a, 0) * np.maximum(variance_b, 0))
-    least = np.finfo(np.float64).eps * len(first)
-    found = np.divide(covariance, size, out=np.zeros_like(size), where=size > least)
-    return np.asarray(np.arctanh(np.clip(found, -_MAX_CORRELATION, _MAX_CORRELATION)))
-
 
 N_BLOCKS = 20
 """Number of blocks of consecutive frames that form the two halves; chosen by hand."""
