@@ -19,10 +19,10 @@ from numpy.random import Generator
 from anisomap import io
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, AnisomapWarning
+from anisomap.files.meshes import read_mesh
 from anisomap.large.map_reduce import Checkpoint
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation import Body, load_body
 from fuzzing.subjects import map_suffixes, recording_suffixes
 
 MAX_MESSAGE = 300
@@ -31,12 +31,8 @@ MAX_MESSAGE = 300
 MEMORY_FACTOR, MEMORY_BYTES = 4, 200_000_000
 """A reader may use this multiple of what it returns, and this many bytes besides."""
 
-COMPUTING_BYTES = 1_000_000_000
-"""Bytes that sensors may take to be placed on a body: distances are computed in blocks."""
-
 _FULL_FORMATS = (".csv", ".tsv", ".npz", ".json")  # formats of maps that hold all of a map
 _PRESETS = ("icub", "icub-hand", "nothing")
-_N_SENSORS = 4
 _MAX_MAPPED = 100  # sensors
 _ALLOWED = (0, 2)
 _FINDING = ("check", "diff")  # end with 1 if they find something
@@ -172,18 +168,9 @@ def check_file_by_command(path: Path, found: Findings, rng: Generator) -> None:
         found.command("map", path, "-o", found.folder / "output.csv", "-m", "r-anisomap", *quick)
 
 
-def check_body(path: Path, found: Findings, rng: Generator) -> None:
-    """Read a body."""
-    sensors = _N_SENSORS if rng.integers(4) else None
-    body = _within_memory(found, "load_body", lambda: load_body(path, sensors), COMPUTING_BYTES)
-    if body is not None and not np.isfinite(body.positions).all():
-        found.problems.append("load_body: positions that are not finite")
-
-
-def check_body_by_command(path: Path, found: Findings, rng: Generator) -> None:
-    """Simulate a recording on a body."""
-    options = ("-s", "rubbing", "--frames", "3", "--sensors", str(_N_SENSORS))
-    found.command("simulate", path, *options, "-o", found.folder / "output.npz")
+def check_mesh(path: Path, found: Findings, rng: Generator) -> None:
+    """Read a mesh."""
+    _within_memory(found, "read_mesh", lambda: read_mesh(path))
     del rng
 
 
@@ -288,7 +275,7 @@ def _change(path: Path, rng: Generator) -> None:
 def _size(result: Any) -> int:
     if isinstance(result, Recording):
         return int(result.readings.nbytes)
-    if isinstance(result, SensorMap | Body):
+    if isinstance(result, SensorMap):
         return int(result.positions.nbytes)
     return 0
 

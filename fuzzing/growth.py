@@ -21,9 +21,9 @@ import numpy as np
 
 from anisomap import io
 from anisomap.errors import AnisomapError, AnisomapWarning
+from anisomap.files.meshes import read_mesh
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation import load_body
 from fuzzing.checks import processor_time
 
 MAX_RATIO = 9.0
@@ -32,7 +32,7 @@ MAX_RATIO = 9.0
 LEAST_S = 0.3
 """Processor time at the larger size below which growth does not matter."""
 
-_FACTOR, _REPEATS, _N_SENSORS = 4, 3, 4
+_FACTOR, _REPEATS = 4, 3
 _WIDE = 1500
 
 Make: TypeAlias = Callable[[Path, int], None]
@@ -59,12 +59,6 @@ def _mat(path: Path, n: int) -> None:
     cells = np.empty(n, dtype=object)
     cells[:] = [np.arange(3.0)] * n
     import_module("scipy.io").savemat(path, {"trains": cells})
-
-
-def _model(path: Path, geom: str, n: int) -> None:
-    at = np.random.default_rng(0).random((n, 3)) * 9
-    geoms = "".join(f'<geom {geom} pos="{x:.3f} {y:.3f} {z:.3f}"/>' for x, y, z in at)
-    path.write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
 
 
 def _mesh(path: Path, n: int) -> None:
@@ -112,15 +106,9 @@ GROWTHS: Mapping[str, tuple[str, int, Make]] = MappingProxyType(
         "mjcf, sites": ("map.mjcf", 5_000, _map),
         "ply, points": ("map.ply", 20_000, _map),
         "pcd, points": ("map.pcd", 20_000, _map),
-        "body .stl, triangles": ("body.stl", 2_000, _mesh),
-        "body .obj, triangles": ("body.obj", 2_000, _mesh),
-        "body .glb, nodes": ("body.glb", 300, _nodes),
-        "body .xml, spheres": ("body.xml", 200, lambda path, n: _model(path, 'size=".1"', n)),
-        "body .xml, ellipsoids": (
-            "body.xml",
-            100,
-            lambda path, n: _model(path, 'type="ellipsoid" size=".1 .2 .3"', n),
-        ),
+        "mesh .stl, triangles": ("mesh.stl", 2_000, _mesh),
+        "mesh .obj, triangles": ("mesh.obj", 2_000, _mesh),
+        "mesh .glb, nodes": ("mesh.glb", 300, _nodes),
     }
 )
 """File, its smaller size, and its writer, by what grows."""
@@ -146,8 +134,8 @@ def _seconds(folder: Path, name: str, size: int, make: Make, factor: int) -> flo
         warnings.simplefilter("ignore", AnisomapWarning)  # of a map with many frames
         make(path, factor * size)
     read: Callable[[Path], Any] = io.read
-    if name.startswith("body"):
-        read = lambda body: load_body(body, _N_SENSORS)  # noqa: E731
+    if name.startswith("mesh"):
+        read = read_mesh
     elif name.startswith("map"):
         read = io.read_map
     times = []

@@ -1,4 +1,4 @@
-"""What is tried: every format of the registry and of bodies, and other files that are read.
+"""What is tried: every format of the registry and of meshes, and other files that are read.
 
 Files are kept in memory as trees: paths within a folder, and their content.
 """
@@ -23,27 +23,12 @@ from anisomap.large.map_reduce import Checkpoint, map_reduce
 from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.simulation.imported import MESH_SUFFIXES, MODEL_SUFFIXES
 
 Tree: TypeAlias = Mapping[str, bytes]
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "helpers"))
 examples: Any = import_module("example_files")
 
-_MODELS = (
-    """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 1" euler="0 0 90">
-<geom type="capsule" fromto="0 0 0 .5 0 0" size=".1"/><geom type="ellipsoid" size=".2 .1 .15"/>
-<geom type="box" size=".5 .5 .5" contype="0" conaffinity="0"/><site name="a" pos="0 0 .1"/>
-<site pos=".2 0 .1"/></body></worldbody></mujoco>""",
-    """<mujoco><default><geom rgba="1 0 0 1"/></default><asset>
-<hfield name="h" nrow="3" ncol="3" size="1 1 .1 .1" elevation="0 0 0 0 1 0 0 0 0"/>
-<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/><texture name="t" builtin="flat" type="2d"
-width="4" height="4"/></asset><worldbody><geom type="hfield" hfield="h"/><body><freejoint/>
-<replicate count="3" offset=".2 0 0"><geom type="mesh" mesh="m"/><site size=".01"/></replicate>
-</body></worldbody><keyframe><key qpos="0 0 0 1 0 0 0"/></keyframe></mujoco>""",
-    """<mujoco><option timestep="0.01"/><worldbody><body>
-<geom type="cylinder" size=".1 .2"/><site pos="0 .1 0"/></body></worldbody></mujoco>""",
-)
 _LINES = (
     b"time,a,b,c\n" + b"".join(b"%d.5,1,%d,0\n" % (i, i % 7) for i in range(40)),
     b"".join(b'{"t": %d, "a": 1, "b": [2, %d]}\n' % (i, i) for i in range(20)),
@@ -72,7 +57,7 @@ class Subject:
     name : str
         Name of the format.
     kind : str
-        How its files are used: ``"file"`` (recordings and maps), ``"body"``, ``"definition"`` (of
+        How its files are used: ``"file"`` (recordings and maps), ``"mesh"``, ``"definition"`` (of
         messages), ``"checkpoint"``, ``"maps"`` (with a recording) or ``"source"`` (of live
         sessions).
     seeds : sequence of Tree
@@ -103,7 +88,7 @@ def subjects() -> list[Subject]:
                 seeds[known].append(_tree(path))
                 _remove(path)
         found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
-        found += _bodies(folder)
+        found += _meshes(folder)
         found += [_checkpoint(folder), _maps(folder)]
     found.append(Subject("live source", "source", [{"lines": text} for text in _LINES]))
     definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
@@ -165,17 +150,17 @@ def _folders(folder: Path) -> Iterator[tuple[str, Path]]:
     yield "ros", folder / "bag"
 
 
-def _bodies(folder: Path) -> list[Subject]:
+def _meshes(folder: Path) -> list[Subject]:
     trimesh = import_module("trimesh")
     shapes = (
         trimesh.creation.annulus(0.5, 1.0, 1.0, sections=8),
         trimesh.creation.icosphere(subdivisions=1),
     )
     found = []
-    for suffix in MESH_SUFFIXES:
+    for suffix in (".glb", ".obj", ".off", ".ply", ".stl"):
         seeds = []
         for shape in shapes:
-            path = folder / f"body{suffix}"
+            path = folder / f"mesh{suffix}"
             shape.export(path)
             seeds.append(_tree(path))
             if suffix in (".stl", ".ply"):
@@ -185,10 +170,7 @@ def _bodies(folder: Path) -> list[Subject]:
                 }
                 shape.export(path, **kinds[suffix])
                 seeds.append(_tree(path))
-        found.append(Subject(f"body {suffix}", "body", seeds))
-    for suffix in MODEL_SUFFIXES:
-        models = [{f"body{suffix}": text.encode()} for text in _MODELS]
-        found.append(Subject(f"body {suffix}", "body", models))
+        found.append(Subject(f"mesh {suffix}", "mesh", seeds))
     return found
 
 

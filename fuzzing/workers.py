@@ -42,7 +42,7 @@ _N_BOMBS = 2
 _N_USES = 4  # of each format, to reach all commands
 _CHECKS: Mapping[str, tuple[Any, Any]] = {
     "file": (checks.check_file, checks.check_file_by_command),
-    "body": (checks.check_body, checks.check_body_by_command),
+    "mesh": (checks.check_mesh, checks.check_mesh),
     "definition": (checks.check_definition, checks.check_definition),
     "checkpoint": (checks.check_checkpoint, checks.check_checkpoint),
     "maps": (uses.check_maps, uses.check_maps_by_command),

@@ -150,24 +150,15 @@ simulate teapot                                    | no body or file 'teapot'; c
 simulate sphere --frames 0                         | frames
 simulate sphere --seed -1                          | seed
 simulate sphere --sensors -4                       | n_sensors must be an integer of at least 1
-simulate sphere --sensors where.csv                | --sensors must be the number of sensors
-simulate cylinder --placement spiral               | choose from columns, fibonacci, random
-simulate sphere --placement random                 | the body sphere has no option placement
-simulate missing.stl --placement random            | --placement applies to named bodies only
+simulate layout.csv --sensors 5                    | --sensors is for named bodies
+simulate part.obj                                  | part.obj is a mesh
 simulate sphere -p n_balls                         | write NAME=VALUE
 simulate sphere -p n_balls=many                    | 'many' is not a number
 simulate sphere -p n_bals=3                        | has no parameter 'n_bals'
 simulate sphere -o run.csv                         | csv
 simulate sphere -o nowhere/run.npz                 | nowhere
 simulate sphere --picture run.bmp                  | must end in .png, .svg or .pdf
-simulate sphere --video run.avi                    | must end in .gif or .mp4
-simulate sphere --runs 2 --picture run.png         | leave out --runs
-simulate missing.stl                               | there is no file missing.stl
 scenarios rain                                     | no scenario 'rain'
-coverage teapot                                    | no body or file 'teapot'
-coverage sphere -m magic                           | there is no method 'magic'
-coverage sphere --picture curve.bmp                | must end in .png, .svg or .pdf
-coverage sphere -p pace=1                          | has no parameter 'pace'
 spoil skin.npz -f dead -o out.npz                  | needs sensors
 spoil skin.npz -f dead:s1 -o skin.npz              | write the result to another file
 spoil skin.npz -f dead:s1 -o out.csv               | csv
@@ -319,7 +310,7 @@ def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, tmp_path_fact
         told = refused(tmp_path, "place", folder / "map.csv", *mesh)
     finally:
         reader_process.stop_all()
-    assert "reading a mesh needs an extra: pip install 'anisomap[simulation]'" in told
+    assert "reading a mesh needs an extra: pip install 'anisomap[mesh]'" in told
     told = refused(tmp_path, "compare", folder / "skin.npz", "-m", "umap-on-r")
     assert "pip install 'anisomap[umap]'" in told
 
@@ -340,7 +331,6 @@ def test_links_that_lead_nowhere(tmp_path, command):
     [
         "convert map.csv {}.csv",
         "place map.csv --spacing 5mm -o {}.csv",
-        "coverage --frames 9 --runs 1 -o {}.csv",
         "compare skin.npz -m r-anisomap -o {}.csv",
         "repair skin.npz -o {}.npz",
         "score map.csv map.csv --picture {}.png",

@@ -39,7 +39,6 @@ SIMULATIONS = {
     "faults": "faults",
     "spoil skin.npz -f dead:s3 -o bad.npz": "injected",
     "simulate plane -s rubbing --frames 40 -o sim.npz": "files",
-    "coverage plane --sensors 25 --frames 100 --runs 1 -m r-anisomap -d 2": "coverage",
 }
 
 

@@ -18,7 +18,6 @@ from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import BODIES, SCENARIOS, run_simulation
-from anisomap.simulation.physics import mujoco_viewer
 from reports import UNFRIENDLY, small_scene
 
 TRUTH = np.random.default_rng(0).normal(size=(20, 3))
@@ -36,7 +35,6 @@ NULL = {"whislo": -0.1, "q1": 0, "med": 0, "q3": 0, "whishi": 0.1, "fliers": []}
 GROUPS = [charts.ScoreGroup("run", SCORES, {"isomap": NULL})]
 VALUES = np.array([[0.1, np.nan], [np.nan, np.nan]])
 CURVES = charts.CurvePanel("title", np.array([1.0, 2]), {"isomap": VALUES})
-SHARES = (np.array([100, 200]), 20.0, {"share": np.array([[0.1], [0.9]])})
 
 
 def difference(k):
@@ -97,7 +95,6 @@ FIGURES = {
     "layout": lambda: fig.plot_layout(checked(2)).figure,
     "scores": lambda: charts.scores_figure("title", [GROUPS]),
     "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
-    "coverage": lambda: charts.coverage_figure("title", *SHARES),
     "gallery": lambda: maps.gallery_figure("title", [maps.truth_panel("", TRUTH)], 1, "note"),
     "stress": lambda: fig.stress_figure(
         "title", shepard(WANTED, TRUTH), SHARES_OF_STRESS, NAMES, TEST
@@ -220,15 +217,3 @@ def test_every_scenario_can_be_drawn(scenario):
     assert {prop.role for prop in scene.props} >= {"body"}
     space, *_ = scenes.scene_figure(scene, 9).axes
     assert any(len(drawn.get_facecolor()) > 10 for drawn in space.collections)
-
-
-def test_mujoco_renders_scenes():
-    pytest.importorskip("mujoco")
-    scene = run_simulation("hexagon", n_frames=3).scene
-    try:
-        images = mujoco_viewer.render(scene, [0, 2], width=120, height=90)
-    except mujoco_viewer.NoScreenError as error:
-        pytest.skip(str(error))
-    assert [image.shape for image in images] == [(90, 120, 3)] * 2
-    assert all(len(np.unique(image.reshape(-1, 3), axis=0)) > 20 for image in images)
-    assert not np.array_equal(*images)

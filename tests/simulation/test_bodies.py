@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
-from anisomap.simulation import Body, find_body, solids
+from anisomap.simulation import Body, body_from_points, find_body, simulate, solids
 from anisomap.simulation.bodies import (
     BODIES,
     CYLINDER_PLACEMENTS,
@@ -18,6 +18,7 @@ from anisomap.simulation.bodies import (
     covered,
     cylinder,
     great_circles,
+    hand,
     sphere,
     uneven_sphere,
 )
@@ -189,3 +190,41 @@ def test_surface_distances_go_around_a_hole(bodies):
     far = squareform(pdist(body.positions)) > 0.85
     assert ratio.max() > 1.3
     assert ratio[far].min() < 1.03  # beside the hole, the shortest path is straight
+
+
+def test_a_body_from_points_leaves_all_sensors_exposed():
+    for positions in (part.positions + np.array([3, 2, 1]) for part in (sphere(), hand())):
+        body = body_from_points(positions)
+        np.testing.assert_allclose(body.distance(body.positions), 0, atol=1e-9)
+        np.testing.assert_allclose(body.positions + body.origin, positions, atol=1e-12)
+    ball = sphere(200)
+    estimated = body_from_points(ball.positions).normals
+    assert (np.einsum("nd,nd->n", estimated, ball.normals) > np.cos(np.radians(12))).all()
+    assert body_from_points(ball.positions).surface_distances is None
+    far = ball.positions + np.array([10, 20, 30])
+    recording = simulate(body_from_points(far), "pressing", n_frames=1500)
+    assert recording.varying().all()
+    np.testing.assert_allclose(recording.positions, far, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_robot_leg_is_simulated_from_positions(recordings_folder):
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    path = recordings_folder.parent / "geometry" / "icub_left_leg_upper.npz"
+    if not path.exists():
+        pytest.skip("needs the geometry of the robot")
+    with np.load(path, allow_pickle=False) as part:
+        positions = part["positions"]
+    recording = simulate(body_from_points(positions, name="leg", units="m"), n_frames=500)
+    np.testing.assert_allclose(recording.positions, positions, atol=1e-12)
+    assert recording.n_sensors == 680
+    assert recording.varying().mean() > 0.95
+    assert float(recording.metadata["energy_drift"]) < 0.02
+
+
+def test_invalid_positions_raise_an_error():
+    for positions in (np.zeros((3, 3)), np.zeros((9, 2))):
+        with pytest.raises(InputError, match=r"\(N, 3\) with N at least 4"):
+            body_from_points(positions)
+    with pytest.raises(InputError, match="sensors 0 and 3 coincide"):
+        body_from_points(np.vstack([np.eye(3), [[1, 0, 0]]]))

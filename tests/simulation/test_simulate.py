@@ -16,7 +16,6 @@ from anisomap.simulation import (
     BombardmentOptions,
     find_body,
     simulate,
-    simulate_runs,
 )
 from anisomap.simulation.bodies import sphere
 
@@ -74,12 +73,6 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(body, scenari
         np.testing.assert_array_equal(getattr(again, name), getattr(recording, name))
     for name in ("names", "units", "source", "rate_hz"):
         assert getattr(again, name) == getattr(recording, name)
-
-
-def test_parallel_runs_equal_single_runs():
-    together = simulate_runs("sphere", "bombardment", [3, 4], workers=2, n_frames=20)
-    for run, seed in zip(together, (3, 4), strict=True):
-        assert same_bytes(run, simulate(n_frames=20, seed=seed))
 
 
 def test_effective_parameters_are_in_the_metadata():

@@ -67,7 +67,6 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "demo": "simulation:demo",
         "simulate": "simulation:simulate_body",
         "paper": "simulation:paper",
-        "coverage": "simulation:coverage",
         "spoil": "simulation:spoil",
         "repair": "recording:repair",
         "bodies": "listing:bodies",

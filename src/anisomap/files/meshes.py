@@ -36,7 +36,7 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
 
 def _read(path: Path) -> Iterator[list[NDArray[np.generic]]]:
     """Yield the vertices and faces; this runs in the process for readers."""
-    trimesh = import_extra("trimesh", "reading a mesh", "simulation")
+    trimesh = import_extra("trimesh", "reading a mesh", "mesh")
     with open_regular(path) as stream:
         content = stream.read()
     suffix = path.suffix.lower()

@@ -4,16 +4,11 @@ Running a simulation needs the extra ``simulation`` (MuJoCo); importing the pack
 """
 
 from anisomap.simulation.bodies import BODIES as BODIES
+from anisomap.simulation.bodies import body_from_points as body_from_points
 from anisomap.simulation.body import Body as Body
-from anisomap.simulation.coverage import CoverageCurve as CoverageCurve
-from anisomap.simulation.coverage import coverage_curve as coverage_curve
 from anisomap.simulation.faults import dead as dead
 from anisomap.simulation.faults import noisy as noisy
 from anisomap.simulation.faults import saturating as saturating
-from anisomap.simulation.imported import body_from_mesh as body_from_mesh
-from anisomap.simulation.imported import body_from_mjcf as body_from_mjcf
-from anisomap.simulation.imported import body_from_points as body_from_points
-from anisomap.simulation.imported import load_body as load_body
 from anisomap.simulation.injection import FAULTS as FAULTS
 from anisomap.simulation.injection import FRAME_FAULTS as FRAME_FAULTS
 from anisomap.simulation.injection import Fault as Fault
@@ -34,4 +29,3 @@ from anisomap.simulation.scenarios import find_body as find_body
 from anisomap.simulation.scenarios import find_scenario as find_scenario
 from anisomap.simulation.scenarios import run_simulation as run_simulation
 from anisomap.simulation.scenarios import simulate as simulate
-from anisomap.simulation.scenarios import simulate_runs as simulate_runs

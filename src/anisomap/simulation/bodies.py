@@ -19,9 +19,12 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from anisomap.errors import InputError
+from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.ranges import COUNT
+from anisomap.numerics.surfaces import estimate_normals
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body, straight_lines
 from anisomap.simulation.solids import Density, Points, Solid, spread
@@ -45,6 +48,7 @@ MAX_DENSITY = 8.0
 _SEED = 20110  # arbitrary
 _MESH_AROUND = 64  # vertices per circle
 _FACE_MARGIN = 1e-9  # tolerance for points on a face
+_MAX_BALL_RADIUS = 0.6  # x median spacing: adjacent balls overlap, so nothing passes between them
 
 
 def sphere(n_sensors: int = 60) -> Body:
@@ -217,7 +221,7 @@ def hemisphere(n_sensors: int = 80) -> Body:
     dome = SPHERE_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
     dome[-1, 0] = 0
     half = solids.revolved(np.vstack([[0, 0], dome]), _MESH_AROUND)
-    solid = solids.mesh(half.vertices - [0, 0, SPHERE_RADIUS / 2], half.faces)
+    solid = solids.mesh(replace(half, vertices=half.vertices - [0, 0, SPHERE_RADIUS / 2]))
     flat_side = -SPHERE_RADIUS / 2 + _FACE_MARGIN
     return covered("hemisphere", [solid], n_sensors, lambda points: points[:, 2] > flat_side)
 
@@ -287,8 +291,59 @@ def covered(
 
 def _ring(profile: Points) -> Solid:
     """Revolve a closed outline (radius, height) that does not meet the axis about z."""
-    surface = solids.revolved(profile, _MESH_AROUND, is_ring=True)
-    return solids.mesh(surface.vertices, surface.faces)
+    return solids.mesh(solids.revolved(profile, _MESH_AROUND, is_ring=True))
+
+
+def body_from_points(
+    positions: ArrayLike, *, names: Sequence[str] = (), name: str = "points", units: str = ""
+) -> Body:
+    """Make a body from the positions of sensors alone.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, 3)
+        At least 4 sensors.
+    names : sequence of str, optional
+        Names of the sensors.
+    name, units : str
+
+    Returns
+    -------
+    Body
+        A union of balls, each of which touches the surface at one sensor from below; normals are
+        estimated from nearby sensors. Where the skin is not concave the balls overlap, and
+        approximate the unknown surface.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 4 sensors, they are not 3D, or two have the same position.
+    """
+    places = np.asarray(positions, dtype=np.float64)
+    if places.ndim != 2 or places.shape[1] != 3 or len(places) < 4:
+        raise InputError(f"positions must have shape (N, 3) with N at least 4, got {places.shape}")
+    spacing = nearest_distances(places)
+    if spacing.min() <= 0:
+        # Distances, as the difference of two positions may be too small for its square.
+        distances = np.linalg.norm(places - places[int(spacing.argmin())], axis=1)
+        first, second = np.argsort(distances, kind="stable")[:2]
+        raise InputError(f"positions must be distinct; sensors {first} and {second} coincide")
+    outward, _ = estimate_normals(places)
+    origin = (places.min(axis=0) + places.max(axis=0)) / 2
+    centred = places - origin
+    largest = _MAX_BALL_RADIUS * float(np.median(spacing))
+    balls = []
+    for at, normal in zip(centred, outward, strict=True):
+        # The largest ball below the sensor without other sensors.
+        others = centred - at
+        others = others[others @ normal < 0]
+        touching = np.einsum("nd,nd->n", others, others) / (-2 * (others @ normal))
+        radius = float(min(largest, touching.min(initial=np.inf)))
+        balls.append(solids.ball(radius, at - radius * normal))
+    return Body(
+        name, centred, outward, balls, names=tuple(names), units=units, origin=origin,
+        is_whole=False,
+    )  # fmt: skip
 
 
 BODIES: Mapping[str, Callable[..., Body]] = MappingProxyType(

@@ -5,12 +5,10 @@ To add a scenario, add one function and one line to `SCENARIOS`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from inspect import getdoc, signature
-from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any
 
@@ -96,8 +94,7 @@ def simulate(
     Parameters
     ----------
     body : str or Body
-        A name in `BODIES`, or a body made by `body_from_mesh`, `body_from_mjcf`,
-        `body_from_points` or `load_body`.
+        A name in `BODIES`, or a body, such as one made by `body_from_points`.
     scenario : str
         A name in `SCENARIOS`.
     n_frames : int
@@ -187,40 +184,6 @@ def run_simulation(
         given.units,
     )
     return Simulation(recording, scene)
-
-
-def simulate_runs(
-    body: str | Body,
-    scenario: str,
-    seeds: Iterable[int],
-    *,
-    workers: int | None = None,
-    **settings: Any,
-) -> list[Recording]:
-    """Simulate recordings with several seeds in parallel.
-
-    Parameters
-    ----------
-    body : str or Body
-    scenario : str
-    seeds : iterable of int
-    workers : int, optional
-        Number of processes. Defaults to the number of cores.
-    **settings
-        Further arguments of `simulate`.
-
-    Returns
-    -------
-    list of Recording
-        In the order of the seeds, identical to those of `simulate`.
-    """
-    chosen = list(seeds)
-    if workers == 1 or len(chosen) < 2:
-        return [simulate(body, scenario, seed=seed, **settings) for seed in chosen]
-    # Spawned, since forked processes inherit the threads of numerical libraries.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        runs = [pool.submit(simulate, body, scenario, seed=seed, **settings) for seed in chosen]
-        return [run.result() for run in runs]
 
 
 def find_scenario(name: str) -> Scenario:

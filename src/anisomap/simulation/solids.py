@@ -14,33 +14,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.scene import Mesh, frozen
-from anisomap.errors import InputError, import_extra
+from anisomap.errors import InputError
 from anisomap.numerics.surfaces import TriangleSearch
 
 Points: TypeAlias = NDArray[np.float64]
 Density: TypeAlias = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
 
 MAX_LENGTH = 1e10
-"""Maximum of coordinates and sizes: trimesh merges vertices on a grid of 1e-8, counted in int64."""
+"""Maximum of coordinates and sizes, whose products of three neither overflow nor lose sums."""
 
 _CIRCLE_VERTICES = 48
 _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
 _N_PROJECTIONS = 4
-_MIN_RATIO = 1e-9  # of the lengths of a solid
 _CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
 _MAX_ROUNDS = 50  # of rejection sampling
 _ROUNDING = 1e-9  # x reach
-_MAX_NEWTON, _NEWTON_CONVERGED = 100, 1e-15  # steps; the last one, relative to the root
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
     """A solid, made by `ball`, `capsule`, `cylinder`, `box` or `mesh`.
 
-    kind: Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"``,
-        ``"ellipsoid"`` or ``"mesh"``.
-    size: Size as in MuJoCo: (radius,); (radius, half length of the axis); or half edges or axes.
+    kind: Type of geom in MuJoCo: ``"sphere"``, ``"capsule"``, ``"cylinder"``, ``"box"`` or
+        ``"mesh"``.
+    size: Size as in MuJoCo: (radius,); (radius, half length of the axis); or half edges.
     centre (3,)
     rotation (3, 3): Columns are the local x, y and z axes; capsules and cylinders lie along z.
     shape: Triangles of a mesh, in local coordinates.
@@ -59,9 +57,6 @@ class Solid:
                 f"a {self.kind} must have a size and centre of at most {MAX_LENGTH:g}, "
                 f"got up to {lengths.max():g}"
             )
-        least = self.size[0] if self.kind == "capsule" else min(self.size, default=0.0)
-        if least < _MIN_RATIO * max(self.size, default=0.0):
-            raise InputError(f"the lengths of a {self.kind} differ too much: {self.size}")
 
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact signed distance of points from the surface. points (n, 3) -> (n,)."""
@@ -80,8 +75,6 @@ class Solid:
             middle += size[1] * np.abs(local[:, 2])
         if self.kind == "box":
             return np.asarray(middle + np.abs(local) @ np.array(size))
-        if self.kind == "ellipsoid":
-            return np.asarray(middle + np.linalg.norm(local * size, axis=1))
         if self.kind == "cylinder":
             return np.asarray(middle + size[0] * np.hypot(local[:, 0], local[:, 1]))
         return np.asarray(middle + size[0])
@@ -177,23 +170,9 @@ def box(half_edges: Sequence[float], centre: ArrayLike = (0.0, 0.0, 0.0)) -> Sol
     return Solid("box", (float(x), float(y), float(z)), frozen(centre))
 
 
-def mesh(vertices: ArrayLike, faces: ArrayLike) -> Solid:
-    """Make a solid from a closed triangle mesh."""
-    if not np.abs(np.asarray(vertices)).max(initial=0) < MAX_LENGTH:
-        raise InputError(f"coordinates of the mesh must be finite and below {MAX_LENGTH:g}")
-    trimesh = import_extra("trimesh", "simulating a mesh", "simulation")
-    surface = trimesh.Trimesh(vertices, faces, process=True)
-    if not (len(surface.faces) and np.isfinite(surface.area) and surface.area > 0):
-        raise InputError("the mesh has no area; it must consist of triangles that enclose a body")
-    if not surface.is_watertight:
-        edges, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
-        raise InputError(
-            f"the mesh is not closed: {int((counts != 2).sum())} of its {len(edges)} edges do not "
-            "belong to exactly two triangles; fill its holes, or give sensor positions without a "
-            "mesh"
-        )
-    surface.fix_normals(multibody=True)
-    return Solid("mesh", (), shape=Mesh(surface.vertices, surface.faces))
+def mesh(surface: Mesh) -> Solid:
+    """Make a solid from a closed mesh whose triangles are oriented outwards."""
+    return Solid("mesh", (), shape=surface)
 
 
 def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
@@ -257,35 +236,11 @@ def _from_slabs(beyond: Points) -> Points:
     return np.asarray(outside + np.minimum(beyond.max(axis=1), 0))
 
 
-def _ellipsoid_distance(points: Points, size: tuple[float, ...]) -> Points:
-    """Compute distances by Newton's method, which increases to the only root.
-
-    Eberly (2013), Distance from a point to an ellipse, an ellipsoid, or a hyperellipsoid.
-    """
-    least = min(size)
-    axes = np.array(size) / least
-    outer = np.maximum(np.abs(points) / least, np.finfo(float).tiny ** 0.25)
-    beyond = axes**2 - 1
-    root = (axes * outer - beyond).max(axis=1, keepdims=True)
-    for _ in range(_MAX_NEWTON):
-        terms = (axes * outer / (root + beyond)) ** 2
-        step = (terms.sum(axis=1, keepdims=True) - 1) / (
-            2 * (terms / (root + beyond)).sum(axis=1, keepdims=True)
-        )
-        root += step
-        if (step <= _NEWTON_CONVERGED * root).all():
-            break
-    feet = axes**2 * outer / (root + beyond)
-    sign = np.where(((outer / axes) ** 2).sum(axis=1) < 1, -least, least)
-    return np.asarray(sign * np.linalg.norm(outer - feet, axis=1))
-
-
 _DISTANCES: dict[str, Callable[[Points, tuple[float, ...]], Points]] = {
     "sphere": _capsule_distance,
     "capsule": _capsule_distance,
     "cylinder": _cylinder_distance,
     "box": lambda points, size: _from_slabs(np.abs(points) - size),
-    "ellipsoid": _ellipsoid_distance,
 }
 
 
@@ -303,9 +258,6 @@ def _tessellated(kind: str, size: tuple[float, ...]) -> Mesh:
         quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
         faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
         return Mesh(corners * np.array(size), np.array(faces))
-    if kind == "ellipsoid":
-        unit = revolved(_profile("sphere", (1.0,)))
-        return Mesh(unit.vertices * size, unit.faces)
     return revolved(_profile(kind, size))
 
 

@@ -206,24 +206,6 @@ def _draw_null(axes: Axes, x: float, box: Mapping[str, Any], look: MethodLook) -
     )
 
 
-def coverage_figure(
-    title: str, n_frames: NDArray[np.intp], rate_hz: float, shares: Mapping[str, Values]
-) -> Figure:
-    """Draw shares over the length of a recording: every seed, and the mean over seeds.
-
-    shares (L, S).
-    """
-    looks = map(MethodLook, shares, PALETTE, MARKERS)
-    return curves_figure(
-        title,
-        [CurvePanel("", n_frames, shares)],
-        x_label=f"frames, {rate_hz:g} per second",
-        y_label="share; Mantel r",
-        logarithmic=True,
-        looks=dict(zip(shares, looks, strict=True)),
-    )
-
-
 @panel()
 def plot_stress_per_point(
     shares: Sequence[float] | NDArray[np.float64], names: Sequence[str] = (), *, ax: Axes = None

@@ -1,9 +1,8 @@
-"""Figures and animations of simulated scenes, as in Figures 5 and 6 of the paper."""
+"""Figures of simulated scenes, as in Figures 5 and 6 of the paper."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,20 +20,12 @@ from anisomap.drawing.figures.backend import (
     panel,
     set_ticks,
     set_title,
-    write_title,
 )
-from anisomap.drawing.view import axis_title, checked_kind
-from anisomap.errors import FileError, InputError
-from anisomap.files.paths import atomic_write, check_target
+from anisomap.drawing.view import axis_title
+from anisomap.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-ANIMATIONS = ("gif", "mp4")
-"""File formats of animations; MP4 needs the program ffmpeg."""
-
-MAX_ANIMATION_FRAMES = 150
-"""Default number of frames of an animation: ten seconds."""
 
 _FACES = {"ground": "#b7c7a8", "body": "#c9ced4", "stimulus": "#e69f00"}
 _ALPHA = {"ground": 0.9, "body": 0.5, "stimulus": 0.35}
@@ -43,7 +34,6 @@ _LIGHT = np.array([0.3, -0.5, 0.81])  # direction of the light
 _DARKEST = 0.55
 _SHARP = 0.9  # cosine of the largest angle between two faces whose edge is not drawn
 _GROUND_EXTENT = 1.8  # of the ground drawn, in extents of everything else
-_FRAMES_PER_SECOND = 15
 
 
 def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
@@ -68,7 +58,7 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
         If matplotlib is not installed.
     """
     if frame is None:
-        frame = busiest_frame(scene)
+        frame = int(np.argmax((scene.readings > 0).sum(axis=1)))
     with new_figure(15.0, 5.6, scene.title) as figure:
         edges = {"left": 0.01, "right": 0.94, "bottom": 0.11, "top": 0.84}
         cells = figure.add_gridspec(1, 3, width_ratios=(1.15, 1.15, 1), wspace=0.3, **edges)
@@ -132,77 +122,6 @@ def plot_scene(scene: Scene, frame: int, *, ax: Axes = None) -> None:
         getattr(ax, f"set_{name}label")(axis_title(name, scene.units), parse_math=False)
         getattr(ax, f"{name}axis").set_pane_color((1.0, 1.0, 1.0))
     ax.grid(visible=False)
-
-
-def busiest_frame(scene: Scene) -> int:
-    """Return the frame with the most active sensors."""
-    return int(np.argmax((scene.readings > 0).sum(axis=1)))
-
-
-def save_animation(
-    scene: Scene,
-    path: str | os.PathLike[str],
-    *,
-    n_frames: int = MAX_ANIMATION_FRAMES,
-    progress: Callable[[float], None] | None = None,
-) -> None:
-    """Save the first frames of a scene as an animation.
-
-    Parameters
-    ----------
-    scene : Scene
-    path : path-like
-        File name ending in .gif, or in .mp4 if ffmpeg is installed.
-    n_frames : int
-        Number of frames, shown at 15 per second.
-    progress : callable, optional
-        Called with the share done, from 0 to 1.
-
-    Raises
-    ------
-    FileError
-        If the suffix is unknown, ffmpeg is missing, or the file cannot be written.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    check_animation(path)
-    animation = load("matplotlib.animation")
-    count = min(max(n_frames, 1), scene.n_frames)
-    with atomic_write(path) as temporary, new_figure(7.2, 6.2, dpi=72) as figure:
-
-        def draw(frame: int) -> None:
-            figure.clear()
-            write_title(figure, scene.title)
-            axes = plot_scene(scene, frame, ax=add_axes(figure, 3, 111))
-            set_title(axes, f"{scene.times[frame]:.2f} s")
-            if progress is not None:
-                progress((frame + 1) / count)
-
-        kind = animation.PillowWriter if temporary.suffix == ".gif" else animation.FFMpegWriter
-        animation.FuncAnimation(
-            figure, draw, frames=count, init_func=lambda: None, blit=False
-        ).save(os.fspath(temporary), writer=kind(fps=_FRAMES_PER_SECOND), dpi=72)
-
-
-def save_pixels(path: str | os.PathLike[str], images: Sequence[NDArray[np.uint8]]) -> None:
-    """Save rendered images: one as a picture (.png), several as an animation (.gif)."""
-    kind = "png" if len(images) == 1 else "gif"
-    checked_kind(path, (kind,), "rendered images")
-    image = load("PIL.Image")
-    first, *others = (image.fromarray(pixels) for pixels in images)
-    timing = {"loop": 0, "duration": 1000 // _FRAMES_PER_SECOND}
-    animated = {"save_all": True, "append_images": others, **timing} if others else {}
-    with atomic_write(path) as temporary:
-        first.save(temporary, **animated)
-
-
-def check_animation(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that an animation can be saved to a file."""
-    kind = checked_kind(check_target(path), ANIMATIONS, "an animation")
-    if kind == "mp4" and not load("matplotlib.animation").FFMpegWriter.isAvailable():
-        raise FileError(
-            f"{path} needs the program ffmpeg, which is not installed; .gif does not need it"
-        )
 
 
 def _body_of(scene: Scene) -> Scene:

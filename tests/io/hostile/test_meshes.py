@@ -1,4 +1,4 @@
-"""Bodies that declare far more than they hold, or name files of the system."""
+"""Meshes that declare far more than they hold, or name files of the system."""
 
 import json
 import logging
@@ -10,90 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anisomap.errors import FileError, InputError
+from anisomap.errors import FileError
 from anisomap.files import reader_process
 from anisomap.files.meshes import read_mesh
-from anisomap.simulation import load_body
 
-trimesh = pytest.importorskip("trimesh", reason="needs the extra 'simulation'")
-pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+trimesh = pytest.importorskip("trimesh", reason="needs the extra 'mesh'")
 
 needs_limit = pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of time")
-BODY = """<geom type="box" size="1 1 1"/><site pos="1 0 0"/><site pos="0 1 0"/><site pos="0 0 1"/>
-<site pos="-1 0 0"/>"""
-MEMORY = r"robot\.xml.*memory"
-DECLARED = {
-    "hfield": ('<hfield name="a" nrow="100000" ncol="100000" size="1 1 1 1"/>', "", MEMORY),
-    "texture": (
-        '<texture name="a" type="2d" builtin="flat" width="60000" height="60000"/>',
-        "",
-        MEMORY,
-    ),
-    "memory": ('</asset><size memory="50G"/><asset>', "", MEMORY),
-    "nuser": ('</asset><size nuser_body="200000000"/><asset>', "", MEMORY),
-    "geoms": (
-        "",
-        '<replicate count="1001"><geom size=".1"/></replicate>',
-        r"robot\.xml has 1,002 geoms, more than 1,000",
-    ),
-}
-
-
-@pytest.fixture
-def model(tmp_path):
-    def write(assets="", parts="", name="robot.xml"):
-        path = tmp_path / name
-        path.write_text(
-            f"<mujoco><!-- a -- b --><asset>{assets}</asset><worldbody>{BODY}{parts}</worldbody>"
-            "</mujoco>"
-        )
-        return path
-
-    return write
-
-
-@pytest.mark.parametrize("what", DECLARED)
-def test_models_that_declare_too_much_are_refused(model, what):
-    assets, parts, message = DECLARED[what]
-    with pytest.raises(FileError, match=message):
-        load_body(model(assets, parts))
-
-
-def test_solids_with_a_length_of_almost_0_are_refused(model):
-    with pytest.raises(InputError, match="lengths of a cylinder differ too much"):
-        load_body(model("", '<geom type="cylinder" size="1e-320 .2"/>'))
-
-
-@needs_limit
-def test_copies_of_elements_take_limited_time(model, monkeypatch):
-    monkeypatch.setattr(reader_process, "_SECONDS", 1)
-    with pytest.raises(FileError, match="takes more than 1 s"):
-        load_body(model("", '<replicate count="100000"><geom size=".1"/></replicate>'))
-
-
-def test_copies_of_a_mesh_are_limited_by_their_triangles(model, tmp_path):
-    trimesh.creation.icosphere(subdivisions=5).export(tmp_path / "ball.stl")  # 20,480 triangles
-    asset, copy = '<mesh name="m" file="ball.stl"/>', '<geom type="mesh" mesh="m"/>'
-    with pytest.raises(FileError, match="surface of its meshes expands to"):
-        load_body(model(asset, copy * 100), 4)
-    assert load_body(model(asset, copy), 4).n_sensors == 4
-
-
-def test_models_with_copies_and_comments_are_read(model):
-    copies = '<replicate count="5" offset="0 0 .1"><geom size=".1"/></replicate>'
-    assert len(load_body(model("", copies)).solids) == 6
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes need POSIX")
-@pytest.mark.parametrize("name", ["pipe.stl", "pipe.xml"])
-def test_pipes_in_models_are_refused(model, tmp_path, name):
-    os.mkfifo(tmp_path / name)
-    assets = '<mesh name="m" file="pipe.stl"/>'
-    path = model(*((assets, "") if name == "pipe.stl" else ("", f'<include file="{name}"/>')))
+def test_pipes_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.stl")
     with pytest.raises(FileError, match="not a regular file"):
-        load_body(path)
-    with pytest.raises(FileError, match="not a regular file"):
-        load_body(tmp_path / name, 5)
+        read_mesh(tmp_path / "pipe.stl")
 
 
 def write_glb(path, scene, content):
@@ -118,17 +48,17 @@ def box_file(path, faces, **document):
 
 def test_faces_beyond_the_vertices_are_refused(tmp_path):
     faces = np.array(trimesh.creation.box().faces)
-    assert load_body(box_file(tmp_path / "box.glb", faces), 9).n_sensors == 9
+    assert len(read_mesh(box_file(tmp_path / "box.glb", faces))[1]) == 12
     faces[3, 1] = 70_000
     with pytest.raises(FileError, match=r"bad\.glb.*(vertex 70000|cannot be read)"):
-        load_body(box_file(tmp_path / "bad.glb", faces), 9)
+        read_mesh(box_file(tmp_path / "bad.glb", faces))
 
 
 def test_arrays_without_data_are_refused(tmp_path):
     huge = [{"componentType": 5126, "type": "VEC3", "count": 10**9}] * 2
     path = box_file(tmp_path / "huge.glb", trimesh.creation.box().faces, accessors=huge)
     with pytest.raises(FileError, match="decompression bomb"):
-        load_body(path, 9)
+        read_mesh(path)
 
 
 def test_damage_to_normals_prints_nothing(tmp_path, monkeypatch, capfd):
@@ -136,7 +66,7 @@ def test_damage_to_normals_prints_nothing(tmp_path, monkeypatch, capfd):
     text = trimesh.creation.box().export(file_type="stl_ascii")
     (tmp_path / "skin.stl").write_text(text.replace("facet normal 0", "facet normal !0", 1))
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
-    assert load_body(tmp_path / "skin.stl", 9).n_sensors == 9
+    assert len(read_mesh(tmp_path / "skin.stl")[1]) == 12
     assert capfd.readouterr() == ("", "")
 
 
@@ -147,7 +77,7 @@ def test_materials_are_not_opened(tmp_path, named):
     os.mkfifo(tmp_path / "pipe.mtl")
     text = trimesh.creation.box().export(file_type="obj")
     (tmp_path / "box.obj").write_text(f"mtllib {named}\nusemtl a\n{text}")
-    assert load_body(tmp_path / "box.obj", 9).n_sensors == 9
+    assert len(read_mesh(tmp_path / "box.obj")[1]) == 12
 
 
 def test_groups_of_a_mesh_are_not_divided(tmp_path):
