@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair
 from anisomap.health import CHECKS, STATUSES, spoiling, weaknesses
-from anisomap.health.recording_faults.transmission import find_bridged
+from anisomap.health.recording_faults.gaps import find_bridged
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.live.quick_map import confirmed_faults
 from anisomap.numerics.signals import Signals
@@ -221,7 +221,7 @@ def test_sensors_that_are_loaded_half_of_the_time_do_not_lack_contacts(seed):
 def test_contacts_among_sensors_with_noise_are_no_glitches(form, course, n_frames):
     """They are far beyond the noise of all other sensors."""
     recording = Case("plane", course, form, 600, n_frames).draw(seed=5)
-    assert list(CHECKS["glitches"].find(recording)) == []
+    assert list(CHECKS["glitches"](recording)) == []
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -321,18 +321,26 @@ def test_real_bodies_have_no_faults_of_the_read_out(recordings_folder, name):
     assert kinds(find_faults(anisomap.read(path))) == set()
 
 
+@pytest.mark.parametrize(
+    "name", ["leak", "drift", "glitches", "spikes", "common-noise", "saturation"]
+)
+def test_what_has_no_known_inverse_is_named_and_left_as_it_is(name):
+    bad = spoilt(wired_at_random(), *FOUND[name])
+    found = repair(bad)
+    assert name in kinds(found.findings)
+    assert found.recording is bad
+
+
 @given(share=st.floats(0.03, 0.3), chained=st.booleans())
 @settings(max_examples=4)
-def test_a_leak_is_subtracted_exactly(share, chained):
+def test_the_share_of_a_leak_is_stated(share, chained):
     clean = wired_at_random().readings
     leaking = np.array(clean)
     for i in range(1, clean.shape[1]):
         leaking[:, i] += share * (leaking if chained else clean)[:, i - 1]
-    found = repair(leaking)
-    (finding,) = found.findings
+    (finding,) = find_faults(leaking)
     assert finding.kind == "leak"
-    assert finding.size == pytest.approx(share, rel=0.02)
-    np.testing.assert_allclose(found.recording.readings, clean, atol=0.01 * share)
+    assert finding.size == pytest.approx(share, rel=0.3)
 
 
 def test_a_few_touches_of_a_piezoelectric_skin_are_not_of_one_period():
@@ -408,7 +416,7 @@ def test_noise_in_a_few_frames_is_not_an_inverted_contact(seed):
     ],
 )
 def test_few_or_short_contacts_are_no_fault(kind, case, seed):
-    assert list(CHECKS[kind].find(case.draw(seed))) == []
+    assert list(CHECKS[kind](case.draw(seed))) == []
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -419,7 +427,7 @@ def test_inverted_sensors_are_found_among_untouched_ones(seed):
     often &= clean.signals.contacts >= MIN_CONTACTS  # fewer are too little to tell
     inverted = np.random.default_rng(seed).permutation(np.flatnonzero(often))[:9]
     readings[:, inverted] *= -1
-    (found,) = CHECKS["inverted"].find(Recording(readings))
+    (found,) = CHECKS["inverted"](Recording(readings))
     assert sorted(found.sensors) == sorted(inverted)
 
 
@@ -433,7 +441,7 @@ def test_a_sensor_that_a_slow_finger_stays_on_is_not_inverted(seed):
         turns = rng.uniform(0.01, 0.05, 2) * np.arange(100)[:, None] + rng.uniform(0, 6.3, 2)
         apart = np.linalg.norm(2.5 + 2.6 * np.sin(turns)[:, None] - places, axis=2)
         readings = np.maximum(readings, np.exp(-((apart / rng.uniform(1, 2)) ** 2)))
-    assert list(CHECKS["inverted"].find(Recording(np.round(1000 * readings)))) == []
+    assert list(CHECKS["inverted"](Recording(np.round(1000 * readings)))) == []
 
 
 @pytest.mark.parametrize("seed", [39, 43, 44, 52])
@@ -474,9 +482,7 @@ def test_lags_are_named_but_not_mended_where_a_rolling_body_lags_as_well(fault):
     assert [(one.kind, one.mendable) for one in found.findings] == [("lags", False)]
 
 
-@pytest.mark.parametrize(
-    "fault", ["common-noise:*,level=2", "common-noise:*,board=12", "humming:*,level=2"]
-)
+@pytest.mark.parametrize("fault", ["common-noise:*,board=12", "humming:*,level=2"])
 def test_signals_of_the_electronics_are_subtracted(fault):
     clean = wired_at_random()
     before = clean.readings - clean.readings.mean(axis=0)
@@ -508,11 +514,19 @@ def test_missing_readings_are_estimated_from_neighbours():
     assert errors[0] < errors[1]
 
 
+def test_where_all_sensors_are_lost_readings_lie_on_lines():
+    readings = np.array(wired_at_random().readings)
+    for begin in range(50, 1500, 100):
+        readings[begin : begin + 20] = np.nan
+    bad = Recording(readings)
+    lines = bad.complete("interpolate").readings
+    np.testing.assert_array_equal(repair(bad).recording.readings, lines)
+
+
 @pytest.mark.parametrize(
     "fault",
     [
         "duplicated:10%,factor=3,level=0.1",
-        "leaking:*,share=0.2",
         "lagging:*,board=12",
         f"inverted:{','.join(f's{i}' for i in range(0, 72, 2))}",
     ],
@@ -601,7 +615,7 @@ def test_waves_are_no_lags_of_the_read_out(seed):
         reached = apart < rng.uniform(3, 10)
         parts.append(rng.poisson(3 * np.exp(-((front / 1.2) ** 2)) * reached))
         parts.append(np.zeros((rng.integers(10, 60), 64)))
-    assert list(CHECKS["lags"].find(Recording(np.concatenate(parts)))) == []
+    assert list(CHECKS["lags"](Recording(np.concatenate(parts)))) == []
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -614,7 +628,7 @@ def test_sources_at_several_places_are_no_common_noise(seed):
     reach = np.exp(-2 * ((places[:, None] - sources) ** 2).sum(axis=2))
     courses = lfilter([1], [1, -0.9], rng.normal(size=(1000, 12)), axis=0)
     readings = courses @ reach.T + rng.normal(0, 0.2, (1000, 40))
-    assert list(CHECKS["common-noise"].find(Recording(readings))) == []
+    assert list(CHECKS["common-noise"](Recording(readings))) == []
 
 
 @given(

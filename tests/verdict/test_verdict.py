@@ -234,9 +234,13 @@ def test_noise_and_large_contacts_in_one_place_are_worse_than_a_plain_skin():
 def test_faults_that_the_error_does_not_show_limit_the_verdict():
     skin, made = flat_skin(n_frames=800), flat_map(n_frames=800)
     assert verdict(made, skin).level == "usable"
-    limits = {"hum": "usable", "copies": "usable for neighbours", "one-period": "not usable"}
-    for kind, level in limits.items():
-        fault = Finding(kind, (), 1.0, "", "a fault", "a wrong map", mendable=False)
+    limits = {
+        "spikes": ("usable", {"height": 1.0}),
+        "copies": ("usable for neighbours", {"noise": 0.0, "kept": None}),
+        "one-period": ("not usable", {"period": 9.0}),
+    }
+    for kind, (level, values) in limits.items():
+        fault = Finding(kind, (), 1.0, values)
         assert diagnose(made, skin, findings=[fault]).verdict.level == level
 
 

@@ -333,7 +333,7 @@ def print_findings(
     printer: Printer, findings: Sequence[Finding], *, repaired: bool = False
 ) -> None:
     """Print the faults of a recording: what was found, and what mends it or did."""
-    printer.record(findings=[asdict(finding) for finding in findings])
+    printer.record(findings=[finding.record for finding in findings])
     if not findings:
         return
     printer.line("Faults of the recording" + (", mended where possible" if repaired else ""))

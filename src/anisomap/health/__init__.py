@@ -1,6 +1,7 @@
 """Summary of a recording, the health of its sensors, and the faults of the whole."""
 
-from anisomap.health.faults import CHECKS, Finding, Repair, find_faults, repair, spoiling
+from anisomap.health.faults import CHECKS, Repair, find_faults, repair
+from anisomap.health.findings import Finding, spoiling
 from anisomap.health.sensors import STATUSES, SensorHealth, assess
 from anisomap.health.summary import RecordingSummary, summarise, weaknesses
 from anisomap.health.touch_coverage import Place, TouchCoverage, next_places, touch_coverage

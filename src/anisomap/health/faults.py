@@ -1,6 +1,7 @@
 """Faults of a recording as a whole: which there are, and their repair.
 
-To add a fault, write a function that yields what it found, and add one line to `CHECKS`.
+To add a fault, write a function that yields what it found, one line in `CHECKS`, and its words in
+`anisomap.health.findings`.
 """
 
 from __future__ import annotations
@@ -12,178 +13,50 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anisomap.base.wording import noun_and_items
+from anisomap.health.findings import Finding
 from anisomap.health.recording_faults import Found
-from anisomap.health.recording_faults.common_signals import (
-    find_common_noise,
-    find_hum,
-    find_one_period,
-)
+from anisomap.health.recording_faults.common_signals import find_common_noise, find_hum
 from anisomap.health.recording_faults.copies import find_copied
 from anisomap.health.recording_faults.drift import find_drift
+from anisomap.health.recording_faults.gaps import find_gaps
 from anisomap.health.recording_faults.lags import find_lags
 from anisomap.health.recording_faults.leaks import find_leak
-from anisomap.health.recording_faults.stimulation import find_clipped, find_regions
-from anisomap.health.recording_faults.transmission import find_gaps, find_glitches, find_spikes
+from anisomap.health.recording_faults.stimulation import (
+    find_clipped,
+    find_one_period,
+    find_regions,
+)
+from anisomap.health.recording_faults.transmission import find_glitches, find_spikes
 from anisomap.health.recording_faults.wiring import find_change, find_inverted
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, as_runs, in_range
 
-
-@dataclass(frozen=True)
-class Finding:
-    """A fault of the read-out or of the stimulation that spoils maps.
-
-    Attributes
-    ----------
-    kind : str
-        A key of `CHECKS`, or ``"board-noise"``: common noise of a group of sensors.
-    sensors : tuple of str
-        Names of the affected sensors.
-    size : float
-        Size of the fault, in `unit`.
-    unit : str
-        Unit of `size`; ``"share"`` for shares in [0, 1].
-    what : str
-        Description with the size, without sensors.
-    consequence : str
-        What a map of the recording suffers.
-    mendable : bool
-        Whether `repair` mends it.
-    mended : str
-        What `repair` does or did; empty if it is not mendable.
-    """
-
-    kind: str
-    sensors: tuple[str, ...]
-    size: float
-    unit: str
-    what: str
-    consequence: str
-    mendable: bool
-    mended: str = ""
-
-    def __str__(self) -> str:
-        """Return the finding as a sentence."""
-        listed = f": {noun_and_items('sensor', self.sensors)}" if self.sensors else ""
-        return f"{self.what} ({self.consequence}){listed}"
-
-
-@dataclass(frozen=True)
-class Check:
-    """A fault that is searched in recordings.
-
-    find: Takes a recording, complete but for the first check, and yields its faults.
-    unit, consequence, mended: See `Finding`.
-    """
-
-    find: Callable[[Recording], Iterator[Found]]
-    unit: str
-    consequence: str
-    mended: str = ""
-
-
-_ALIKE = "they look alike wherever they are"
-
-CHECKS: Mapping[str, Check] = MappingProxyType(
+CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
     {
-        "gaps": Check(
-            find_gaps,
-            "share",
-            "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
-            "these readings were estimated from the most similar sensors",
-        ),
-        "glitches": Check(
-            find_glitches,
-            "readings",
-            "they outweigh all contacts of these sensors",
-            "these readings were replaced by those beside them",
-        ),
-        "hum": Check(
-            find_hum,
-            "share of the standard deviation",
-            _ALIKE,
-            "a sine was fitted to each of them and subtracted",
-        ),
-        "one-period": Check(
-            find_one_period,
-            "share of the variance",
-            "similarity depends on phase alone; there is nothing to map",
-        ),
-        "common-noise": Check(
-            find_common_noise,
-            "share of the standard deviation",
-            _ALIKE,
-            "the common signal was estimated in each frame and subtracted",
-        ),
-        "spikes": Check(
-            find_spikes,
-            "share of the frames",
-            _ALIKE,
-            "these frames were replaced by the mean of the frames beside them",
-        ),
-        "drift": Check(
-            find_drift,
-            "standard deviations",
-            "sensors that drift alike look related, and contacts are hidden",
-            "their level at rest was estimated over time and subtracted",
-        ),
-        "saturation": Check(
-            find_clipped,
-            "share of the frames",
-            "heights of contacts are cut off; lengths that follow from heights are wrong",
-        ),
-        "inverted": Check(
-            find_inverted,
-            "share",
-            "they look unrelated to their neighbours",
-            "these sensors were mirrored at their rest value",
-        ),
-        "lags": Check(
-            find_lags,
-            "frames",
-            "sensors of different groups seem less similar than they are",
-        ),
-        "leak": Check(
-            find_leak,
-            "share",
-            "sensors that are adjacent in the order of the channels look like neighbours",
-            "the leak was subtracted from each channel",
-        ),
-        "copies": Check(
-            find_copied,
-            "sensors",
-            "sensors at one place distort the map around them; at most one of them is right",
-        ),
-        "changed": Check(
-            find_change,
-            "share",
-            "wires were exchanged, or the body took another posture; map the frames before and "
-            "after by themselves",
-        ),
-        "separate-regions": Check(
-            find_regions,
-            "sensors touched with both",
-            "the relative position of the regions is unknown; touch the skin between them",
-        ),
+        "gaps": find_gaps,
+        "glitches": find_glitches,
+        "hum": find_hum,
+        "one-period": find_one_period,
+        "common-noise": find_common_noise,
+        "spikes": find_spikes,
+        "drift": find_drift,
+        "saturation": find_clipped,
+        "inverted": find_inverted,
+        "lags": find_lags,
+        "leak": find_leak,
+        "copies": find_copied,
+        "changed": find_change,
+        "separate-regions": find_regions,
     }
 )
-"""Checks in the order in which they are made.
+"""Checks in the order in which they are made, on complete recordings but for the first.
 
-Each fault is mended before the next is searched, since one fault can hide another or look like it:
-the order is opposite to that in which faults arise, from contact to file.
+Each fault that can be mended is mended before the next is searched, since one fault can hide
+another or look like it: the order is opposite to that in which faults arise, from contact to file.
 """
 
 _FINAL = ("one-period",)  # after which nothing else is searched
 _BEFORE_COMPLETION = ("gaps",)  # these look at missing readings
-
-
-def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """List what spoils a map among the faults of its recording."""
-    return tuple(
-        f"{finding}" + ("; repair the recording" if finding.mendable else "")
-        for finding in findings
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,19 +83,26 @@ class Repair:
 
 
 def repair(recording: Recording | ArrayLike) -> Repair:
-    """Find the faults of a recording, and mend those that can be mended.
+    """Find the faults of a recording, and mend those of which the inverse is known.
 
     Parameters
     ----------
     recording : Recording or array_like of shape (T, N)
         Columns in the order in which channels are read, for leaks and lags. Missing readings are
-        estimated from similar sensors where they are many, and else interpolated.
+        estimated from similar sensors where they are many and that is better than lines, and else
+        interpolated.
 
     Returns
     -------
     Repair
         The recording itself, if nothing was mended. Copies are left out, so it may have fewer
         sensors, and, after lags, fewer frames.
+
+    Notes
+    -----
+    Copies, lags, inverted sensors, hum, noise of boards and gaps are mended. Leaks, drift, limited
+    ranges, glitches, spikes and noise of all sensors are named only: to subtract or replace what
+    is estimated of them harms more maps than it mends.
 
     Examples
     --------
@@ -235,7 +115,7 @@ def repair(recording: Recording | ArrayLike) -> Repair:
     >>> readings[:, 7] = readings[:, 31]
     >>> found = repair(readings)
     >>> found.recording.n_sensors
-    59
+    58
     >>> [(finding.kind, finding.sensors) for finding in found.findings]
     [('copies', ('s7', 's31'))]
     """
@@ -270,20 +150,20 @@ def _examined(recording: Recording) -> Repair:
     scaled, unit = in_range(recording)
     with limited_blas(recording.n_sensors):
         current = scaled
-        for kind, check in CHECKS.items():
+        for kind, find in CHECKS.items():
             if kind not in _BEFORE_COMPLETION:
                 current = current.complete("interpolate")
-            found = list(check.find(current))
+            found = list(find(current))
             findings += [
                 Finding(
                     kind=one.kind or kind,
                     sensors=tuple(current.names[int(i)] for i in one.sensors),
                     size=float(one.size),
-                    unit=check.unit,
-                    what=one.what + ("" if one.height is None else f"{unit * one.height:.3g}"),
-                    consequence=check.consequence,
+                    values={
+                        **one.values,
+                        **{name: unit * size for name, size in one.lengths.items()},
+                    },
                     mendable=one.mend is not None,
-                    mended="" if one.mend is None else one.mended or check.mended,
                 )
                 for one in found
             ]
@@ -291,7 +171,7 @@ def _examined(recording: Recording) -> Repair:
                 break
             for one in found:
                 current = current if one.mend is None else one.mend(current)
-    if current is scaled:
+    if all(not finding.mendable for finding in findings):
         return Repair(recording, tuple(findings))
     with np.errstate(over="ignore"):  # of differences, which are twice as large
         readings = current.readings if unit == 1 else unit * current.readings

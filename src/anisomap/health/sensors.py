@@ -124,15 +124,9 @@ class Behaviour:
             quieter |= ~self.signals.differ_by_less(np.full(quieter.size, limit))
         return bool(2 * np.count_nonzero(quieter) >= quieter.size)
 
-    @cached_property
-    def rows(self) -> NDArray[np.float32]:
-        """Readings of an excerpt, of mean 0 and norm 1, shape (n, t)."""
-        readings = self.signals.readings
-        return unit_rows(readings[excerpt_frames(readings)])
-
     def shared(self, sensor: int) -> float:
         """Return the share of a sensor's variance that those most similar to it explain."""
-        rows = self.rows
+        rows = self.signals.excerpt_rows
         similar = np.abs(rows @ rows[sensor])
         similar[sensor] = -1
         partners = rows[np.argsort(-similar)[: min(_N_PARTNERS, len(rows) - 1)]]
@@ -152,7 +146,7 @@ class Behaviour:
             if not low.size:
                 return np.zeros_like(found)
             # Where sensors are far apart, all of them resemble others less.
-            rows = self.rows[found]
+            rows = self.signals.excerpt_rows[found]
             similar = np.abs(rows[low] @ rows.T)
             similar[np.arange(low.size), low] = -1
             partners = np.argsort(-similar, axis=1)[:, :_N_PARTNERS]

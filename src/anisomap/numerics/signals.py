@@ -128,6 +128,11 @@ class Signals:
         return np.asarray(np.divide(products, squares, out=found, where=squares > 0))
 
     @cached_property
+    def excerpt_rows(self) -> NDArray[np.float32]:
+        """Readings of an excerpt, of mean 0 and norm 1, shape (N, t)."""
+        return unit_rows(self.readings[excerpt_frames(self.readings)])
+
+    @cached_property
     def contacts(self) -> NDArray[np.intp]:
         """Separate contacts of each sensor: runs of frames clearly beyond rest."""
         return count_contacts(self.touched)

@@ -1,21 +1,20 @@
 """Faults of the read-out that concern several sensors, and courses that no map can be made of.
 
-Each module finds one fault in a complete recording, or a few alike, says what was found, and mends
-it where possible. Faults are searched in an excerpt of some thousand frames and some hundred
+Each module finds one fault in a complete recording, or a few alike, and mends it where it knows the
+inverse. Faults are searched in an excerpt of some thousand frames and some hundred
 sensors; see `anisomap.numerics.signals`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.signals import excerpt_frames, unit_rows
 from anisomap.recording import Recording
 
 
@@ -24,23 +23,21 @@ class Found:
     """One fault of a recording.
 
     sensors: Their indices.
-    size, what: See `anisomap.health.Finding`.
+    size, values: See `anisomap.health.Finding`.
     mend: Mends the fault in the recording; None if it cannot be mended.
-    height: With which `what` ends, in units of the readings; none by default.
-    mended: What `mend` does, if it differs from what the check says.
+    lengths: More values, in units of the readings.
     kind: If it differs from the key of the check.
     """
 
     sensors: NDArray[np.intp] | Sequence[int]
     size: float
-    what: str
+    values: Mapping[str, Any] = field(default_factory=dict)
     mend: Callable[[Recording], Recording] | None = None
-    height: float | None = None
-    mended: str = ""
+    lengths: Mapping[str, float] = field(default_factory=dict)
     kind: str = ""
 
 
-def in_readings(
+def with_readings(
     change: Callable[[NDArray[Any]], NDArray[Any]],
 ) -> Callable[[Recording], Recording]:
     """Return a repair that changes the readings alone, shape (T, N)."""
@@ -50,7 +47,6 @@ def in_readings(
 # Of contact, as a surface needs: place in two dimensions, and height.
 _MIN_PATTERNS = 3
 _N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
-_N_COMPARED = 2048  # frames of which patterns are counted
 _MIN_ALONE = 3  # frames in which a sensor is touched and another rests; fewer may be noise
 _MIN_TURNING = 1 / 3  # share of the frames
 _N_SHIFTED = 19  # shifts, of which the largest is exceeded by chance with probability 1 / 20
@@ -71,8 +67,7 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
     them always vary.
     """
     signals = recording.signals
-    frames = excerpt_frames(recording.readings, _N_COMPARED)
-    rows = unit_rows(recording.readings[frames])
+    rows = signals.excerpt_rows
     most = members[signals.contacts[members].argmax()]
     nearest = np.argsort(-np.abs(rows @ rows[most]), kind="stable")
     near = rows[nearest[:_N_NEAR]]

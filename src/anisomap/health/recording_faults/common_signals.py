@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from anisomap.health.recording_faults import (
     Found,
     has_contacts,
-    in_readings,
     linked_groups,
     turns_like_noise,
+    with_readings,
 )
 from anisomap.numerics.signals import (
     deviation_from_median,
@@ -27,17 +27,10 @@ from anisomap.recording import Recording
 _MIN_LINE = 20.0  # power of a line over the median power on either side; noise: p = 1e-6 for each
 _GAP, _BESIDE = 2, 8  # frequencies on each side that a line reaches, and for comparison
 _MIN_COHERENCE = 0.95  # of the phases of a hum over sensors; chosen by hand
-_MIN_SENSORS = 0.8  # share of the sensors that hum, or have one period; chosen by hand
+_MIN_SENSORS = 0.8  # share of the sensors that hum; chosen by hand
 _N_PHASES = 8  # parts of a period, for quantiles
 _LOW_AND_HIGH = (0.25, 0.75)
 _MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
-_MIN_CYCLES = 3  # of a recording that is one sine
-_HALF_LINE = 2  # frequencies on each side that belong to a line
-# Of a sine. At a lower frequency, or among fewer ones, a line is as wide as the spectrum of
-# contacts, and must hold all variance: of 720 clean recordings of 50 frames, 11 had .7, 2 had .95.
-_MIN_NARROW, _MIN_FREQUENCIES = 4 * _HALF_LINE, 10 * (2 * _HALF_LINE + 1)
-_ALL_OF_IT = 0.95
-_MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
 _MIN_GROUP = 3  # sensors of a board
 # In fewer frames, one or two strokes over the sensors look like a signal that they share: of such
 # recordings of 100 and 200 frames, 5 % were accused (measured).
@@ -59,7 +52,7 @@ _MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
 # standard deviation; less changes r by 1 % at most.
 _MIN_SHARE = 0.1
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
-_MAX_AUTOCORRELATION = 0.1  # of white noise: 4 standard errors in 1,600 frames
+_MAX_APART = 0.1  # relative difference of the gains of a hum in both halves; chosen by hand
 _MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
 _ALL = 0.9  # share of the sensors above which noise concerns the whole skin
 
@@ -103,40 +96,10 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     share = _median_share(gains / np.sqrt(2), readings[:, free])
     if share < _MIN_SHARE:
         return
-    rate = recording.rate_hz
-    yield Found(
-        free,
-        share,
-        f"{free.size} sensors hum with a period of {1 / frequency:.4g} frames"
-        f"{'' if rate is None else f' ({rate * frequency:.3g} Hz)'}, {share:.0%} of the standard "
-        "deviation of a sensor",
-        _without(free, course, gains),
-    )
-
-
-def find_one_period(recording: Recording) -> Iterator[Found]:
-    """Find that almost all of the readings is one sine."""
-    if recording.n_frames < 8 * _MIN_CYCLES:
-        return
-    power = recording.signals.spectra[1]
-    power = power[:, power.any(axis=0)]
-    if power.shape[1] < 3:
-        return
-    peak = 1 + power[1:].argmax(axis=0)
-    near = np.abs(np.arange(len(power))[:, None] - peak) <= _HALF_LINE
-    line = (power * near).sum(axis=0) / power[1:].sum(axis=0)
-    usual = int(np.median(peak))
-    share = float(np.median(line))
-    narrow = usual >= _MIN_NARROW and len(power) > _MIN_FREQUENCIES
-    least = _MIN_LINE_SHARE if narrow else _ALL_OF_IT
-    same = np.mean((np.abs(peak - usual) <= 1) & (line >= least))
-    if usual >= _MIN_CYCLES and same >= _MIN_SENSORS:
-        period = recording.n_frames / usual
-        yield Found(
-            range(recording.n_sensors),
-            share,
-            f"{share:.0%} of the variance of the readings is a sine of {period:.4g} frames",
-        )
+    halves = [_sine_gains(readings[half][:, free], course[half]) for half in _halves(n_frames)]
+    again = np.median(np.abs(halves[0] - halves[1])) <= _MAX_APART * np.median(gains)
+    values = {"period": 1 / frequency, "rate_hz": recording.rate_hz}
+    yield Found(free, share, values, _without(free, course, gains) if again else None)
 
 
 def find_common_noise(recording: Recording) -> Iterator[Found]:
@@ -149,8 +112,7 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
     sensors that are not in contact. It is a finding if it is white, the rest of the readings is
     not, and it is at least 10 % of the fast noise. A group that is not the whole skin must also be
     touched by contacts of several kinds; otherwise, what it shares may be a single contact. Noise
-    is mended only if its whole course is white: contacts that cover most of the skin are part of
-    that course.
+    of a group is mended only if that raises its agreement with other sensors: see `_agree_more`.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = _SCREENED
@@ -167,17 +129,42 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
         share = _median_share(gains * course.std(), readings[:, group])
         everywhere = group.size >= _ALL * recording.n_sensors
         mend = _without(group, course, gains)
-        if not (everywhere or has_contacts(mend(recording), group)):
-            continue
-        white = abs(float(_autocorrelation(course[:, None])[0])) <= _MAX_AUTOCORRELATION
-        yield Found(
-            group,
-            share,
-            f"{'all sensors' if everywhere else f'a group of {group.size} sensors'} share noise, "
-            f"{share:.0%} of the standard deviation of a sensor",
-            mend if white else None,
-            kind="" if everywhere else "board-noise",
+        if everywhere:
+            yield Found(group, share)
+        elif has_contacts(mend(recording), group):
+            known = _agree_more(readings, group)
+            yield Found(group, share, mend=mend if known else None, kind="board-noise")
+
+
+def _agree_more(readings: NDArray[Any], group: NDArray[np.intp]) -> bool:
+    """Return whether a group resembles other sensors more without the noise that it shares.
+
+    Other sensors have no part in that noise, but in the contacts that might be taken for it. The
+    gains that are subtracted in either half of the recording, and the other sensors with which each
+    is compared, are those of the other half.
+    """
+    others = np.setdiff1d(np.arange(readings.shape[1]), group)
+    others = others[some_sensors(others.size)]
+    one, other = (
+        (readings[half], _noise_of(readings[half][:, group])) for half in _halves(len(readings))
+    )
+    gained = []
+    for (here, noise), (there, known) in ((one, other), (other, one)):
+        if noise is None or known is None:
+            return False
+        rows = unit_rows(there[:, group] - np.outer(known[0], known[1]))
+        best = np.abs(rows @ unit_rows(there[:, others]).T).argmax(axis=1)
+        partners = unit_rows(here[:, others[best]])
+        before, after = (
+            np.abs(np.einsum("nt,nt->n", unit_rows(values), partners))
+            for values in (here[:, group], here[:, group] - np.outer(noise[0], known[1]))
         )
+        gained.append(np.mean(after) - np.mean(before))
+    return bool(min(gained) > 0)
+
+
+def _halves(n_frames: int) -> tuple[slice, slice]:
+    return slice(n_frames // 2), slice(n_frames // 2, None)
 
 
 def _without(
@@ -190,7 +177,7 @@ def _without(
         mended[:, sensors] -= np.outer(course, gains).astype(readings.dtype)
         return mended
 
-    return in_readings(change)
+    return with_readings(change)
 
 
 def _median_share(sizes: NDArray[np.float64], readings: NDArray[Any]) -> float:

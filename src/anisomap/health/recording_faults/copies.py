@@ -14,7 +14,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import pdtrc
 
-from anisomap.base.wording import join_items
 from anisomap.health.recording_faults import Found, has_contacts, turns_like_noise
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import (
@@ -43,8 +42,6 @@ _SCREENED = 512  # frames of which the agreement of pairs is examined first; cho
 _PAIRS_AT_ONCE = 64  # whose misfits are computed; arrays of 2,048 frames stay in the cache
 _MIN_LEVELS = 32  # distinct values of noise
 _NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
-_MIN_SOUND = 10  # sensors from which it is seen whether channels follow the skin
-_MIN_TOLD_APART = 0.85  # share of these whose own channels can be told from others
 # Limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9.
 _MIN_POWER = 2.0
 _MIN_FAILED = 5  # pairs from which the distances of sensors are estimated
@@ -57,8 +54,7 @@ class Copies:
     """Sensors that read one wire.
 
     sensors: In increasing order.
-    kept: The sensor whose wire it is: the one with less noise, or the one that resembles the
-        channels beside it. None if nothing tells them apart.
+    kept: The sensor whose wire it is, which has less noise; None if nothing tells them apart.
     noise: Greatest share of noise in the variance of a sensor; 0 if they agree in every frame.
     """
 
@@ -96,18 +92,14 @@ def find_copied(recording: Recording) -> Iterator[Found]:
     left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
     some_left = left_out < np.count_nonzero(recording.varying())
     for copies in groups:
-        others = [names[i] for i in copies.sensors if i != copies.kept]
-        listed = join_items(others)
-        noise = f", with up to {copies.noise:.1%} of noise of their own"
+        kept = None if copies.kept is None else names[copies.kept]
+        others = frozenset(names[i] for i in copies.sensors) - {kept}
+        noise = copies.noise if copies.noise >= _EXACT else 0.0
         yield Found(
             copies.sensors,
             len(copies.sensors),
-            f"{len(copies.sensors)} sensors read one wire{noise if copies.noise >= _EXACT else ''}",
-            _leave_out(frozenset(others)) if some_left else None,
-            mended=f"all were left out, since it is unknown which of {listed} is real"
-            if copies.kept is None
-            else f"{names[copies.kept]} was kept, and {listed} left out, since their positions are "
-            "unknown",
+            {"noise": noise, "kept": kept},
+            _leave_out(others) if some_left else None,
         )
 
 
@@ -153,15 +145,16 @@ def _alike(
     _, group = connected_components(graph, directed=False)
     copied = np.unique(found)
     groups = [copied[group[copied] == number] for number in np.unique(group[copied])]
-    kept = [_true_sensor(excerpt, members, noise, copied) for members in groups]
-    return tuple(
-        Copies(
-            tuple(varying[members].tolist()),
-            None if own is None else int(varying[own]),
-            float(noise[members].max()),
-        )
-        for members, own in zip(groups, kept, strict=True)
-    )
+    return tuple(_group(varying[members], noise[members]) for members in groups)
+
+
+def _group(sensors: NDArray[np.intp], noise: NDArray[np.float64]) -> Copies:
+    """Return a group of copies, and the sensor whose wire it is if it has clearly less noise."""
+    quietest = int(noise.argmin())
+    others = np.delete(noise, quietest)
+    clear = (others > _NOISIER * noise[quietest] + _LEAST_NOISE).all()
+    kept = int(sensors[quietest]) if clear else None
+    return Copies(tuple(sensors.tolist()), kept, float(noise.max()))
 
 
 class _Excerpt:
@@ -268,13 +261,6 @@ class _Excerpt:
         shares = 1 - np.column_stack([r / np.where(gain > 0, gain, 1), r * gain])
         return np.where(gain[:, None] > 0, np.maximum(shares, 0), 0)
 
-    def similarity_beside(self, i: int, at: int | None = None) -> float:
-        """Return the mean correlation of i with the channels beside it, or beside another."""
-        place = i if at is None else at
-        beside = np.arange(max(0, place - 2), min(place + 3, len(self.rows)))
-        beside = beside[(beside != place) & (beside != i)]
-        return float(np.mean(self.rows[beside] @ self.rows[i]) / self.rows.shape[1])
-
 
 def _identical(
     readings: NDArray[Any],
@@ -349,30 +335,3 @@ def _closer_than_chance(
     rank = np.searchsorted(np.sort(expected), expected, side="right")
     unlikely = pdtrc(rank - 1, expected) <= _FALSE_ALARMS
     return np.asarray(rank <= np.max(rank[unlikely], initial=0))
-
-
-def _true_sensor(
-    excerpt: _Excerpt,
-    members: NDArray[np.intp],
-    noise: NDArray[np.float64],
-    copied: NDArray[np.intp],
-) -> int | None:
-    """Return the sensor of a group whose wire it is; None if that cannot be told.
-
-    Where channels follow the skin, a sensor resembles the channels beside it.
-    """
-    quietest, *others = members[np.argsort(noise[members], kind="stable")].tolist()
-    if (noise[others] > _NOISIER * noise[quietest] + _LEAST_NOISE).all():
-        return int(quietest)
-    sound = np.setdiff1d(excerpt.others, copied).tolist()
-    if len(sound) < _MIN_SOUND:
-        return None
-    right = np.array([excerpt.similarity_beside(i) for i in sound])
-    far = np.roll(sound, len(sound) // 2).tolist()
-    wrong = np.array([excerpt.similarity_beside(i, at) for i, at in zip(sound, far, strict=True)])
-    middle = (np.median(right) + np.median(wrong)) / 2
-    if np.mean(right > middle) + np.mean(wrong < middle) < 2 * _MIN_TOLD_APART:
-        return None
-    beside = {i: excerpt.similarity_beside(i) for i in members.tolist()}
-    first, second = sorted(beside, key=lambda i: -beside[i])[:2]
-    return int(first) if beside[second] < middle < beside[first] else None

@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import betainc
 
-from anisomap.health.recording_faults import Found, in_readings
+from anisomap.health.recording_faults import Found
 from anisomap.numerics.columns import centred_rows
 from anisomap.recording import Recording
 
@@ -21,16 +20,8 @@ _FALSE_DISCOVERIES = 0.01  # expected share of the sensors that are found by cha
 # dependent: of recordings of few sensors with such contacts, 1 % were accused (measured).
 _FALSE_RECORDINGS = 5e-4
 _MIN_BLOCK, _MAX_BLOCK = 20, 128  # frames of a block, and those that are used
-_LEVEL = 25.0  # percentile that lies at rest even if a sensor is touched in most frames of a block
+_LEVEL = 0.25  # quantile that lies at rest even if a sensor is touched in most frames of a block
 _MIN_SIZE = 0.1  # standard deviations of the readings; less changes no correlation; by hand
-_MIN_REST = 0.3  # share of the frames at rest, for the level to be known; chosen by hand
-_NOISE = 3.0  # standard deviations of the readings at rest
-_MIN_NEAR = 0.05  # of the running mean: share of readings at rest
-_MIN_WIDTH = 0.03  # of the noise at rest, in standard deviations of the readings; chosen by hand
-_MAX_WIDTH = 0.5  # of the same; chosen by hand
-_WINDOW = 8  # times the time that readings stay alike, over which the level at rest is taken
-_MIN_WINDOW = 41  # frames
-_MAX_CORRELATED = 0.2  # autocorrelation at which readings count as unlike
 
 
 def find_drift(recording: Recording) -> Iterator[Found]:
@@ -49,32 +40,23 @@ def find_drift(recording: Recording) -> Iterator[Found]:
         return
     readings, step = recording.readings, -(-size // _MAX_BLOCK)
     frames = np.arange(size * _N_BLOCKS).reshape(_N_BLOCKS, size)[:, ::step]
-    side = _contact_side(readings, chosen)
     values = centred_rows(readings[frames.ravel()][:, chosen])
-    values *= side[:, None].astype(np.float32)
+    values *= _contact_side(readings, chosen)[:, None]
     values = values.reshape(chosen.size, *frames.shape)
     values.sort(axis=2)
-    levels = values[:, :, round(_LEVEL / 100 * (values.shape[2] - 1))]
+    levels = values[:, :, round(_LEVEL * (values.shape[2] - 1))]
     left = (values - levels[:, :, None]).var(axis=2, dtype=np.float64).mean(axis=1) ** 0.5
     lowest = np.sort(np.argsort(levels, axis=1, kind="stable")[:, :_N_AT_REST], axis=1)
-    at_rest = np.take_along_axis(levels, lowest, axis=1)
 
     def found(some: NDArray[np.float32], share: float) -> NDArray[np.bool_]:
         judged = some.std(axis=1) >= _MIN_SIZE * left
         return _discoveries(np.where(judged, _chances(some), 1), share)
 
-    drifting = found(at_rest, _FALSE_RECORDINGS)
+    drifting = found(np.take_along_axis(levels, lowest, axis=1), _FALSE_RECORDINGS)
     if drifting.any():
         drifting |= found(levels, _FALSE_DISCOVERIES)
         drift = float(np.median((np.ptp(levels, axis=1) / np.maximum(left, 1e-300))[drifting]))
-        sensors = chosen[drifting]
-        yield Found(
-            sensors,
-            drift,
-            f"the level at rest of {sensors.size} of {recording.n_sensors} sensors drifts by "
-            f"{drift:.2g} standard deviations of their readings (median)",
-            in_readings(lambda readings: remove_drift(readings, sensors)),
-        )
+        yield Found(chosen[drifting], drift, {"n_sensors": recording.n_sensors})
 
 
 def _chances(levels: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -103,66 +85,12 @@ def _discoveries(chances: NDArray[np.float64], share: float) -> NDArray[np.bool_
     return np.asarray(chances <= ordered[below].max(initial=-1))
 
 
-def remove_drift(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[Any]:
-    """Subtract the level at rest of drifting sensors from their readings.
-
-    readings (T, N) -> (T, N).
-    """
-    mended = np.array(readings)
-    signs = _contact_side(readings, sensors)
-    for i, sign in zip(sensors.tolist(), signs.tolist(), strict=True):
-        values = sign * readings[:, i].astype(np.float64)
-        level, noise = _level_at_rest(values)
-        left = values - level
-        at_rest = np.abs(left) <= noise
-        if np.mean(at_rest) >= _MIN_REST and noise <= _MAX_WIDTH * left.std():
-            mended[:, i] = sign * (np.where(at_rest, 0, left) + np.median(level))
-    return mended
-
-
-def _level_at_rest(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the level at rest of a sensor, shape (T,), and the width of its noise.
-
-    Contact raises readings. The level is a running quartile, then the running mean of the readings
-    near it.
-    """
-    from scipy.ndimage import percentile_filter  # noqa: PLC0415, slow to import
-
-    window = _window(values)
-    level = percentile_filter(values, _LEVEL, size=window, mode="nearest")
-    near = (np.abs(values - level) <= _width_at_rest(values - level)).astype(np.float64)
-    share, mean = (_running_mean(one, window // 4 | 1) for one in (near, near * values))
-    level = np.where(share > _MIN_NEAR, mean / np.maximum(share, 1e-12), level)
-    return level, _width_at_rest(values - level)
-
-
-def _width_at_rest(left: NDArray[np.float64]) -> float:
-    """Return the width of the noise at rest, from the side that contact does not reach."""
-    below = float(np.median(-left[left <= 0])) if left.min() <= 0 else 0.0
-    return max(_NOISE * below / 0.6745, _MIN_WIDTH * float(left.std()))
-
-
-def _contact_side(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.float64]:
+def _contact_side(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.float32]:
     """Return the sign of the skewness of fast changes of some sensors: 1 or -1, shape (n,)."""
-    values = centred_rows(readings[:: -(-len(readings) // 4096)][:, sensors])
-    window = max(3, values.shape[1] // _N_BLOCKS) | 1
-    values -= _running_mean(values, window)
-    return np.where(np.einsum("nt,nt,nt->n", values, values, values) < 0, -1.0, 1.0)
-
-
-def _running_mean(values: NDArray[Any], window: int) -> NDArray[Any]:
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415, slow to import
 
-    return np.asarray(uniform_filter1d(values, window, axis=-1, mode="nearest"))
-
-
-def _window(values: NDArray[np.float64]) -> int:
-    """Choose a window that is long compared to a contact and short compared to the recording."""
-    longest = max(_MIN_WINDOW, len(values) // 10)
-    slow = values - _running_mean(values, longest)
-    n_lags = longest // _WINDOW + 1  # after longer times, the window is the longest one
-    spectrum = np.abs(rfft(slow, size := next_fast_len(len(slow) + n_lags, real=True))) ** 2
-    correlation = irfft(spectrum, size)[:n_lags]
-    unlike = np.flatnonzero(correlation < _MAX_CORRELATED * correlation[0])
-    time = int(unlike[0]) if unlike.size else longest
-    return int(np.clip(_WINDOW * time, _MIN_WINDOW, longest)) | 1
+    values = centred_rows(readings[:: -(-len(readings) // 4096)][:, sensors])
+    window = max(3, values.shape[1] // _N_BLOCKS) | 1
+    values -= uniform_filter1d(values, window, axis=-1, mode="nearest")
+    skewed_down = np.einsum("nt,nt,nt->n", values, values, values) < 0
+    return np.where(skewed_down, np.float32(-1), np.float32(1))

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
-from anisomap.base.wording import join_items
 from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.columns import ranked
@@ -65,17 +64,11 @@ def find_lags(recording: Recording) -> Iterator[Found]:
     touched = np.flatnonzero(np.max(halves, axis=0))
     lags = _lags(recording.readings, touched, judged)
     if lags.any():
-        listed = join_items([f"{lag:+d}" for lag in np.unique(lags[lags != 0]).tolist()])
-        certain = _is_of_boards(lags[touched])
-        yield Found(
-            np.flatnonzero(lags),
-            float(np.abs(lags).max()),
-            f"groups of sensors lag the largest group by {listed} frames"
-            + ("" if certain else ", in part perhaps since what touches them moves"),
-            (lambda recording: _shifted(recording, lags)) if certain else None,
-            mended="each group was shifted by its lag; "
-            f"{int(np.ptp(lags))} frames at the ends were left out",
+        values = {"lags": np.unique(lags[lags != 0]).tolist(), "lost": int(np.ptp(lags))}
+        mend = (
+            (lambda recording: _shifted(recording, lags)) if _is_of_boards(lags[touched]) else None
         )
+        yield Found(np.flatnonzero(lags), float(np.abs(lags).max()), values, mend)
 
 
 def _is_of_boards(lags: NDArray[np.intp]) -> bool:

@@ -82,7 +82,7 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
         yield Found(
             found,
             found.size / recording.n_sensors,
-            f"contact has the opposite sign in {found.size} of {recording.n_sensors} sensors",
+            {"n_sensors": recording.n_sensors},
             lambda recording: _mirrored(recording, found),
         )
 
@@ -243,11 +243,8 @@ def find_change(recording: Recording) -> Iterator[Found]:
         if exceeded > _MAX_EXCEEDED:
             return
     frame = 2 * (division + 1) * n_frames // _N_BLOCKS
-    yield Found(
-        chosen[changed],
-        changed.size / chosen.size,
-        f"{changed.size} sensors resemble other sensors from about frame {frame} of {n_frames} on",
-    )
+    where = {"frame": frame, "n_frames": n_frames}
+    yield Found(chosen[changed], changed.size / chosen.size, where)
 
 
 def _divisions(

@@ -1,0 +1,240 @@
+"""Faults of a recording as data, and the words for each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from anisomap.base.wording import join_items, noun_and_items
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault of the read-out or of the stimulation that spoils maps.
+
+    Attributes
+    ----------
+    kind : str
+        A key of `CHECKS`, or ``"board-noise"``: common noise of a group of sensors.
+    sensors : tuple of str
+        Names of the affected sensors.
+    size : float
+        Size of the fault, in `unit`.
+    values : mapping
+        What else was measured, by name.
+    mendable : bool
+        Whether `repair` mends it.
+    """
+
+    kind: str
+    sensors: tuple[str, ...]
+    size: float
+    values: Mapping[str, Any] = field(default_factory=dict)
+    mendable: bool = False
+
+    @property
+    def what(self) -> str:
+        """Description with the size, without sensors."""
+        return _WORDS[self.kind].what(self)
+
+    @property
+    def unit(self) -> str:
+        """Unit of `size`; ``"share"`` for shares in [0, 1]."""
+        return _WORDS[self.kind].unit
+
+    @property
+    def consequence(self) -> str:
+        """What a map of the recording suffers."""
+        return _WORDS[self.kind].consequence
+
+    @property
+    def mended(self) -> str:
+        """What `repair` does or did; empty if it does not mend the fault."""
+        return _WORDS[self.kind].mended(self) if self.mendable else ""
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """All of this as plain values."""
+        names = ("kind", "sensors", "size", "unit", "what", "consequence", "mendable", "mended")
+        return {name: getattr(self, name) for name in names}
+
+    def __str__(self) -> str:
+        """Return the finding as a sentence."""
+        listed = f": {noun_and_items('sensor', self.sensors)}" if self.sensors else ""
+        return f"{self.what} ({self.consequence}){listed}"
+
+
+def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """List what spoils a map among the faults of its recording."""
+    return tuple(
+        f"{finding}" + ("; repair the recording" if finding.mendable else "")
+        for finding in findings
+    )
+
+
+class _Words(NamedTuple):
+    """See `Finding`."""
+
+    unit: str
+    what: Callable[[Finding], str]
+    consequence: str
+    mended: Callable[[Finding], str] = lambda _: ""
+
+
+def _of_all(finding: Finding) -> str:
+    return f"{len(finding.sensors)} of {finding.values['n_sensors']} sensors"
+
+
+def _copies(finding: Finding) -> str:
+    noise = finding.values["noise"]
+    own = f", with up to {noise:.1%} of noise of their own" if noise else ""
+    return f"{len(finding.sensors)} sensors read one wire{own}"
+
+
+def _left_out(finding: Finding) -> str:
+    kept = finding.values["kept"]
+    others = join_items([name for name in finding.sensors if name != kept])
+    if kept is None:
+        return f"all were left out, since it is unknown which of {others} is real"
+    return f"{kept} was kept, and {others} left out, since their positions are unknown"
+
+
+def _hum(finding: Finding) -> str:
+    period, rate = finding.values["period"], finding.values["rate_hz"]
+    return (
+        f"{len(finding.sensors)} sensors hum with a period of {period:.4g} frames"
+        f"{'' if rate is None else f' ({rate / period:.3g} Hz)'}, {finding.size:.0%} of the "
+        "standard deviation of a sensor"
+    )
+
+
+def _lags(finding: Finding) -> str:
+    listed = join_items([f"{lag:+d}" for lag in finding.values["lags"]])
+    doubt = "" if finding.mendable else ", in part perhaps since what touches them moves"
+    return f"groups of sensors lag the largest group by {listed} frames{doubt}"
+
+
+def _regions(finding: Finding) -> str:
+    (one, other), frame = finding.values["sizes"], finding.values["frame"]
+    return (
+        f"two regions of {one} and {other} sensors were touched one after the other, the second "
+        f"from frame {frame} on, and {finding.size:.0f} sensors with both"
+    )
+
+
+_ALIKE = "they look alike wherever they are"
+_NOISE = "{} share noise, {:.0%} of the standard deviation of a sensor"
+
+_WORDS: Mapping[str, _Words] = MappingProxyType(
+    {
+        "gaps": _Words(
+            "share",
+            lambda f: (
+                f"{f.size:.0%} of the readings of {_of_all(f)} are "
+                + ("on straight lines, as if interpolated" if f.values["lines"] else "missing")
+            ),
+            "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
+            lambda _: "these readings were estimated from the most similar sensors, or on lines",
+        ),
+        "glitches": _Words(
+            "readings",
+            lambda f: (
+                f"{f.size:.0f} readings of {len(f.sensors)} sensors are far beyond all others"
+            ),
+            "they outweigh all contacts of these sensors",
+        ),
+        "hum": _Words(
+            "share of the standard deviation",
+            _hum,
+            _ALIKE,
+            lambda _: "a sine was fitted to each of them and subtracted",
+        ),
+        "one-period": _Words(
+            "share of the variance",
+            lambda f: (
+                f"{f.size:.0%} of the variance of the readings is a sine of "
+                f"{f.values['period']:.4g} frames"
+            ),
+            "similarity depends on phase alone; there is nothing to map",
+        ),
+        "common-noise": _Words(
+            "share of the standard deviation",
+            lambda f: _NOISE.format("all sensors", f.size),
+            _ALIKE,
+        ),
+        "board-noise": _Words(
+            "share of the standard deviation",
+            lambda f: _NOISE.format(f"a group of {len(f.sensors)} sensors", f.size),
+            _ALIKE,
+            lambda _: "the common signal was estimated in each frame and subtracted",
+        ),
+        "spikes": _Words(
+            "share of the frames",
+            lambda f: (
+                f"a group of {len(f.sensors)} sensors jumps for single frames, in {f.size:.2%} of "
+                f"the frames, by {f.values['height']:.3g}"
+            ),
+            _ALIKE,
+        ),
+        "drift": _Words(
+            "standard deviations",
+            lambda f: (
+                f"the level at rest of {_of_all(f)} drifts by {f.size:.2g} standard deviations of "
+                "their readings (median)"
+            ),
+            "sensors that drift alike look related, and contacts are hidden",
+        ),
+        "saturation": _Words(
+            "share of the frames",
+            lambda f: (
+                f"{_of_all(f)} are at the end of their range in {f.size:.1%} of the frames (median)"
+            ),
+            "heights of contacts are cut off; lengths that follow from heights are wrong",
+        ),
+        "inverted": _Words(
+            "share",
+            lambda f: f"contact has the opposite sign in {_of_all(f)}",
+            "they look unrelated to their neighbours",
+            lambda _: "these sensors were mirrored at their rest value",
+        ),
+        "lags": _Words(
+            "frames",
+            _lags,
+            "sensors of different groups seem less similar than they are",
+            lambda f: (
+                f"each group was shifted by its lag; {f.values['lost']} frames at the ends were "
+                "left out"
+            ),
+        ),
+        "leak": _Words(
+            "share",
+            lambda f: (
+                f"about {f.size:.1%} of each channel leaks into the next, in "
+                f"{f.values['n_forward']} of {f.values['n_pairs']} pairs and not backwards"
+            ),
+            "sensors that are adjacent in the order of the channels look like neighbours",
+        ),
+        "copies": _Words(
+            "sensors",
+            _copies,
+            "sensors at one place distort the map around them; at most one of them is right",
+            _left_out,
+        ),
+        "changed": _Words(
+            "share",
+            lambda f: (
+                f"{len(f.sensors)} sensors resemble other sensors from about frame "
+                f"{f.values['frame']} of {f.values['n_frames']} on"
+            ),
+            "wires were exchanged, or the body took another posture; map the frames before and "
+            "after by themselves",
+        ),
+        "separate-regions": _Words(
+            "sensors touched with both",
+            _regions,
+            "the relative position of the regions is unknown; touch the skin between them",
+        ),
+    }
+)
