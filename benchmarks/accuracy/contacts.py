@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.evaluation.compare import COMPARED, compare_methods, spanned_dimensions
+from anisomap.evaluation.compare import compare_methods, spanned_dimensions
 from anisomap.numerics.similarity.rest import estimate_rest
 from benchmarks.accuracy.quality import Result, all_scores
+from benchmarks.accuracy.rivals import COMPARED
 from benchmarks.harness import frame, markdown_table, measured, options, publish
 
 SKINS = (

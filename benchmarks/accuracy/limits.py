@@ -29,12 +29,13 @@ from sklearn.isotonic import IsotonicRegression
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.evaluation import mantel
-from anisomap.evaluation.compare import RIVALS, compare_methods, spanned_dimensions, touched
+from anisomap.evaluation.compare import compare_methods, spanned_dimensions, touched
 from anisomap.method.evidence import compare
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
 from anisomap.method.pipeline import Configuration, dissimilarities, refine_components
 from anisomap.recording import Recording
+from benchmarks.accuracy.rivals import RIVALS
 from benchmarks.harness import files_in, keyed_table, markdown_table, measured, options, publish
 
 FRAMES_FOR_HALVES = 1000

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from anisomap import Recording, diagnose
 from anisomap.errors import InputError
-from anisomap.evaluation.compare import map_by_rival
+from anisomap.evaluation.rivals import map_by_rival
 from anisomap.health import assess, find_faults
 from anisomap.method.reconstruction import reconstruct_with_stages
 from benchmarks.harness import markdown_table, options, quietly, write_rows

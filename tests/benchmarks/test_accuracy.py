@@ -16,6 +16,7 @@ from benchmarks.accuracy.check import (
     Skin,
     table,
 )
+from benchmarks.accuracy.rivals import COMPARED, name_of
 from benchmarks.harness import read_rows, write_rows
 from benchmarks.placing import placement
 from benchmarks.verdicts import trust
@@ -23,7 +24,6 @@ from scipy.spatial.distance import cdist
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.evaluation.compare import COMPARED
 from skins import flat_skin, triangles
 
 
@@ -143,7 +143,7 @@ def test_recordings_are_compared_and_written_with_the_simulated_ones(tmp_path, m
     skin = flat_skin(n_frames=120)
     anisomap.write(skin, tmp_path / "skin.npz")
     [(comparison, results)] = quality.score_file(tmp_path / "skin.npz")
-    assert [q.method for q in results] == list(COMPARED)
+    assert [q.method for q in results] == [name_of(one) for one in COMPARED]
     anisomap.write(anisomap.Recording(skin.readings), tmp_path / "unknown.npz")
     assert quality.score_file(tmp_path / "unknown.npz") == []
     simulated = [

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 from benchmarks.accuracy import check, dimension, limits, quality
+from benchmarks.accuracy.rivals import COMPARED, name_of
 from benchmarks.harness import columns
 from benchmarks.live import coach, session
 from benchmarks.placing import placement
 from benchmarks.verdicts import faults, trust
 
 from anisomap.cli.commands import comparison as comparison_tables
-from anisomap.evaluation.compare import COMPARED
 from anisomap.paper import accuracy, bodies, claims
 
 ROOT = Path(__file__).parents[2]
@@ -98,7 +98,7 @@ HEADERS = {
     "live-memory": session.MEMORY_COLUMNS,
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
-    "recordings": comparison_tables.columns(COMPARED),
+    "recordings": comparison_tables.columns([name_of(one) for one in COMPARED]),
     "rivals": accuracy.RIVALS_COLUMNS,
     "trust": trust.COLUMNS,
 }

@@ -5,26 +5,25 @@ import sys
 
 import numpy as np
 import pytest
+from benchmarks.accuracy.rivals import MORE
 from scipy.spatial.distance import pdist
 from sklearn.decomposition import PCA
-from sklearn.manifold import Isomap
+from sklearn.manifold import Isomap, LocallyLinearEmbedding
 
 import anisomap
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import mantel
-from anisomap.evaluation.compare import (
-    RIVALS,
-    compare_methods,
-    map_by_rival,
-    spanned_dimensions,
-    touched,
-)
+from anisomap.evaluation.compare import compare_methods, spanned_dimensions, touched
+from anisomap.evaluation.rivals import RIVALS, map_by_rival, name_of
 from skins import flat_skin, lattice, rubbed
 
 NAMES = [
-    pytest.param(name, marks=pytest.mark.slow if rival.module else ())
-    for name, rival in RIVALS.items()
-]  # compiling UMAP takes some 10 s
+    *(
+        pytest.param(name, marks=pytest.mark.slow if rival.extra else ())
+        for name, rival in RIVALS.items()
+    ),  # compiling UMAP takes some 10 s
+    *MORE,
+]
 
 
 def relative(positions):
@@ -33,12 +32,12 @@ def relative(positions):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_rivals_map_a_flat_skin_and_depend_on_their_seed_alone(name):
-    if not RIVALS[name].installed:
-        pytest.skip(f"needs {RIVALS[name].module}")
+    if name in RIVALS and not RIVALS[name].installed:
+        pytest.skip(f"needs the extra {RIVALS[name].extra}")
     recording = flat_skin()
     made = map_by_rival(recording, name, 2, seed=3)
     assert made.positions.shape == (42, 2)
-    assert made.method == name
+    assert made.method == name_of(name)
     assert mantel(made, recording.positions, permutations=0).r > 0.4
     again = map_by_rival(recording, name, 2, seed=3)
     np.testing.assert_array_equal(made.positions, again.positions)
@@ -50,7 +49,7 @@ def test_rivals_see_correlations_only():
     rng = np.random.default_rng(0)
     order = rng.permutation(42)
     changed = recording.readings[rng.permutation(1500)] * rng.uniform(1, 5, 42) - 3
-    for name in ("isomap-on-r", "pca-on-r", "laplacian-on-r", "phate-on-r"):
+    for name in ("isomap-on-r", "pca-on-r", "laplacian-on-r", ("own", Isomap()), *MORE[1:]):
         first = map_by_rival(recording, name, 3).positions
         second = map_by_rival(anisomap.Recording(changed[:, order]), name, 3).positions
         np.testing.assert_allclose(relative(first[order]), relative(second), atol=1e-5)
@@ -63,6 +62,21 @@ def test_isomap_on_r_is_ten_lines_of_scikit_learn():
     expected = Isomap(n_neighbors=8, n_components=2, metric="precomputed").fit_transform(distances)
     found = map_by_rival(recording, "isomap-on-r", 2).positions
     np.testing.assert_allclose(pdist(found), pdist(expected), rtol=1e-6, atol=1e-9)
+
+
+def test_an_estimator_is_given_standardised_sensors_and_is_not_changed():
+    recording = flat_skin()
+    own = LocallyLinearEmbedding(n_neighbors=12, eigen_solver="dense")
+    found = compare_methods(recording, ["isomap-on-r", ("lle", own), ("pca", PCA())])
+    stock, mine, principal = found.scores
+    assert [s.is_stock for s in found.scores] == [True] * 3
+    assert found.judged is None
+    assert np.isfinite(mine.mantel_r)
+    assert own.n_components == 2
+    assert not hasattr(own, "embedding_")
+    expected = map_by_rival(recording, "pca-on-r", 2).positions
+    np.testing.assert_allclose(pdist(principal.sensor_map.positions), pdist(expected), rtol=1e-6)
+    assert stock.method == "isomap-on-r"
 
 
 def test_pca_on_r_is_pca_of_standardised_sensors():
@@ -174,6 +188,7 @@ def test_dimensions_that_positions_span(dimensions):
     ("arguments", "options", "message"),
     [
         ((flat_skin(), ["magic"]), {}, "there is no method 'magic'; choose from covariogram"),
+        ((flat_skin(), [("isomap", Isomap())]), {}, "give the estimator another name"),
         ((anisomap.Recording(np.eye(5)),), {}, "requires true positions"),
         ((flat_skin(),), {"min_touches": 2000}, "at least 4 sensors that differ from rest in 2000"),
     ],

@@ -11,7 +11,7 @@ import numpy as np
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
 from anisomap.evaluation import mantel
-from anisomap.evaluation.compare import map_by_rival
+from anisomap.evaluation.rivals import map_by_rival
 from anisomap.method.pipeline import dissimilarities
 from anisomap.method.reconstruction import reconstruct
 from anisomap.numerics.graph.metric import metricise
@@ -216,7 +216,7 @@ _METRICS: Mapping[str, Callable[[Reals, Reals], Reals]] = {
 }
 """Metrics by name: functions of the correlations r (N, N) and of the dissimilarities 1 / r."""
 
-RIVALS = (*METHODS, *_METRICS, "som-on-r", "isomap-on-r")
+RIVALS = (*METHODS, *_METRICS, "isomap-on-r")
 RIVALS_COLUMNS = {
     "run": _RIVAL_COLUMNS["run"],
     "runs": "number of runs",
@@ -271,13 +271,11 @@ _RIVAL_SCORES = (
     "Prior work and ablations",
     "Methods of prior work that the paper discusses, and r-ANISOMAP with one step changed, on the "
     "same runs.\n\nThe ablations are r-ANISOMAP with only the edges of the smallest connected "
-    "neighbour graph, as in ISOMAP, and r-ANISOMAP without shortest paths. The self-organising map "
-    "places sensors instead of frames: its inputs are the standardised readings of each sensor, "
-    "and each sensor lies at the node that is most similar to it. Isomap on correlations uses "
-    "scikit-learn.\n\nThe bodies in the last rows are stimulated by point sources. All sensors "
-    "respond to each source, by their distance to it, as in the earlier simulation that the paper "
-    "cites (Modayil). The method with Gaussian neighbours follows this work: it computes the "
-    "distances of neighbours from a Gaussian covariance.",
+    "neighbour graph, as in ISOMAP, and r-ANISOMAP without shortest paths. Isomap on correlations "
+    "uses scikit-learn.\n\nThe bodies in the last rows are stimulated by point sources. All "
+    "sensors respond to each source, by their distance to it, as in the earlier simulation that "
+    "the paper cites (Modayil). The method with Gaussian neighbours follows this work: it computes "
+    "the distances of neighbours from a Gaussian covariance.",
     needs=_RIVAL_SCORES,
 )
 def rivals_table(_: Settings, tables: Tables) -> Iterator[Table]:

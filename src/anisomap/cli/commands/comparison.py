@@ -35,7 +35,7 @@ _LEGEND = (
 
 def to_markdown(comparisons: Sequence[Comparison]) -> str:
     """Format comparisons of the same methods as a Markdown table, followed by its losses."""
-    from anisomap.evaluation.compare import RIVALS
+    from anisomap.evaluation.rivals import RIVALS
 
     methods = [s.method for s in comparisons[0].scores]
     lines = [[*_FACTS, *methods], ["---"] * (len(_FACTS) + len(methods))]
@@ -162,8 +162,8 @@ def compare(
     ----------
     method
         Method to compare; may be repeated. Default: the default method, contact-fit, the paper's
-        four, and the stock methods isomap-on-r, umap-on-r (extra 'umap'), tsne-on-r, pca-on-r,
-        laplacian-on-r, som-on-r and phate-on-r.
+        four, and the stock methods isomap-on-r, umap-on-r (extra 'umap'), tsne-on-r, pca-on-r and
+        laplacian-on-r.
     dimensions
         Number of coordinates; may be repeated. Default: as many as the true positions span.
     min_touches
@@ -171,7 +171,8 @@ def compare(
     output
         File for the table, in Markdown (.md) or CSV (.csv); may be repeated.
     """
-    from anisomap.evaluation.compare import COMPARED, check_methods, compare_methods
+    from anisomap.evaluation.compare import COMPARED, compare_methods
+    from anisomap.evaluation.rivals import check_methods
 
     check_methods(method or ())
     outputs = output or []

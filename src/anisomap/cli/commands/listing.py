@@ -15,7 +15,7 @@ from anisomap.cli.console import Printer
 
 def methods(*, printer: options.Printing = options.PRINTER) -> None:
     """List the methods and the similarities."""
-    from anisomap.evaluation.compare import RIVALS
+    from anisomap.evaluation.rivals import RIVALS
     from anisomap.method.named import PAPER_METHODS
 
     own = [

@@ -91,8 +91,8 @@ def repair(
 ) -> None:
     """Mend the faults of a recording that can be mended, and write it.
 
-    These are copies of sensors, inverted sensors, lags between boards, leaks into the next channel,
-    noise and hum that sensors share, spikes, drift and gaps. Copies of a sensor are left out.
+    These are copies of sensors, which are left out, inverted sensors, lags between boards, hum,
+    noise of boards, and gaps. Other faults are named only.
 
     Parameters
     ----------
@@ -256,8 +256,8 @@ def map_recording(
         Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses 3 if the third
         coordinate improves the fit clearly, else 2.
     repair
-        Mend faults of the recording first: copies, inverted sensors, lags, leaks, noise and hum
-        that sensors share, drift and gaps. `anisomap info` lists those that it finds.
+        Mend faults of the recording first: copies, inverted sensors, lags, hum, noise of boards,
+        and gaps. `anisomap info` lists those that it finds.
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
