@@ -93,7 +93,7 @@ def test_every_public_name_can_be_had():
 
 WITHOUT_EXTRAS = """
 import json, sys
-for name in ("mujoco", "matplotlib", "plotly", "jinja2"):
+for name in ("mujoco", "matplotlib", "jinja2"):
     sys.modules[name] = None
 from anisomap.cli import main
 for arguments in json.loads(sys.argv[1]):

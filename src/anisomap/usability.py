@@ -16,7 +16,7 @@ LEVELS: Mapping[str, str] = MappingProxyType(
     {
         "not usable": "positions and neighbours may be wrong",
         "usable for neighbours": "most neighbours are right; lengths and shape may be wrong",
-        "usable": "positions are right up to the expected error",
+        "usable": "neighbours, lengths and shape are right",
     }
 )
 """Levels of a verdict from the worst to the best, with their meaning."""
@@ -100,12 +100,17 @@ class Verdict:
         meaning = LEVELS.get(self.level, "the accuracy of the map is unknown")
         told = [f"verdict: {self.summary}", meaning, *self.reasons]
         if not math.isnan(self.region_error):
-            told.insert(
-                2,
+            region = (
                 "within a radius of 5 spacings, the expected error is "
                 f"{self.region_error:.2f} spacings ({self.region_error_low:.2f} to "
-                f"{self.region_error_high:.2f}), and {self.neighbours_kept:.0%} of neighbours are "
-                f"right ({self.neighbours_kept_low:.0%} to {self.neighbours_kept_high:.0%})",
+                f"{self.region_error_high:.2f}), and "
+            )
+            if f"{self.region_error:.2f}" == f"{self.expected_error:.2f}":
+                region = ""
+            told.insert(
+                2,
+                f"{region}{self.neighbours_kept:.0%} of neighbours are right "
+                f"({self.neighbours_kept_low:.0%} to {self.neighbours_kept_high:.0%})",
             )
         return tuple(f"{text[:1].upper()}{text[1:]}." for text in told)
 

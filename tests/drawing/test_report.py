@@ -1,83 +1,85 @@
-"""Reports: complete and reproducible."""
+"""Reports: what they show, that they are self-contained, and safe with any names."""
 
 import base64
+import hashlib
 import math
+import shutil
+import subprocess
 import sys
 from dataclasses import replace
 
 import numpy as np
-import plotly.graph_objects as go
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anisomap.base.wording import UNKNOWN, number
-from anisomap.drawing.report import MAX_ROWS, Touches, check_writable, render_report
+from anisomap.base.wording import UNKNOWN, number, printable
+from anisomap.drawing.report import MAX_ROWS, Touches, check_writable, render_report, write_report
 from anisomap.drawing.report.interactive import MAX_DOTS
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score
-from anisomap.health import STATUSES
+from anisomap.health import STATUSES, SensorHealth, touch_coverage
+from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 from anisomap.usability import Verdict
-from reports import PNG, assessed, example, page_of, scene_of, summary
+from reports import Page, assessed, example, page_of, scene_of, summary
+
+HOSTILE = (
+    "</script><script>alert(1)</script>",
+    "<img src=x onerror=alert(2)>",
+    '"><svg onload=alert(3)>',
+    "';alert(4)//",
+    "{{ 7 * 7 }}{% raw %}",
+    '%{x}<a href="https://example.org/">link</a>',
+    "javascript:alert(5)",
+    "<!--<script>",
+    "&lt;script&gt;alert(6)&lt;/script&gt;",
+    "\u2028\u202e\x00\ud800",
+    "</style></textarea></title>",
+    "plain",
+)
 
 
-def test_the_same_input_gives_the_same_text():
-    first, again = (
-        render_report(made, score=scored, health=assessed(made), figure_png=PNG)
-        for made, scored in (example(), example())
-    )
-    assert first == again
+def lattice(n_rows):
+    return np.argwhere(np.ones((n_rows, n_rows))).astype(float)
+
+
+def touched(sensor_map):
+    """Every sensor has ten contacts but the first, and neighbours are never touched together."""
+    readings = np.kron(np.eye(sensor_map.n_sensors), np.ones((10, 1)))
+    readings[:, 0] = 0
+    readings = np.insert(readings, range(len(readings)), 0, axis=0)
+    coverage = touch_coverage(sensor_map, Recording(readings, names=sensor_map.names))
+    return Touches({"touch next": "around <b>s1</b>"}, coverage, b"series")
 
 
 @pytest.mark.parametrize(
     ("true_dimensions", "dimensions"), [(None, 1), (None, 4), (2, 2), (2, 3), (3, 2), (3, 3)]
 )
-def test_plotly_accepts_every_view(true_dimensions, dimensions):
+def test_the_view_holds_every_sensor_at_its_place_with_its_unit(true_dimensions, dimensions):
     sensor_map, scored = example(true_dimensions, min(dimensions, 3))
     if dimensions == 4:
         sensor_map = SensorMap(np.pad(sensor_map.positions, ((0, 0), (0, 1))))
-    (component,) = scene_of(page_of(sensor_map, scored))
-    in_space = max(true_dimensions or 1, dimensions) > 2
-    kinds = {trace["type"] for trace in component["traces"].values()}
-    assert kinds == {"scatter3d" if in_space else "scatter"}
-    assert ("error" in component["colours"]) == (scored is not None)
-    traces = component["traces"]
-    for colours in component["colours"].values():
-        assert len(colours["color"]) == 12
-        coloured = traces["map"] | {"marker": traces["map"]["marker"] | colours}
-        # Raises for properties that plotly does not know.
-        go.Figure([*traces.values(), coloured], component["layout"])
-    axes = component["layout"]["scene"] if in_space else component["layout"]
-    units = "arbitrary units" if scored is None else "mm"
-    for axis in "xyz" if in_space else "xy":
-        assert axes[f"{axis}axis"]["title"]["text"] == f"{axis} ({units})"
-    if not in_space:
-        assert axes["yaxis"]["scaleanchor"] == "x"
-        return
-    assert axes["aspectmode"] == "manual"
-    lengths = [np.ptp(axes[f"{axis}axis"]["range"]) for axis in "xyz"]
-    scales = np.divide(lengths, [axes["aspectratio"][axis] for axis in "xyz"])
-    assert scales == pytest.approx(scales[0], rel=1e-4), "all axes have the same scale"
-
-
-def test_the_view_shows_the_map_aligned_with_the_truth():
-    sensor_map, scored = example()
-    (component,) = scene_of(page_of(sensor_map, scored))
-    for what, expected in (("map", scored.alignment.aligned), ("truth", scored.truth)):
-        shown_places = np.column_stack([component["traces"][what][axis] for axis in "xyz"])
-        np.testing.assert_allclose(shown_places, expected, rtol=1e-4, atol=1e-3)
-    assert component["names"] == list(sensor_map.names)
-    for name, hover in zip(sensor_map.names, component["traces"]["map"]["hovertext"], strict=True):
-        assert all(said in hover for said in (name, "health: unassessed", "component 1", " mm"))
+    (view,) = scene_of(page_of(sensor_map, scored))
+    drawn = min(max(true_dimensions or 2, dimensions), 3)
+    assert np.shape(view["points"]) == (12, drawn)
+    assert (view["view"] is None) == (drawn == 2)
+    assert view["units"] == ("arbitrary units" if scored is None else "mm")
+    assert view["names"] == list(sensor_map.names)
+    assert len(view["pairs"])
+    if scored is not None:
+        places = np.pad(scored.truth, ((0, 0), (0, drawn - scored.truth.shape[1])))
+        for key, expected in (("points", scored.alignment.aligned), ("truth", places)):
+            np.testing.assert_allclose(view[key], expected, atol=1e-3 * np.ptp(expected))
+        errors = view["colours"]["error"]["ramp"]
+        np.testing.assert_allclose(errors, scored.alignment.errors, rtol=1e-3)
 
 
 def test_every_component_has_a_view():
     component = np.repeat([0, 1, 2, UNPLACED], [6, 4, 1, 1])
     positions = np.random.default_rng(0).normal(size=(12, 3))
     positions[-1] = np.nan
-    sensor_map = SensorMap(positions, component=component)
-    page = page_of(sensor_map)
+    page = page_of(SensorMap(positions, component=component))
     labels = [component["label"] for component in scene_of(page)]
     assert labels == ["Component 1: 6 sensors", "Component 2: 4 sensors"]
     assert "separate components that share no frame" in page.text
@@ -86,6 +88,57 @@ def test_every_component_has_a_view():
     nowhere = page_of(SensorMap(np.full((5, 3), np.nan)))
     assert "0 of 5" in nowhere.text
     assert "form" not in nowhere.tags
+
+
+def test_ellipses_are_offered_only_where_they_differ():
+    sensor_map, scored = example(2, 2)
+    alike = replace(sensor_map, covariances=np.tile(0.01 * np.eye(2), (12, 1, 1)))
+    unlike = replace(alike, covariances=alike.covariances * np.arange(1, 13)[:, None, None])
+    for made, offered in ((sensor_map, False), (alike, False), (unlike, True)):
+        page = page_of(made, scored)
+        assert ("ellipses" in scene_of(page)[0]) == offered
+        assert ("ellipses" in page.values("name")) == offered
+        assert ("95 % (mm)" in page.header) == offered
+    checked = [name for tag, name, _ in page.attributes if tag == "input" and name == "checked"]
+    assert len(checked) == 1, "only neighbours are shown at first"
+    metres = replace(
+        unlike,
+        positions=unlike.positions / 1000,
+        covariances=unlike.covariances / 1e6,
+        units="m",
+    )
+    again = page_of(metres, score(metres, scored.truth, units="mm", permutations=0))
+    assert again.sensor_rows == page.sensor_rows, "in the unit of the errors beside them"
+
+
+def test_contacts_are_a_colour_of_the_one_map():
+    sensor_map = SensorMap(lattice(4))
+    page = page_of(sensor_map, touches=touched(sensor_map))
+    (view,) = scene_of(page)
+    contacts = view["colours"]["contacts"]
+    assert contacts["values"] == [0] + [10] * 15
+    assert [contacts["classes"][k][0] for k in contacts["of"]] == ["none"] + ["5 to 11"] * 15
+    assert [0, 1] in contacts["apart"]
+    assert any(0 in place for place in contacts["places"])
+    assert [0, 1] in view["pairs"]
+    sources = [text.removeprefix("data:image/png;base64,") for text in page.values("src")]
+    assert [base64.b64decode(source) for source in sources] == [b"series"]
+    assert page.tags.count("canvas") == 1
+    assert "around <b>s1</b>" in page.text, "shown as text"
+
+
+def test_exchanged_sensors_are_named():
+    sensor_map = SensorMap(lattice(6)[[0, 20, *range(2, 20), 1, *range(21, 36)]])
+    scored = score(sensor_map, lattice(6), units="mm", permutations=0)
+    assert scored.exchanged == ((1, 20),)
+    page = page_of(sensor_map, scored)
+    assert "Looks exchanged: run check. Pairs: s1 and s20." in page.text
+    reasons = {row[0]: row[-1] for row in page.sensor_rows if row[-1]}
+    assert reasons == {
+        "s1": "looks exchanged with s20: run check",
+        "s20": "looks exchanged with s1: run check",
+    }
+    assert not score(SensorMap(lattice(6)), lattice(6), permutations=0).exchanged
 
 
 @pytest.mark.parametrize("with_score", [True, False])
@@ -106,7 +159,6 @@ def test_the_table_lists_every_sensor_and_the_worst_first(with_score, with_healt
         return
     worst_first = np.argsort(-scored.alignment.errors)
     assert [row[0] for row in rows] == [sensor_map.names[i] for i in worst_first]
-    assert page.text.index(rows[0][0]) < page.text.index("The map is known up to")
     shown = [float(row[2]) for row in rows]
     np.testing.assert_allclose(shown, scored.alignment.errors[worst_first], rtol=0.01)
 
@@ -121,102 +173,157 @@ def test_every_caveat_is_listed_once():
         assert listed.count(caveat) == 1
     for fact in ("2345", "-1.5 to 255", "87.5%", "unknown", "1 constant"):
         assert fact in page.text
-    (component,) = scene_of(page)
-    hover = dict(zip(component["names"], component["traces"]["map"]["hovertext"], strict=True))
-    assert [name for name in hover if "not compared" in hover[name]] == ["s3"]
+    (view,) = scene_of(page)
+    assert [view["names"][i] for i in view["uncompared"]] == ["s3"]
     assert "No warnings" in page_of(example()[0]).text
     caveats = page_of(*example(3, 2)).texts["li"]
     assert any("fewer dimensions than the truth (2 and 3)" in caveat for caveat in caveats)
 
 
-def test_the_verdict_comes_first_with_the_scores():
+def test_the_verdict_comes_first_and_nothing_is_said_twice():
     sensor_map, scored = example()
     good = page_of(sensor_map, scored)
-    quantiles = scored.mantel.quantiles()
-    assert good.text.index("Verdict: cannot tell.") < good.text.index("Null")
+    assert good.text.index("Verdict: cannot tell.") < good.text.index("Mantel r")
     for part in (
         f"{scored.mantel.r:.3f}",
-        f"min {quantiles[0.0]:.3f}, median {quantiles[0.5]:.3f}, max {quantiles[1.0]:.3f}",
-        f"{quantiles[0.95]:.3f}",
+        f"{scored.mantel.quantiles()[0.95]:.3f} at most in 95 % of random permutations",
         f"{number(scored.rms)} mm",
         number(scored.rms_in_spacings, 3),
         "known up to rotation, translation, scale and reflection",
     ):
         assert part in good.text
-    elsewhere = np.random.default_rng(8).normal(size=(12, 3))
-    random = score(sensor_map, elsewhere, permutations=200)
-    assert random.mantel.r < random.mantel.quantiles()[0.95]
-    said = page_of(sensor_map, random).text
-    assert "no better than random permutations" in said
+    random = score(sensor_map, np.random.default_rng(8).normal(size=(12, 3)), permutations=200)
+    assert "no better than random permutations" in page_of(sensor_map, random).text
     assert "no better than random permutations" not in good.text
-    flattened = SensorMap(sensor_map.positions * [1, 0, 0])
-    coarse = page_of(flattened, score(flattened, scored.truth, permutations=0))
-    assert "not computed" in coarse.text
-    assert "no better than random permutations" not in coarse.text
+    errors = dict.fromkeys(("expected_error", "region_error"), 0.25)
+    for low in ("expected_error_low", "region_error_low", "neighbours_kept_low"):
+        errors |= {low: 0.1, low.replace("low", "high"): 0.5}
+    judged = Verdict("usable", **errors, neighbours_kept=0.9, reasons=("halves agree",))
+    provenance = {"elbow_1": 0.785, "source": "day 1"}
+    page = page_of(replace(sensor_map, verdict=judged, provenance=provenance))
+    assert [page.text.count(sentence) for sentence in judged.sentences] == [1] * 4
+    assert page.text.count("0.25") == 1
+    assert "up to the expected error" not in page.text
+    assert "elbow" not in page.text
+    assert "day 1" in page.text
 
 
-def test_without_truth_the_verdict_gives_what_is_known():
-    judged = Verdict("usable", expected_error=0.25, reasons=("halves agree", "contacts vary"))
-    told = page_of(replace(example()[0], verdict=judged)).text
-    assert [told.count(sentence) for sentence in judged.sentences] == [1] * 4
-    text = page_of(example()[0]).text
-    pose = "known up to rotation, translation, scale and reflection"
-    for part in ("12 of 12", "Verdict: cannot tell.", pose, "0.125"):
-        assert part in text
-    assert "Mantel r" not in text.split("Method and provenance")[0].replace("expected Mantel r", "")
+@pytest.mark.parametrize("n_sensors", [MAX_DOTS, MAX_DOTS + 100])
+def test_reports_of_large_maps_are_small(n_sensors):
+    health = ["ok"] * (n_sensors - 1) + ["dead"]
+    truth = 1000 * np.random.default_rng(0).normal(size=(n_sensors, 3))
+    sensor_map = SensorMap(truth, health=health)
+    source = render_report(sensor_map, score=score(sensor_map, truth, permutations=0))
+    assert len(source.encode()) < 2e6
+    page = Page(source)
+    (view,) = scene_of(page)
+    assert len(view["names"]) == MAX_DOTS
+    assert bool(view["pairs"]) == (n_sensors == MAX_DOTS)
+    assert f"s{n_sensors - 1}" in view["names"], "faulty sensors are shown"
+    assert (f"the view shows {MAX_DOTS}" in page.text) == (n_sensors > MAX_DOTS)
+    assert f"The first {MAX_ROWS} are listed; the other {n_sensors - MAX_ROWS}" in page.text
+    assert [f"s{n_sensors - 1}", "dead"] in [row[:2] for row in page.sensor_rows]
 
 
-def test_ellipses_have_the_unit_of_the_errors_beside_them():
-    sensor_map, scored = example(3, 3, covariances=np.tile(0.01 * np.eye(3), (12, 1, 1)))
-    positions, covariances = sensor_map.positions / 1000, sensor_map.covariances / 1e6
-    smaller = replace(sensor_map, positions=positions, covariances=covariances, units="m")
-    again = score(smaller, scored.truth, units="mm", permutations=0)
-    page, same = page_of(sensor_map, scored), page_of(smaller, again)
-    assert page.sensor_rows == same.sensor_rows
-    assert {"Error (mm)", "95 % (mm)"} <= set(same.header)
-    assert "95 % (m)" in page_of(smaller).header
-
-
-def test_large_maps_are_shown_in_part():
-    count = MAX_DOTS + 100
-    health = ["ok"] * (count - 1) + ["dead"]
-    truth = np.random.default_rng(0).normal(size=(count, 2))
-    sensor_map = SensorMap(truth, approximate=True, health=health, provenance={"n_landmarks": 7})
-    scored = score(sensor_map, truth, permutations=0)
-    page = page_of(sensor_map, scored)
-    assert f"{count} sensors; the view shows {MAX_DOTS}" in page.text
-    (component,) = scene_of(page)
-    assert len(component["names"]) == MAX_DOTS
-    assert f"s{count - 1}" in component["names"], "faulty sensors are shown"
-    assert f"The first {MAX_ROWS} are listed; the other {count - MAX_ROWS}" in page.text
-    assert len(page.sensor_rows) == MAX_ROWS
-    assert [f"s{count - 1}", "dead"] in [row[:2] for row in page.sensor_rows]
-    assert "This map is approximate" in page.text
-    assert "n_landmarks" in page.text
-
-
-def test_pictures_are_embedded_and_described():
+def test_a_report_is_self_contained_and_runs_only_its_own_script(tmp_path):
     sensor_map, scored = example()
-    told = Touches({"touch next": "around <b>s1</b>"}, b"map", b"series")
-    page = page_of(sensor_map, scored, figure_png=PNG, touches=told)
-    sources = [text.removeprefix("data:image/png;base64,") for text in page.values("src")]
-    assert [base64.b64decode(source) for source in sources] == [PNG, b"map", b"series"]
-    assert any("12 sensors" in described for described in page.values("alt"))
-    assert "How the skin was touched" in page.text
-    assert "around <b>s1</b>" in page.text, "shown as text"
-    bare = page_of(sensor_map, scored)
-    assert "img" not in bare.tags
-    assert "How the skin was touched" not in bare.text
+    path = tmp_path / "report.html"
+    told = {"touches": touched(sensor_map), "summary": summary()}
+    write_report(path, sensor_map, score=scored, **told)
+    source = path.read_text(encoding="utf-8")
+    assert source == render_report(sensor_map, score=scored, **told), "it is reproducible"
+    page = Page(source)
+    addresses = [
+        v for name in ("src", "href", "srcset", "action", "data") for v in page.values(name)
+    ]
+    assert all(address.startswith("data:") for address in addresses)
+    assert not {"link", "base", "iframe", "object", "embed", "a"} & set(page.tags)
+    (style,) = page.texts["style"]
+    assert "@import" not in style
+    assert "url(" not in style
+    _, script = page.texts["script"]
+    assert source.lower().count("</script") == 2
+    assert "<!--" not in script
+    (policy,) = [value for value in page.values("content") if "default-src" in value]
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    assert "connect-src" not in rules
+    for kind, text in (("script", script), ("style", style)):
+        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        assert rules[f"{kind}-src"] == f"'sha256-{digest}'"
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
 
 
-@pytest.mark.parametrize("library", ["jinja2", "plotly"])
-def test_without_the_extra_the_error_names_it(monkeypatch, library):
-    for module in [name for name in sys.modules if name.split(".")[0] == library]:
+def hostile_report(texts):
+    places = np.random.default_rng(0).normal(size=(len(texts), 3))
+    facts = dict.fromkeys(("names", "health", "notes"), texts)
+    facts |= {"units": texts[0], "method": texts[0], "provenance": {"source": texts[0]}}
+    sensor_map = SensorMap(places, **facts)
+    scored = score(sensor_map, places[::-1], units=texts[0], permutations=9)
+    health = [SensorHealth(text, "noisy", text, 0, 1, 2, 0.1, 3, 0.2, 0.3) for text in texts]
+    told = {"health": health, "summary": summary(*texts), "title": texts[0]}
+    return render_report(sensor_map, score=scored, **told)
+
+
+def test_hostile_names_are_escaped(tmp_path):
+    source = hostile_report(HOSTILE)
+    page = Page(source)
+    harmless = Page(hostile_report(tuple(f"name {i}" for i in range(len(HOSTILE)))))
+    assert page.tags == harmless.tags
+    assert not [name for _, name, _ in page.attributes if name.startswith("on")]
+    for sample in ("<script>alert", "<img src=x", "<svg onload", "<a href"):
+        assert sample not in source
+    assert "{{ 7 * 7 }}" in page.text, "names are not templates"
+    assert sorted(row[0] for row in page.sensor_rows) == sorted(map(printable, HOSTILE))
+    sensor_map, scored = example()
+    half = score(sensor_map, scored.truth, units="\ud800", permutations=9)
+    write_report(tmp_path / "report.html", sensor_map, score=half, title="\ud800")
+    (tmp_path / "report.html").read_bytes().decode("utf-8")
+
+
+@pytest.fixture(scope="module")
+def harmless_tags():
+    return Page(hostile_report(tuple("abcde"))).tags
+
+
+@settings(max_examples=12)
+@given(st.lists(st.text(min_size=1), min_size=5, max_size=5, unique=True).map(tuple))
+def test_names_do_not_change_the_structure_of_the_page(harmless_tags, names):
+    page = Page(hostile_report(names))
+    # Notes that are equal once printable are listed once.
+    elements, expected = (
+        [tag for tag in tags if tag != "li"] for tags in (page.tags, harmless_tags)
+    )
+    assert elements == expected
+    assert sorted(row[0] for row in page.sensor_rows) == sorted(map(printable, names))
+    scene_of(page)
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_a_browser_draws_the_map(tmp_path, dimensions):
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("needs Chromium")
+    sensor_map, scored = example(dimensions, dimensions, covariances=np.einsum(
+        "n,ij->nij", np.arange(12.0), np.eye(dimensions)
+    ))  # fmt: skip
+    write_report(tmp_path / "r.html", sensor_map, score=scored, touches=touched(sensor_map))
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking")
+    options += (f"--user-data-dir={tmp_path / 'browser'}", "--enable-logging=stderr", "--dump-dom")
+    run = subprocess.run(
+        [browser, *options, (tmp_path / "r.html").as_uri()], capture_output=True, text=True,
+        check=True, timeout=60,
+    )  # fmt: skip
+    assert "CONSOLE" not in run.stderr, "no errors, and nothing that the policy refuses"
+    assert "light is up" in Page(run.stdout).text, "the script has run to its end"
+
+
+def test_without_the_extra_the_error_names_it(monkeypatch):
+    for module in [name for name in sys.modules if name.split(".")[0] == "jinja2"]:
         monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setitem(sys.modules, library, None)
-    for call in (lambda: render_report(example()[0]), lambda: check_writable("report.html")):
-        with pytest.raises(MissingExtraError, match=r"a report needs .*anisomap\[report\]"):
-            call()
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.raises(MissingExtraError, match=r"a report needs .*anisomap\[report\]"):
+        check_writable("report.html")
 
 
 @given(st.floats(-1e9, 1e9), st.integers(1, 6))

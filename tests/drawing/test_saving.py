@@ -56,7 +56,7 @@ def undrawable():
     ("name", "write", "error"),
     [
         ("map.png", lambda path: figures.save_figure(undrawable(), path), MemoryError),
-        ("map.html", lambda path: report.write_report(path, MAP, figure_png="text"), TypeError),
+        ("map.html", lambda path: report.write_report(path, MAP, summary="text"), AttributeError),
     ],
 )
 def test_a_failure_keeps_the_old_file(tmp_path, name, write, error):

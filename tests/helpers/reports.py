@@ -4,7 +4,6 @@ import json
 from html.parser import HTMLParser
 
 import numpy as np
-from plotly.offline import get_plotlyjs
 
 from anisomap.base.scene import Mesh, Prop, Scene
 from anisomap.drawing.report import render_report
@@ -26,23 +25,19 @@ UNFRIENDLY = (
 """Names that are markup, mathematics or templates, long, or cannot be drawn."""
 
 VOID = {"meta", "img", "input", "br", "link", "base"}
-LIBRARY = get_plotlyjs()
 
 
 class Page(HTMLParser):
-    """Elements, attributes and texts of a report, as a browser parses them.
+    """Elements, attributes and texts of a report, as a browser parses them."""
 
-    Without `whole`, the 5 MB of plotly's library are removed first.
-    """
-
-    def __init__(self, source, *, whole=False):
+    def __init__(self, source):
         super().__init__(convert_charrefs=True)
         self.tags = []
         self.attributes = []
         self.texts = {}
         self.rows = []
         self._open = []
-        self.feed(source if whole else source.replace(LIBRARY, ""))
+        self.feed(source)
         self.close()
         assert not self._open, f"left open: {self._open}"
 
@@ -86,9 +81,9 @@ class Page(HTMLParser):
         return " ".join(words.split())
 
 
-def page_of(sensor_map, scored=None, *, whole=False, **rest):
+def page_of(sensor_map, scored=None, **rest):
     """Render a report, and read it as a browser would."""
-    return Page(render_report(sensor_map, score=scored, **rest), whole=whole)
+    return Page(render_report(sensor_map, score=scored, **rest))
 
 
 def assessed(sensor_map):

@@ -162,18 +162,16 @@ class Outputs:
         if not (self.picture or self.report):
             return self.write(sensor_map)
         figures, shown = drawing.figures, in_millimetres(sensor_map)
-        figure = figures.map_figure(shown, result)
         with together():
-            written = self.write(sensor_map, draw or (lambda: figure))
+            written = self.write(sensor_map, draw or (lambda: figures.map_figure(shown, result)))
             if self.report:
                 touches = None
                 if examined is not None and coverage is not None:
                     doubted = [sensor for sensor in examined.health if sensor.status != "ok"]
-                    touch = figures.plot_touches(shown, coverage, result).figure
                     series = figures.series_figure(examined.recording, doubted) if doubted else None
                     touches = drawing.report.Touches(
                         touch_facts(coverage, shown.names),
-                        figures.figure_bytes(touch),
+                        coverage,
                         None if series is None else figures.figure_bytes(series),
                     )
                 drawing.report.write_report(
@@ -182,7 +180,6 @@ class Outputs:
                     score=result,
                     health=examined.health if examined else (),
                     summary=examined.summary if examined else None,
-                    figure_png=figures.figure_bytes(figure),
                     touches=touches,
                     origin=self._origin(),
                 )
@@ -426,8 +423,10 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
     printer.facts(title, facts)
     printer.notes(result.notes)
     names, errors = sensor_map.names, result.alignment.errors
+    partner = {i: names[j] for pair in result.exchanged for i, j in (pair, pair[::-1])}
     worst = [
-        {"sensor": names[result.sensors[i]], "error": float(errors[i])} for i in result.worst()
+        {"sensor": names[k], "error": float(errors[i]), "exchanged_with": partner.get(k)}
+        for i, k in ((i, int(result.sensors[i])) for i in result.worst())
     ]
     spacing = result.spacing if result.spacing > 0 else np.nan
     columns: Columns = {
@@ -435,6 +434,8 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
         f"error ({units})": ("error", number),
         "spacings": ("error", lambda error: number(error / spacing, 3)),
     }
+    if partner:
+        columns = {**columns, "": ("exchanged_with", _exchange)}
     printer.rows("Worst sensors", columns, worst)
     printer.record(
         score={
@@ -451,6 +452,10 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
             "worst": worst,
         }
     )
+
+
+def _exchange(other: str | None) -> str:
+    return f"looks exchanged with {other}: run check" if other else ""
 
 
 _QUANTILES = {0.0: "min", 0.5: "median", 1.0: "max"}

@@ -89,6 +89,7 @@ MAX_JOINED = 10_000
 _DEFAULT_VIEW_BONUS = 1.25  # factor by which another view must show more than the default
 _N_NEIGHBOURS = 8
 _MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
+_ALIKE = 1.25  # ratio of the half axes of nine and one in ten sensors that the eye hardly sees
 _PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
 _OUTLINE_POINTS = 33  # of a drawn ellipse
 _N_LABELS, _LABEL_ALL = 8, 24
@@ -232,10 +233,25 @@ def shown_name(name: str) -> str:
     return shortened(printable(name), _MAX_LABEL)
 
 
+def unit_of(units: str) -> str:
+    """Name the unit of positions, short and printable."""
+    known = "arbitrary units" if units == "arbitrary" else shortened(printable(units), MAX_UNITS)
+    return known or "unit unknown"
+
+
 def axis_title(axis: str, units: str) -> str:
     """Name an axis with its unit: ``x (mm)``."""
-    known = "arbitrary units" if units == "arbitrary" else shortened(printable(units), MAX_UNITS)
-    return f"{axis} ({known or 'unit unknown'})"
+    return f"{axis} ({unit_of(units)})"
+
+
+def ellipses_differ(covariances: ArrayLike) -> bool:
+    """Whether ellipses tell some sensors from others: else drawing them says nothing.
+
+    covariances (N, k, k).
+    """
+    longest = ellipses(covariances)[0].max(axis=1)
+    low, high = np.nanquantile(longest, (0.1, 0.9)) if np.isfinite(longest).any() else (0, 0)
+    return bool(high > _ALIKE * low)
 
 
 def layout_notes(sensor_map: SensorMap, score: Score | None = None) -> list[str]:
@@ -274,6 +290,8 @@ def _prepared(sensor_map: SensorMap, label: int, score: Score | None) -> Panel:
         turn = alignment.scale * alignment.rotation[:, : sensor_map.dimensions]
     points = with_axes(points, dimensions)
     covariances = sensor_map.covariances
+    if covariances is not None and not ellipses_differ(covariances):
+        covariances = None
     if covariances is not None:
         drawn = np.eye(dimensions, len(turn)) @ turn
         covariances = drawn @ covariances[sensors] @ drawn.T

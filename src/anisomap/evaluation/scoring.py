@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
 
 from anisomap.base.defaults import PERMUTATIONS
 from anisomap.errors import AnisomapWarning, InputError
@@ -278,6 +279,24 @@ class Score:
     def worst(self, count: int = 5) -> NDArray[np.intp]:
         """Return the positions in `sensors` of those with the largest errors, the worst first."""
         return np.argsort(-self.alignment.errors, kind="stable")[:count]
+
+    @property
+    def exchanged(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of indices of sensors that have each other's places, as if wires were exchanged.
+
+        Both errors exceed a spacing, and would be below it if the two were exchanged.
+        """
+        far = np.flatnonzero(self.alignment.errors > self.spacing)
+        if len(far) < 2:
+            return ()
+        aligned = self.alignment.aligned[far]
+        truth = padded(self.truth[far], aligned.shape[1])
+        across, partner = map(np.asarray, KDTree(truth).query(aligned))
+        first = np.arange(len(far))
+        mutual = (first < partner) & (partner[partner] == first)
+        mutual &= np.maximum(across, across[partner]) < self.spacing
+        pairs = self.sensors[far[np.column_stack([first, partner])[mutual]]]
+        return tuple((int(i), int(j)) for i, j in pairs)
 
 
 def score(

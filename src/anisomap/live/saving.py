@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.drawing import figures, report
+from anisomap.drawing import report
 from anisomap.errors import InputError, import_extra
 from anisomap.evaluation import median_spacing
 from anisomap.files.paths import atomic_write
@@ -212,7 +212,6 @@ def save_report(examination: Examination | None, path: Path) -> Path:
         sensor_map,
         health=() if examination is None else examination.health,
         summary=None if examination is None else examination.summary,
-        figure_png=figures.figure_bytes(figures.map_figure(sensor_map)),
     )
     return path
 

@@ -8,19 +8,19 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from importlib.resources import files
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from anisomap.base.wording import UNKNOWN, join_items, number, percent, printable
-from anisomap.drawing.report.interactive import interactive_views, status_colours
-from anisomap.drawing.view import MAX_JOINED, checked_kind, drawn_components, layout_notes
+from anisomap.drawing.report.interactive import interactive_views
+from anisomap.drawing.view import checked_kind, drawn_components, ellipses_differ, layout_notes
 from anisomap.errors import import_extra
 from anisomap.evaluation import Score
 from anisomap.files.paths import atomic_write, check_target
-from anisomap.health import RecordingSummary, SensorHealth
+from anisomap.health import RecordingSummary, SensorHealth, TouchCoverage
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
 from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
@@ -34,7 +34,19 @@ MAX_ROWS = 2000
 """Largest number of sensors in the table; browsers lay out longer tables slowly."""
 
 _N_WORST = 5  # sensors named first
-_MAX_PRINTED = 8  # rows of the table in print; figures and facts fill the rest of two pages
+_MAX_PRINTED = 8  # rows of the table in print; the map and facts fill the rest of two pages
+_PROVENANCE = {
+    "anisomap": "version of anisomap",
+    "source": "recording",
+    "runs": "recordings",
+    "frames": "frames",
+    "similarity": "similarity",
+    "dimensions_because": "dimensions, because",
+    "repaired": "mended",
+    "spacing": "spacing given",
+    "updated_by": "updated by",
+}
+"""What readers need of the provenance of a map, in their words; the map file holds all of it."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +54,12 @@ class Touches:
     """How a skin was touched.
 
     facts: Numbers of contacts, and where to touch next.
-    map_png: Picture of the contacts by place.
+    coverage: Contacts of the sensors of the map.
     series_png: Picture of the readings of doubted sensors over time.
     """
 
     facts: Mapping[str, str]
-    map_png: bytes
+    coverage: TouchCoverage
     series_png: bytes | None = None
 
 
@@ -60,32 +72,32 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
 
     Maps of objects get no verdict, since no recording says how far their pairs can be trusted.
     """
+    names, kind = sensor_map.names, sensor_map.kind
     sentences = list(sensor_map.verdict.sentences)
-    if sensor_map.kind == "object":
+    if kind == "object":
         sentences = [f"The map fits the dissimilarities with Stress-1 {number(sensor_map.stress)}."]
     if score is not None:
         null = score.mantel.quantiles().get(0.95)
         if null is not None and score.mantel.r <= null:
             sentences.append(
                 "The map agrees with the true positions no better than random permutations of the "
-                f"{sensor_map.kind}s."
+                f"{kind}s."
             )
-        worst = score.worst(_N_WORST)
         farthest = [
-            f"{sensor_map.names[i]} ({number(float(error), 3, score.units)})"
-            for i, error in zip(score.sensors[worst], score.alignment.errors[worst], strict=True)
+            f"{names[score.sensors[i]]} ({number(score.alignment.errors[i], 3, score.units)})"
+            for i in score.worst(_N_WORST)
         ]
         sentences.append(f"Farthest from their true positions: {join_items(farthest)}.")
+        if pairs := [f"{names[i]} and {names[j]}" for i, j in score.exchanged]:
+            sentences.append(f"Looks exchanged: run check. Pairs: {join_items(pairs, _N_WORST)}.")
     sizes = sensor_map.component_sizes
     if len(sizes) > 1:
         sentences.append(
-            f"Only {sizes[0]} {sensor_map.kind}s are placed relative to one another: the others "
-            f"are in {len(sizes) - 1} separate components."
+            f"Only {sizes[0]} {kind}s are placed relative to one another: the others are in "
+            f"{len(sizes) - 1} separate component{'s' if len(sizes) > 2 else ''}."
         )
     if sensor_map.approximate:
-        sentences.append(
-            f"This map is approximate: only some pairs of {sensor_map.kind}s were compared."
-        )
+        sentences.append(f"This map is approximate: only some pairs of {kind}s were compared.")
     fitted = "" if score is None else ", and was fitted to the true positions"
     return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
 
@@ -107,13 +119,10 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
     found = []
     if score is not None:
         null, mantel = score.mantel.quantiles(), score.mantel
-        null_range = "not computed"
-        if null:
-            null_range = (
-                f"Mantel r of random permutations: min {null[0.0]:.3f}, median {null[0.5]:.3f}, "
-                f"max {null[1.0]:.3f}; p = {number(mantel.p_value, 2)}"
-            )
         meaning = "correlation of the distances on the map with the true distances; at most 1"
+        if null:
+            meaning += f"; {null[0.95]:.3f} at most in 95 % of random permutations"
+            meaning += f", p = {number(mantel.p_value, 2)}"
         in_spacings = (
             f"or {number(score.rms_in_spacings, 3)} spacings of "
             f"{number(score.spacing, unit=score.units)}"
@@ -121,7 +130,6 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
         kept = "share of the true nearest neighbours that are also nearest on the map"
         found += [
             ("Mantel r", f"{mantel.r:.3f}", meaning),
-            ("Null, 95 %", f"{null[0.95]:.3f}" if null else UNKNOWN, null_range),
             ("RMS error", number(score.rms, unit=score.units), in_spacings),
             ("Neighbours kept", f"{score.neighbours_kept:.0%}", kept),
         ]
@@ -132,20 +140,6 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
         ("Placed", placed, f"{sensor_map.kind}s with a position on the map"),
         ("Stress-1", number(sensor_map.stress), misfit),
     ]
-
-
-def _alternative_text(sensor_map: SensorMap, score: Score | None) -> str:
-    """Describe the picture for readers who cannot see it."""
-    placed = int(sensor_map.placed.sum())
-    if score is None:
-        lines = ", neighbours joined by lines" if placed <= MAX_JOINED else ""
-        return f"The map of {placed} {sensor_map.kind}s{lines}."
-    lines = ", true neighbours joined by lines in both" if placed <= MAX_JOINED else ""
-    return (
-        f"Left: the true positions of {len(score.sensors)} {sensor_map.kind}s. Middle: the map "
-        f"aligned with them{lines}. Right: distances on the map against true distances, Mantel r "
-        f"{score.mantel.r:.3f}."
-    )
 
 
 def _caveats(
@@ -196,7 +190,7 @@ def _sensor_table(
         unit = f" ({score.units})" if score.units else ""
         cells = [_cell(errors.get(i)) for i in shown]
         columns[f"Error{unit}"] = "distance from the true position", cells
-    if sensor_map.covariances is not None:
+    if sensor_map.covariances is not None and ellipses_differ(sensor_map.covariances):
         units, scale = sensor_map.units, np.ones(len(shown))
         if score is not None:  # in the frame and unit of the errors beside them
             units = score.units
@@ -210,11 +204,16 @@ def _sensor_table(
         for title, (meaning, attribute, written) in _MEASURED.items():
             cells = [_cell(getattr(one, attribute) if one else None, written) for one in known]
             columns[title] = meaning, cells
+    reasons = {sensor.name: [sensor.reason] for sensor in health}
+    for pair in () if score is None else score.exchanged:
+        for i, j in (pair, pair[::-1]):
+            said = f"looks exchanged with {sensor_map.names[j]}: run check"
+            reasons.setdefault(sensor_map.names[i], []).insert(0, said)
     rows = [
         {
             "name": (name := sensor_map.names[i]),
             "status": statuses[i],
-            "reason": assessed[name].reason if name in assessed else "",
+            "reason": "; ".join(filter(None, reasons.get(name, ()))),
             "cells": [cells[row] for _, cells in columns.values()],
             "printed": i in printed,
         }
@@ -234,61 +233,46 @@ def _provenance(
     sensor_map: SensorMap, score: Score | None, origin: Mapping[str, str]
 ) -> list[tuple[str, object]]:
     """List the information needed to reproduce the map."""
+    known = sensor_map.provenance
     return [
         *origin.items(),
         ("method", sensor_map.method or "not recorded"),
         ("dimensions", sensor_map.dimensions),
         ("units of the map", sensor_map.units),
         *([("permutations of the null", len(score.mantel.null))] if score is not None else ()),
-        *sensor_map.provenance.items(),
+        *((words, known[name]) for name, words in _PROVENANCE.items() if name in known),
     ]
 
 
-_two_digits, _three_digits = partial(number, digits=2), partial(number, digits=3)
-
-
-def _cell(value: float | None, written: Callable[[Any], str] = _three_digits) -> _Cell:
+def _cell(value: float | None, written: Callable[[Any], str] = number) -> _Cell:
     if value is None or not math.isfinite(value):
         return UNKNOWN, ""
     return written(value), value
 
 
 _MEASURED: dict[str, tuple[str, str, Callable[[Any], str]]] = {
-    "Min": ("smallest reading", "minimum", _three_digits),
-    "Max": ("largest reading", "maximum", _three_digits),
-    "Values": ("number of distinct readings", "distinct", str),
     "Active": ("share of frames in which the reading is not at rest", "active", percent),
     "Contacts": ("number of separate contacts", "contacts", str),
-    "Lag-1 r": (
-        "autocorrelation at a lag of one frame; near 0 for noise",
-        "lag_correlation",
-        _two_digits,
+    "Best match": (
+        "highest Pearson r with another sensor", "best_match", lambda r: number(r, 2)
     ),
-    "Best match": ("highest Pearson r with another sensor", "best_match", _two_digits),
-}
+}  # fmt: skip
 """Columns of the table of sensors that the health of a sensor fills: meaning, attribute, format."""
-
-
-def _libraries() -> tuple[Any, Any]:
-    """Import jinja2 and plotly."""
-    jinja2 = import_extra("jinja2", "a report", "report")
-    return jinja2, import_extra("plotly.offline", "a report", "report")
 
 
 def _base64(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
 
 
-def _policy(scripts: list[str]) -> str:
-    """Return a content security policy without network access and without foreign scripts.
-
-    plotly compiles its 3D drawing code at run time, which needs 'unsafe-eval'.
-    """
-    digests = (hashlib.sha256(text.encode()).digest() for text in scripts)
-    allowed = " ".join(f"'sha256-{_base64(digest)}'" for digest in digests)
+def _policy(script: str, style: str) -> str:
+    """Return a content security policy without network access and without foreign scripts."""
+    own = {
+        name: _base64(hashlib.sha256(text.encode()).digest())
+        for name, text in (("script", script), ("style", style))
+    }
     return (
-        f"default-src 'none'; script-src {allowed} 'unsafe-eval'; "
-        "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src 'sha256-{own['script']}'; "
+        f"style-src 'sha256-{own['style']}'; img-src data:; base-uri 'none'; form-action 'none'"
     )
 
 
@@ -338,15 +322,15 @@ def write_report(
     title : str
         By default what the map shows, a skin or objects.
     **contents
-        ``score``, ``health``, the ``summary`` of the recording, ``touches``, ``figure_png``, and
-        ``origin``: how the map came about, by name, such as the command and digests of its inputs.
+        ``score``, ``health``, the ``summary`` of the recording, ``touches``, and ``origin``:
+        how the map came about, by name, such as the command and digests of its inputs.
 
     Raises
     ------
     FileError
         If the suffix is wrong or the file cannot be written.
     MissingExtraError
-        If jinja2 or plotly is not installed.
+        If jinja2 is not installed.
     """
     check_writable(path)
     text = render_report(sensor_map, title=title, **contents)
@@ -361,7 +345,6 @@ def render_report(
     score: Score | None = None,
     health: Sequence[SensorHealth] = (),
     summary: RecordingSummary | None = None,
-    figure_png: bytes | None = None,
     touches: Touches | None = None,
     origin: Mapping[str, str] | None = None,
     title: str = "",
@@ -370,44 +353,39 @@ def render_report(
 
     origin: How the map came about, by name, such as the command and digests of its inputs.
 
-    Names and notes are escaped. The page runs no scripts but its own and sends no requests.
+    Names and notes are escaped. The page runs no script but its own and sends no requests.
     """
-    _, plotly = _libraries()
-    drawn = drawn_components(sensor_map, score)
+    page = templates("anisomap.drawing.report", _shown).get_template("report.html")
     statuses = _sensor_statuses(sensor_map, health)
-    scene = interactive_views(sensor_map, drawn, statuses)
-    # A script ends at the first "</script", wherever it occurs. The texts of plotly and of this
-    # package contain none (tested), and tojson escapes the data.
-    own = _text("report.js")
-    scripts = [plotly.get_plotlyjs(), own] if scene else [own]
-    page: str = (
-        templates("anisomap.drawing.report", _shown)
-        .get_template("report.html")
-        .render(
-            title=title or TITLES[sensor_map.kind],
-            verdict=_headlines(sensor_map, score),
-            facts=_facts(sensor_map, score),
-            caveats=_caveats(sensor_map, score, summary),
-            scene=scene,
-            statuses=status_colours(statuses),
-            alt=_alternative_text(sensor_map, score),
-            compared=score is not None,
-            kind=sensor_map.kind,
-            table=_sensor_table(sensor_map, score, health),
-            recording=summary.facts if summary else {},
-            method=_method_sentences(sensor_map),
-            provenance=_provenance(sensor_map, score, origin or {}),
-            picture=figure_png,
-            touches=touches,
-            style=_text("report.css"),
-            scripts=scripts,
-            policy=_policy(scripts),
-        )
+    # A script ends at the first "</script", wherever it occurs: the script of this package contains
+    # none (tested), and tojson escapes the data.
+    script, style = _text("report.js"), _text("report.css")
+    text: str = page.render(
+        title=title or TITLES[sensor_map.kind],
+        verdict=_headlines(sensor_map, score),
+        facts=_facts(sensor_map, score),
+        caveats=_caveats(sensor_map, score, summary),
+        scene=interactive_views(
+            sensor_map,
+            drawn_components(sensor_map, score),
+            statuses,
+            None if touches is None else touches.coverage,
+        ),
+        compared=score is not None,
+        kind=sensor_map.kind,
+        table=_sensor_table(sensor_map, score, health),
+        recording=summary.facts if summary else {},
+        method=_method_sentences(sensor_map),
+        provenance=_provenance(sensor_map, score, origin or {}),
+        touches=touches,
+        style=style,
+        script=script,
+        policy=_policy(script, style),
     )
-    return page
+    return text
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Check, before a long computation, that a report can be written to a file."""
     checked_kind(check_target(path), SUFFIXES, "a report")
-    _libraries()
+    import_extra("jinja2", "a report", "report")

@@ -1,35 +1,22 @@
-"""Interactive views: traces and layouts for plotly, as values that JSON can represent."""
+"""The interactive view: what the page draws, as values that JSON can represent."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import printable, shortened
-from anisomap.drawing.view import (
-    Panel,
-    Points,
-    axis_title,
-    outlines,
-    panel_limits,
-    segments,
-    view_axes,
-)
-from anisomap.sensor_map import (
-    FEW_CONTACTS,
-    SILENT,
-    UNASSESSED,
-    UNSCALED,
-    SensorMap,
-    ellipses,
-    is_faulty,
-)
+from anisomap.drawing.view import MAX_JOINED, MAX_UNITS, Panel, Points, unit_of
+from anisomap.health import TouchCoverage
+from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.health.touch_coverage import ENOUGH_CONTACTS
+from anisomap.sensor_map import FEW_CONTACTS, SILENT, UNASSESSED, SensorMap, is_faulty, radius
 
-Trace: TypeAlias = dict[str, Any]
+Colours: TypeAlias = dict[str, Any]
+"""A title, and a colour for ``each`` sensor, its number ``of`` a class, or a ``ramp`` of values."""
 
 # Okabe & Ito (2008): distinct with every common colour vision deficiency.
 STATUS_COLOURS = {
@@ -43,36 +30,73 @@ STATUS_COLOURS = {
     "isolated": "#56b4e9",
 }
 _OTHER = "#7f7f7f"
-_LINES = "rgba(70,76,84,0.55)"
-_ELLIPSES = "#8a6d3b"
-_TRUE_LINES = "rgba(0,114,178,0.35)"
-_ERRORS = "rgba(213,94,0,0.9)"
-_EYE_DISTANCE = 2.2  # from the centre; the box has the diagonal of a unit cube
-_CROWDED = 800
-MAX_DOTS = 5_000
+_CONTACTS = {  # from light to dark, also in greyscale
+    "none": "#ffffff",
+    f"fewer than {MIN_CONTACTS}": "#cde2f2",
+    f"{MIN_CONTACTS} to {ENOUGH_CONTACTS - 1}": "#5aa5d6",
+    f"{ENOUGH_CONTACTS} or more": "#00426b",
+}
+MAX_DOTS = MAX_JOINED
 """Largest number of sensors per view; browsers rotate this many smoothly."""
 
 _MAX_NAME = 40
-_BRACKETS = str.maketrans(
-    "<>",
-    "\N{SINGLE LEFT-POINTING ANGLE QUOTATION MARK}\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}",
-)
+_DIGITS = 4  # of a coordinate, relative to the extent of the map: less than a pixel
 
 
 def interactive_views(
-    sensor_map: SensorMap, drawn: Sequence[Panel], statuses: Sequence[str]
+    sensor_map: SensorMap,
+    drawn: Sequence[Panel],
+    statuses: Sequence[str],
+    coverage: TouchCoverage | None = None,
 ) -> list[dict[str, Any]]:
     """Describe the view of every connected component."""
-    views = []
-    for component in drawn:
-        crowded = len(component.points) > MAX_DOTS
-        part = component.only(_sample(component, statuses)) if crowded else component
-        names = [_without_markup(sensor_map.names[i]) for i in part.sensors]
-        view = _view(part, names, [statuses[i] for i in part.sensors])
-        label = f"Component {component.number}: {len(component.points)} {sensor_map.kind}s"
-        left_out = len(component.points) - len(part.points)
-        views.append(view | {"label": label, "left_out": left_out, "layout": _layout(component)})
-    return views
+    return [_view(sensor_map, component, statuses, coverage) for component in drawn]
+
+
+def _view(
+    sensor_map: SensorMap,
+    component: Panel,
+    statuses: Sequence[str],
+    coverage: TouchCoverage | None,
+) -> dict[str, Any]:
+    n_sensors, kind = len(component.points), sensor_map.kind
+    part = component
+    if n_sensors > MAX_DOTS:
+        part = component.only(_sample(component, statuses))
+    middle = (part.points.min(axis=0) + part.points.max(axis=0)) / 2
+    extent = float(np.ptp(part.points, axis=0).max()) or 1.0
+    decimals = _DIGITS - int(np.floor(np.log10(extent)))
+    named = [statuses[i] for i in part.sensors]
+    colours = {"position": _by_place(part), "index": _ramp(part.sensors, "index")}
+    found: dict[str, Any] = {
+        "label": f"Component {component.number}: {n_sensors} {kind}s",
+        "left_out": n_sensors - len(part.points),
+        "view": component.view if component.dimensions == 3 else None,
+        "units": shortened(printable(unit_of(component.units)), MAX_UNITS),
+        "names": [shortened(printable(sensor_map.names[i]), _MAX_NAME) for i in part.sensors],
+        "labels": list(part.labels),
+        "middle": _rounded(middle, decimals),
+        "points": _rounded(part.points, decimals),
+        "pairs": part.pairs.tolist(),
+        "faulty": np.flatnonzero([is_faulty(status) for status in named]).tolist(),
+        "uncompared": np.flatnonzero(part.uncompared).tolist(),
+    }
+    if kind == "sensor":
+        classes = status_colours(named)
+        colours["health"] = _classes(classes, [list(classes).index(one) for one in named], "health")
+    if len(part.truth):
+        errors = np.append(part.errors, np.full(len(part.points) - len(part.errors), np.nan))
+        colours["error"] = _ramp(errors, "error")
+        found["truth"] = _rounded(part.truth, decimals)
+    if part.covariances is not None:
+        scaled = part.covariances * radius(part.dimensions) ** 2
+        found["ellipses"] = _rounded(scaled, 2 * decimals)
+    if coverage is not None:
+        contacts = coverage.contacts[part.sensors]
+        edges = (1, MIN_CONTACTS, ENOUGH_CONTACTS)
+        colours["contacts"] = _classes(_CONTACTS, np.digitize(contacts, edges).tolist(), "contacts")
+        colours["contacts"] |= {"values": contacts.tolist(), **_lacking(part, coverage)}
+    return found | {"colours": colours}
 
 
 def status_colours(statuses: Sequence[str]) -> dict[str, str]:
@@ -91,176 +115,35 @@ def _sample(component: Panel, statuses: Sequence[str]) -> NDArray[np.intp]:
     return np.sort(np.concatenate([first, others[even]]))
 
 
-def _view(component: Panel, names: list[str], statuses: list[str]) -> dict[str, Any]:
-    symbols = ["circle" if compared else "square" for compared in ~component.uncompared]
-    faulty = np.array([is_faulty(status) for status in statuses])
-    traces = {
-        "neighbours": _lines(component.points, component.pairs, _LINES, 2),
-        "map": _dots(component.points, symbols, _hover(component, names, statuses)),
-        "faulty": _crosses(component.points, faulty),
-    }
-    if component.covariances is not None:
-        traces["ellipses"] = _line(outlines(component), _ELLIPSES, 1)
-    if len(component.truth):
-        moves = np.arange(len(component.truth))
-        ends = np.vstack([component.truth, component.points])
-        true_hover = [f"<b>{name}</b><br>true position" for name in names[: len(component.truth)]]
-        traces |= {
-            "true-neighbours": _lines(component.truth, component.pairs, _TRUE_LINES, 1.5),
-            "errors": _lines(ends, np.column_stack([moves, moves + len(moves)]), _ERRORS, 3),
-            "truth": _dots(component.truth, ["circle-open"] * len(component.truth), true_hover),
-        }
-        traces["truth"]["marker"] |= {"color": STATUS_COLOURS["ok"], "line": {"width": 1.5}}
-    return {"names": names, "traces": traces, "colours": _colours(component, statuses)}
+def _by_place(part: Panel) -> Colours:
+    channels = np.round(part.colours * 255).astype(int).tolist()
+    return {"title": "position", "each": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in channels]}
 
 
-def _dots(points: Points, symbols: list[str], hover: list[str]) -> Trace:
-    line = {"width": 0.5, "color": "#ffffff"}
-    return _trace(
-        points,
-        mode="markers",
-        marker={"size": _size(points), "symbol": symbols, "line": line},
-        hovertext=hover,
-        hoverinfo="text",
-        textposition="top center",
-    )
+def _classes(colours: Mapping[str, str], of: Sequence[int], title: str) -> Colours:
+    classes = [[printable(name), colour] for name, colour in colours.items()]
+    return {"title": title, "classes": classes, "of": of}
 
 
-def _crosses(points: Points, chosen: NDArray[np.bool_]) -> Trace:
-    """Mark some dots with crosses.
-
-    The crosses are text, because plotly's own 3D cross is a character that some fonts lack.
-    """
-    return _trace(
-        points[chosen],
-        mode="text",
-        text="\N{MULTIPLICATION SIGN}",
-        textposition="middle center",
-        textfont={"size": round(10 + 1.6 * _size(points)), "color": "#000000"},
-        hoverinfo="skip",
-    )
+def _ramp(values: NDArray[Any], title: str) -> Colours:
+    return {"title": title, "ramp": _rounded(values.astype(float), 4, significant=True)}
 
 
-def _size(points: Points) -> float:
-    """Choose the diameter of dots in pixels: the more dots, the smaller."""
-    size = float(np.clip(75 / len(points) ** 0.4, 2.5, 8))
-    return round(size if points.shape[1] == 3 else 1.25 * size, 2)
+def _lacking(part: Panel, coverage: TouchCoverage) -> dict[str, Any]:
+    """List neighbours that were never touched together, and the sensors of places to touch next."""
+    row = {int(sensor): i for i, sensor in enumerate(part.sensors)}
+    apart = [[row[i], row[j]] for i, j in coverage.never_together.tolist() if {i, j} <= row.keys()]
+    places = [
+        [row[i] for i in place.sensors if i in row] if place.component == part.number - 1 else []
+        for place in coverage.places
+    ]
+    return {"apart": apart, "places": places}
 
 
-def _lines(points: Points, pairs: NDArray[np.intp], colour: str, width: float) -> Trace:
-    """Join pairs of points by lines in one trace, separated by gaps."""
-    thin = width if len(pairs) < _CROWDED else width / 2
-    return _line(segments(points, pairs), colour, thin)
-
-
-def _line(points: Points, colour: str, width: float) -> Trace:
-    """Draw one line with gaps where points are NaN."""
-    line = {"color": colour, "width": width}
-    return _trace(points, mode="lines", line=line, hoverinfo="skip")
-
-
-def _trace(points: Points, **look: Any) -> Trace:
-    kind = "scatter3d" if points.shape[1] == 3 else "scatter"
-    axes = {axis: _plain(column) for axis, column in zip("xyz", points.T, strict=False)}
-    return {"type": kind} | axes | look | {"showlegend": False}
-
-
-def _colours(component: Panel, statuses: list[str]) -> dict[str, dict[str, Any]]:
-    channels = np.round(component.colours * 255).astype(int).tolist()
-    found: dict[str, dict[str, Any]] = {
-        "place": {"color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in channels]},
-        "health": {"color": [STATUS_COLOURS.get(status, _OTHER) for status in statuses]},
-        "index": _ramp(_plain(component.sensors), "index"),
-    }
-    if len(component.truth):
-        padded = np.full(len(component.points), np.nan)
-        padded[: len(component.errors)] = component.errors
-        found["error"] = _ramp(_plain(padded), axis_title("error", component.units))
-    return found
-
-
-def _ramp(values: list[float | None], title: str) -> dict[str, Any]:
-    return {
-        "color": values,
-        "colorscale": "Cividis",
-        "showscale": True,
-        "colorbar": {"title": {"text": _without_markup(title), "side": "right"}, "thickness": 14},
-    }
-
-
-def _hover(component: Panel, names: list[str], statuses: list[str]) -> list[str]:
-    units = "" if component.units in UNSCALED else f" {_without_markup(component.units)}"
-    radii = (
-        None if component.covariances is None else ellipses(component.covariances)[0].max(axis=1)
-    )
-    texts = []
-    for i, (name, status) in enumerate(zip(names, statuses, strict=True)):
-        place = ", ".join(f"{value:.4g}" for value in component.points[i])
-        lines = [f"<b>{name}</b>", f"index {component.sensors[i]}, component {component.number}"]
-        lines += [f"health: {_without_markup(status)}", f"({place}){units}"]
-        if radii is not None and math.isfinite(radii[i]):
-            lines.append(f"95 % within {radii[i]:.3g}{units}")
-        if component.uncompared[i]:
-            lines.append("not compared with the truth")
-        elif len(component.truth):
-            lines.append(f"error {component.errors[i]:.3g}{units}")
-        texts.append("<br>".join(lines))
-    return texts
-
-
-def _layout(component: Panel) -> dict[str, Any]:
-    limits = panel_limits(component)
-    axes: dict[str, Any] = {
-        f"{axis}axis": {
-            "title": {"text": _without_markup(axis_title(axis, component.units))},
-            "range": _plain(span),
-            "zeroline": False,
-            "gridcolor": "#dde1e5",
-        }
-        for axis, span in zip("xyz", limits, strict=False)
-    }
-    common = {
-        "margin": {"l": 0, "r": 0, "t": 8, "b": 0},
-        "paper_bgcolor": "#ffffff",
-        "plot_bgcolor": "#ffffff",
-        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#22262b"},
-        "hoverlabel": {"align": "left"},
-        "uirevision": f"component {component.number}",
-    }
-    if component.points.shape[1] == 2:
-        for axis in axes.values():
-            axis["title"] |= {"standoff": 6}
-        axes["yaxis"] |= {"scaleanchor": "x", "scaleratio": 1}
-        return common | axes | {"dragmode": "pan", "margin": {"l": 70, "r": 20, "t": 20, "b": 60}}
-    for axis in axes.values():
-        axis |= {"backgroundcolor": "#fafbfb", "showbackground": True}
-    # "aspectmode": "data" would use the extents of the data instead of the ranges of the axes.
-    ratio = np.sqrt(3) * np.ptp(limits, axis=1) / np.linalg.norm(np.ptp(limits, axis=1))
-    eye = _EYE_DISTANCE * view_axes(component.view)[2]
-    return common | {
-        "scene": axes
-        | {
-            "aspectmode": "manual",
-            "aspectratio": dict(zip("xyz", _plain(ratio), strict=True)),
-            "camera": {
-                # At a distance from which the whole box is visible.
-                "eye": dict(zip("xyz", _plain(eye), strict=True)),
-                "center": {"x": 0, "y": 0, "z": -0.1},  # leaves space for the titles of the axes
-            },
-            "dragmode": "orbit",
-        },
-    }
-
-
-def _plain(values: NDArray[Any]) -> list[float | None]:
-    """Convert an array to numbers of six digits for JSON; None replaces NaN."""
-    return [(float(f"{value:.6g}") if math.isfinite(value) else None) for value in values.tolist()]
-
-
-def _without_markup(text: str) -> str:
-    """Replace the brackets of a text, which plotly would read as markup.
-
-    plotly's labels interpret some HTML, and its 3D labels decode no escapes. The table of sensors
-    contains the text unchanged.
-    """
-    return shortened(printable(text), _MAX_NAME).translate(_BRACKETS)
+def _rounded(values: Points, digits: int, *, significant: bool = False) -> list[Any]:
+    """Round numbers for JSON; None replaces NaN."""
+    if significant:
+        return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in values.tolist()]
+    rounded = np.round(values, digits).astype(object)
+    rounded[~np.isfinite(values)] = None
+    return list(rounded.tolist())
