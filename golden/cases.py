@@ -85,7 +85,7 @@ class Source:
         Body, and scenario of `anisomap.simulation` or stimulus of `benchmarks.skins.footprints`.
     n_sensors, n_frames : int
     fault : str
-        As for ``anisomap spoil``; ``{sd}`` is that of `benchmarks.verdicts.faults.DAMAGES`.
+        As for `simulation.inject`; ``{sd}`` is that of `benchmarks.verdicts.faults.DAMAGES`.
     dtype : str
         Of the stored readings.
     skins : int
@@ -130,7 +130,7 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         "two-skins": Source("plane", "rubbing", 25, 800, skins=2),
         "missing": Source("torus", "rubbing", 48, 1500, "nan-bursts:30%,mean_gap=150,mean_span=15"),
         "broken-sensors": Source("hexagon", "rubbing", 60, 800, "dead:5%+noisy:10%+stuck:5%"),
-        "copies": Source("torus", "rubbing", 48, 1500, "duplicated:10%,factor=3,level=0.1"),
+        "copies": Source("torus", "rubbing", 48, 1500, "duplicated:10%,factor=3,noise=0.1"),
         "leak": Source("hand", "bombardment", 48, 1000, "leaking:*,share=0.05"),
         "lags": Source("plane", "rubbing", 49, 1000, "lagging:*,board=12,frames=3"),
         "inverted": Source("torus", "rubbing", 48, 1500, "inverted:30%"),
@@ -140,12 +140,10 @@ SOURCES: Mapping[str, Source] = MappingProxyType(
         "hum": Source("hexagon", "rubbing", 60, 500, "humming:*,level=1"),
         "drift": Source("torus", "rubbing", 48, 1200, "drifting:*,level={sd}1"),
         "gaps": Source("hand", "bombardment", 48, 1200, "bridged-gaps:30%"),
-        "saturation": Source("torus", "rubbing", 48, 1200, "clipped:30%,level=0.3"),
+        "saturation": Source("torus", "rubbing", 48, 1200, "clipped:30%,share=0.3"),
         "separate-regions": Source("plane", "rubbing", 49, 800, "separate-regions"),
         "one-period": Source("plane", "rubbing", 25, 300, "cycling:*"),
-        "clock-jitter": Source("plane", "rubbing", 36, 500, "clock-jitter"),
         "swapped": Source("hexagon", "rubbing", 60, 600, "swapped:s3,s17,s30,s41"),
-        "crosstalk": Source("plane", "bombardment", 36, 600, "crosstalk:*+gain-spread:*"),
     }
 )
 """Stored recordings, by name."""

@@ -15,7 +15,7 @@ from benchmarks.skins.footprints import FOOTPRINTS
 from benchmarks.verdicts.faults import sized
 
 from anisomap.recording import Recording
-from anisomap.simulation import SCENARIOS, find_body, inject, parse_fault, simulate
+from anisomap.simulation import SCENARIOS, find_body, inject, simulate
 from golden.cases import FOLDER, SOURCES, Source
 
 RATE_HZ = 20.0
@@ -44,7 +44,7 @@ def made(source: Source, seed: int) -> Recording:
     order = rng.permutation(len(positions))
     recording = Recording(readings[:, order], positions=positions[order], rate_hz=RATE_HZ)
     for fault in filter(None, source.fault.split("+")):
-        recording = inject(recording, [parse_fault(sized(fault, recording))], seed)
+        recording = inject(recording, sized(fault, recording), rng=seed)
     return replace(recording, units=skins[0].units)
 
 

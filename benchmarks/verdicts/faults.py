@@ -21,7 +21,7 @@ import pandas as pd
 import anisomap
 from anisomap.evaluation.compare import spanned_dimensions
 from anisomap.sensor_map import is_faulty
-from anisomap.simulation import inject, parse_fault
+from anisomap.simulation import inject
 from benchmarks.harness import (
     files_in,
     frame,
@@ -46,8 +46,8 @@ FRAMES = 2000
 
 DAMAGES: Mapping[str, tuple[str, str]] = {
     "5 % of the sensors are copies": ("copies", "duplicated:5%"),
-    "10 % are copies, other gains, 10 % noise": ("copies", "duplicated:10%,factor=3,level=0.1"),
-    "10 % are copies, other gains, 40 % noise": ("copies", "duplicated:10%,factor=3,level=0.4"),
+    "10 % are copies, other gains, 10 % noise": ("copies", "duplicated:10%,factor=3,noise=0.1"),
+    "10 % are copies, other gains, 40 % noise": ("copies", "duplicated:10%,factor=3,noise=0.4"),
     "5 % leak into the next channel": ("leak", "leaking:*,share=0.05"),
     "20 % leak into the next channel": ("leak", "leaking:*,share=0.2"),
     "boards of 12 lag by 1 frame each": ("lags", "lagging:*,board=12,frames=1"),
@@ -68,14 +68,14 @@ DAMAGES: Mapping[str, tuple[str, str]] = {
     "baselines warm up by 1 sd": ("drift", "warming:*,level={sd}1"),
     "half of the readings of 30 % interpolated": ("gaps", "bridged-gaps:30%"),
     "half of the readings of 30 % missing": ("gaps", "nan-bursts:30%,mean_gap=50,mean_span=50"),
-    "30 % of the sensors clipped at 0.3": ("saturation", "clipped:30%,level=0.3"),
+    "30 % of the sensors clipped at 0.3": ("saturation", "clipped:30%,share=0.3"),
     "readings of 10 % at 1,000 times the range": ("glitches", "glitching:10%,level=1000"),
-    "wires of 5 % exchanged half-way": ("changed", "rewired:5%"),
-    "wires of 20 % exchanged after a third": ("changed", "rewired:20%,share=0.33"),
+    "wires of 5 % exchanged half-way": ("changed", "shifted:5%,after=0.5"),
+    "wires of 20 % exchanged after a third": ("changed", "shifted:20%,after=0.33"),
     "two regions touched one after the other": ("separate-regions", "separate-regions"),
     "sines of one period": ("one-period", "cycling:*"),
 }
-"""Kind of the finding that is right, and fault as for ``anisomap spoil``, by what it does.
+"""Kind of the finding that is right, and fault as for `simulation.inject`, by what it does.
 
 ``{sd}`` stands for one standard deviation of the median sensor as a share of the range of the
 recording, times the number after it.
@@ -163,7 +163,7 @@ def examinations(
     )  # fmt: skip
     for text, (kind, fault) in DAMAGES.items():
         try:
-            damaged = inject(recording, [parse_fault(sized(fault, recording))], seed)
+            damaged = inject(recording, sized(fault, recording), rng=seed)
         except anisomap.InputError:
             continue  # no positions or times
         repaired = anisomap.repair(damaged)
@@ -233,7 +233,7 @@ def false_alarms(seeds: Sequence[int]) -> str:
         for text, fault in VARIANTS.items():
             sound = recording.select(order)
             if fault:
-                sound = inject(sound, [parse_fault(fault)], seed)
+                sound = inject(sound, fault, rng=seed)
             rows.append({"scenario": scenario, "form": text, **alarms(sound)})
     return counts_table("simulated skins without faults", rows, {"scenario": "", "form": ""})
 

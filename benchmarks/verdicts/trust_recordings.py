@@ -18,7 +18,7 @@ import numpy as np
 import anisomap
 from anisomap.base.defaults import MIN_TOUCHES
 from anisomap.evaluation.compare import spanned_dimensions, touched
-from anisomap.simulation import BODIES, SCENARIOS, find_body, inject, parse_fault
+from anisomap.simulation import BODIES, SCENARIOS, find_body, inject
 from anisomap.simulation.options import options_for
 from benchmarks.skins.footprints import FOOTPRINTS
 from benchmarks.verdicts.faults import DAMAGES, sized
@@ -44,20 +44,22 @@ FAULTS = (
     "noisy:*,level=0.1",
     "noisy:50%,level=0.3",
     "drifting:30%",
-    "gain-spread:*",
-    "hysteresis:*",
     "quantised:*,levels=8",
     "thresholded:*",
-    "crosstalk:*",
     "swapped:10%",
-    "mirrored:20%",
+    "shifted:20%",
+    "shorted:3%",
+    "intermittent:10%",
+    "gain-drift:*",
+    "stepping:20%",
+    "stuck-bit:10%",
+    "freezing:*,board=12",
+    "folded:after=0.5",
     "dropped-frames",
-    "repeated-frames",
     "duplicated:3%",
-    "clock-jitter",
     "rarely-touched:20%",
 )
-"""All kinds of `anisomap spoil`, in the sizes of ``make faults`` where that has them."""
+"""All kinds of `simulation.FAULTS`, in the sizes of ``make faults`` where that has them."""
 
 RATE_HZ = 20.0
 """Frames per second, the default of all scenarios."""
@@ -221,10 +223,10 @@ def damaged(
         n_swapped = 2 * max(1, recording.n_sensors // 20)
         text = "swapped:" + ",".join(recording.names[:n_swapped])
     try:
-        made = inject(recording, [parse_fault(text)], seed)
+        made = inject(recording, text, rng=seed)
     except anisomap.InputError:
         return  # no positions or times
-    if text.startswith(("swapped", "mirrored")):
+    if text.startswith(("swapped", "shifted")) and "after" not in text:
         before, after = recording.readings, made.readings
         wired = [int((before == column[:, None]).all(axis=0).argmax()) for column in after.T]
         made = replace(made, positions=np.asarray(recording.positions)[wired])

@@ -158,10 +158,10 @@ simulate sphere -p n_bals=3                        | has no parameter 'n_bals'
 simulate sphere -o run.csv                         | csv
 simulate sphere -o nowhere/run.npz                 | nowhere
 simulate sphere --picture run.bmp                  | must end in .png, .svg or .pdf
-scenarios rain                                     | no scenario 'rain'
-spoil skin.npz -f dead -o out.npz                  | needs sensors
-spoil skin.npz -f dead:s1 -o skin.npz              | write the result to another file
-spoil skin.npz -f dead:s1 -o out.csv               | csv
+list scenarios rain                                | no scenario 'rain'
+list faults rust                                   | no fault 'rust'
+list bodies sphere                                 | only scenarios and faults
+simulate sphere -s pulses --frames 9 -f dead       | needs sensors
 """
 
 SCALES = {"huge.csv": 1e307, "tiny.csv": 1e-310, "point.csv": 0}

@@ -191,7 +191,7 @@ print(*sorted(set(sys.modules) - before))
 
 @pytest.mark.parametrize("module", ["anisomap.cli.app", "numpy"])
 def test_interruption_of_an_import(folder, module):
-    ended = at_event_of_process(folder, ["formats"], signal.SIGINT, rf"\d+ import {module}")
+    ended = at_event_of_process(folder, ["list", "formats"], signal.SIGINT, rf"\d+ import {module}")
     assert ended == (130, REPORT + "\n")
 
 

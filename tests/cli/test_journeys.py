@@ -17,7 +17,7 @@ from anisomap.cli.app import app
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
 from anisomap.placement import median_spacing
-from anisomap.simulation import BODIES, FAULTS, FRAME_FAULTS, SCENARIOS
+from anisomap.simulation import BODIES, FAULTS, SCENARIOS
 from command_line import call, write_layout
 from skins import flat_skin
 
@@ -176,15 +176,16 @@ def test_lists_name_everything(run):
         "formats": [".npz", ".csv", ".ply", ".json"],
         "bodies": BODIES,
         "scenarios": SCENARIOS,
-        "faults": {**FAULTS, **FRAME_FAULTS},
+        "faults": FAULTS,
     }
-    for command, names in listed.items():
-        told = run(command).out
+    for kind, names in listed.items():
+        told = run("list", kind).out
         assert all(name in told for name in names)
     for name, scenario in SCENARIOS.items():
-        told = run("scenarios", name).out
+        told = run("list", "scenarios", name).out
         for parameter, default in vars(scenario.options()).items():
             assert f"{parameter} = {default}" in told
+    assert "mean_gap = 100" in run("list", "faults", "saturating").out
 
 
 def test_every_option_has_a_help_text():

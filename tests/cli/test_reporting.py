@@ -24,8 +24,8 @@ COMMANDS = {
     "check skin.npz skin.npz": "findings",
     "convert made.csv made.json": "files",
     COMPARE: "scores",
-    "methods": "similarities",
-    "formats": "formats",
+    "list methods": "similarities",
+    "list formats": "formats",
     "info skin.npz --all": "health",
     "diff made.csv made.csv": "moved",
     "place made.csv": "placed_by",
@@ -33,11 +33,11 @@ COMMANDS = {
     "repair skin.npz": "findings",
 }
 SIMULATIONS = {
-    "bodies": "bodies",
-    "scenarios": "scenarios",
-    "scenarios bombardment": "parameters",
-    "faults": "faults",
-    "spoil skin.npz -f dead:s3 -o bad.npz": "injected",
+    "list bodies": "bodies",
+    "list scenarios": "scenarios",
+    "list scenarios bombardment": "parameters",
+    "list faults": "faults",
+    "list faults saturating": "parameters",
     "simulate plane -s rubbing --frames 40 -o sim.npz": "files",
 }
 
@@ -102,14 +102,14 @@ def test_results_are_one_json_object(folder, command):
     check_schema(values, SCHEMA)
 
 
-@pytest.mark.parametrize("command", [MAP, COMPARE, "info skin.npz --all", "methods"])
+@pytest.mark.parametrize("command", [MAP, COMPARE, "info skin.npz --all", "list methods"])
 def test_quiet_commands_print_nothing(folder, command):
     """Of all commands, what ignores the option is found as text that is not JSON."""
     assert not call(folder, command, "--quiet").out
 
 
 def test_quiet_does_not_silence_json(folder):
-    assert "methods" in call(folder, "methods", "-q", "--json").values
+    assert "methods" in call(folder, "list", "methods", "-q", "--json").values
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_a_full_standard_output_is_an_error_after_files_are_written(folder, caps
 @pytest.mark.parametrize(
     ("command", "code"),
     [
-        ("formats >&- 2>&-", 0),
+        ("list formats >&- 2>&-", 0),
         ("info nothing.npz >&- 2>&-", 2),
         pytest.param("info nothing.npz 2>/dev/full", 2, marks=needs_full),
         pytest.param("--help >/dev/full 2>/dev/null", 2, marks=needs_full),

@@ -19,7 +19,7 @@ from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.live.quick_map import confirmed_faults
 from anisomap.numerics.signals import Signals
 from anisomap.sensor_map import is_faulty
-from anisomap.simulation import inject, injected_faults, parse_fault
+from anisomap.simulation import inject
 from skins import bombarded_skin, flat_skin, lattice, mantel_r, rubbed, seeing_patch, stored
 
 
@@ -32,7 +32,10 @@ def wired_at_random(seed=0, n_frames=1500):
 
 
 def spoilt(recording, *faults, seed=0):
-    return inject(recording, [parse_fault(text) for text in faults], seed)
+    rng = np.random.default_rng(seed)
+    for fault in faults:
+        recording = inject(recording, fault, rng=rng)
+    return recording
 
 
 def kinds(findings):
@@ -41,7 +44,7 @@ def kinds(findings):
 
 FOUND = {
     "copies": ["duplicated:5%"],
-    "copies, noisy": ["duplicated:5%,factor=3,level=0.2"],
+    "copies, noisy": ["duplicated:5%,factor=3,noise=0.2"],
     "leak": ["leaking:*"],
     "lags": ["lagging:*,board=12,frames=3"],
     "inverted": ["inverted:30%"],
@@ -52,7 +55,7 @@ FOUND = {
     "spikes": ["spiking:*,board=12"],
     "gaps": ["bridged-gaps:20%"],
     "saturation": ["clipped:30%"],
-    "changed": ["rewired:10%"],
+    "changed": ["shifted:10%,after=0.5"],
     "glitches": ["glitching:10%,level=1000"],
     "one-period": ["cycling:*"],
     "separate-regions": ["separate-regions"],
@@ -67,7 +70,7 @@ def test_a_fault_is_found_and_no_other(name):
     assert kinds(found) == {kind}
     if kind in {"inverted", "saturation"}:
         (named,) = (finding.sensors for finding in found if finding.kind == kind)
-        assert set(named) == {fault.sensor for fault in injected_faults(bad)}
+        assert set(named) == set(str(bad.metadata["faults"]).partition(":")[2].split(","))
     for finding in found:
         assert set(finding.sensors) <= set(bad.names)
         assert finding.size >= 0
@@ -167,7 +170,7 @@ def test_copies_are_named_with_their_source():
         assert (clean == columns[:, :1]).all(axis=0).any()
     copied = {name for finding in find_faults(bad) for name in finding.sensors}
     assert {"s3", "s9"} <= copied
-    noisier = spoilt(wired_at_random(), "duplicated:s3,s9,factor=2,level=0.3")
+    noisier = spoilt(wired_at_random(), "duplicated:s3,s9,factor=2,noise=0.3")
     found = repair(noisier)
     assert set(noisier.names) - set(found.recording.names) == {"s3", "s9"}
     assert len(found.done) == len(found.findings)
@@ -526,7 +529,7 @@ def test_where_all_sensors_are_lost_readings_lie_on_lines():
 @pytest.mark.parametrize(
     "fault",
     [
-        "duplicated:10%,factor=3,level=0.1",
+        "duplicated:10%,factor=3,noise=0.1",
         "lagging:*,board=12",
         f"inverted:{','.join(f's{i}' for i in range(0, 72, 2))}",
     ],

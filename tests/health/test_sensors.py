@@ -13,7 +13,7 @@ from anisomap import Recording, assess, find_faults, summarise
 from anisomap.health import weaknesses
 from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.simulation import FAULTS as FAULTS_OF_SIMULATION
+from anisomap.simulation import inject
 from skins import bombarded_skin, flat_skin, lattice, rubbed, seeing_patch
 
 SENSOR = 16
@@ -90,7 +90,7 @@ def test_faults_of_a_simulated_skin_are_found_and_nothing_else(fault):
     # The default noise (0.1 of the range) is a quarter of the variance of these sensors, half of it
     # hidden by the onsets of contacts: too close to the threshold for a reliable detection.
     strength = {"noisy": {"level": 0.15}, "saturating": {"mean_gap": 40}}.get(fault, {})
-    broken = FAULTS_OF_SIMULATION[fault](bombarded_skin(), ["s5", "s17"], rng=1, **strength)
+    broken = inject(bombarded_skin(), fault, ["s5", "s17"], rng=1, **strength)
     found = {sensor.name: sensor.status for sensor in assess(broken) if sensor.status != "ok"}
     status = {"dead": "silent"}.get(fault, fault)
     assert found == {"s5": status, "s17": status}

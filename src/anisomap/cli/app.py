@@ -62,16 +62,11 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "check": "maps:check",
         "convert": "maps:convert",
         "compare": "comparison:compare",
-        "methods": "listing:methods",
-        "formats": "listing:formats",
         "demo": "simulation:demo",
         "simulate": "simulation:simulate_body",
         "paper": "simulation:paper",
-        "spoil": "simulation:spoil",
+        "list": "listing:list_kind",
         "repair": "recording:repair",
-        "bodies": "listing:bodies",
-        "scenarios": "listing:scenarios",
-        "faults": "listing:faults",
     }
 )
 """Where the function of each command is. Functions import what they need when they run, so that

@@ -217,7 +217,7 @@ Report: TypeAlias = Annotated[
 Method: TypeAlias = Annotated[
     str,
     Parameter(
-        alias="-m", group=expert_group, help="Reconstruction method: see `anisomap methods`."
+        alias="-m", group=expert_group, help="Reconstruction method: see `anisomap list methods`."
     ),
 ]
 Seed: TypeAlias = Annotated[

@@ -422,7 +422,7 @@ def _recognise(file: Path) -> Format:
     if chosen := next(by_suffix, text_format if text_format.matches(file, start) else None):
         return chosen
     raise FileError(
-        f"{file} has an unknown format; 'anisomap formats' lists the formats that are read"
+        f"{file} has an unknown format; 'anisomap list formats' lists the formats that are read"
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from anisomap.method.named import PAPER_METHODS
 from anisomap.paper.experiment import Settings
 from anisomap.recording import Recording
-from anisomap.simulation import dead, saturating, simulate
+from anisomap.simulation import inject, simulate
 
 METHODS = PAPER_METHODS
 """In the order of all figures and tables."""
@@ -85,9 +85,9 @@ def patch_run(
     seed = patch_seed(settings, number)
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
-    recording = dead(_simulated("hexagon", "rubbing", seed, n_frames), SILENT)
+    recording = inject(_simulated("hexagon", "rubbing", seed, n_frames), "dead", SILENT)
     if number in FAILED_RUNS if fails is None else fails:
-        recording = saturating(recording, [failing], rng=seed, **failure)
+        recording = inject(recording, "saturating", [failing], rng=seed, **failure)
     return replace(
         recording,
         positions=1e3 * true_positions(recording),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self, TypeAlias
 
@@ -91,6 +91,20 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
         if (per := entry.metadata["per"])
     }
     return kind(**(scaled | dict(given or {})))
+
+
+def parse_parameters(texts: Iterable[str]) -> dict[str, float]:
+    """Read texts ``NAME=VALUE``; values with digits only are whole numbers."""
+    parsed: dict[str, float] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        try:
+            number = int(value) if value.lstrip("+-").isdecimal() else float(value)
+        except ValueError as error:
+            hint = f"{value!r} is not a number" if equals else "write NAME=VALUE"
+            raise InputError(f"parameter {text.strip()!r}: {hint}") from error
+        parsed[name.replace("-", "_")] = number
+    return parsed
 
 
 def meanings_of(options: ScenarioOptions) -> dict[str, str]:

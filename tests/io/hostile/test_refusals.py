@@ -265,7 +265,7 @@ OF_BOTH = [
         for name in ("x.csv", "x.npz", "x.json", "x.ply", "data.log")
     ),
     *((name, PICTURE, "is binary, not text") for name in ("x.csv", "x.txt", "data.log", "x.tsv")),
-    ("skin.xyz", b"\0\1\2\3", "unknown format; 'anisomap formats' lists"),
+    ("skin.xyz", b"\0\1\2\3", "unknown format; 'anisomap list formats' lists"),
 ]
 CASES = [
     *((partial(io.read, options=io.ReadOptions(**given)), *case) for given, *case in CHOSEN),

@@ -1,20 +1,53 @@
-"""``anisomap methods``, ``formats``, ``bodies``, ``scenarios`` and ``faults``: lists."""
+"""``anisomap list``: methods, formats, and what can be simulated."""
 
 from __future__ import annotations
 
 import inspect
 import textwrap
 from collections.abc import Sequence
+from typing import Literal
 
 import anisomap
 from anisomap import io
 from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer
+from anisomap.errors import InputError
 
 
-def methods(*, printer: options.Printing = options.PRINTER) -> None:
-    """List the methods and the similarities."""
+def list_kind(
+    kind: Literal["methods", "formats", "bodies", "scenarios", "faults"],
+    name: str | None = None,
+    /,
+    *,
+    printer: options.Printing = options.PRINTER,
+) -> None:
+    """List what there is of a kind, or the parameters of a scenario or of a fault.
+
+    Parameters
+    ----------
+    kind
+        methods (and similarities), formats, bodies, scenarios or faults.
+    name
+        Scenario or fault to explain. Defaults of scenarios are those for a sphere of 1 m.
+    """
+    if name is None:
+        {
+            "methods": _methods,
+            "formats": _formats,
+            "bodies": _bodies,
+            "scenarios": _scenarios,
+            "faults": _faults,
+        }[kind](printer)
+    elif kind == "scenarios":
+        _explain_scenario(printer, name)
+    elif kind == "faults":
+        _explain_fault(printer, name)
+    else:
+        raise InputError(f"only scenarios and faults have parameters to list, not {kind}")
+
+
+def _methods(printer: Printer) -> None:
     from anisomap.evaluation.rivals import RIVALS
     from anisomap.method.named import PAPER_METHODS
 
@@ -30,8 +63,7 @@ def methods(*, printer: options.Printing = options.PRINTER) -> None:
     _print_rows(printer, "Similarities", "name summary", similarities)
 
 
-def formats(*, printer: options.Printing = options.PRINTER) -> None:
-    """List the file formats, what reads and writes them, and the extras that they need."""
+def _formats(printer: Printer) -> None:
     rows = [
         (
             form.name,
@@ -46,61 +78,64 @@ def formats(*, printer: options.Printing = options.PRINTER) -> None:
     _print_rows(printer, "Formats", "name suffixes reads writes extra summary", rows)
 
 
-def bodies(*, printer: options.Printing = options.PRINTER) -> None:
-    """List the bodies that can be simulated."""
+def _bodies(printer: Printer) -> None:
     rows = []
     for name, make in anisomap.simulation.BODIES.items():
         body = make()
         size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
         rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
     _print_rows(printer, "Bodies", "name sensors reach spacing summary", rows)
-    printer.line("A closed mesh, a MuJoCo model or a file of positions works, too:")
-    printer.line("  anisomap simulate part.stl --sensors 200")
+    printer.line("A file of the positions of sensors works, too:")
+    printer.line("  anisomap simulate sensors.csv")
 
 
-def scenarios(
-    scenario: str | None = None, /, *, printer: options.Printing = options.PRINTER
-) -> None:
-    """List the scenarios, or the parameters of one scenario.
+def _scenarios(printer: Printer) -> None:
+    rows = [(name, entry.summary) for name, entry in anisomap.simulation.SCENARIOS.items()]
+    _print_rows(printer, "Scenarios", "name summary", rows)
 
-    Parameters
-    ----------
-    scenario
-        Scenario for which to list the parameters, with their defaults for a sphere of 1 m.
-    """
-    from anisomap.simulation import SCENARIOS, find_scenario
+
+def _explain_scenario(printer: Printer, name: str) -> None:
+    from anisomap.simulation import find_scenario
     from anisomap.simulation.options import meanings_of
 
-    if scenario is None:
-        rows = [(name, entry.summary) for name, entry in SCENARIOS.items()]
-        _print_rows(printer, "Scenarios", "name summary", rows)
-        return
-    options_of = find_scenario(scenario).options()
+    options_of = find_scenario(name).options()
     parameters = [
-        {"name": name, "default": getattr(options_of, name), "summary": text}
-        for name, text in meanings_of(options_of).items()
+        {"name": one, "default": getattr(options_of, one), "summary": text}
+        for one, text in meanings_of(options_of).items()
     ]
-    printer.record(scenario=scenario, parameters=parameters)
+    printer.record(scenario=name, parameters=parameters)
     for one in parameters:
         printer.line(f"{one['name']} = {one['default']}")
-        printer.line(textwrap.indent(textwrap.fill(one["summary"], 96), "  "))
+        printer.line(textwrap.indent(textwrap.fill(str(one["summary"]), 96), "  "))
 
 
-def faults(*, printer: options.Printing = options.PRINTER) -> None:
-    """List the faults that `anisomap spoil` can inject."""
-    from anisomap.simulation import FAULTS, FRAME_FAULTS
+def _faults(printer: Printer) -> None:
+    from anisomap.simulation.faults import FAULTS, OF_ALL, parameters_of
 
     rows = []
-    for name, function in {**FAULTS, **FRAME_FAULTS}.items():
-        parameters = inspect.signature(function).parameters.values()
-        taken = ", ".join(
-            f"{one.name}={one.default}"
-            for one in parameters
-            if one.kind is one.KEYWORD_ONLY and one.name not in ("rng", "source")
-        )
-        affects = "sensors" if name in FAULTS else "all sensors"
+    for name, function in FAULTS.items():
+        taken = ", ".join(one for one in parameters_of(name) if one != "after")
+        affects = "all" if name in OF_ALL else "chosen"
         rows.append((name, affects, taken or "-", _first_line(function)))
-    _print_rows(printer, "Faults", "name affects parameters summary", rows)
+    _print_rows(printer, "Faults", "name sensors parameters summary", rows)
+    printer.line(
+        "All but lost frames take after=SHARE, from which share of the frames on they act."
+    )
+
+
+def _explain_fault(printer: Printer, name: str) -> None:
+    from anisomap.simulation.faults import FAULTS, RANGES, parameters_of
+
+    parameters = parameters_of(name)
+    summary = inspect.getdoc(FAULTS[name]) or ""
+    listed = [
+        {"name": one, "default": default, "summary": RANGES[one].text}
+        for one, default in parameters.items()
+    ]
+    printer.record(fault=name, summary=summary, parameters=listed)
+    printer.line(summary)
+    for one in listed:
+        printer.line(f"{one['name']} = {one['default']}, {one['summary']}")
 
 
 def _print_rows(printer: Printer, title: str, columns: str, rows: Sequence[Sequence[str]]) -> None:

@@ -106,7 +106,7 @@ def live(
     Parameters
     ----------
     simulate
-        Body that a simulated hand rubs, instead of a source: see `anisomap bodies`.
+        Body that a simulated hand rubs, instead of a source: see `anisomap list bodies`.
     coached
         Let the simulated hand follow the advice of the page.
     speed

@@ -35,7 +35,7 @@ def convert(
 ) -> None:
     """Write a map in another format: for robot software, a viewer or a spreadsheet.
 
-    `anisomap formats` lists the formats.
+    `anisomap list formats` lists the formats.
     """
     from anisomap.cli.outputs import Outputs
 

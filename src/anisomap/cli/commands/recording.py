@@ -251,7 +251,7 @@ def map_recording(
         File for the map; its suffix chooses the format. May be repeated. Default: NAME.map.csv in
         the current folder.
     method
-        Reconstruction method: see `anisomap methods`.
+        Reconstruction method: see `anisomap list methods`.
     dimensions
         Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses 3 if the third
         coordinate improves the fit clearly, else 2.

@@ -1,20 +1,20 @@
-"""Recordings of known truth: ``simulate``, ``spoil``, ``demo`` and ``paper``."""
+"""Recordings of known truth: ``simulate``, ``demo`` and ``paper``."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io
 from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS
-from anisomap.base.wording import join_items, number, percent
+from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
-from anisomap.cli.console import Columns, Printer, errors, progress
+from anisomap.cli.console import Printer, errors, progress
 from anisomap.errors import FileError, InputError, import_extra
 from anisomap.files.paths import together
 
@@ -31,6 +31,7 @@ def simulate_body(
     frames: options.Count = 2000,
     sensors: int | None = None,
     parameter: Annotated[list[str] | None, Parameter(alias="-p")] = None,
+    fault: Annotated[list[str] | None, Parameter(alias="-f")] = None,
     picture: options.Picture = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
@@ -39,9 +40,9 @@ def simulate_body(
     Parameters
     ----------
     body
-        Name from `anisomap bodies`, or a file of the positions of sensors.
+        Name from `anisomap list bodies`, or a file of the positions of sensors.
     scenario
-        Scenario: see `anisomap scenarios`.
+        Scenario: see `anisomap list scenarios`.
     output
         NPZ file to write. Default: BODY-SCENARIO.npz.
     frames
@@ -49,26 +50,36 @@ def simulate_body(
     sensors
         Number of sensors of a named body.
     parameter
-        NAME=VALUE, a parameter of the scenario; may be repeated. `anisomap scenarios SCENARIO`
-        lists them.
+        NAME=VALUE, a parameter of the scenario; may be repeated. `anisomap list scenarios SCENARIO`
+        explains them.
+    fault
+        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or noisy:10%,level=0.2 or dropped-frames; see
+        `anisomap list faults`. May be repeated; faults are injected in order.
     picture
         File for a figure of body, sensors, contacts and readings: .png, .svg or .pdf.
     """
     from anisomap.cli.outputs import Outputs
     from anisomap.drawing.figures import scenes
-    from anisomap.simulation import run_simulation
+    from anisomap.simulation import inject, run_simulation
+    from anisomap.simulation.faults import parameters_of
+    from anisomap.simulation.options import parse_parameters
 
     skin = read_body(body, sensors)
     target = output or Path(f"{skin.name}-{scenario}.npz")
     Outputs(recording=target, picture=picture, inputs=[Path(body)])
-    settings = {"n_frames": frames, **_parse_parameters(parameter or [])}
+    settings: dict[str, Any] = {"n_frames": frames, **parse_parameters(parameter or [])}
+    for one in fault or ():
+        parameters_of(one.partition(":")[0].strip())  # an unknown fault, before the simulation
     with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as report_progress:
         simulation = run_simulation(skin, scenario, seed=seed, progress=report_progress, **settings)
+    recording, rng = simulation.recording, np.random.default_rng(seed)
+    for one in fault or ():
+        recording = inject(recording, one, rng=rng)
     with together():
-        io.write(simulation.recording, target)
+        io.write(recording, target)
         if picture:
             drawing.figures.save_figure(scenes.scene_figure(simulation.scene), picture)
-    _print(printer, simulation.recording, skin)
+    _print(printer, recording, skin)
     printer.files([("recording", target), *([("picture", picture)] if picture else [])])
     printer.line(f"\nMap it:\n  anisomap map {target} -o map.csv")
 
@@ -101,54 +112,6 @@ def _print(printer: Printer, recording: anisomap.Recording, skin: anisomap.simul
     )
 
 
-def spoil(
-    recording: options.RecordingFile,
-    /,
-    *,
-    fault: Annotated[list[str], Parameter(alias="-f")],
-    output: Annotated[Path, Parameter(alias="-o")],
-    seed: options.Seed = 0,
-    printer: options.Printing = options.PRINTER,
-) -> None:
-    """Inject documented faults into a recording.
-
-    The NPZ file lists every affected sensor and frame, so that fault detectors can be scored.
-
-    Parameters
-    ----------
-    fault
-        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or saturating:10%,level=1 or dropped-frames.
-        May be repeated; faults are applied in order. `anisomap faults` lists them.
-    output
-        NPZ file to write.
-    """
-    from anisomap import route
-    from anisomap.cli.outputs import Outputs
-    from anisomap.simulation.injection import ALL_SENSORS, inject, injected_faults, parse_fault
-
-    requests = [parse_fault(text) for text in fault]
-    Outputs(recording=output, inputs=[recording])
-    spoilt = inject(route.read(recording, progress=progress), requests, seed)
-    io.write(spoilt, output)
-    sensors: defaultdict[str, list[str]] = defaultdict(list)
-    frames: defaultdict[str, int] = defaultdict(int)
-    for done in injected_faults(spoilt):
-        sensors[done.kind].append({ALL_SENSORS: "all", "": "-"}.get(done.sensor, done.sensor))
-        frames[done.kind] += sum(stop - start for start, stop in done.spans)
-    records = [
-        {"fault": kind, "sensors": names, "readings_or_frames": frames[kind]}
-        for kind, names in sensors.items()
-    ]
-    columns: Columns = {
-        "fault": ("fault", str),
-        "sensors": ("sensors", join_items),
-        "readings or frames": ("readings_or_frames", str),
-    }
-    printer.rows("Injected faults", columns, records)
-    printer.record(injected=records)
-    printer.files([("recording", output)])
-
-
 def read_body(body: str, n_sensors: int | None = None) -> anisomap.simulation.Body:
     """Make a body from its name, or from a file of positions."""
     from anisomap.simulation import BODIES, body_from_points, find_body
@@ -171,21 +134,6 @@ def read_body(body: str, n_sensors: int | None = None) -> anisomap.simulation.Bo
     return body_from_points(
         found.positions, names=found.names, name=path.name.split(".")[0], units=found.units
     )
-
-
-def _parse_parameters(parameters: list[str]) -> dict[str, Any]:
-    """Read ``NAME=VALUE`` pairs."""
-    parsed: dict[str, Any] = {}
-    for text in parameters:
-        name, equals, value = text.partition("=")
-        try:
-            parsed[name.strip().replace("-", "_")] = (
-                int(value) if value.strip().lstrip("+-").isdecimal() else float(value)
-            )
-        except ValueError as error:
-            hint = f"{value!r} is not a number" if equals else "write NAME=VALUE"
-            raise InputError(f"--parameter {text!r}: {hint}") from error
-    return parsed
 
 
 def demo(
