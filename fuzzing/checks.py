@@ -20,7 +20,6 @@ from anisomap import io
 from anisomap.cli.app import run
 from anisomap.errors import AnisomapError, AnisomapWarning
 from anisomap.files.meshes import read_mesh
-from anisomap.large.map_reduce import Checkpoint
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from fuzzing.subjects import map_suffixes, recording_suffixes
@@ -179,14 +178,6 @@ def check_definition(path: Path, found: Findings, rng: Generator) -> None:
     bag = next(found.folder.glob("run.*"))
     options = io.ReadOptions(definitions=(path,))
     _within_memory(found, "read", lambda: io.read(bag, options=options))
-    del rng
-
-
-def check_checkpoint(path: Path, found: Findings, rng: Generator) -> None:
-    """Resume from a checkpoint."""
-    checkpoint = _within_memory(found, "Checkpoint", lambda: Checkpoint(path, "a computation"))
-    if checkpoint is not None:
-        found.attempt("remaining", lambda: checkpoint.remaining([], "total"))
     del rng
 
 

@@ -307,7 +307,6 @@ ODD: Mapping[str, Maker] = MappingProxyType(
         "hdf5": odd_hdf5,
         "parquet": odd_table,
         "json": odd_json,
-        "checkpoint": odd_npz,
         "maps": odd_positions,
     }
 )

@@ -19,8 +19,6 @@ import numpy as np
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning
-from anisomap.large.map_reduce import Checkpoint, map_reduce
-from anisomap.numerics.similarity.correlation import Moments
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
@@ -58,8 +56,7 @@ class Subject:
         Name of the format.
     kind : str
         How its files are used: ``"file"`` (recordings and maps), ``"mesh"``, ``"definition"`` (of
-        messages), ``"checkpoint"``, ``"maps"`` (with a recording) or ``"source"`` (of live
-        sessions).
+        messages), ``"maps"`` (with a recording) or ``"source"`` (of live sessions).
     seeds : sequence of Tree
         The file to read comes first; if it is in a folder, the folder is read.
     """
@@ -76,8 +73,7 @@ def subjects() -> list[Subject]:
     -------
     list of Subject
         One per format in `anisomap.io.FORMATS`, one per suffix of meshes and models, and one for
-        definitions of messages, for checkpoints, for maps with a recording, and for sources of live
-        sessions.
+        definitions of messages, for maps with a recording, and for sources of live sessions.
     """
     seeds: dict[str, list[Tree]] = {known.name: [] for known in io.FORMATS}
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name, warnings.catch_warnings():
@@ -88,8 +84,7 @@ def subjects() -> list[Subject]:
                 seeds[known].append(_tree(path))
                 _remove(path)
         found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
-        found += _meshes(folder)
-        found += [_checkpoint(folder), _maps(folder)]
+        found += [*_meshes(folder), _maps(folder)]
     found.append(Subject("live source", "source", [{"lines": text} for text in _LINES]))
     definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
     return [*found, Subject("message definition", "definition", [definition])]
@@ -172,14 +167,6 @@ def _meshes(folder: Path) -> list[Subject]:
                 seeds.append(_tree(path))
         found.append(Subject(f"mesh {suffix}", "mesh", seeds))
     return found
-
-
-def _checkpoint(folder: Path) -> Subject:
-    path = folder / "counts.npz"
-    checkpoint = Checkpoint(path, "a computation")
-    readings = examples.example_recording().readings
-    map_reduce(lambda: iter([readings]), Moments.of, checkpoint=checkpoint)
-    return Subject("checkpoint", "checkpoint", [_tree(path)])
 
 
 def _maps(folder: Path) -> Subject:

@@ -44,7 +44,6 @@ _CHECKS: Mapping[str, tuple[Any, Any]] = {
     "file": (checks.check_file, checks.check_file_by_command),
     "mesh": (checks.check_mesh, checks.check_mesh),
     "definition": (checks.check_definition, checks.check_definition),
-    "checkpoint": (checks.check_checkpoint, checks.check_checkpoint),
     "maps": (uses.check_maps, uses.check_maps_by_command),
     "source": (uses.check_source, uses.check_source),
 }

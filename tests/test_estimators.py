@@ -57,7 +57,7 @@ def test_partial_fit_equals_fit(method, monkeypatch):
     whole = SensorMapper(n_components=2, method=method).fit(SKIN.readings)
     parts, few = (SensorMapper(n_components=2, method=method) for _ in range(2))
     for mapper, most in ((parts, 1500), (few, 400)):
-        monkeypatch.setattr("anisomap.large.chunks.SAMPLE_FRAMES", most)
+        monkeypatch.setattr("anisomap.numerics.sampling.MAX_FRAMES", most)
         for part in np.split(SKIN.readings, [7, 8, 900]):
             # What a map of the first few frames lacks, the last one must have.
             with warnings.catch_warnings():

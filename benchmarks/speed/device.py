@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anisomap import score
 from anisomap.base.defaults import DEFAULT_BINS
@@ -25,10 +27,11 @@ from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOp
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from benchmarks.harness import markdown_table, options, quietly
-from benchmarks.speed.approximate import SKINS, touch
+from benchmarks.skins.inputs import directions, sphere_radius
 from benchmarks.speed.tables import machine
 
-SKIN = SKINS[2]  # a sphere with one contact, in 3D
+_REACH = 4.0  # radius of a contact in sensor spacings; it covers 50 sensors
+_STROKE = 15  # frames of a straight motion of a contact
 
 Result = TypeVar("Result")
 
@@ -77,8 +80,8 @@ def _table(
 ) -> Iterator[tuple[object, ...]]:
     """Time the stages for one size, on the GPU and, if wanted, on the processor."""
     rng = np.random.default_rng(seed)
-    sensors = SKIN.spread(n_sensors, n_sensors, rng)
-    readings = np.concatenate(list(touch(SKIN, sensors, n_frames, rng)))
+    sensors = sphere_radius(n_sensors) * directions(n_sensors, rng)
+    readings = _touched(sensors, n_frames, rng)
     varying = np.ptp(readings, axis=0) > 0
     sensors, readings = sensors[varying], readings[:, varying]
 
@@ -112,6 +115,21 @@ def _table(
     made, seconds = _warm(lambda: reconstruct_on_device(library.asarray(readings), dimensions=3))
     r = score(made, sensors, permutations=99, rng=0).mantel.r
     yield row(f"whole map by r-anisomap, r {r:.4f}", seconds)
+
+
+def _touched(
+    sensors: NDArray[np.float64], n_frames: int, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Read a sphere of sensors that one contact rubs in strokes."""
+    radius, stroke = np.linalg.norm(sensors[0]), np.arange(n_frames) // _STROKE
+    places = radius * directions(stroke[-1] + 1, rng)[stroke]
+    headings = directions(stroke[-1] + 1, rng)[stroke]
+    places = places + headings * (np.arange(n_frames) % _STROKE)[:, None]
+    places *= radius / np.linalg.norm(places, axis=1, keepdims=True)
+    apart = KDTree(places).sparse_distance_matrix(KDTree(sensors), _REACH, output_type="coo_matrix")
+    readings = np.zeros((n_frames, len(sensors)), np.uint8)
+    readings[apart.row, apart.col] = 255 * (1 - apart.data / _REACH)
+    return readings
 
 
 def _difference(found: Any, expected: Any) -> str:

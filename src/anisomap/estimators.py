@@ -16,10 +16,10 @@ from sklearn.utils.validation import check_is_fitted, check_non_negative, valida
 
 from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.large.chunks import sample_of
 from anisomap.method.dimensions import AUTO, Dimensions
 from anisomap.method.options import MethodOptions
 from anisomap.method.reconstruction import reconstruct
+from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.correlation import Moments
@@ -136,8 +136,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         -----
         Memory does not grow with the number of frames: of more than 16,384, or fewer of more than
         512 sensors, those are mapped that are evenly spread over all; until then the map is that of
-        `fit`. Missing readings are handled within each part. `anisomap.large.reconstruct_chunks`
-        maps all frames.
+        `fit`. Missing readings are handled within each part.
         """
         recording = self._added(X, first=not hasattr(self, "n_samples_seen_"))
         return self._map(Recording(self._sample.readings, names=recording.names))

@@ -1,24 +1,19 @@
-"""The route from files to a judged map: recordings are read, at once or in blocks, and mapped."""
+"""The route from files to a judged map: recordings are read, assessed and mapped."""
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TypeAlias
 
 from anisomap import io
-from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.wording import as_text
-from anisomap.errors import InputError
-from anisomap.files.budget import size_on_disk
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import (
     Finding,
     RecordingSummary,
@@ -28,11 +23,7 @@ from anisomap.health import (
     repair,
     summarise,
 )
-from anisomap.io.presets import with_grid
-from anisomap.io.stream import assemble
-from anisomap.large.chunks import chunk_frames, complete_chunks
 from anisomap.method.dimensions import Dimensions
-from anisomap.method.named import check_even_spacing
 from anisomap.method.options import MethodOptions
 from anisomap.method.reconstruction import reconstruct_with_stages
 from anisomap.numerics.precision import check_pair_memory
@@ -40,20 +31,8 @@ from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, join_r
 from anisomap.sensor_map import SensorMap
 from anisomap.verdict.diagnosis import diagnose
 
-# Packages for recordings that are too large for memory are imported only for them.
-if TYPE_CHECKING:
-    from anisomap.large.approximation import SimilarityGraph
-    from anisomap.large.map_reduce import WorkerPool
-    from anisomap.large.streaming import StreamedSimilarity
-
-LARGE_BYTES = 1 << 29
-"""Size of the readings, as float32, above which a recording is read in blocks: 512 MiB."""
-
-PROBED_BYTES = 1 << 24
-"""Total size of files below which the size of the readings is not estimated."""
-
-Source: TypeAlias = "Sequence[Recording] | StreamedSimilarity | SimilarityGraph"
-"""Recordings of one skin, or what their frames were reduced to if they were read in blocks."""
+MAX_READINGS = 1 << 27
+"""Readings above which a recording is sampled: 512 MiB of float32."""
 
 Judge: TypeAlias = Callable[..., SensorMap]
 """A function that adds its verdict to a map."""
@@ -69,29 +48,28 @@ def silent(_: str) -> AbstractContextManager[Callable[[float], None]]:
 
 @dataclass(frozen=True)
 class Examined:
-    """What a map is made from, with its sensor health, summary and faults.
+    """Recordings of one skin, with their sensor health, summary and faults.
 
-    recording: All runs as one, or segments of those that were read in blocks.
+    recording: All runs as one.
     """
 
-    source: Source
+    runs: Sequence[Recording]
     recording: Recording
     health: Sequence[SensorHealth]
     summary: RecordingSummary
     findings: Sequence[Finding] = ()
 
-    @property
-    def runs(self) -> Sequence[Recording]:
-        """The recordings, if they are in memory."""
-        return self.source if isinstance(self.source, Sequence) else ()
-
 
 def read(
-    path: Path, how: io.ReadOptions | None = None, *, progress: Progress = silent
+    path: Path,
+    how: io.ReadOptions | None = None,
+    *,
+    max_readings: float = math.inf,
+    progress: Progress = silent,
 ) -> Recording:
     """Read a recording; the default of its source is the file name."""
     with progress(f"reading {path.name}") as report_progress:
-        recording = io.read(path, options=how, progress=report_progress)
+        recording = io.read(path, options=how, max_readings=max_readings, progress=report_progress)
     return replace(recording, source=recording.source or as_text(path.name))
 
 
@@ -100,18 +78,24 @@ def read_runs(
     how: io.ReadOptions,
     missing: MissingPolicy = "error",
     *,
+    max_readings: float = MAX_READINGS,
     progress: Progress = silent,
 ) -> list[Recording]:
     """Read one recording, or several of one skin, without missing readings.
 
-    A preset leaves out channels that are constant in all runs, so it is applied to the joined runs.
+    If all together have more readings than allowed, frames are sampled evenly in time. A preset
+    leaves out channels that are constant in all runs, so it is applied to the joined runs.
     """
     joined = len(paths) > 1 and bool(how.preset)
     each = replace(how, preset="", positions=None) if joined else how
-    runs = [_complete(read(path, each, progress=progress), missing) for path in paths]
+    sampled = _read_sampled(paths, each, max_readings, progress)
+    runs = [_complete(run, missing) for run in sampled]
     if not joined:
         return runs
-    return [io.attach_positions(io.apply_preset(join_runs(runs), how.preset), how.positions)]
+    every = {key: value for key, value in runs[0].metadata.items() if key == io.FRAMES_SAMPLED}
+    whole = join_runs(runs)
+    whole = replace(whole, metadata={**whole.metadata, **every})
+    return [io.attach_positions(io.apply_preset(whole, how.preset), how.positions)]
 
 
 def read_mended(
@@ -119,15 +103,44 @@ def read_mended(
     how: io.ReadOptions,
     missing: MissingPolicy | None = None,
     *,
+    max_readings: float = math.inf,
     progress: Progress = silent,
 ) -> tuple[list[Recording], tuple[Finding, ...]]:
     """Read recordings of one skin, and mend their faults; None leaves readings missing."""
-    runs = [read(path, how, progress=progress) for path in paths]
+    runs = _read_sampled(paths, how, max_readings, progress)
     with progress("repairing the recording"):
         mended = [repair(run) for run in as_runs(runs)]
     findings = tuple(finding for one in mended for finding in one.findings)
     found = [one.recording for one in mended]
     return found if missing is None else [_complete(one, missing) for one in found], findings
+
+
+def _read_sampled(
+    paths: Sequence[Path], how: io.ReadOptions, max_readings: float, progress: Progress
+) -> list[Recording]:
+    """Read every k-th frame of recordings, so that all together fit, and warn if k is not 1."""
+    runs: list[Recording] = []
+    for path in paths:
+        runs.append(read(path, how, max_readings=max_readings, progress=progress))
+        own = [io.sampled_every(run.metadata) for run in runs]
+        every = max(own)
+        n_all = sum(run.readings.size * k for run, k in zip(runs, own, strict=True))
+        while n_all > every * max_readings:
+            every *= 2
+        runs = [io.thin(run, every // k) for run, k in zip(runs, own, strict=True)]
+    for note in _sampling_note(runs):
+        warnings.warn(note, AnisomapWarning, stacklevel=3)
+    return runs
+
+
+def _sampling_note(runs: Sequence[Recording]) -> tuple[str, ...]:
+    every = io.sampled_every(runs[0].metadata)
+    if every == 1:
+        return ()
+    return (
+        f"one frame in {every} was used, evenly in time, since all readings together exceed the "
+        "limit of memory",
+    )
 
 
 def _complete(recording: Recording, missing: MissingPolicy) -> Recording:
@@ -139,145 +152,6 @@ def _complete(recording: Recording, missing: MissingPolicy) -> Recording:
             raise
         hint = "use --missing drop-frames or --missing interpolate"
         raise InputError(f"{str(error).partition(';')[0]}; {hint}") from error
-
-
-def are_large(paths: Sequence[Path], how: io.ReadOptions) -> bool:
-    """Estimate from their first blocks whether recordings are too large for memory."""
-    if sum(map(size_on_disk, paths)) < PROBED_BYTES:
-        return False
-    total = 0.0
-    with warnings.catch_warnings(action="ignore"):  # the same warnings follow when the file is read
-        for path in paths:
-            with io.open_stream(path, options=how) as stream:
-                for block in stream.blocks:
-                    total += 4 * block.readings.size / max(block.fraction, 1e-9)
-                    break
-    return total > LARGE_BYTES
-
-
-def read_in_blocks(
-    paths: Sequence[Path],
-    how: io.ReadOptions,
-    missing: MissingPolicy = "error",
-    *,
-    method: str = DEFAULT_METHOD,
-    options: MethodOptions | None = None,
-    approximate: bool = False,
-    pool: WorkerPool | None = None,
-    checkpoint: Path | None = None,
-    drop: Sequence[str] = (),
-    seed: int = 0,
-    progress: Progress = silent,
-) -> StreamedSimilarity | SimilarityGraph:
-    """Read recordings of the same sensors in blocks, and reduce them to what a map is made from.
-
-    Dropped sensors and the seed affect approximate maps only.
-    """
-    from anisomap.large import ApproximateOptions  # noqa: PLC0415
-    from anisomap.large.approximation import build_similarity_graph  # noqa: PLC0415
-    from anisomap.large.map_reduce import WorkerPool  # noqa: PLC0415
-    from anisomap.large.streaming import stream_similarity  # noqa: PLC0415
-
-    chosen = options or MethodOptions()
-    check_even_spacing(method, chosen, readings=False)
-    with progress("inspecting the files"):
-        like = _first_frame_of_all(paths, how)
-    with progress("reading all frames") as report_progress:
-        files = _Files(tuple(paths), how, like.names, missing, report_progress)
-        if how.preset:
-            probe = replace(like, readings=files.extremes())
-            files = replace(files, kept=np.array(list(io.numbering(probe, how.preset))))
-            like = io.attach_positions(io.apply_preset(probe, how.preset), how.positions)
-        if approximate:
-            sketch = ApproximateOptions(seed=seed)
-            dropped = split_names(drop, like.names)
-            return build_similarity_graph(files, like=like, drop=dropped, options=sketch)
-        return stream_similarity(
-            files,
-            method,
-            chosen,
-            like=like,
-            pool=pool or WorkerPool(),
-            checkpoint=checkpoint,
-            source=files.describe(),
-        )
-
-
-def _first_frame_of_all(paths: Sequence[Path], how: io.ReadOptions) -> Recording:
-    """Return the first frame of the first recording, with the metadata of all recordings."""
-    known = [_first_frame(path, how) for path in paths]
-    first = known[0]
-    for path, other in zip(paths, known, strict=True):
-        if set(other.names) != set(first.names):
-            raise InputError(
-                f"{path} and {paths[0]} have different sensors; recordings of this size can be "
-                "joined only if all have the same sensors"
-            )
-    return replace(first, source=" + ".join(recording.source for recording in known))
-
-
-def _first_frame(path: Path, how: io.ReadOptions) -> Recording:
-    quiet = warnings.catch_warnings(action="ignore")
-    with quiet, io.open_stream(path, frames=1, options=how) as stream:
-        frame = assemble(replace(stream, blocks=islice(stream.blocks, 1)))
-    return with_grid(replace(frame, times=None, source=frame.source or path.name), how.grid)
-
-
-@dataclass(frozen=True, eq=False)
-class _Files:
-    """Recordings of the same sensors; calling it yields their complete readings in chunks.
-
-    kept: Sensors that a preset keeps; the others are removed as in recordings that fit in memory:
-        before gaps are filled if there is one recording, afterwards if there are several.
-    """
-
-    paths: tuple[Path, ...]
-    how: io.ReadOptions
-    names: tuple[str, ...]
-    missing: MissingPolicy
-    report_progress: Callable[[float], None]
-    kept: NDArray[np.intp] | None = None
-
-    def __call__(self) -> Iterator[NDArray[Any]]:
-        if len(self.paths) == 1:
-            return complete_chunks(partial(self.raw, 0, self.kept), self.missing)()
-        every = (
-            complete_chunks(partial(self.raw, i), self.missing)() for i in range(len(self.paths))
-        )
-        chunks = chain.from_iterable(every)
-        return chunks if self.kept is None else (chunk[:, self.kept] for chunk in chunks)
-
-    def raw(self, number: int, kept: NDArray[np.intp] | None = None) -> Iterator[NDArray[Any]]:
-        """Yield the readings of a file, sensors in the order of `names`."""
-        path, n_frames = self.paths[number], chunk_frames(len(self.names))
-        with io.open_stream(path, frames=n_frames, options=self.how) as stream:
-            own = {name: i for i, name in enumerate(stream.names or self.names)}
-            order = np.array([own[name] for name in self.names])
-            order = order if kept is None else order[kept]
-            in_order = np.array_equal(order, np.arange(stream.n_sensors))
-            for block in stream.blocks:
-                yield block.readings if in_order else block.readings[:, order]
-                self.report_progress((number + block.fraction) / len(self.paths))
-
-    def extremes(self) -> NDArray[Any]:
-        """Return the first, the lowest and the highest reading of each sensor, NaN if missing."""
-        found = np.empty((0, len(self.names)))
-        for chunk in self.raw(0) if len(self.paths) == 1 else self():
-            rows = np.concatenate([found, np.where(np.isfinite(chunk), chunk, np.nan)])
-            found = np.stack([rows[0], np.fmin.reduce(rows), np.fmax.reduce(rows)])
-        return found
-
-    def describe(self) -> str:
-        """Describe files and options; checkpoints with another description are refused."""
-        how = self.how
-        files = " + ".join(f"{path.name} ({size_on_disk(path)} bytes)" for path in self.paths)
-        settings = {
-            "select": how.select,
-            "preset": how.preset,
-            "bin": "" if how.bin_s is None else f"{how.bin_s:g} s",
-            "missing": "" if self.missing == "error" else self.missing,
-        }
-        return ", ".join([files, *(f"{name} {value}" for name, value in settings.items() if value)])
 
 
 def split_names(
@@ -295,24 +169,18 @@ def split_names(
 
 
 def examine(
-    source: Source, findings: Sequence[Finding] | None = None, *, progress: Progress = silent
+    runs: Sequence[Recording],
+    findings: Sequence[Finding] | None = None,
+    *,
+    progress: Progress = silent,
 ) -> Examined:
     """Assess recordings of one skin; by default, their faults are searched for."""
-    if not isinstance(source, Sequence):
-        rate_hz = source.excerpt.rate_hz
-        summary = replace(
-            summarise(source.excerpt, source.health),
-            n_frames=source.n_frames,
-            duration=None if rate_hz is None else source.n_frames / rate_hz,
-            n_constant=int(np.count_nonzero(~source.varying)),
-        )
-        return Examined(source, source.excerpt, source.health, summary)
     # Comparing all pairs of so many sensors that no map fits into memory takes hours.
-    check_pair_memory(max(run.n_sensors for run in source), refined=False)
+    check_pair_memory(max(run.n_sensors for run in runs), refined=False)
     with progress("assessing sensors"):
-        joined, health = join_runs(source), assess(source)
-        found = find_faults(source) if findings is None else findings
-        return Examined(source, joined, health, summarise(joined, health), found)
+        joined, health = join_runs(runs), assess(runs)
+        found = find_faults(runs) if findings is None else findings
+        return Examined(runs, joined, health, summarise(joined, health), found)
 
 
 def make_map(
@@ -324,31 +192,23 @@ def make_map(
     drop: Sequence[str] = (),
     seed: int = 0,
     progress: Progress = silent,
-) -> tuple[SensorMap, Judge | None]:
-    """Make a map, and what judges it if it can be judged; notes are warnings."""
-    source = examined.source
+) -> tuple[SensorMap, Judge]:
+    """Make a map, and what judges it; notes are warnings."""
+    runs = examined.runs
     with progress("making the map"):
-        if isinstance(source, Sequence):
-            made, stages = reconstruct_with_stages(
-                source, method, dimensions, options=options, drop=drop
-            )
-            diagnosed = partial(
-                diagnose,
-                recording=source,
-                options=options,
-                drop=drop,
-                health=examined.health,
-                findings=examined.findings,
-                rng=seed,
-                stages=stages,
-            )
-            return diagnosed(made, with_verdict=False), diagnosed
-        from anisomap.large.approximation import (  # noqa: PLC0415
-            SimilarityGraph,
-            map_similarity_graph,
+        made, stages = reconstruct_with_stages(runs, method, dimensions, options=options, drop=drop)
+        if note := _sampling_note(runs):
+            every = io.sampled_every(runs[0].metadata)
+            provenance = {**made.provenance, io.FRAMES_SAMPLED: every}
+            made = replace(made, notes=(*note, *made.notes), provenance=provenance)
+        diagnosed = partial(
+            diagnose,
+            recording=runs,
+            options=options,
+            drop=drop,
+            health=examined.health,
+            findings=examined.findings,
+            rng=seed,
+            stages=stages,
         )
-        from anisomap.large.streaming import map_streamed_similarity  # noqa: PLC0415
-
-        if isinstance(source, SimilarityGraph):
-            return map_similarity_graph(source, dimensions, options=options), None
-        return map_streamed_similarity(source, method, dimensions, options=options, drop=drop), None
+        return diagnosed(made, with_verdict=False), diagnosed

@@ -71,8 +71,6 @@ class SensorMap(Immutable):
     verdict : Verdict
         How far the map can be used, from `anisomap.diagnose`; its level is ``"cannot tell"`` by
         default.
-    approximate : bool
-        Whether only some pairs of sensors were compared.
     uneven : bool
         Whether the largest component is distorted in a way that the refinement could not correct
         and that maps of parts of the recording share: neighbours lie at very unequal distances,
@@ -115,7 +113,6 @@ class SensorMap(Immutable):
     stress: float = float("nan")
     n_iterations: int = 0
     verdict: Verdict = field(default_factory=Verdict)
-    approximate: bool = False
     uneven: bool = False
     mirrored: bool = False
     handed: bool = False

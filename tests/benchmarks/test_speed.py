@@ -10,11 +10,10 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.harness import quietly
 from benchmarks.skins.inputs import flat_skin, rubbed_skin
-from benchmarks.speed import approximate, journeys, measuring, stages
+from benchmarks.speed import journeys, measuring, stages
 from benchmarks.speed.journeys import MEMBERS, Journey, draw, exponents, travel
 from benchmarks.speed.measuring import Comparison, Reference, Row, measure, run, threads
 from benchmarks.speed.tables import markdown
-from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_info
 
 from anisomap.numerics.compiled import parallel
@@ -193,31 +192,3 @@ def test_all_journeys_of_small_skins(tmp_path, monkeypatch):
     table = (tmp_path / "journeys-table.md").read_text(encoding="utf-8")
     assert "anisomap --help" in table
     assert "exponent of N" in table
-
-
-@pytest.mark.parametrize("skin", approximate.SKINS, ids=lambda skin: skin.name)
-def test_contacts_cover_what_is_near_them(skin):
-    rng = np.random.default_rng(0)
-    sensors = skin.spread(100, 100, rng)
-    readings = np.concatenate(list(approximate.touch(skin, sensors, 700, rng)))
-    assert readings.shape == (700, 100)
-    assert readings.dtype == np.uint8
-    for frame in readings[readings.any(axis=1)][::50] if skin.contacts(100) == 1 else ():
-        on = sensors[frame > 0]
-        assert cdist(on, on).max() < 2 * approximate.REACH
-
-
-@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-def test_approximate_maps_are_compared_with_exact_ones(tmp_path):
-    skin, rng = approximate.SKINS[0], np.random.default_rng(0)
-    places = skin.spread(60, 60, rng)
-    readings = np.concatenate(list(approximate.touch(skin, places, 800, rng)))
-    np.savez(tmp_path / "skin.npz", readings=readings, positions=places)
-    simulated, real = [*approximate.losses([80], 600, 1)], [*approximate.real_losses(tmp_path)]
-    assert (len(simulated), len(real)) == (len(approximate.SKINS), 1)
-    for row in simulated + real:
-        exact, found, lost = (float(row[name]) for name in ("exact", "approximate", "lost"))
-        assert lost == pytest.approx(exact - found, abs=2e-4)
-        assert exact > 0.9
-        assert 0.5 < found <= 1
-    assert next(approximate.costs([60], 600))["sensors x frames"] == "60 x 600"

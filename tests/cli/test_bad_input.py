@@ -34,6 +34,7 @@ map skin.npz --exclude nobody                             | nobody
 map skin.npz --drop {LONG}                                | there is no sensor 'xxx
 map skin.npz -m r-anisomap --even-spacing                 | r-anisomap does not support even spacing
 map skin.npz --seed -1                                    | seed
+map skin.npz --memory 0                                   | memory
 map skin.npz --missing ignore                             | drop-frames
 map skin.npz --frobnicate                                 | frobnicate
 map skin.csv -o skin.csv                                  | another file
@@ -41,14 +42,8 @@ map skin.csv --report skin.csv                            | another file
 map skin.csv -o a.csv --picture a.csv                     | two outputs
 map skin.csv skin.npz -o skin.npz                         | another file
 map skin.csv --positions truth.csv -o truth.csv           | truth.csv
-map skin.npz -o a.csv --checkpoint skin.npz               | skin.npz is
-map skin.npz -o a.csv --checkpoint a.csv                  | a.csv is
 map skin.npz --min-quality usable --no-verdict            | verdict
 map skin.npz --min-quality excellent                      | "usable", "usable-for-neighbours"
-map skin.npz --repair --approximate                       | --repair requires a recording in memory
-map skin.npz --approximate -m covariogram                 | r-anisomap only, got covariogram
-map skin.npz --approximate --workers 2                    | does not support --workers
-map skin.npz --approximate --even-spacing                 | even spacing
 map turned.csv                                            | transpose it; if not, record the 80
 map skin.csv --grid 6x8                                   | 48
 map skin.csv --grid six                                   | rows and columns, as in 32x64

@@ -123,7 +123,7 @@ def test_positions_of_sensors_that_a_preset_names(run_map, skin, tmp_path):
         (tmp_path / name).write_text("\n".join(lines) + "\n")
     names = [f"b0.t{pad // 12}.k{pad % 12}" for pad in pads]
     write_layout(tmp_path / "truth.csv", skin.positions[: len(pads)], names)
-    for words in (["one.log"], ["one.log", "two.log", "--workers", "2"]):
+    for words in (["one.log"], ["one.log", "two.log"]):
         words += ["--preset", "icub", "--positions", "truth.csv"]
         score = run_map(*words, "-o", "m.csv", "--json").values["score"]
         assert score["sensors_compared"] == len(pads)

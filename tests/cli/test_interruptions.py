@@ -290,7 +290,6 @@ def limited():
         CONVERT,
         DRAW,
         pytest.param([*MAP, "--report", "r.html"], marks=pytest.mark.slow),
-        [*MAP, "--checkpoint", "c.npz"],
     ],
     ids=lambda words: " ".join([words[0], *words[-2:-1]]),
 )

@@ -1,155 +1,88 @@
-"""Recordings read in blocks from the command line: equality with whole recordings."""
-
-import re
-from contextlib import suppress
-from importlib import import_module
-from pathlib import Path
+"""Recordings beyond the limit of memory are sampled evenly in time, and say so."""
 
 import numpy as np
 import pytest
 
 import anisomap
-from anisomap import route
-from anisomap.large import chunks
+from anisomap import io, route
 from skins import flat_skin
+
+SKIN = flat_skin(n_frames=4000)
+HOW = io.ReadOptions()
 
 
 @pytest.fixture
 def parts(tmp_path):
-    """A skin in three files, sensors in another order in each, with their positions."""
-    recording = flat_skin(n_frames=2400)
-    order = np.random.default_rng(0)
-    paths = []
-    for i, readings in enumerate(np.split(recording.readings, 3)):
+    """A skin in three files, sensors in another order in each, with their times."""
+    order, paths = np.random.default_rng(0), []
+    recording = anisomap.Recording(
+        SKIN.readings,
+        names=[f"pad {n}" for n in range(42)],
+        times=np.arange(4000) / 50,
+    )
+    for i, rows in enumerate(np.split(np.arange(4000), [1500, 2100])):
         sensors = order.permutation(42) if i else np.arange(42)
-        part = anisomap.Recording(
-            np.round(readings * 50),
-            names=[f"pad {n}" for n in range(42)],
-            positions=recording.positions,
-            units="mm",
-        )
-        paths.append(tmp_path / f"part{i}.npz")
-        anisomap.write(part.select(sensors), paths[-1])
+        part = recording.select(sensors)
+        part = anisomap.Recording(part.readings[rows], names=part.names, times=part.times[rows])
+        paths.append(tmp_path / f"part{i}{'.csv' if i == 2 else '.npz'}")
+        anisomap.write(part, paths[-1])
     return paths
 
 
-@pytest.fixture
-def all_is_large(monkeypatch):
-    monkeypatch.setattr(route, "LARGE_BYTES", 0)
-    monkeypatch.setattr(route, "PROBED_BYTES", 0)
-    monkeypatch.setattr(chunks, "CHUNK_READINGS", 42 * 170)
-    monkeypatch.setattr(chunks, "CHUNK_FRAMES", 1)
-    monkeypatch.setattr(anisomap.io, "read", None)  # nothing is read as a whole any more
+def test_a_sampled_recording_is_mapped_and_judged(parts):
+    limit = 42 * 600
+    with pytest.warns(anisomap.AnisomapWarning, match="one frame in 8 was used"):
+        runs = route.read_runs(parts, HOW, max_readings=limit)
+    assert sum(run.readings.size for run in runs) <= limit
+    for run, path in zip(runs, parts, strict=True):
+        whole = io.read(path)
+        np.testing.assert_array_equal(run.readings, whole.readings[::8])
+        np.testing.assert_allclose(run.times, whole.times[::8])
+        assert run.rate_hz == pytest.approx(50 / 8)
+    examined = route.examine(runs)
+    made, judge = route.make_map(examined, "covariogram", 2)
+    judged = judge(made)
+    assert judged.provenance["frames_sampled_every"] == 8
+    assert judged.provenance["frames"] == sum(run.n_frames for run in runs)
+    assert any("one frame in 8 was used" in note for note in judged.notes)
+    assert judged.verdict.level == "usable"
+    assert anisomap.score(judged, SKIN.positions, permutations=0).mantel.r > 0.98
 
 
-def positions(path: str) -> np.ndarray:
-    return anisomap.read_map(path).positions
+def test_within_the_limit_all_frames_are_read(parts):
+    runs = route.read_runs(parts, HOW, max_readings=SKIN.readings.size)
+    assert sum(run.n_frames for run in runs) == 4000
+    made, _ = route.make_map(route.examine(runs), "r-anisomap", 2)
+    assert "frames_sampled_every" not in made.provenance
 
 
-def test_large_recordings_make_the_same_map(run_map, parts, request):
-    """By r-anisomap; the other tests of blocks are by i-anisomap."""
-    arguments = [*parts, "--permutations", 9]
-    whole = run_map(*arguments, "-o", "whole.csv")
-    request.getfixturevalue("all_is_large")
-    made = run_map(*arguments, "-o", "parts.csv", "--report", "report.html")
-    np.testing.assert_allclose(positions("parts.csv"), positions("whole.csv"), atol=1e-8)
-    assert said_of_both(made) == said_of_both(whole)
-    assert made.err == whole.err
-
-
-def said_of_both(run):
-    """Return the lines on a map, except for its touches, which need all readings."""
-    lines = "\n".join(line.rstrip() for line in run.out.split("Written to")[0].splitlines())
-    return re.sub(r"^Touches\n( .*\n)+", "", lines, flags=re.MULTILINE)
-
-
-def test_workers_and_checkpoints(run_map, parts):
-    run_map(*parts, "-m", "r-anisomap", "-o", "whole.csv")
-    options = ["-m", "r-anisomap", "-d", 2, "--checkpoint", "counts.npz"]
-    run_map(*parts, *options, "--workers", 2, "-o", "first.csv")
-    assert Path("counts.npz").exists()
-    run_map(*parts, *options, "-o", "again.csv")
-    for name in ("first.csv", "again.csv"):
-        np.testing.assert_allclose(positions(name), positions("whole.csv"), atol=1e-8)
-    other = run_map(parts[0], *options, code=2)
-    assert "checkpoint of another computation" in other.err
-
-
-@pytest.fixture
-def robots(tmp_path):
-    """Two recordings of an iCub's port: thermal pads, an absent triangle, and gaps of all kinds."""
+def test_samples_of_several_recordings_are_numbered_by_a_preset(tmp_path):
+    """Of an iCub's port with an absent triangle and gaps."""
     whole = np.zeros((2400, 48), dtype=np.float32)
     pads = [i for i in range(48) if i % 12 not in (6, 10) and i // 12 != 2]
-    whole[:, pads] = np.round(flat_skin(n_frames=2400).readings * 50)[:, : len(pads)]
-    whole[:, 6] = np.arange(2400) % 90
-    paths = []
-    for i, readings in enumerate(np.split(whole, [1300])):
-        readings[40:44, 3] = np.nan
-        readings[:200, 5] = readings[-9:, 8] = np.nan
-        readings[300:900, 11] = np.inf
-        readings[50, 6] = np.nan  # a thermal pad, not a sensor
-        readings[:, 30] = np.nan  # in an absent triangle
-        paths.append(tmp_path / f"robot{i}.npz")
-        anisomap.write(anisomap.Recording(readings), paths[-1])
-    return paths
+    whole[:, pads] = np.round(SKIN.readings[:2400] * 50)[:, : len(pads)]
+    whole[40:60, 3] = np.nan
+    paths = [tmp_path / f"robot{i}.npz" for i in range(2)]
+    for path, readings in zip(paths, np.split(whole, [1300]), strict=True):
+        anisomap.write(anisomap.Recording(readings), path)
+    how = io.ReadOptions(preset="icub")
+    with pytest.warns(anisomap.AnisomapWarning, match="one frame in 4"):
+        (run,) = route.read_runs(paths, how, "interpolate", max_readings=48 * 700)
+    assert run.n_sensors == 30
+    assert run.names[-1] == "b0.t3.k11"
+    assert run.n_frames == 600
+    made, _ = route.make_map(route.examine([run]), "r-anisomap", 2)
+    assert made.provenance["frames_sampled_every"] == 4
 
 
-@pytest.mark.parametrize("nan", ["interpolate", "drop-frames"])
-@pytest.mark.parametrize("case", [(1, "icub"), (2, "icub"), (2, "")])
-def test_gaps_and_robots_are_treated_as_in_whole_recordings(run_map, robots, nan, case, request):
-    n_files, preset = case
-    arguments = [*robots[:n_files], "-d", 2, "-m", "i-anisomap", "--missing", nan]
-    arguments += ["--preset", preset] if preset else []
-    whole = run_map(*arguments, "-o", "whole.json")
-    request.getfixturevalue("all_is_large")
-    made = run_map(*arguments, "-o", "blocks.json")
-    expected, found = (anisomap.read_map(f"{name}.json") for name in ("whole", "blocks"))
-    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-8)
-    assert found.names == expected.names
-    assert found.health == expected.health
-    assert said_of_both(made) == said_of_both(whole)
-    if preset:
-        assert found.names[-1] == "b0.t3.k11"
-        assert found.n_sensors == 30
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("all_is_large")
-def test_unsupported_options_of_large_recordings_are_refused(run, parts, robots, monkeypatch):
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "1s")
-    with suppress(ImportError):
-        import_module("dask").config.refresh()
-    told = run("map", *parts, "--dask", "tcp://127.0.0.1:1", code=2).err
-    assert "cluster" in told or "no Dask scheduler" in told
-    assert "sensor 5 in frame 0 is NaN or infinite" in run("map", *robots, code=2).err
-    assert "multiple of 12" in run("map", *parts, "--preset", "icub", code=2).err
-
-
-@pytest.mark.usefixtures("all_is_large")
-def test_large_recordings_must_have_the_same_sensors(run, parts):
-    few = anisomap.io.registry.read(parts[1]).select(np.arange(30))
-    anisomap.write(few, "few.npz")
-    assert "have different sensors" in run("map", parts[0], "few.npz", code=2).err
-
-
-@pytest.mark.slow
-def test_approximate_maps_are_labelled_in_every_output(run_map, parts):
-    outputs = [f"map.{suffix}" for suffix in ("csv", "json", "npz")]
-    written = [word for name in outputs for word in ("-o", name)]
-    words = (*parts, "--approximate", "--seed", 3, "--drop", "pad 5,7")
-    made = run_map(*words, *written, "--report", "map.html")
-    run_map(*words, "-o", "again.csv")
-    assert Path("again.csv").read_bytes() == Path("map.csv").read_bytes()
-    assert np.isnan(positions("map.csv")[[5, 7]]).all()
-    assert "Map by r-anisomap, approximate" in made.out
-    assert "this map is approximate" in made.err
-    for name in outputs:
-        written_map = anisomap.read_map(name)
-        assert written_map.approximate
-        assert any("this map is approximate" in note for note in written_map.notes)
-    page = Path("map.html").read_text(encoding="utf-8")
-    assert "This map is approximate" in page
-    assert "approximate_n_landmarks" in page
-    run_map(*parts, "-m", "r-anisomap", "-o", "exact.csv")
-    maps = (np.delete(positions(name), [5, 7], axis=0) for name in ("map.csv", "exact.csv"))
-    assert anisomap.mantel(*maps, permutations=0).r > 0.99
+@pytest.mark.parametrize("repair", [[], ["--repair"]])
+def test_maps_of_samples_say_so_on_the_screen_and_in_files(run_map, tmp_path, repair):
+    readings = np.tile(SKIN.readings, (2, 1))
+    anisomap.write(anisomap.Recording(readings, positions=SKIN.positions), "long.npz")
+    words = ["long.npz", "--memory", 1, *repair, "-o", "map.json", "-m", "r-anisomap"]
+    made = run_map(*words, "-d", 2, "--permutations", 9)
+    assert "one frame in 2 was used" in made.err
+    written = anisomap.read_map(tmp_path / "map.json")
+    assert written.provenance["frames_sampled_every"] == 2
+    assert any("one frame in 2 was used" in note for note in written.notes)
+    assert anisomap.score(written, SKIN.positions, permutations=0).mantel.r > 0.95

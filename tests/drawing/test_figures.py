@@ -172,9 +172,8 @@ def test_titles_and_notes_say_what_is_drawn():
 def test_many_sensors_are_drawn_without_lines_and_as_pixels():
     count = MAX_JOINED + 1
     assert count > MAX_VECTOR_DOTS
-    figure = map_figure(SensorMap(spread(count, 2), approximate=True))
+    figure = map_figure(SensorMap(spread(count, 2)))
     assert "Lines join" not in texts(figure)
-    assert "approximate" in texts(figure)
     (axes,) = figure.axes
     assert not any(len(line.get_xdata()) for line in axes.lines)
     assert all(dots.get_rasterized() for dots in axes.collections)

@@ -11,7 +11,6 @@ import anisomap
 from anisomap import Recording, io, reconstruct, route
 from anisomap.evaluation import align
 from anisomap.health import SensorHealth
-from anisomap.large.chunks import SAMPLE_FRAMES
 from anisomap.live import ExaminationOptions, LiveSession, workers
 from anisomap.live.batches import Batch
 from anisomap.live.quick_map import Advice, QuickMapper, confirmed_faults, turned_onto
@@ -19,6 +18,7 @@ from anisomap.live.recorder import JournalWriter
 from anisomap.live.session import SessionMaps
 from anisomap.live.workers import Examination, examine
 from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.sampling import MAX_FRAMES
 from anisomap.numerics.signals import count_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.usability import LEVELS, UNKNOWN, Verdict
@@ -79,7 +79,7 @@ def test_maps_do_not_depend_on_the_batches(sizes, offset):
 
 def test_contacts_are_counted_beyond_the_sample():
     """None is lost that is longer than the distance of the frames that are kept."""
-    slow = np.repeat(rubbed(lattice(3, 3), SAMPLE_FRAMES // 4 + 100, seed=1), 8, axis=0)
+    slow = np.repeat(rubbed(lattice(3, 3), MAX_FRAMES // 4 + 100, seed=1), 8, axis=0)
     found = mapper_of(slow)
     made = found.make()
     assert made.n_frames == len(slow) > 2 * len(found.sample.readings)
@@ -222,13 +222,12 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
 
 @pytest.mark.parametrize("limit", ["none", "of a map", "of a map in between"])
 def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit):
-    """Above some limits, recordings are read in blocks, or in parts."""
+    """Above some limits, frames are sampled."""
     writer = JournalWriter(tmp_path / "r.csv", [f"s{i}" for i in range(192)], PORT)
     writer.add(np.arange(len(hand)) / 50, hand)
     writer.close()
     if limit == "of a map":
-        monkeypatch.setattr(route, "LARGE_BYTES", 0)
-        monkeypatch.setattr(route, "PROBED_BYTES", 0)
+        monkeypatch.setattr(route, "MAX_READINGS", 192 * 300)
     monkeypatch.setattr(workers, "MAX_INTERIM_READINGS", 192 * 300)
     options = ExaminationOptions(**OPTIONS, drop=("palm.0",))
     final = limit != "of a map in between"

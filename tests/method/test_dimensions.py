@@ -13,9 +13,9 @@ import anisomap
 from anisomap import Recording, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.estimators import SensorMapper
-from anisomap.large import reconstruct_approximately, reconstruct_chunks
 from anisomap.method.dimensions import choose_dimensions
 from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.similarity.information import mutual_information
 from anisomap.simulation import simulate
 from skins import flat_map, flat_skin, quietly, stored
 
@@ -93,14 +93,14 @@ def test_few_sensors_are_mapped_in_3_dimensions_with_a_note():
 
 def test_other_ways_to_a_map_choose_as_well():
     skin = flat_skin()
-    assert quietly(reconstruct_chunks, skin.readings).dimensions == 2
-    assert quietly(reconstruct_chunks, skin.readings, "r-anisomap").dimensions == 2
-    unclear = quietly(reconstruct_chunks, skin.readings, "i-anisomap")  # has no correlation
+    similarity = np.corrcoef(skin.readings.T)
+    for method in ("covariogram", "r-anisomap"):
+        made = quietly(reconstruct_from, similarity=similarity, method=method)
+        assert made.dimensions == 2
+    information = mutual_information(skin.readings)  # is no correlation
+    unclear = quietly(reconstruct_from, similarity=information, method="i-anisomap")
     assert unclear.dimensions == 3
     assert any(UNCLEAR in note for note in unclear.notes)
-    approximate = quietly(reconstruct_approximately, skin.readings)
-    assert approximate.dimensions == 3
-    assert any(UNCLEAR in note for note in approximate.notes)
     mapper = SensorMapper("auto")
     assert quietly(mapper.fit, skin.readings).positions_.shape == (42, 2)
     assert mapper.get_feature_names_out().shape == (2,)

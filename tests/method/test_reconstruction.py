@@ -12,7 +12,7 @@ import anisomap
 from anisomap import Recording, SensorMap, diagnose, reconstruct, score
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.large import reconstruct_approximately, reconstruct_chunks, reconstruct_on_device
+from anisomap.large import reconstruct_on_device
 from anisomap.method.evidence import SIMILARITIES, compare
 from anisomap.method.named import METHODS, PAPER_METHODS
 from anisomap.method.options import MethodOptions
@@ -288,14 +288,14 @@ ROUTES = {
     "similarity": lambda x, *how: anisomap.reconstruct_from(
         similarity=np.corrcoef(x.T), method=how[0], dimensions=how[1]
     ),
-    "chunks": lambda x, *how: reconstruct_chunks(iter_chunks(x), *how),
-    "approximate": lambda x, *how: reconstruct_approximately(x, how[1]),
+    "blocks": lambda x, *how: reconstruct(blocks_of(x), *how),
     "device": reconstruct_on_device,
 }
 
 
-def iter_chunks(readings):
-    return lambda: iter(np.array_split(readings, 7))
+def blocks_of(readings):
+    array = pytest.importorskip("dask.array", reason="needs the extra 'cluster'")
+    return array.from_array(readings, chunks=(800, 100))
 
 
 @pytest.mark.parametrize("route", ROUTES)

@@ -17,7 +17,6 @@ from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import align
 from anisomap.health import Finding
-from anisomap.large import reconstruct_chunks
 from anisomap.method.options import MethodOptions
 from anisomap.method.reconstruction import reconstruct_with_stages
 from anisomap.usability import RANGES
@@ -308,8 +307,6 @@ def test_maps_that_do_not_follow_from_the_recording_are_not_trusted():
         np.fill_diagonal(matrix, 1 if stage == "similarity" else 0)
         made = reconstruct_from(method="r-anisomap", dimensions=2, **{stage: matrix})
         assert verdict(made, skin).level == UNKNOWN
-    chunked = reconstruct_chunks(skin.readings, "r-anisomap", dimensions=2)
-    assert verdict(chunked, skin).level == UNKNOWN
     made = flat_map()
     assert verdict(made, skin).level == "usable"
     shuffled = replace(made, positions=made.positions[rng.permutation(42)])

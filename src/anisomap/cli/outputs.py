@@ -214,7 +214,7 @@ def finish(
     write_others: Writes other files together with the map, and returns them.
     """
     placed = (outputs.placing or DEFAULT_PLACING).applied
-    coverage = touch_coverage(sensor_map, examined.runs) if examined.runs else None
+    coverage = touch_coverage(sensor_map, examined.runs)
     with together():
         others = write_others()
         files = outputs.write(placed(sensor_map))
@@ -228,7 +228,7 @@ def finish(
             with progress("judging the map; Ctrl-C keeps it without a verdict") as report_progress:
                 sensor_map = judge(sensor_map, progress=report_progress)
         shown = placed(sensor_map)
-        if judge is not None or not examined.runs:
+        if judge is not None:
             print_verdict(printer, shown)
         record_map(printer, shown)
         result = truth.score(printer, shown, "Score against the true positions", examined.recording)
@@ -355,7 +355,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
         means = "within components; small components always fit"
     because = sensor_map.provenance.get("dimensions_because")
     printer.facts(
-        f"Map by {sensor_map.method}{', approximate' if sensor_map.approximate else ''}",
+        f"Map by {sensor_map.method}",
         {
             f"{kind}s placed": placed,
             "dimensions": f"{dimensions}, chosen: {because}" if because else "",
@@ -389,7 +389,7 @@ def record_map(printer: Printer, sensor_map: SensorMap) -> None:
             "sensors": sensor_map.n_sensors,
             "placed": int(sensor_map.placed.sum()),
             **({"order": _order(sensor_map)} if sensor_map.dimensions == 1 else {}),
-            **attributes(sensor_map, "component_sizes approximate stress units notes provenance"),
+            **attributes(sensor_map, "component_sizes stress units notes provenance"),
         },
         verdict=asdict(sensor_map.verdict),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -159,6 +160,7 @@ def read(
     path: str | os.PathLike[str],
     *,
     options: ReadOptions | None = None,
+    max_readings: float = math.inf,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Read a recording.
@@ -170,13 +172,17 @@ def read(
         determined by content, and by suffix if the content is ambiguous.
     options : ReadOptions, optional
         Information that the file lacks.
+    max_readings : float
+        Of a recording of more readings, frames times sensors, only every k-th frame is kept, with k
+        the power of 2 that leaves between a half and all of so many. The others never take memory.
     progress : callable, optional
         Called repeatedly with the fraction of the file read so far, from 0 to 1.
 
     Returns
     -------
     Recording
-        Reading takes little more memory than its arrays.
+        Reading takes little more memory than its arrays. If frames were left out, its metadata
+        contain k as ``frames_sampled_every``.
 
     Raises
     ------
@@ -194,7 +200,8 @@ def read(
     """
     options = options or ReadOptions()
     with _open(Path(path), options) as stream, file_errors(stream.path):
-        found = apply_preset(with_grid(assemble(stream, progress), options.grid), options.preset)
+        recording = assemble(stream, progress, max_readings)
+        found = apply_preset(with_grid(recording, options.grid), options.preset)
         # A preset renames the sensors, so their positions are known after it.
         return attach_positions(found, options.positions) if options.preset else found
 

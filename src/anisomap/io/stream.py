@@ -7,6 +7,7 @@ at the same time, and `choose` selects the recording in files that hold several.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,13 +23,20 @@ from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.files import reader_process
 from anisomap.io.parsing.source import batches, warn, warn_of_loss
+from anisomap.numerics.sampling import EvenSample
 from anisomap.recording import Recording, Scalar, default_names
 
 
 def increasing_times(
-    times: NDArray[np.floating], path: Path, locate: Callable[[int], str] | None = None
+    times: NDArray[np.floating],
+    path: Path,
+    locate: Callable[[int], str] | None = None,
+    every: int = 1,
 ) -> NDArray[np.float64] | None:
-    """Return times, (T,), if they are finite and strictly increase, else warn and return None."""
+    """Return times, (T,), if they are finite and strictly increase, else warn and return None.
+
+    every: If only every k-th frame is given, k.
+    """
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
         raise FileError(f"{path}: times must have shape (T,), got {values.shape}")
@@ -36,9 +44,9 @@ def increasing_times(
     if valid.all():
         return values
     frame = int(np.argmin(valid))
-    where = f" ({locate(frame)})" if locate else ""
+    where = f" ({locate(frame * every)})" if locate else ""
     after = f" after {float(values[frame - 1])!r}" if frame else ""
-    place = f"frame {frame}{where} is at {float(values[frame])!r}{after}"
+    place = f"frame {frame * every}{where} is at {float(values[frame])!r}{after}"
     warn(path, f"times must strictly increase, but {place}; the times are ignored")
     return None
 
@@ -125,8 +133,6 @@ BLOCK_FRAMES = 8192
 BLOCK_BYTES = 1 << 22
 """Size of the blocks in which readers hand on readings, of at least one frame: small for any
 memory, and large enough that the work of a block does not count."""
-
-_GROWTH = 0.25
 
 
 @dataclass(frozen=True)
@@ -246,31 +252,74 @@ class Stream:
     silent_are_zero: bool = False
 
 
-def assemble(stream: Stream, progress: Callable[[float], None] | None = None) -> Recording:
-    """Collect a stream into a recording, without copying the readings."""
-    readings, clocks = _GrowingArray(stream.n_sensors), dict[str, list[NDArray[np.float64]]]()
+FRAMES_SAMPLED = "frames_sampled_every"
+"""Key of the metadata of a recording of which every k-th frame was kept; the value is k."""
+
+
+def sampled_every(metadata: Mapping[str, Scalar]) -> int:
+    """Return k if only every k-th frame of a recording was kept, by its metadata, else 1."""
+    every = metadata.get(FRAMES_SAMPLED)
+    return max(every, 1) if isinstance(every, int) else 1
+
+
+def _sampled(metadata: Mapping[str, Scalar], step: int) -> Mapping[str, Scalar]:
+    """Return metadata after every `step`-th frame was kept."""
+    if step == 1:
+        return metadata
+    return {**metadata, FRAMES_SAMPLED: step * sampled_every(metadata)}
+
+
+def assemble(
+    stream: Stream,
+    progress: Callable[[float], None] | None = None,
+    max_readings: float = math.inf,
+) -> Recording:
+    """Collect a stream into a recording, without copying the readings.
+
+    max_readings: Of a longer recording, every k-th frame is kept, k a power of 2.
+    """
+    sample, clocks = EvenSample(max_readings), dict[str, list[NDArray[np.float64]]]()
     for block in stream.blocks:
-        readings.append(block.readings)
+        every, kept = sample.every, sample.next_kept
+        sample.add(block.readings)
         for name in ("times", "receive_times"):
             if name in block.arrays:
-                clocks.setdefault(name, []).append(block.arrays[name])
+                clocks.setdefault(name, []).append(block.arrays[name][kept])
+        if sample.every > every:
+            step = sample.every // every
+            clocks = {name: [np.concatenate(held)[::step]] for name, held in clocks.items()}
         if progress:
             progress(min(block.fraction, 1.0))
     if progress:
         progress(1.0)
-    if not readings.n_rows:
+    if not sample.n_frames:
         raise FileError(f"{stream.path} holds no frame")
+    every = sample.every
     return Recording(
-        readings.array(),
+        sample.take(),
         names=stream.names,
-        times=_best_clock(stream, list(map(np.concatenate, clocks.values()))),
-        rate_hz=stream.rate_hz,
+        times=_best_clock(stream, list(map(np.concatenate, clocks.values())), every),
+        rate_hz=None if stream.rate_hz is None else stream.rate_hz / every,
         positions=stream.positions,
         normals=stream.normals,
         surface_distances=stream.surface_distances,
         units=stream.units,
         source=stream.source,
-        metadata=stream.metadata,
+        metadata=_sampled(stream.metadata, every),
+    )
+
+
+def thin(recording: Recording, step: int) -> Recording:
+    """Keep every `step`-th frame of a recording."""
+    if step == 1:
+        return recording
+    times, rate_hz = recording.times, recording.rate_hz
+    return replace(
+        recording,
+        readings=np.ascontiguousarray(recording.readings[::step]),
+        times=None if times is None else times[::step],
+        rate_hz=None if rate_hz is None else rate_hz / step,
+        metadata=_sampled(recording.metadata, step),
     )
 
 
@@ -336,32 +385,6 @@ def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
         yield Block(to_float32_if_exact(np.array(readings)), fractions[-1], *times)
 
 
-class _GrowingArray:
-    """An array that grows in place, so that appending never needs twice its memory."""
-
-    def __init__(self, n_columns: int) -> None:
-        self._array: NDArray[Any] = np.empty((0, n_columns), np.float32)
-        self.n_rows = 0
-
-    def append(self, rows: NDArray[Any]) -> None:
-        needed = self.n_rows + len(rows)
-        if not np.can_cast(rows.dtype, self._array.dtype):
-            self._array = self._array.astype(np.float64, copy=False)
-        if needed > len(self._array):
-            self._resize(max(needed, int(len(self._array) * (1 + _GROWTH))))
-        self._array[self.n_rows : needed] = rows
-        self.n_rows = needed
-
-    def array(self) -> NDArray[Any]:
-        self._resize(self.n_rows)
-        self._array.setflags(write=False)
-        return self._array
-
-    def _resize(self, n_rows: int) -> None:
-        # realloc moves pages instead of copying; no other reference to the array exists yet.
-        self._array.resize((n_rows, self._array.shape[1]), refcheck=False)
-
-
 def _joined(blocks: list[Block]) -> Block:
     if len(blocks) == 1:
         return blocks[0]
@@ -371,12 +394,14 @@ def _joined(blocks: list[Block]) -> Block:
     return Block(fraction=blocks[-1].fraction, **joined)
 
 
-def _best_clock(stream: Stream, clocks: list[NDArray[np.float64]]) -> NDArray[np.float64] | None:
+def _best_clock(
+    stream: Stream, clocks: list[NDArray[np.float64]], every: int
+) -> NDArray[np.float64] | None:
     """Return the first clock that increases strictly, or warn that none does."""
     for times in clocks:
         if _increase(times).all():
             return times - times[0] if stream.from_zero else times
-    return increasing_times(clocks[0], stream.path, stream.locate) if clocks else None
+    return increasing_times(clocks[0], stream.path, stream.locate, every) if clocks else None
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:

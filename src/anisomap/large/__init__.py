@@ -1,4 +1,4 @@
-"""Recordings and maps that are larger than memory, and maps that are made on a GPU."""
+"""Maps of many sensors that are made on a GPU."""
 
 import lazy_loader
 

@@ -21,9 +21,9 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
-from anisomap.large.chunks import sample_of
 from anisomap.method.reconstruction import reconstruct_from
 from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest

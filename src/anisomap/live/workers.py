@@ -26,7 +26,6 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapError, InputError
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth
-from anisomap.large.chunks import Excerpt
 from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
 from anisomap.method.dimensions import AUTO, SPATIAL, Dimensions
@@ -36,7 +35,7 @@ from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
 MAX_INTERIM_READINGS = 1 << 22
-"""Readings of a checked map while the session runs; of more, evenly spread parts are used."""
+"""Readings of a checked map while the session runs; of more, frames are sampled evenly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +85,10 @@ def examine(
     verdict, error = Verdict(), float("nan")
     with warnings.catch_warnings(action="ignore"):
         try:
-            examined = route.examine(_read(path, n_frames, options, final))
+            examined = route.examine(_read(path, options, final))
             drop = [name for name in options.drop if name in examined.recording.names]
             made, judge = route.make_map(examined, options.method, options.dimensions, drop=drop)
-            made = made if judge is None else judge(made)
+            made = judge(made)
             if options.truth is not None:
                 error = score(made, options.truth, permutations=0).rms_in_spacings
         except AnisomapError as problem:
@@ -106,22 +105,11 @@ def examine(
     )
 
 
-def _read(path: Path, n_frames: int, options: ExaminationOptions, final: bool) -> route.Source:
-    """Read a recording as `anisomap map` does; parts of it if it is long and still grows."""
+def _read(path: Path, options: ExaminationOptions, final: bool) -> list[Recording]:
+    """Read a recording as `anisomap map` does; fewer frames while it still grows."""
     how = io.ReadOptions(preset=options.preset)
-    if final and route.are_large([path], how):
-        return route.read_in_blocks([path], how, "interpolate", method=options.method)
-    with io.open_stream(path, frames=1) as stream:
-        n_readings = n_frames * stream.n_sensors
-    if final or n_readings <= MAX_INTERIM_READINGS:
-        return route.read_runs([path], how, "interpolate")
-    excerpt = Excerpt(MAX_INTERIM_READINGS)
-    with io.open_stream(path) as stream:
-        for block in stream.blocks:
-            excerpt.add(block.readings)
-        parts = Recording(excerpt.readings, names=stream.names, source=stream.source)
-    found = io.apply_preset(parts, options.preset) if options.preset else parts
-    return [found.complete("interpolate")]
+    limit = route.MAX_READINGS if final else MAX_INTERIM_READINGS
+    return route.read_runs([path], how, "interpolate", max_readings=limit)
 
 
 _POLL_S = 0.03  # between two looks at a recording that has not grown

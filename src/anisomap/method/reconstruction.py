@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import product
 from typing import Any
 
@@ -28,6 +28,7 @@ from anisomap._version import __version__
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.wording import join_items, noun_and_items
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.method.blocks import is_dask, sum_blocks
 from anisomap.method.dimensions import (
     AUTO,
     SPATIAL,
@@ -79,7 +80,8 @@ def reconstruct(
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
         Complete readings (see `Recording.complete`). Several recordings of one skin make one map:
-        sensors are matched by name, and each pair is compared over the runs that contain both.
+        sensors are matched by name, and each pair is compared over the runs that contain both. The
+        blocks of a Dask array are compared where Dask runs, by methods that are not refined.
     method : str
         A key of `anisomap.METHODS`: ``"covariogram"`` (the default), ``"contact-fit"``, a variant,
         or one of the paper's: ``"r-anisomap"``, ``"i-anisomap"``, ``"information-distance"`` and
@@ -133,9 +135,42 @@ def reconstruct(
     >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
     True
     """
+    if is_dask(recording):
+        return _reconstruct_blocks(recording, method, dimensions, options or MethodOptions(), drop)
     return reconstruct_with_stages(
         recording, method, dimensions, options=options, drop=drop, stack_level=3
     )[0]
+
+
+def _reconstruct_blocks(
+    readings: Any,
+    method: str,
+    dimensions: Dimensions,
+    options: MethodOptions,
+    drop: Iterable[str | int],
+) -> SensorMap:
+    """Reconstruct positions from a Dask array of readings, shape (T, N)."""
+    check_even_spacing(method, options, readings=False)
+    check_dimensions(dimensions)
+    statistic = find_method(method).similarity
+    found = sum_blocks(readings, statistic, options.entropy_bins)
+    check_frames(found.n_frames, dimensions)
+    dropped = sensor_mask(default_names(len(found.varying)), drop) | ~found.varying
+    made = reconstruct_from(
+        similarity=found.similarity,
+        method=method,
+        dimensions=dimensions,
+        options=options,
+        drop=np.flatnonzero(dropped).tolist(),
+        statistic=statistic,
+    )
+    for note in found.notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=3)
+    return replace(
+        made,
+        notes=(*found.notes, *made.notes),
+        provenance={**made.provenance, "frames": found.n_frames},
+    )
 
 
 def reconstruct_with_stages(

@@ -102,19 +102,8 @@ def check_pair_memory(n_sensors: int, *, refined: bool) -> None:
     check_memory(
         needed,
         f"a map of all pairs of {n_sensors} sensors",
-        "an approximate map needs far less",
+        "map fewer sensors at a time",
     )
-
-
-def check_worker_memory(n_sensors: int, n_workers: int) -> None:
-    """Check that the unmerged results of parallel workers fit into memory."""
-    if n_workers > 1:
-        # In float64: two results per worker, and the total, the next result and their sum.
-        check_memory(
-            8 * (2 * n_workers + 3) * n_sensors**2,
-            f"merging the results of {n_workers} workers on the pairs of {n_sensors} sensors",
-            "use fewer workers",
-        )
 
 
 def check_memory(needed: float, purpose: str, remedy: str) -> None:

@@ -26,7 +26,6 @@ from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:
-    from anisomap import route
     from anisomap.health import Finding
 
 
@@ -113,6 +112,9 @@ def repair(
     printer.files([("recording", output)])
 
 
+_READINGS_PER_MIB = 1 << 18  # of 4 bytes
+
+
 @Parameter(name="*", group=options.expert_group)
 @dataclass(frozen=True)
 class TuningOptions:
@@ -154,40 +156,6 @@ class TuningOptions:
         )
 
 
-@Parameter(name="*", group=options.expert_group)
-@dataclass(frozen=True)
-class LargeOptions:
-    """Options for large recordings.
-
-    Parameters
-    ----------
-    workers
-        Number of parallel threads; more than the number of cores bring no gain.
-    dask
-        Address of a Dask scheduler, as in tcp://host:8786; its workers are used instead of
-        threads.
-    checkpoint
-        File for intermediate results; if it exists, the computation resumes from it.
-    approximate
-        Make an approximate map by r-anisomap, for too many sensors to compare all pairs.
-    """
-
-    workers: options.Count = 1
-    dask: str = ""
-    checkpoint: Path | None = None
-    approximate: bool = False
-
-    @property
-    def given(self) -> bool:
-        """Whether any of the options was given."""
-        return self.approximate or self.in_chunks
-
-    @property
-    def in_chunks(self) -> bool:
-        """Whether all pairs of sensors are compared in blocks of frames."""
-        return self.workers > 1 or bool(self.dask) or self.checkpoint is not None
-
-
 def map_recording(
     recordings: Annotated[
         list[Path], Parameter(help="Recording files of one skin."), options.existing
@@ -227,14 +195,13 @@ def map_recording(
         ),
     ] = None,
     seed: options.Seed = 0,
+    memory: Annotated[options.Count, options.expert] = 512,
     printer: options.Printing = options.PRINTER,
-    large: LargeOptions = LargeOptions(),
 ) -> int:
     """Make a map from one or several recordings of a skin.
 
-    Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
-    above 512 MiB are read in blocks, and must then all have the same sensors; notes on the map list
-    the differences.
+    Sensors of several recordings are matched by name; recordings may lack some sensors. Of readings
+    above 512 MiB, frames are sampled evenly in time, and the map says so.
 
     A square symmetric matrix with a zero diagonal is mapped as dissimilarities of objects.
 
@@ -261,6 +228,8 @@ def map_recording(
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
+    memory
+        Size of the readings in MiB, of 4 bytes each, above which frames are sampled.
     min_quality
         Exit with code 1 if the verdict is worse than this, or cannot tell. All files are written.
     """
@@ -273,10 +242,10 @@ def map_recording(
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
     chosen = tuning.checked()
     table = objects.find(recordings, wanted=dissimilarities, weights=weights)
-    if table is not None and (len(recordings) > 1 or repair or min_quality or large.given):
+    if table is not None and (len(recordings) > 1 or repair or min_quality):
         raise InputError(
             "dissimilarities are read from one file, and get no verdict: leave out other files, "
-            "--repair, --min-quality and the options for large recordings"
+            "--repair and --min-quality"
         )
     maps = output or [options.beside(recordings[0], ".map.csv")]
     drawn = str(picture) if table is not None and str(picture) in objects.PICTURES else ""
@@ -284,12 +253,11 @@ def map_recording(
         maps=maps,
         picture=options.beside(recordings[0], f".{drawn}.png") if drawn else picture,
         report=report,
-        others=(large.checkpoint,),
         inputs=(*recordings, *reading.inputs, truth, weights),
         placing=placing,
     )
     placing.check(maps)
-    by = _method(large, method)
+    by = method or DEFAULT_METHOD
     if table is None:
         # Unknown methods and options are refused before the recording is read.
         find_method(by)
@@ -314,20 +282,16 @@ def map_recording(
             seed=seed,
         )
         return 0
-    source, mended = _read_source(
+    runs, mended = _read(
         recordings,
         reading.checked(),
-        doubted=dissimilarities is None,
+        missing,
+        memory * _READINGS_PER_MIB,
         repair=repair,
-        missing=missing,
-        large=large,
-        method=by,
-        options=chosen,
-        drop=drop or (),
-        seed=seed,
+        doubted=dissimilarities is None,
     )
     remaining = [one for one in mended if not one.mendable] if repair else None
-    examined = route.examine(source, remaining, progress=progress)
+    examined = route.examine(runs, remaining, progress=progress)
     outputs.doubt_orientation(examined.summary, judged=verdict and bool(METHODS[by].refinements))
     names = examined.recording.names
     left_out = route.split_names(exclude, names)
@@ -360,62 +324,26 @@ def map_recording(
     return 1
 
 
-def _method(large: LargeOptions, requested: str | None) -> str:
-    """Return the requested method, or the default one."""
-    if not large.approximate:
-        return requested or DEFAULT_METHOD
-    from anisomap.large.approximation import APPROXIMATED
-
-    if requested not in (None, APPROXIMATED):
-        raise InputError(
-            f"--approximate supports {APPROXIMATED} only, got {requested}; leave out --method "
-            "or --approximate"
-        )
-    if large.in_chunks:
-        raise InputError(
-            "--approximate does not support --workers, --dask and --checkpoint; leave them out"
-        )
-    return APPROXIMATED
-
-
-def _read_source(
+def _read(
     recordings: list[Path],
     how: io.ReadOptions,
-    *,
-    doubted: bool,
-    repair: bool,
     missing: options.Missing,
-    large: LargeOptions,
-    **settings: Any,
-) -> tuple[route.Source, Sequence[Finding]]:
-    """Read recordings, in blocks if they are large; return them and the faults that were mended.
+    max_readings: int,
+    *,
+    repair: bool,
+    doubted: bool,
+) -> tuple[list[anisomap.Recording], Sequence[Finding]]:
+    """Read recordings; return them and the faults that were mended.
 
     doubted: Whether to ask if a single file may hold dissimilarities.
     """
     from anisomap import route
     from anisomap.io.dissimilarities import doubt_of
 
-    if large.given or route.are_large(recordings, how):
-        from anisomap.large.map_reduce import WorkerPool
-
-        needs = "a recording in memory, below 512 MiB and without the options for large recordings"
-        if repair:
-            raise InputError(f"--repair requires {needs}; repair parts of it with anisomap repair")
-        source = route.read_in_blocks(
-            recordings,
-            how,
-            missing,
-            approximate=large.approximate,
-            pool=WorkerPool(large.workers, large.dask),
-            checkpoint=large.checkpoint,
-            progress=progress,
-            **settings,
-        )
-        return source, ()
+    limits: dict[str, Any] = {"max_readings": max_readings, "progress": progress}
     if repair:
-        runs, mended = route.read_mended(recordings, how, missing, progress=progress)
-    else:
-        runs, mended = route.read_runs(recordings, how, missing, progress=progress), ()
+        return route.read_mended(recordings, how, missing, **limits)
+    runs = route.read_runs(recordings, how, missing, **limits)
     if doubted and len(recordings) == 1 and (doubt := doubt_of(recordings[0], runs[0].readings)):
         raise InputError(doubt)
-    return runs, mended
+    return runs, ()

@@ -258,8 +258,6 @@ def _draw_comparison(
 def _title(sensor_map: SensorMap, score: Score | None) -> str:
     placed = f"{int(sensor_map.placed.sum())} {sensor_map.kind}s"
     parts = [shortened(printable(sensor_map.method), 60) or "map", placed]
-    if sensor_map.approximate:
-        parts.insert(1, "approximate")
     if score is not None:
         parts.append(_agreement(score))
     elif np.isfinite(sensor_map.stress):

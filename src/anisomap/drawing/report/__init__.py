@@ -96,8 +96,6 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
             f"Only {sizes[0]} {kind}s are placed relative to one another: the others are in "
             f"{len(sizes) - 1} separate component{'s' if len(sizes) > 2 else ''}."
         )
-    if sensor_map.approximate:
-        sentences.append(f"This map is approximate: only some pairs of {kind}s were compared.")
     fitted = "" if score is None else ", and was fitted to the true positions"
     return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
 

@@ -121,7 +121,7 @@ def _parse_value(text: str) -> Scalar:
     return value if isinstance(value, (str, int, float, bool)) else text
 
 
-_FLAGS = ("approximate", "uneven", "mirrored", "handed", "anchored")
+_FLAGS = ("uneven", "mirrored", "handed", "anchored")
 _FIELDS = (*_FLAGS, "frame")
 
 _ESCAPE = "~"

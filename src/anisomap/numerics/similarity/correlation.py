@@ -191,27 +191,6 @@ class CoOccurrences:
         return CoOccurrences(n_frames, self.first, np.add(self.counts, other.counts, dtype=dtype))
 
 
-@dataclass(frozen=True, eq=False)
-class StoredCodes:
-    """Codes of T frames, in order, which take less memory than joint counts of many sensors."""
-
-    n_frames: int
-    parts: tuple[NDArray[np.integer[Any]], ...]
-
-    @classmethod
-    def of(cls, codes: NDArray[np.integer[Any]]) -> StoredCodes:
-        """Store codes of shape (T, N) in the smallest integer type."""
-        return cls(len(codes), (codes.astype(np.min_scalar_type(codes.max(initial=0))),))
-
-    def merged(self, other: StoredCodes) -> StoredCodes:
-        """Append the codes of later frames of the same sensors."""
-        return StoredCodes(self.n_frames + other.n_frames, self.parts + other.parts)
-
-    def whole(self) -> NDArray[np.integer[Any]]:
-        """Concatenate all codes, shape (T, N)."""
-        return np.concatenate(self.parts)
-
-
 def correlation_of_blocks(squares: NDArray[Any], comoments: Callable[[slice], Floats]) -> Reals:
     """Normalise co-moments to correlations, some rows at a time. squares (N,) -> (N, N)."""
     n_sensors = len(squares)

@@ -1,0 +1,215 @@
+"""Similarity of all pairs of sensors over all frames of a Dask array, summed block by block.
+
+The blocks are summed where Dask runs: in threads, in processes or on a cluster. Bins, ranks and
+rest depend on the distribution of all readings, and take two passes: one to count distinct values,
+one to compare the sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from anisomap.errors import InputError, import_extra
+from anisomap.numerics.columns import ranks_from_counts
+from anisomap.numerics.precision import MAX_SQUARED, Reals, check_memory, check_pair_memory
+from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_bins
+from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
+from anisomap.numerics.similarity.correlation import (
+    CoOccurrences,
+    Moments,
+    phi_from_counts,
+    squares_overflow,
+)
+from anisomap.numerics.similarity.information import information_from_logarithms
+from anisomap.numerics.similarity.rest import rest_from_counts
+
+Sum: TypeAlias = Moments | CoOccurrences | ValueCounts
+Summand: TypeAlias = Callable[[NDArray[Any]], Any]
+"""Sums a block of finite readings, shape (t, N)."""
+
+_BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
+_SUMS_AT_ONCE = 4  # merged by one task, which holds them in memory
+
+
+def is_dask(readings: object) -> bool:
+    """Return whether readings are a collection of Dask, without an import of it."""
+    return hasattr(readings, "__dask_graph__")
+
+
+@dataclass(frozen=True, eq=False)
+class SummedSimilarity:
+    """Similarity (N, N) over all frames, which sensors vary, (N,), and the number of frames.
+
+    notes: What differs from the similarity of an array in memory.
+    """
+
+    similarity: Reals
+    varying: NDArray[np.bool_]
+    n_frames: int
+    notes: tuple[str, ...] = ()
+
+
+def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
+    """Compute a similarity, a key of `SUMMED`, of a Dask array of finite readings (T, N)."""
+    if similarity not in SUMMED:
+        raise InputError(
+            f"{similarity} needs all readings at once, so not those of a Dask array: choose "
+            "r-anisomap, spearman-anisomap, co-activation-anisomap, i-anisomap, "
+            "information-distance or isomap, or sample frames that fit in memory, as by "
+            "readings[::10].compute()"
+        )
+    blocks = _frames_of(readings)
+    check_pair_memory(readings.shape[1], refined=False)
+    prepare, finish = SUMMED[similarity]
+    values: ValueCounts | None = None
+    summand: Summand = _moments
+    notes: tuple[str, ...] = ()
+    if prepare is not None:
+        values = _total(blocks, ValueCounts.of)
+        summand = prepare(values, bins)
+        if not values.exact:
+            notes = (
+                f"{np.count_nonzero(values.n_rounded_bits)} of {values.n_sensors} sensors have "
+                f"more than {values.max_values} distinct values, which were rounded for bins, "
+                "ranks and rest values",
+            )
+    total = _total(blocks, summand)
+    varying = total.varying() if values is None else values.varying()
+    return SummedSimilarity(finish(total), varying, total.n_frames, notes)
+
+
+def _frames_of(readings: Any) -> list[Any]:
+    """Return the blocks of frames, with all sensors each, as delayed arrays."""
+    array = import_extra("dask.array", "a Dask array", "cluster")
+    if not isinstance(readings, array.Array):
+        raise InputError(
+            f"of Dask, only arrays can be mapped, got a {type(readings).__name__}; use "
+            "frame.to_dask_array()"
+        )
+    if readings.ndim != 2 or readings.dtype.kind not in "biuf" or not readings.shape[1] > 0:
+        raise InputError(
+            "a Dask array must hold real numbers, (frames, sensors), got "
+            f"{readings.dtype} and shape {readings.shape}"
+        )
+    return list(readings.rechunk({1: -1}).to_delayed().ravel())
+
+
+def _total(blocks: Sequence[Any], summand: Summand) -> Any:
+    """Sum all blocks, in a tree, so that few sums are in memory at a time."""
+    dask = import_extra("dask", "a Dask array", "cluster")
+    sums = [dask.delayed(_sum_of)(block, summand) for block in blocks]
+    while len(sums) > 1:
+        parts = range(0, len(sums), _SUMS_AT_ONCE)
+        sums = [dask.delayed(_merged)(sums[i : i + _SUMS_AT_ONCE]) for i in parts]
+    with threadpool_limits(1):  # of this process: the tasks are parallel already
+        (total,) = dask.compute(*sums)
+    if total is None:
+        raise InputError("the Dask array has no frames")
+    return total
+
+
+def _sum_of(block: NDArray[Any], summand: Summand) -> Sum | None:
+    if not len(block):
+        return None
+    faulty = np.flatnonzero(~np.isfinite(block).all(axis=0))
+    if faulty.size:
+        raise InputError(
+            f"a reading of sensor {faulty[0]} is NaN or infinite; leave out such frames or sensors "
+            "of a Dask array, or fill them, as by dask.array.nan_to_num"
+        )
+    found: Sum = summand(block)
+    return found
+
+
+def _merged(sums: Sequence[Any]) -> Any:
+    total = None
+    for one in sums:
+        total = one if total is None else total if one is None else total.merged(one)
+    return total
+
+
+def _moments(block: NDArray[Any]) -> Moments:
+    """Return the moments of a block; blocks cannot be scaled, so squares must fit in float64."""
+    magnitude = np.abs(block).max(axis=0).astype(np.float64)
+    beyond = np.flatnonzero(squares_overflow(magnitude))
+    if beyond.size:
+        raise InputError(
+            f"readings of a Dask array must be 0 or between {1 / MAX_SQUARED:g} and "
+            f"{MAX_SQUARED:g} in magnitude, but sensor {beyond[0]} reads "
+            f"{magnitude[beyond[0]]:g}; use another unit"
+        )
+    return Moments.of(block)
+
+
+def _recoded(values: ValueCounts, outcomes: Sequence[NDArray[Any]], summand: Summand) -> Summand:
+    """Sum what the readings count as, given the outcome of each distinct value."""
+    recode = Recoding.of(values.values, outcomes, outcomes[0].dtype.type)
+    return partial(_of_recoded, recode, summand)
+
+
+def _of_recoded(recode: Recoding, summand: Summand, block: NDArray[Any]) -> Any:
+    return summand(recode(block))
+
+
+def _ranks(values: ValueCounts, _: int) -> Summand:
+    """Sum moments of mean ranks, from 1 to T."""
+    return _recoded(values, [ranks_from_counts(counts) for counts in values.counts], Moments.of)
+
+
+def _activity(values: ValueCounts, _: int) -> Summand:
+    """Count frames in which both sensors of a pair exceed rest."""
+    rest = rest_from_counts(zip(values.values, values.counts, strict=True))
+    active = [
+        rest.side[i] * (levels - rest.value[i]) - rest.threshold[i] > 0
+        for i, levels in enumerate(values.values)
+    ]
+    layout = Layout.of_switches(values.n_sensors)
+    return _recoded(values, active, partial(CoOccurrences.of, layout=layout))
+
+
+def _bins(values: ValueCounts, bins: int) -> Summand:
+    """Count pairs of maximum-entropy bins."""
+    codes = [maximum_entropy_bins(counts, bins).astype(np.uint16) for counts in values.counts]
+    full = [
+        np.bincount(code, weights=counts, minlength=bins)
+        for code, counts in zip(codes, values.counts, strict=True)
+    ]
+    layout = Layout.of(np.array(full).astype(np.int64))
+    check_memory(
+        _BYTES_PER_COUNT * layout.n_series**2,
+        f"counting all pairs of {bins} bins of {values.n_sensors} sensors",
+        "use fewer bins, or a method based on Pearson's r",
+    )
+    return _recoded(values, codes, partial(CoOccurrences.of, layout=layout))
+
+
+def _phi(found: CoOccurrences) -> Reals:
+    return phi_from_counts(found.counts, found.n_frames)
+
+
+def _information(found: CoOccurrences) -> Reals:
+    joint = joint_logarithms_of_counts(found.counts, found.first, found.n_frames)
+    return information_from_logarithms(joint, found.n_frames)
+
+
+SUMMED: Mapping[
+    str, tuple[Callable[[ValueCounts, int], Summand] | None, Callable[[Any], Reals]]
+] = MappingProxyType(
+    {
+        "pearson": (None, Moments.correlation),
+        "spearman": (_ranks, Moments.correlation),
+        "co-activation": (_activity, _phi),
+        "mutual-information": (_bins, _information),
+    }
+)
+"""How each similarity is summed: ``prepare(values, bins)`` returns the summand, given the distinct
+values of all frames with their counts (None for the moments of the readings), and
+``finish(total)`` the similarity (N, N)."""
