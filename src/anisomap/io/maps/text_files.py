@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError
+from anisomap.io.parsing.cells import guard_formula, is_number, parse_number, unguard_formula
 from anisomap.io.parsing.facts import (
     properties_of,
     read_comments,
@@ -36,11 +37,7 @@ from anisomap.io.parsing.tables import (
     empty_columns,
     field_error,
     find_delimiter,
-    guard_formula,
-    is_number,
-    parse_number,
     records,
-    unguard_formula,
 )
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.placement.modules import Modules, modules_by_name
@@ -249,8 +246,11 @@ _INFINITE = "float"
 
 
 def is_json(path: Path, head: bytes) -> bool:
-    """Recognise a JSON object by its first character."""
-    return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{")
+    """Recognise a JSON object by its start; lines with an object each are no map."""
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    first, _, rest = text.partition(b"\n")
+    lines = first.rstrip().endswith(b"}") and rest.lstrip().startswith(b"{")
+    return text.startswith(b"{") and text[1:].lstrip()[:1] in (b'"', b"}", b"") and not lines
 
 
 def write_json(sensor_map: SensorMap, path: Path) -> None:

@@ -10,38 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.clocks import NAMING_TIME, Clock, clock_of, is_time, words_of
 from anisomap.base.wording import noun_and_items
 from anisomap.io.parsing.source import quote_if_needed, warn
 
 ROWS_LOOKED_AT = 1000
 """Rows at the start of a file that determine the roles of its columns."""
 
-_TIME_WORDS = {
-    *("time", "t", "timestamp", "stamp", "elapsed"),
-    *("zeit", "zeitstempel", "uhrzeit", "laufzeit"),
-    *("temps", "horodatage", "tiempo", "tempo", "tijd", "tijdstempel", "czas", "aika"),
-    *("\u010das", "id\u0151", "zaman", "waktu", "\u0432\u0440\u0435\u043c\u044f"),
-    *("\u65f6\u95f4", "\u6642\u9593", "\u6642\u523b", "\uc2dc\uac04"),
-}
-_PER_SECOND = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 1.0),
-    **dict.fromkeys(("secondes", "segundos", "secondi", "seconden"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e3),
-    **dict.fromkeys(("millisekunden", "millisecondes", "milisegundos"), 1e3),
-    **dict.fromkeys(("us", "usec", "\u00b5s", "\u03bcs", "micros", "microseconds"), 1e6),
-    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e9),
-    **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
-    **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
-}
-_NAMING_TIME = _TIME_WORDS - {"t"}
-# Units that can be a whole column name; the other units may also name sensors.
-_TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 _COUNTER_NAMES = {
     *("", "frame", "frames", "index", "idx", "seq", "sequence", "sample", "row", "packet", "no"),
     *("frame id", "frame no", "frame number", "frame index", "unnamed: 0", "nr", "counter"),
 }
-# Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
-_EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 # Chosen by hand: fewer rows do not show that a clock is steady, and a few rows may be glitches.
 _MIN_FRAMES = 8
 _MIN_STEADY_FRACTION = 0.95
@@ -52,11 +31,13 @@ _MIN_RISING_FRACTION = 0.99
 class Roles:
     """Columns that are not sensors, by index from 0; `guessed` are those with an unusual name.
 
-    per_second: Units of `time` per second, such as 1000 for milliseconds.
+    per_second: Units of `time` per second, such as 1000 for milliseconds; `doubt` says what is
+        doubtful about them.
     """
 
     time: int | None = None
     per_second: float = 1.0
+    doubt: str = ""
     counter: int | None = None
     non_sensors: tuple[int, ...] = ()
     guessed: tuple[int, ...] = ()
@@ -80,7 +61,7 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     if len(table) >= _MIN_FRAMES:
         known = set(times)
         others = (i for i in range(len(header)) if i not in known)
-        worded = (i for i in others if not _NAMING_TIME.isdisjoint(words_of(header[i])))
+        worded = (i for i in others if not NAMING_TIME.isdisjoint(words_of(header[i])))
         guessed = [i for i in worded if _rises(table[:, i])]
         times += guessed
         known = {*times, *counters}
@@ -89,9 +70,11 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
         if odd and _rises(table[:, first]) and _is_steady(table[:, first]):
             guessed.append(first)
             (counters if _counts_by_one(table[:, first]) else times).append(first)
+    clock = clock_of(header[times[0]], table[:, times[0]]) if times else Clock()
     return Roles(
         time=times[0] if times else None,
-        per_second=units_per_second(header[times[0]], table[:, times[0]]) if times else 1.0,
+        per_second=clock.per_second,
+        doubt=clock.doubt,
         counter=counters[0] if counters else None,
         non_sensors=tuple(sorted({*times, *counters})),
         guessed=tuple(guessed),
@@ -116,40 +99,19 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     if not _is_steady(last) or (len(rising) == 2 and not counts):
         return Roles()
     counter = 0 if len(rising) == 2 else None
-    return Roles(rising[-1], units_per_second("", last), counter, tuple(rising))
+    clock = clock_of("", last)
+    return Roles(rising[-1], clock.per_second, clock.doubt, counter, tuple(rising))
 
 
 def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
-    """Warn about columns without a known name that `roles_by_name` took as time or counter."""
+    """Warn about columns without a known name that are taken as time or counter, and of units."""
+    if roles.doubt:
+        warn(path, f"column {(roles.time or 0) + 1}: {roles.doubt}")
     for column in roles.guessed:
         role = "a frame counter" if column == roles.counter else "time"
         taken = f"({header[column]}) increases steadily and is taken as {role}"
         remedy = "if it is a sensor, name it like the other sensors"
         warn(path, f"column {column + 1} {taken}; {remedy}")
-
-
-def words_of(name: str) -> list[str]:
-    """Return the words of a name, in lower case: ``time`` and ``ms`` of ``time_ms``."""
-    return re.findall(r"[^\W\d_]+", name.lower())
-
-
-def is_time(name: str, column: int = 0) -> bool:
-    """Return whether a column name denotes time; `column` is its index."""
-    words = words_of(name)
-    if not words or re.search(r"\d", name) or words == ["t"]:
-        return words == ["t"] and name.strip().lower() == "t" and column < 2
-    known = all(word in _TIME_WORDS or word in _PER_SECOND for word in words)
-    return known and (words[0] in _TIME_WORDS or words[0] in _TIME_UNITS)
-
-
-def units_per_second(name: str, times: NDArray[np.float64]) -> float:
-    """Return the units per second of times, by the column name or the magnitude of the first."""
-    units = [word for word in words_of(name) if word in _PER_SECOND]
-    if units:
-        return _PER_SECOND[units[-1]]
-    finite = times[np.isfinite(times)]
-    start = float(finite[0]) if finite.size else 0.0
-    return next((per_second for threshold, per_second in _EPOCHS if start > threshold), 1.0)
 
 
 def _has_odd_name(header: Sequence[str], column: int) -> bool:

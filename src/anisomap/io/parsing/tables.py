@@ -16,7 +16,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import FileError, InputError
+from anisomap.errors import FileError
+from anisomap.io.parsing.cells import (
+    MISSING,
+    is_missing,
+    is_number,
+    parse_number,
+    parse_time,
+)
+from anisomap.io.parsing.lines import MisfitError
 from anisomap.io.parsing.source import (
     GZIP_ERRORS,
     Item,
@@ -31,6 +39,7 @@ from anisomap.io.parsing.source import (
 
 # Limits memory for very wide tables; columns are told apart by at least eight rows.
 _MIN_FIRST_ROWS, _MAX_FIRST_CELLS = 8, 1 << 22
+_MAX_TOGETHER = 1 << 23  # characters of the lines of a frame
 _BLOCK_CHARACTERS, _LEAST_PER_LINE = 1 << 22, 1 << 13  # so that blocks have at most 512 lines
 
 
@@ -94,7 +103,14 @@ class Table:
     delimiter: None for any run of white space.
     because: Reason for `n_columns` in messages, such as ``"the header names 3"``.
     first_line: First line of numbers, from 1.
+    names: Of all columns; some may be empty.
     clean: Converts a line to numbers and delimiters; must keep the order of fields.
+    clocks: Columns of dates and times of the day, which are read as seconds.
+    block: Rows and columns of the blocks of lines that are frames, which empty lines separate,
+        each below `n_titles` lines.
+    nested: Whether brackets hold the lines of a frame together.
+    numeric: The delimiter of cleaned lines.
+    skipped: What was skipped above the first line.
     """
 
     path: Path
@@ -105,23 +121,83 @@ class Table:
     names: tuple[str, ...] = ()
     clean: Callable[[str], str] | None = None
     text_columns: tuple[int, ...] = ()
+    clocks: tuple[int, ...] = ()
+    block: tuple[int, int] | None = None
+    n_titles: int = 0
+    nested: bool = False
+    numeric: str | None = ""
+    skipped: str = ""
+
+    def is_skipped(self, line: str) -> bool:
+        """Return whether a line holds no frame."""
+        return is_apart(line) if self.numeric else is_skipped(line, self.delimiter)
+
+    @property
+    def separator(self) -> str | None:
+        """The delimiter of cleaned lines."""
+        return self.delimiter if self.numeric == "" else self.numeric
+
+
+Numbered = tuple[int, str]
+"""A line, or the lines of a frame as one, with its number from 1."""
+
+
+def _frame_lines(lines: Iterable[str], table: Table, *, quietly: bool) -> Iterator[Numbered]:
+    """Yield the lines of frames: a line, a block of lines, or all lines inside brackets."""
+    numbered = itertools.islice(enumerate(lines, start=1), table.first_line - 1, None)
+    if table.block is None and not table.nested:
+        yield from numbered
+        return
+    held, size, depth, number, n_frames = list[str](), 0, 0, 0, 0
+    n_rows = table.block[0] + table.n_titles if table.block and not table.nested else 0
+    between = table.delimiter or " "
+    for number, line in numbered:
+        size += len(line)
+        if size > _MAX_TOGETHER:
+            raise LineError(table.path, number, ": the lines of a frame do not end", surplus=True)
+        if not table.nested:
+            ends = is_apart(line)
+            held += [] if ends else [_clean_row(line, table)]
+        else:
+            held.append(line.strip())
+            depth += depth_of(line)
+            ends = depth <= 0
+        if ends and held:
+            yield number, between.join(held[table.n_titles :])
+            held, size, n_frames = [], 0, n_frames + 1
+    if not held:
+        return
+    if n_frames and (len(held) < n_rows or depth > 0):
+        if not quietly:
+            problem = f"the last frame has {len(held)} of {n_rows or 'its'} lines and is dropped"
+            warn(table.path, f"{problem}; read the {n_frames} frames before it")
+        return
+    yield number, between.join(held[table.n_titles :])
+
+
+def _clean_row(line: str, table: Table) -> str:
+    content = line.partition("#")[0].strip()
+    return content.rstrip(table.delimiter).strip() if table.delimiter else content
+
+
+def depth_of(line: str) -> int:
+    """Return how many brackets a line opens and does not close."""
+    return sum(map(line.count, "[({")) - sum(map(line.count, "])}"))
 
 
 def read_blocks(
     table: Table, *, quietly: bool = False
 ) -> Iterator[tuple[NDArray[np.float64], float]]:
-    """Read lines of numbers in blocks, each with the fraction of the file read so far.
+    """Read frames in blocks, each with the fraction of the file read so far.
 
     Comments begin with ``#``; an empty field is NaN. The rest after damage is dropped as above.
     """
 
     def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
-        first_line = table.first_line
-        lines = itertools.islice(text, first_line - 1, None)
-        for block in batches(lines, lambda line: len(line) + _LEAST_PER_LINE, _BLOCK_CHARACTERS):
-            for rows in _parsed(block, table, first_line):
+        lines = _frame_lines(text, table, quietly=quietly)
+        for some in batches(lines, lambda line: len(line[1]) + _LEAST_PER_LINE, _BLOCK_CHARACTERS):
+            for rows in _parsed(some, table):
                 yield rows, text.fraction()
-            first_line += len(block)
 
     return read_undamaged(
         table.path, parse, "frames", count=lambda block: len(block[0]), quietly=quietly
@@ -142,8 +218,8 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
 def line_of(table: Table, row: int) -> str:
     """Return the line of a row of `read_blocks`: ``"line 12"``."""
     with open_text(table.path) as stream:
-        lines = itertools.islice(enumerate(stream, start=1), table.first_line - 1, None)
-        filled = (number for number, line in lines if not is_skipped(line, table.delimiter))
+        lines = _frame_lines(stream, table, quietly=True)
+        filled = (number for number, line in lines if not table.is_skipped(line))
         return f"line {next(itertools.islice(filled, row, None))}"
 
 
@@ -153,14 +229,9 @@ def is_skipped(line: str, delimiter: str | None = None) -> bool:
     return not content.strip() and not (delimiter == "\t" and "\t" in content)
 
 
-def parse_number(field: str, delimiter: str | None = ",") -> float:
-    """Parse a number as numpy does, with a decimal comma too unless commas separate the fields."""
-    text = (field if delimiter == "," else field.replace(",", ".")).strip()
-    if not text:
-        return math.nan
-    if "_" in text or not text.isascii():
-        raise ValueError(text)
-    return float(text)
+def is_apart(line: str) -> bool:
+    """Return whether a line without a number or text divides frames: ``""``, ``#``, ``-----``."""
+    return is_skipped(line) or not any(map(str.isalnum, line))
 
 
 def parse_row(
@@ -176,64 +247,89 @@ def parse_row(
     return values
 
 
-def is_number(field: str, delimiter: str | None = ",") -> bool:
-    """Return whether `parse_number` accepts a field."""
-    with suppress(ValueError):
-        parse_number(field, delimiter)
-        return True
-    return False
-
-
 def _text_to_nan(field: str) -> float:
     """Convert a field of a text column to NaN; raise ValueError for a number."""
-    if field.strip() and is_number(field):
+    if not is_missing(field) and is_number(field):
         raise ValueError(field)
     return math.nan
 
 
-def _parsed(lines: list[str], table: Table, first_line: int) -> Iterator[NDArray[np.float64]]:
+_WORDS = "|".join(re.escape(word) for word in sorted(MISSING - {""}, key=len, reverse=True))
+
+
+@functools.cache
+def _missing_in(delimiter: str | None) -> re.Pattern[str]:
+    """Return what matches words for missing values, and empty fields, between delimiters."""
+    mark = re.escape(delimiter) if delimiter else r"\s"
+    blank = r"[^\S\t\r\n]*" if delimiter else ""
+    words = f"(?:{_WORDS}|)" if delimiter else f"(?:{_WORDS})"
+    start, end = rf"(?:(?<={mark})|^)", rf"(?={mark}|[\r\n]|$)"
+    return re.compile(rf"{start}{blank}{words}{blank}{end}", re.IGNORECASE)
+
+
+def _parsed(lines: list[Numbered], table: Table) -> Iterator[NDArray[np.float64]]:
     """Yield the rows of some lines, those before a wrong line before its error."""
-    cleaned = list(map(table.clean, lines)) if table.clean else lines
     block = np.empty((0, 0))
-    if not all(map(is_skipped, cleaned)):
-        with suppress(ValueError):
-            block = np.loadtxt(
-                cleaned,
-                np.float64,
-                comments="#",
-                delimiter=table.delimiter,
-                converters=dict.fromkeys(table.text_columns, _text_to_nan) or None,
-                ndmin=2,
-                quotechar='"',
-            )
+    with suppress(ValueError):
+        texts = [line for _, line in lines]
+        cleaned = list(map(table.clean, texts)) if table.clean else texts
+        if not all(map(is_skipped, cleaned)):
+            try:
+                block = _by_numpy(cleaned, table)
+            except ValueError:
+                missing = _missing_in(table.separator)
+                filled = [s for s in cleaned if not is_skipped(s, table.separator)]
+                block = _by_numpy([missing.sub("nan", s) for s in filled], table)
     # np.loadtxt compares the widths of lines only within the block.
     if block.shape[1] == table.n_columns:
         yield block
         return
-    filled = (
-        _row(line, table, number)
-        for number, line in enumerate(lines, first_line)
-        if not is_skipped(line, table.delimiter)
+    filled_rows = (
+        _row(line, table, number) for number, line in lines if not table.is_skipped(line)
     )
-    for rows in batches(filled, len, _BLOCK_CHARACTERS):
+    for rows in batches(filled_rows, len, _BLOCK_CHARACTERS):
         yield np.array(rows)
 
 
+def _by_numpy(lines: list[str], table: Table) -> NDArray[np.float64]:
+    converters = {
+        **dict.fromkeys(table.text_columns, _text_to_nan),
+        **dict.fromkeys(table.clocks, parse_time),
+    }
+    return np.loadtxt(
+        lines,
+        np.float64,
+        comments="#",
+        delimiter=table.separator,
+        converters=converters or None,
+        ndmin=2,
+        quotechar='"',
+    )
+
+
 def _row(line: str, table: Table, number: int) -> list[float]:
-    fields = _fields(table.clean(line) if table.clean else line, table.delimiter)
+    try:
+        cleaned = table.clean(line) if table.clean else line
+    except MisfitError as error:
+        raise LineError(table.path, number, f": {error}") from None
+    fields = _fields(cleaned, table.separator)
     if len(fields) != table.n_columns:
         problem = f" has {len(fields)} field{'s' * (len(fields) != 1)}, but {table.because}"
         raise LineError(table.path, number, problem, surplus=len(fields) > table.n_columns)
+    parsers = {
+        **dict.fromkeys(table.text_columns, _text_to_nan),
+        **dict.fromkeys(table.clocks, parse_time),
+    }
     values = []
     for column, field in enumerate(fields):
-        is_text = column in table.text_columns
         try:
-            values.append(_text_to_nan(field) if is_text else parse_number(field))
+            values.append(parsers.get(column, parse_number)(field))
         except ValueError:
             name = quote_if_needed(table.names[column]) if table.names else ""
             # Cleaning a line may change the number of its fields, such as that of "(1 2),3".
             originals = _fields(line, table.delimiter)
             original = (originals if len(originals) == len(fields) else fields)[column].strip()
+            is_text = column in table.text_columns
             problem = "is a number in a column of text" if is_text else "is not a number"
             raise field_error(
                 table.path, number, column, original, problem=problem, name=name
@@ -253,32 +349,12 @@ def _fields(line: str, delimiter: str | None) -> list[str]:
 Record = tuple[int, list[str]]
 """First line of a record, from 1, and its fields."""
 
-FORMULA_STARTS = (*"=+-@\t\r", *"\uff1d\uff0b\uff0d\uff20")
-"""First characters of a cell that spreadsheets take for a formula, some in full width."""
-
-_SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 21
-_SAMPLE_RECORDS = 50
+SAMPLE_LINES, _SAMPLE_CHARACTERS = 1000, 1 << 21
+SAMPLE_RECORDS = 50
 # In order of reliability: numbers and names rarely contain semicolons and tabs; commas may be
 # decimal.
-DELIMITERS = (";", "\t", ",", None)
+DELIMITERS = (";", "\t", "|", ",", None)
 _BLANK_SEPARATED = re.compile(r'"((?:[^"]|"")*)"|(\S+)')
-# Chosen by hand, so that a row of numbers is not mistaken for the labels 0, 1, 2, ...
-_MIN_COUNTED = 4
-_MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
-_MIN_TEXT_CELLS = 2
-
-
-def guard_formula(name: str) -> str:
-    """Precede a name that a spreadsheet would run as a formula with one more apostrophe."""
-    if len(name) >= csv.field_size_limit():
-        raise InputError(f"a name of {len(name)} characters is too long for delimited text")
-    return f"'{name}" if name.lstrip("'").startswith(FORMULA_STARTS) else name
-
-
-def unguard_formula(field: str) -> str:
-    """Restore a name from `guard_formula`."""
-    guarded = field.startswith("'") and field.lstrip("'").startswith(FORMULA_STARTS)
-    return field[1:] if guarded else field
 
 
 def read_sample(path: Path) -> list[str]:
@@ -286,7 +362,7 @@ def read_sample(path: Path) -> list[str]:
     sample: list[str] = []
     characters = longest = 0
     with open_text(path) as stream, suppress(*GZIP_ERRORS):
-        for line in itertools.islice(stream, _SAMPLE_LINES):
+        for line in itertools.islice(stream, SAMPLE_LINES):
             sample.append(line)
             characters += len(line)
             longest = max(longest, len(line))
@@ -324,7 +400,7 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
     """Return the first delimiter that gives all records equally many fields, or splits most."""
     splits = Counter[str | None]()
     for delimiter in DELIMITERS:
-        first = itertools.islice(_all_records(sample, delimiter), _SAMPLE_RECORDS)
+        first = itertools.islice(all_records(sample, delimiter), SAMPLE_RECORDS)
         widths = [len(fields) for _, fields in first]
         body = set(widths[1:] or widths)
         if len(body) == 1 and min(body) > 1 and abs(widths[0] - min(body)) <= 1:
@@ -332,104 +408,6 @@ def find_delimiter(sample: Sequence[str]) -> str | None:
         splits[delimiter] = sum(width > 1 for width in widths)
     best, count = splits.most_common(1)[0]
     return best if count else ","
-
-
-def count_preamble(sample: Sequence[str]) -> int:
-    """Count the lines of metadata above some equal rows of numbers, wider than the first line."""
-    top = sample[:_MAX_PREAMBLE]
-    for delimiter in DELIMITERS:
-        widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
-        first = next((width for width in widths if width), 0)
-        wide = (i for i, width in enumerate(widths) if width > first + 1)
-        start = next((i for i in wide if _is_numeric(top[i], delimiter)), None)
-        if start is None:
-            continue
-        rows = range(start, min(start + _MIN_UNIFORM_ROWS, len(top)))
-        alike = all(widths[i] == widths[start] and _is_numeric(top[i], delimiter) for i in rows)
-        if alike and len(rows) == _MIN_UNIFORM_ROWS:
-            named = abs(widths[start - 1] - widths[start]) <= 1
-            return start - named
-    return 0
-
-
-def _split(line: str, delimiter: str | None) -> list[str]:
-    return line.strip("\r\n").split(delimiter)
-
-
-def _is_numeric(line: str, delimiter: str | None) -> bool:
-    fields = _split(line, delimiter)
-    numeric = all(is_number(field, delimiter) for field in fields)
-    return numeric and len(fields) > 1 and any(field.strip() for field in fields)
-
-
-def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = None) -> Table:
-    """Detect the layout of a file of numbers; `n_columns` is 0 if there is no line of numbers.
-
-    Files of anisomap, with their own delimiter, have a header and nothing but numbers below.
-    """
-    preamble = count_preamble(sample) if own_delimiter is None else 0
-    sample = sample[preamble:]
-    delimiter = own_delimiter or find_delimiter(sample)
-    found = list(itertools.islice(records(sample, delimiter), _SAMPLE_RECORDS))
-    rows = [fields for _, fields in found]
-    text = () if own_delimiter else _text_columns(sample, delimiter, rows)
-    numeric = [[f for i, f in enumerate(row) if i not in text] for row in rows[:2]]
-    has_header = bool(rows) and (bool(own_delimiter) or _looks_like_header(delimiter, *numeric))
-    header, body = (rows[0], rows[1:]) if has_header else ([], rows)
-    width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
-    if header:
-        named = header[: len(header) - empty_columns([header])]
-        trailing = width - len(named)
-        header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
-        n_columns = len(header) if body else 0
-        because = f"the header names {n_columns}"
-        first_line = found[1][0] if body else len(sample) + 1
-    else:
-        n_columns, trailing, first_line = width - empty, empty, 1
-        because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
-    changed = delimiter != "," or trailing
-    return Table(
-        path,
-        delimiter,
-        n_columns,
-        because,
-        preamble + first_line,
-        tuple(header),
-        functools.partial(_clean, delimiter, trailing) if changed else None,
-        text,
-    )
-
-
-def _clean(delimiter: str | None, n_trailing: int, line: str) -> str:
-    """Replace decimal commas by points, and drop trailing delimiters."""
-    if delimiter != ",":
-        line = line.replace(",", ".")
-    for _ in range(n_trailing):
-        line = line.rstrip(" \r\n").removesuffix(delimiter or "")
-    return line
-
-
-def _text_columns(
-    sample: Sequence[str], delimiter: str | None, rows: Sequence[Sequence[str]]
-) -> tuple[int, ...]:
-    """Find columns that hold text and no number below the first record, which may be a header."""
-    # A header may name fewer columns than a damaged row has.
-    candidates = [i for i in _without_numbers(rows[1:], delimiter) if i < len(rows[0])]
-    if candidates:
-        every = [fields for _, fields in _all_records(sample, delimiter)]
-        in_every = set(_without_numbers(every[1:], delimiter))
-        candidates = [i for i in candidates if i in in_every]
-    # A file without a column of numbers gives an error about its first cell instead.
-    return tuple(candidates) if rows and len(candidates) < len(rows[0]) else ()
-
-
-def _without_numbers(rows: Sequence[Sequence[str]], delimiter: str | None) -> list[int]:
-    found = []
-    for i in range(len(rows[0]) if rows else 0):
-        cells = [row[i] for row in rows if i < len(row) and row[i].strip()]
-        if len(cells) >= _MIN_TEXT_CELLS and not any(is_number(c, delimiter) for c in cells):
-            found.append(i)
-    return found
 
 
 def empty_columns(rows: Sequence[Sequence[str]]) -> int:
@@ -440,27 +418,9 @@ def empty_columns(rows: Sequence[Sequence[str]]) -> int:
     )
 
 
-def _all_records(sample: Sequence[str], delimiter: str | None) -> Iterator[Record]:
+def all_records(sample: Sequence[str], delimiter: str | None) -> Iterator[Record]:
     """Yield the records up to the first unbalanced quotation mark."""
     try:
         yield from records(sample, delimiter)
     except csv.Error:
         return
-
-
-def _looks_like_header(
-    delimiter: str | None, first: Sequence[str], second: Sequence[str] = ()
-) -> bool:
-    if not all(is_number(field, delimiter) for field in first):
-        return True
-    if first and not first[0].strip():
-        first, second = first[1:], second[1:]
-    return _counts(first) and not (second and _counts([*first, second[0]]))
-
-
-def _counts(fields: Sequence[str]) -> bool:
-    """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of data frames."""
-    return len(fields) >= _MIN_COUNTED and any(
-        all(field.strip() == str(number) for number, field in enumerate(fields, start))
-        for start in (0, 1)
-    )

@@ -18,15 +18,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.clocks import is_time, units_per_second
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import open_regular
-from anisomap.io.parsing.names import (
-    ROWS_LOOKED_AT,
-    is_time,
-    roles_by_name,
-    units_per_second,
-    warn_of_guesses,
-)
+from anisomap.io.parsing.names import ROWS_LOOKED_AT, roles_by_name, warn_of_guesses
 from anisomap.io.parsing.source import quote
 from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose
 

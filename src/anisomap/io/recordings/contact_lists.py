@@ -20,16 +20,15 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from anisomap.base.clocks import is_time, units_per_second, words_of
 from anisomap.errors import FileError
-from anisomap.io.parsing.names import is_time, units_per_second, words_of
+from anisomap.io.parsing.cells import is_number, parse_number
 from anisomap.io.parsing.source import lines_of, open_text, quote, read_head, read_json
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     LineError,
     field_error,
     find_delimiter,
-    is_number,
-    parse_number,
     parse_row,
     read_sample,
     read_undamaged,

@@ -16,16 +16,21 @@ import functools
 import io
 import itertools
 import logging
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from anisomap.base.clocks import continued, is_date
 from anisomap.base.wording import join_items
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
+from anisomap.io.parsing.cells import guard_formula, parse_number, unguard_formula
+from anisomap.io.parsing.detection import find_table, is_list, listed
 from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.names import (
     ROWS_LOOKED_AT,
@@ -34,22 +39,18 @@ from anisomap.io.parsing.names import (
     roles_by_name,
     warn_of_guesses,
 )
-from anisomap.io.parsing.source import TextLines, quote, quote_if_needed, warn
+from anisomap.io.parsing.source import TextLines, quote, quote_if_needed, read_json, warn
 from anisomap.io.parsing.tables import (
     LineError,
     Table,
-    find_table,
     first_rows,
-    guard_formula,
-    is_number,
     line_of,
-    parse_number,
     read_blocks,
     read_sample,
     read_undamaged,
     records,
-    unguard_formula,
 )
+from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.recordings import contact_lists, events
 from anisomap.io.stream import (
     Block,
@@ -65,9 +66,7 @@ from anisomap.io.stream import (
 from anisomap.recording import Recording, Scalar
 
 _ROWS_LOOKED_AT = 50
-# A cell of two numbers with a comma may be one number with a decimal comma.
-_MIN_LENGTH, _MIN_ROWS = 3, 2
-_BETWEEN = re.compile(r"[\s,;\[\]()]+")
+_MIN_ROWS = 2
 
 
 TITLE = "anisomap recording"
@@ -105,6 +104,9 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     table = find_table(path, sample, own)
     n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
     Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
+    if not known and _is_document(sample):
+        yield _stream_document(path)
+        return
     if not known and (lists := _find_lists(sample, table)):
         chosen = choose(path, _contents_of(lists), options.select, "list column").name
         yield _stream_lists(table, lists, chosen)
@@ -116,28 +118,46 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
     parse_name = unguard_formula if known else str.strip
     names = tuple(map(parse_name, table.names))
-    if table.text_columns:
-        columns = join_items([_column_label(table, column) for column in table.text_columns])
-        warn(path, f"skipped text in {columns}")
-    if not known and table.delimiter != ",":
-        _warn_of_commas(path, sample)
+    if not known:
+        _say(table, sample)
     roles = Roles() if known else _detected_roles(table, names)
     if known.get("times") == _IN_FIRST_COLUMN:
         roles = Roles(time=0, non_sensors=(0,))
     n_sensors = table.n_columns - len(roles.non_sensors)
-    if not n_sensors:
+    if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
+    names = tuple(name for i, name in enumerate(names) if i not in roles.non_sensors)
+    facts: dict[str, Any] = {"names": names if all(names) or known or table.delimiter else ()}
+    if table.block and table.block[0] * table.block[1] == n_sensors:
+        size = table.block
+        facts = {"names": grid_names(*size), "positions": grid_positions(*size), "units": UNITS}
     rate_hz = known.get("rate_hz")
     yield Stream(
         path,
         n_sensors,
         _blocks(table, roles),
-        names=tuple(name for i, name in enumerate(names) if i not in roles.non_sensors),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
+        from_zero=roles.time in table.clocks,
         locate=None if known else functools.partial(line_of, table),
+        **facts,
     )
+
+
+def _say(table: Table, sample: list[str]) -> None:
+    """Warn of what is skipped, and of how a file is read that may be meant in another way."""
+    if table.text_columns:
+        columns = join_items([_column_label(table, column) for column in table.text_columns])
+        warn(table.path, f"skipped text in {columns}")
+    if table.skipped:
+        warn(table.path, f"skipped {table.skipped}")
+    if table.block:
+        rows, columns = table.block
+        apart = "brackets" if table.nested else "empty lines or comments"
+        warn(table.path, f"{apart} divide frames of {rows} rows and {columns} columns")
+    if table.separator != ",":
+        _warn_of_commas(table.path, sample)
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
@@ -148,6 +168,8 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 
 def _find_lists(sample: Sequence[str], table: Table) -> dict[str, tuple[int, int]]:
     """Find the columns with lists of equal length in all rows: index and length, by name."""
+    if table.numeric or table.block:
+        return {}
     try:
         found = records(sample[table.first_line - 1 :], table.delimiter)
         rows = [fields for _, fields in itertools.islice(found, _ROWS_LOOKED_AT)]
@@ -168,13 +190,34 @@ def _contents_of(lists: Mapping[str, tuple[int, int]]) -> tuple[Content, ...]:
 
 def _length(cell: str) -> int:
     """Return the length of a list of numbers; 0 for anything else."""
-    fields = _fields(cell)
-    listed = len(fields) >= _MIN_LENGTH and all(map(is_number, fields))
-    return len(fields) if listed else 0
+    return len(listed(cell)) if is_list(cell) else 0
 
 
-def _fields(cell: str) -> list[str]:
-    return [field for field in _BETWEEN.split(cell) if field]
+def _is_document(sample: Sequence[str]) -> bool:
+    """Return whether a file is a list of lists of JSON in a single line."""
+    lines = [line.strip() for line in sample if line.strip()]
+    return len(lines) == 1 and re.match(r"\[\s*\[", lines[0]) is not None
+
+
+def _stream_document(path: Path) -> Stream:
+    """Create a stream of a list of frames, each a list or a matrix of numbers."""
+    try:
+        values = np.array(read_json(path), dtype=np.float64)
+    except (ValueError, TypeError):
+        raise FileError(f"{path}: the lists of all frames must hold equally many numbers") from None
+    n_frames, *frame = values.shape
+    if not values.size:
+        raise FileError(f"{path} holds no frame")
+    names = grid_names(*frame) if len(frame) == 2 else ()
+    rows = values.reshape(n_frames, -1)
+    return Stream(
+        path,
+        rows.shape[1],
+        iter([Block(to_float32_if_exact(rows), 1.0)]),
+        names=names,
+        source=path.name,
+        metadata={"format": "JSON"},
+    )
 
 
 def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str) -> Stream:
@@ -192,7 +235,7 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
             line, unnamed = before + number, 0 < len(table.names) <= column
             if unnamed or len(fields) <= max(column, roles.time or 0):
                 raise LineError(table.path, line, f" has {len(fields)} fields, but {table.because}")
-            values = _fields(fields[column])
+            values = listed(fields[column])
             if len(values) != length:
                 problem = f", column {column + 1}: the list has {len(values)} numbers"
                 raise LineError(table.path, line, f"{problem}; the lists before have {length}")
@@ -282,18 +325,30 @@ def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Sca
 
 def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
     start = first_rows(table, ROWS_LOOKED_AT)
-    numeric = [i for i in range(table.n_columns) if i not in table.text_columns]
-    if names:
+    never = {*table.text_columns, *table.clocks}
+    numeric = [i for i in range(table.n_columns) if i not in never]
+    if all(names[i] for i in numeric) if names else False:
         roles = roles_by_name([names[i] for i in numeric], start[:, numeric])
-    else:
-        roles = roles_by_content(start[:, numeric])
+    elif table.block:
+        roles = Roles()
+    else:  # lines of a log may name some of their numbers
+        named = [i for i in numeric if names and names[i]]
+        roles = roles_by_name([names[i] for i in named], start[:, named]) if named else Roles()
+        if not roles.non_sensors:
+            roles = roles_by_content(start[:, numeric])
+        else:
+            numeric = named
     roles = dataclasses.replace(
         roles,
         time=None if roles.time is None else numeric[roles.time],
         counter=None if roles.counter is None else numeric[roles.counter],
-        non_sensors=tuple(sorted([*(numeric[i] for i in roles.non_sensors), *table.text_columns])),
+        non_sensors=tuple(sorted([*(numeric[i] for i in roles.non_sensors), *never])),
         guessed=tuple(numeric[i] for i in roles.guessed),
     )
+    if table.clocks:  # a time counts before a date without one
+        dates = [i for i in table.clocks if is_date(float(np.nanmin(start[:, i], initial=np.inf)))]
+        clock = next((i for i in table.clocks if i not in dates), table.clocks[0])
+        roles = dataclasses.replace(roles, time=clock, per_second=1.0, doubt="")
     warn_of_guesses(table.path, names, roles)
     return roles
 
@@ -313,8 +368,12 @@ def _column_label(table: Table, column: int) -> str:
 
 
 def _blocks(table: Table, roles: Roles) -> Iterator[Block]:
+    before = -math.inf
     for values, fraction in read_blocks(table):
         times = None if roles.time is None else values[:, roles.time] / roles.per_second
+        if times is not None and roles.time in table.clocks:
+            times = continued(times, before)
+            before = float(times[-1])
         readings = np.delete(values, roles.non_sensors, axis=1)
         yield Block(to_float32_if_exact(readings), fraction, times)
 

@@ -24,9 +24,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from anisomap.base.clocks import is_time, units_per_second
 from anisomap.errors import FileError, import_extra
 from anisomap.files.budget import Budget, bytes_kept
-from anisomap.io.parsing.names import is_time, units_per_second
 from anisomap.io.parsing.source import quote, read_head
 from anisomap.io.recordings.contact_lists import stream_contacts
 from anisomap.io.recordings.events import stream_trains

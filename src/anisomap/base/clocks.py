@@ -1,0 +1,175 @@
+"""Times as people write them: the names of their columns, their units, and clocks of the day.
+
+One rule serves files and objects. A unit in the name of a column counts. Without one, large numbers
+are times since 1970 in s, ms, us or ns; other numbers are seconds unless more than 1.5 s would pass
+between frames, which no skin is read so slowly as to give; then they are the first of ms, us and ns
+that gives a higher rate.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from datetime import date
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_TIME_WORDS = {
+    *("time", "t", "timestamp", "stamp", "elapsed", "datetime", "date"),
+    *("zeit", "zeitstempel", "uhrzeit", "laufzeit"),
+    *("temps", "horodatage", "tiempo", "tempo", "tijd", "tijdstempel", "czas", "aika"),
+    *("\u010das", "id\u0151", "zaman", "waktu", "\u0432\u0440\u0435\u043c\u044f"),
+    *("\u65f6\u95f4", "\u6642\u9593", "\u6642\u523b", "\uc2dc\uac04"),
+}
+_PER_SECOND = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 1.0),
+    **dict.fromkeys(("secondes", "segundos", "secondi", "seconden"), 1.0),
+    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e3),
+    **dict.fromkeys(("millisekunden", "millisecondes", "milisegundos"), 1e3),
+    **dict.fromkeys(("us", "usec", "\u00b5s", "\u03bcs", "micros", "microseconds"), 1e6),
+    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e9),
+    **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
+    **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
+}
+NAMING_TIME = _TIME_WORDS - {"t", "date"}
+"""Words that name a time wherever they stand in a name."""
+# Units that can be a whole column name; the other units may also name sensors.
+_TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
+# Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
+_EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
+_SYMBOLS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
+_EPOCH_S = 1e9  # since 1970, in 2001
+_LONGEST_S, _MOST_SINCE_1970_S = 1.5, 100.0  # between frames, without a unit
+_SLOWEST_HZ, _FASTEST_HZ = 0.01, 50_000.0  # no skin or electrodes are read slower or faster
+_DAY_S = 86400.0
+_DAY_ZERO = date(1970, 1, 1).toordinal()
+
+_OF_DAY = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?\s?([AaPp][Mm])?"
+_OF_YEAR = r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})"
+_ZONE = r"\s?(?:Z|UTC|[-+]\d{2}:?\d{2})?"
+_CLOCK = re.compile(
+    rf"(?:(?:{_OF_YEAR})(?:(?:T|,?\s+){_OF_DAY}{_ZONE})?|(?=\d+:\d+:){_OF_DAY}{_ZONE})"
+)
+
+
+def words_of(name: str) -> list[str]:
+    """Return the words of a name, in lower case: ``time`` and ``ms`` of ``time_ms``."""
+    return re.findall(r"[^\W\d_]+", name.lower())
+
+
+def is_time(name: str, column: int = 0) -> bool:
+    """Return whether a column name denotes time; `column` is its index."""
+    words = words_of(name)
+    if not words or re.search(r"\d", name) or words == ["t"]:
+        return words == ["t"] and name.strip().lower() == "t" and column < 2
+    known = all(word in _TIME_WORDS or word in _PER_SECOND for word in words)
+    return known and (words[0] in _TIME_WORDS or words[0] in _TIME_UNITS)
+
+
+def parse_clock(text: str) -> float | None:
+    """Return the seconds of a clock, since 1970 if it has a date; None for other text."""
+    match = _CLOCK.fullmatch(text.strip())
+    if not match:
+        return None
+    year, month, day, first, mark, second, own_year, *times = match.groups()
+    days = 0
+    if own_year:  # 3/1/2026 is in March unless a month 13 would follow
+        month, day = (first, second) if mark == "/" and int(first) <= 12 else (second, first)
+        year = own_year
+    try:
+        if year:
+            days = date(int(year), int(month), int(day)).toordinal() - _DAY_ZERO
+    except ValueError:
+        return None
+    hour, minute, seconds, fraction, half = times[:5] if times[0] else times[5:]
+    if hour is None:
+        return days * _DAY_S
+    hours = int(hour) % 12 + 12 * (half.lower() == "pm") if half else int(hour)
+    of_day = 3600.0 * hours + 60.0 * int(minute) + int(seconds or 0)
+    return days * _DAY_S + of_day + (float(f".{fraction}") if fraction else 0.0)
+
+
+def is_date(seconds: float) -> bool:
+    """Return whether a result of `parse_clock` is a date without a time, or with midnight."""
+    return seconds >= _DAY_S and seconds % _DAY_S == 0
+
+
+def continued(times: NDArray[np.float64], before: float = -math.inf) -> NDArray[np.float64]:
+    """Return times of the day that go on after midnight; `before` is the last one before them."""
+    steps = np.diff(times, prepend=times[:1] if math.isinf(before) else before)
+    with np.errstate(invalid="ignore"):
+        midnights = np.round(-steps / _DAY_S).clip(0) * (steps < -_DAY_S / 2)
+    return times + _DAY_S * np.cumsum(np.nan_to_num(midnights))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How to read a column of times: units per second, and what is doubtful about it."""
+
+    per_second: float = 1.0
+    doubt: str = ""
+
+
+def units_per_second(name: str, times: NDArray[np.floating]) -> float:
+    """Return the units per second of moments, by the column name or the magnitude of the first."""
+    units = [word for word in words_of(name) if word in _PER_SECOND]
+    if units:
+        return _PER_SECOND[units[-1]]
+    finite = times[np.isfinite(times)]
+    start = float(finite[0]) if finite.size else 0.0
+    return next((per_second for threshold, per_second in _EPOCHS if start > threshold), 1.0)
+
+
+def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
+    """Return how to read times, (T,), by the name of their column, their size and their steps."""
+    finite = times[np.isfinite(times)]
+    steps = np.diff(finite)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else math.nan
+    units = [word for word in words_of(name) if word in _PER_SECOND]
+    start = float(finite[0]) if finite.size else 0.0
+    per_second, guessed = units_per_second(name, times), False
+    since_1970 = start > _EPOCH_S and step < _MOST_SINCE_1970_S
+    if not (units or since_1970) and per_second == 1 and step > _LONGEST_S:
+        per_second = next(unit for unit in (1e3, 1e6, 1e9) if step / unit <= 1 or unit == 1e9)
+        guessed = True
+    rate = per_second / step
+    if guessed:
+        return Clock(
+            per_second,
+            f"its times are taken as {_SYMBOLS[per_second]} ({rate:.4g} frames per second), since "
+            f"{step:g} s from frame to frame is implausible; name the unit, as in time [s]",
+        )
+    if math.isfinite(rate) and not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
+        return Clock(per_second, f"its times give {rate:.4g} frames per second, which is doubtful")
+    return Clock(per_second)
+
+
+def seconds(times: ArrayLike, name: str = "") -> tuple[NDArray[np.float64], str]:
+    """Convert times, (T,), to seconds, with what is doubtful about them.
+
+    times: Numbers, ISO 8601 texts, datetimes, or pandas or numpy dates, which count from the first.
+    """
+    values = np.asarray(times)
+    if values.dtype.kind in "OUST" and values.ndim == 1 and values.size:
+        if isinstance(values[0], str):
+            parsed = [parse_clock(str(value)) for value in values]
+            if None not in parsed:
+                found = continued(np.array(parsed, dtype=np.float64))
+                return found - found[0], ""
+        elif hasattr(values[0], "timestamp"):
+            stamps = np.array([value.timestamp() for value in values])
+            return stamps - stamps[0], ""
+        elif hasattr(values[0], "total_seconds"):
+            return np.array([value.total_seconds() for value in values]), ""
+    if values.dtype.kind in "mM":
+        if values.dtype.kind == "M" and values.size:
+            values = values - values.flat[0]
+        found = values / np.timedelta64(1, "s")
+        return np.where(np.isnat(values), np.nan, found), ""
+    found = values.astype(np.float64)
+    if found.ndim != 1 or not name:
+        return found, ""
+    clock = clock_of(name, found)
+    return found / clock.per_second, clock.doubt

@@ -1,0 +1,379 @@
+"""How the lines of a file are read: separators, header, text around numbers, and blocks.
+
+All is decided by the first lines. See `anisomap.io.parsing.lines` for text around numbers.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from anisomap.io.parsing.cells import is_clock, is_label, is_missing, is_number
+from anisomap.io.parsing.lines import as_objects, find_template
+from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.tables import (
+    DELIMITERS,
+    SAMPLE_RECORDS,
+    Numbered,
+    Table,
+    all_records,
+    depth_of,
+    empty_columns,
+    find_delimiter,
+    is_apart,
+    is_skipped,
+    records,
+)
+
+# Chosen by hand, so that a row of numbers is not mistaken for the labels 0, 1, 2, ...
+_MIN_COUNTED = 4
+_MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
+_MIN_TEXT_CELLS = 2
+_MIN_BLOCKS, _MIN_NESTED = 3, 2
+# A cell of two numbers with a comma may be one number with a decimal comma.
+_MIN_LISTED = 3
+_MAX_UNIT = 12  # characters
+_DIGITS = re.compile(r"\d+")
+_BETWEEN = re.compile(r"[\s,;\[\]()]+")
+
+
+def count_preamble(sample: Sequence[str]) -> int:
+    """Count the lines of metadata above some equal rows of numbers, wider than the first line."""
+    top = sample[:_MAX_PREAMBLE]
+    for delimiter in DELIMITERS:
+        widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
+        first = next((width for width in widths if width), 0)
+        wide = (i for i, width in enumerate(widths) if width > first + 1)
+        start = next((i for i in wide if _is_numeric(top[i], delimiter)), None)
+        if start is None:
+            continue
+        rows = range(start, min(start + _MIN_UNIFORM_ROWS, len(top)))
+        alike = all(widths[i] == widths[start] and _is_numeric(top[i], delimiter) for i in rows)
+        if alike and len(rows) == _MIN_UNIFORM_ROWS:
+            named = abs(widths[start - 1] - widths[start]) <= 1
+            return start - named
+    return 0
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    return line.strip("\r\n").split(delimiter)
+
+
+def _is_numeric(line: str, delimiter: str | None) -> bool:
+    fields = _split(line, delimiter)
+    numeric = all(is_number(field, delimiter) for field in fields)
+    return numeric and len(fields) > 1 and any(field.strip() for field in fields)
+
+
+def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = None) -> Table:
+    """Detect the layout of a file of numbers; `n_columns` is 0 if there is no line of numbers.
+
+    Files of anisomap, with their own delimiter, have a header and nothing but numbers below. In
+    others, text may stand around the numbers: see `anisomap.io.parsing.lines`.
+    """
+    if own_delimiter:
+        return _find_columns(path, sample, 0, own_delimiter)
+    found = _find_nested(path, sample) or _find_blocks(path, sample)
+    preamble = 0 if found else count_preamble(sample)
+    return found or _find_columns(path, sample[preamble:], preamble, None)
+
+
+def _find_columns(
+    path: Path, sample: Sequence[str], preamble: int, own_delimiter: str | None
+) -> Table:
+    """Find the columns of a table below its header, or of lines with text in between."""
+    delimiter = own_delimiter or find_delimiter(sample)
+    framed = delimiter == "|" and sum(s.lstrip()[:1] == "|" for s in sample) > len(sample) / 2
+    if framed:
+        sample = list(map(_unframed, sample))
+    found = list(itertools.islice(records(sample, delimiter), SAMPLE_RECORDS))
+    rows = [fields for _, fields in found]
+    every = rows if own_delimiter else [fields for _, fields in all_records(sample, delimiter)]
+    clocks = () if own_delimiter else _columns_of(rows, every, is_clock)
+    text = () if own_delimiter else _text_columns(every, delimiter, rows, clocks)
+    numeric = [[f for i, f in enumerate(r) if i not in (*text, *clocks)] for r in rows[:2]]
+    has_header = bool(rows) and (bool(own_delimiter) or _looks_like_header(delimiter, *numeric))
+    around = not own_delimiter and bool(rows) and _holds_text(rows, text, delimiter)
+    if around and (lines := _find_lines(path, sample, preamble)):
+        return lines
+    header, body = (rows[0], rows[1:]) if has_header else ([], rows)
+    n_units = bool(header and len(body) > 1 and _are_units(body[0], body[1], delimiter))
+    body = body[n_units:]
+    width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
+    if header:
+        named = header[: len(header) - empty_columns([header])]
+        if len(header) + 1 == width and not empty and _are_row_names(body):
+            header = named = ["", *header]
+        trailing = width - len(named)
+        header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
+        n_columns = len(header) if body else 0
+        because = f"the header names {n_columns}"
+        first_line = found[1 + n_units][0] if body else len(sample) + 1
+    else:
+        n_columns, trailing, first_line = width - empty, empty, 1
+        because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
+        because += _cycle(list(map(len, rows)))
+    changed = delimiter != "," or trailing
+    return Table(
+        path,
+        delimiter,
+        n_columns,
+        because,
+        preamble + first_line,
+        tuple(header),
+        functools.partial(_clean, delimiter, trailing, framed=framed) if changed else None,
+        text,
+        clocks,
+        skipped="a row of units" if n_units else "",
+    )
+
+
+def _unframed(line: str) -> str:
+    """Remove the first and the last bar of a line."""
+    return line.strip().removeprefix("|").removesuffix("|")
+
+
+def _clean(delimiter: str | None, n_trailing: int, line: str, *, framed: bool = False) -> str:
+    """Replace decimal commas by points, and drop trailing delimiters."""
+    if framed:
+        line = _unframed(line)
+    if delimiter != ",":
+        line = line.replace(",", ".")
+    for _ in range(n_trailing):
+        line = line.rstrip(" \r\n").removesuffix(delimiter or "")
+    return line
+
+
+def _cycle(widths: Sequence[int]) -> str:
+    """Say how to join the lines of a frame, if their widths repeat; empty if they do not."""
+    for n in range(2, len(widths) // 2 + 1):
+        if len(set(widths)) > 1 and all(a == b for a, b in zip(widths, widths[n:], strict=False)):
+            command = f"paste -d ' ' {' '.join('-' * n)} < OLD > NEW"
+            return f"; {n} lines seem to be a frame: write them in one line, as {command!r} does"
+    return ""
+
+
+def _columns_of(
+    rows: Sequence[Sequence[str]], every: Sequence[Sequence[str]], fits: Callable[[str], bool]
+) -> tuple[int, ...]:
+    """Find the columns whose cells below the first record all fit, if there are at least two."""
+
+    def fitting(some: Sequence[Sequence[str]], columns: Iterable[int]) -> list[int]:
+        cells = ((i, [r[i] for r in some if i < len(r) and not is_missing(r[i])]) for i in columns)
+        return [i for i, held in cells if len(held) >= _MIN_TEXT_CELLS and all(map(fits, held))]
+
+    # A header may name fewer columns than a damaged row has.
+    columns = fitting(rows[1:], range(len(rows[0]) if rows else 0))
+    return tuple(fitting(every[1:], columns)) if columns else ()
+
+
+def _text_columns(
+    every: Sequence[Sequence[str]],
+    delimiter: str | None,
+    rows: Sequence[Sequence[str]],
+    clocks: Sequence[int],
+) -> tuple[int, ...]:
+    """Find columns that hold text and no number below the first record, which may be a header."""
+    found = _columns_of(
+        rows, every, lambda c: not is_number(c, delimiter) and (is_label(c) or is_list(c))
+    )
+    found = tuple(i for i in found if i not in clocks)
+    # A file without a column of numbers gives an error about its first cell instead.
+    return found if rows and len(found) + len(clocks) < len(rows[0]) else ()
+
+
+def _holds_text(
+    rows: Sequence[Sequence[str]], skipped: Sequence[int], delimiter: str | None
+) -> bool:
+    """Return whether cells hold text around numbers, or no cell below the first row is a number.
+
+    skipped: Columns of text. Names with digits in them (``S01``) may be values (``A12 B7``), unless
+    a header names their column.
+    """
+    every = (cell.partition("#")[0] for row in rows[1:] or rows for cell in row)
+    cells = [cell for cell in every if not is_missing(cell)]
+    others = [cell for cell in cells if not (is_number(cell, delimiter) or is_clock(cell))]
+    if any(not is_label(cell) and (delimiter is None or not is_list(cell)) for cell in others):
+        return True
+    alike = [i for i in skipped if len({_DIGITS.sub("0", row[i]) for row in rows[:2]}) == 1]
+    alike = [i for i in alike if _DIGITS.search(rows[0][i])]  # also in the first row
+    vary = any(len({row[i] for row in rows if i < len(row)}) > 1 for i in alike)
+    return vary or len(alike) > 1 or len(others) == len(cells)
+
+
+def _find_lines(path: Path, sample: Sequence[str], preamble: int) -> Table | None:
+    """Find a layout of lines with text around the numbers: objects of JSON, or a template."""
+    numbered = enumerate(sample, start=1 + preamble)
+    filled = [(number, line) for number, line in numbered if not is_apart(line)]
+    lines = [line.partition("#")[0] for _, line in filled]
+    for start in range(min(_MIN_TEXT_CELLS, len(lines))):
+        if objects := as_objects(lines[start:]):
+            names, convert = objects
+            return _of_lines(path, filled, start, names, convert=convert)
+    template = find_template(lines)
+    if template is None:
+        return None
+    start = lines.index(template.example)
+    names, above = template.names, lines[start - 1 : start]
+    header = next(records(above, find_delimiter(above)), (0, []))[1] if above else []
+    named = len(header) == len(names) and not all(names) and not any(map(is_number, header))
+    names = tuple(map(str.strip, header)) if named else names
+    table = _of_lines(path, filled, start, names, convert=template, n_headers=int(named))
+    return replace(table, clocks=tuple(sorted(template.clocks)))
+
+
+def _of_lines(
+    path: Path,
+    filled: Sequence[Numbered],
+    start: int,
+    names: tuple[str, ...],
+    *,
+    convert: Callable[[str], str],
+    n_headers: int = 0,
+) -> Table:
+    """Return the layout of the lines from `start` on, of those that are not skipped."""
+    number, n_skipped = filled[start][0], start - n_headers
+    first = quote(filled[0][1].strip())
+    return Table(
+        path,
+        None,
+        len(names),
+        f"line {number} has {len(names)}",
+        number,
+        names,
+        _filled(convert),
+        numeric=",",
+        skipped=f"{n_skipped} line{'s' * (n_skipped > 1)} from {first} on" if n_skipped else "",
+    )
+
+
+def _filled(convert: Callable[[str], str]) -> Callable[[str], str]:
+    """Return what converts lines, and leaves those that are skipped."""
+    return lambda line: "" if is_apart(line) else convert(line.partition("#")[0])
+
+
+def is_list(cell: str) -> bool:
+    """Return whether a cell holds a list of at least three numbers and no other text."""
+    return len(listed(cell)) >= _MIN_LISTED and all(map(is_number, listed(cell)))
+
+
+def listed(cell: str) -> list[str]:
+    """Return what separators and brackets divide in a cell."""
+    return [field for field in _BETWEEN.split(cell) if field]
+
+
+def _are_row_names(body: Sequence[Sequence[str]]) -> bool:
+    """Return whether the first column holds row names, whose header R and pandas leave out."""
+    first = [row[0] for row in body]
+    count = _MIN_UNIFORM_ROWS
+    numbered = any(first == [str(k + i) for k in range(len(body))] for i in (0, 1))
+    return len(body) >= count and (numbered or not any(map(is_number, first)))
+
+
+def _are_units(row: Sequence[str], following: Sequence[str], delimiter: str | None) -> bool:
+    """Return whether a row below the header gives units: text above a row of numbers."""
+    cells = [i for i, cell in enumerate(row) if not is_missing(cell)]
+    text = [
+        i for i in cells if not is_number(row[i], delimiter) and len(row[i].strip()) < _MAX_UNIT
+    ]
+    below = [i for i in text if i < len(following) and is_number(following[i], delimiter)]
+    return bool(cells) and len(text) == len(cells) and len(row) == len(following) and bool(below)
+
+
+def _find_nested(path: Path, sample: Sequence[str]) -> Table | None:
+    """Find frames whose brackets go on over several lines, as printed arrays do."""
+    lines = [line for line in sample if not is_skipped(line)]
+    first = next((i for i, line in enumerate(lines) if depth_of(line) > 0), None)
+    if first is None or first > _MIN_UNIFORM_ROWS or lines[first].lstrip()[:1] == "{":
+        return None
+    joined, held, depth = list[str](), list[str](), 0
+    for line in lines[first:]:
+        held.append(line.strip())
+        depth += depth_of(line)
+        if depth <= 0:
+            joined.append(" ".join(held))
+            held = []
+    if len(joined) < _MIN_NESTED:
+        return None
+    template = find_template(joined)
+    if template is None:
+        return None
+    number = 1 + next(i for i, line in enumerate(sample) if line == lines[first])
+    n_rows = _inner_rows(joined[0])
+    fits = n_rows and template.n_values % n_rows == 0 and not any(template.names)
+    return Table(
+        path,
+        None,
+        template.n_values,
+        f"the frame at line {number} has {template.n_values}",
+        number,
+        template.names,
+        _filled(template),
+        clocks=tuple(sorted(template.clocks)),
+        block=(n_rows, template.n_values // n_rows) if fits else None,
+        nested=True,
+        numeric=",",
+    )
+
+
+def _inner_rows(frame: str) -> int:
+    """Return the number of rows of a printed matrix; 0 for a list."""
+    inner = re.findall(r"\[[^\[\]]*\]", frame)
+    return len(inner) if len(inner) > 1 and frame.count("[") == len(inner) + 1 else 0
+
+
+def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
+    """Find frames of several lines, between empty lines or comments, perhaps below a title each."""
+    groups = [
+        [line for _, line in lines]
+        for apart, lines in itertools.groupby(
+            enumerate(sample, start=1), lambda numbered: is_apart(numbered[1])
+        )
+        if not apart
+    ]
+    whole = groups[:-1] if len(groups) > _MIN_BLOCKS else groups  # the last one may be cut short
+    heights = set(map(len, whole))
+    if len(whole) < _MIN_BLOCKS or len(heights) != 1 or (height := heights.pop()) < 2:
+        return None
+    for delimiter in DELIMITERS:
+        for n_titles in (0, 1):
+            rows = [_split(line, delimiter) for group in whole for line in group[n_titles:]]
+            widths = set(map(len, rows))
+            empty = empty_columns(rows) if rows else 0
+            numeric = all(is_number(cell, delimiter) for row in rows for cell in row)
+            n_rows, n_columns = height - n_titles, min(widths, default=0) - empty
+            if len(widths) == 1 and numeric and n_columns > 1 and n_rows > 1:
+                first = next(i for i, line in enumerate(sample) if not is_apart(line))
+                return Table(
+                    path,
+                    delimiter,
+                    n_rows * n_columns,
+                    f"the first block has {n_rows} x {n_columns}",
+                    first + 1,
+                    clean=functools.partial(_clean, delimiter, 0) if delimiter != "," else None,
+                    block=(n_rows, n_columns),
+                    n_titles=n_titles,
+                )
+    return None
+
+
+def _looks_like_header(
+    delimiter: str | None, first: Sequence[str], second: Sequence[str] = ()
+) -> bool:
+    if not all(is_number(field, delimiter) for field in first):
+        return True
+    if first and not first[0].strip():
+        first, second = first[1:], second[1:]
+    return _counts(first) and not (second and _counts([*first, second[0]]))
+
+
+def _counts(fields: Sequence[str]) -> bool:
+    """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of data frames."""
+    return len(fields) >= _MIN_COUNTED and any(
+        all(field.strip() == str(number) for number, field in enumerate(fields, start))
+        for start in (0, 1)
+    )

@@ -1,0 +1,259 @@
+"""Lines that hold more than numbers and separators: what stays the same in them, and what varies.
+
+A line is text with numbers in between: ``10:00:00.020 -> 0, 12``, ``[0 12]``, ``S0:0 S1:12`` or
+``{"t": 3, "p": [0, 12]}``. The text of the first lines is the template of all: each number that
+varies is a value, and a number that is part of a label (``S0:``, ``sensor 3 =``) is text. A line
+with another text does not fit.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from anisomap.base.clocks import parse_clock
+from anisomap.io.parsing.cells import is_clock
+from anisomap.io.parsing.source import quote
+
+_TIME = (
+    r"\d{1,2}:\d{2}:\d{2}(?:[.:]\d{1,9}|,\d{3}(?=\s))?(?:\s?[AaPp][Mm]\b)?(?:Z|[-+]\d{2}:?\d{2})?"
+)
+_DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
+_WORDS = r"[-+]?(?:nan|inf|infinity|null|none|n/a|na)(?![\w/])"
+_START = r"(?<![\w.:/])"
+
+
+def _tokens(number: str) -> re.Pattern[str]:
+    return re.compile(
+        rf"{_START}(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})(?![\w:])"
+        rf"|(?<![\w.])(?:[-+]?{number}(?:[eE][-+]?\d+)?|{_WORDS})|(?<=[A-Za-z_])\d+(?:\.\d+)?",
+        re.IGNORECASE,
+    )
+
+
+_TOKENS = {
+    ".": _tokens(r"(?:\d+(?:\.\d*)?|\.\d+)"),
+    ",": _tokens(r"\d+(?:[.,]\d+)?"),
+}
+"""Numbers and clocks in a line, by the decimal mark."""
+
+_APART = re.compile(r"[\s,;|:=>\[\](){}\"']")
+_ENDS_LABEL = re.compile(r"[\])}\"']*\s*(?::|=|->|=>|>)")
+_BRACKETS = re.compile(r"[\[\](){}]")
+_NAME_ENDS, _NAME_STARTS = " \t\r\n\"'([{", " \t\r\n\"')]}{"
+_MIN_VALUES, _MIN_SHARE = 2, 0.5  # of the lines looked at, that fit
+PREFIX = "prefix"
+"""Name of a number without a name before the values, such as ``17: 0, 12``."""
+_SEPARATORS, _MARKS = re.compile(r"[,;|\t]"), re.compile(r"[:=>]")
+_CHECKSUM = re.compile(r"\*[0-9A-Fa-f]{2}$")  # NMEA 0183
+
+
+class MisfitError(ValueError):
+    """A line does not fit the lines before it."""
+
+
+@dataclass(frozen=True)
+class Template:
+    """The text of a line, from which its values are told; calling it returns a line of numbers.
+
+    texts: What precedes each token, and follows the last, without blanks.
+    fixed: The tokens that are part of the text, by index.
+    names: Names of the values; empty where the text gives none.
+    clocks: The values that are dates or times of the day, by index.
+    """
+
+    texts: tuple[str, ...]
+    fixed: dict[int, str]
+    names: tuple[str, ...]
+    decimal: str
+    clocks: frozenset[int]
+    example: str
+
+    @property
+    def n_values(self) -> int:
+        """Number of values in a line."""
+        return len(self.names)
+
+    def __call__(self, line: str) -> str:
+        """Return the values of a line, separated by commas."""
+        texts, tokens = _split(line, self.decimal)
+        fits = texts == self.texts and all(tokens[i] == word for i, word in self.fixed.items())
+        if not fits:
+            raise MisfitError(
+                f"{quote(line.strip())} does not fit the lines before it, such as "
+                f"{quote(self.example.strip())}"
+            )
+        kept = [token for i, token in enumerate(tokens) if i not in self.fixed]
+        return ",".join(
+            _seconds(token) if i in self.clocks else _plain(token) for i, token in enumerate(kept)
+        )
+
+
+def _seconds(token: str) -> str:
+    if (at := parse_clock(token)) is None:
+        raise MisfitError(f"{quote(token)} is no time of the day")
+    return repr(at)
+
+
+def _plain(token: str) -> str:
+    """Return a number with a decimal point; words for missing values are NaN."""
+    if token[-1:].isalpha() and "inf" not in token.lower():
+        return "nan"
+    return token.replace(",", ".")
+
+
+def _split(line: str, decimal: str) -> tuple[tuple[str, ...], list[str]]:
+    """Return the texts around the tokens of a line, without blanks, and the tokens."""
+    raw, tokens = _raw_split(line, decimal)
+    texts = ["".join(text.split()) or (" " if text else "") for text in raw]
+    # The brackets around a whole table are at the ends of its first and last lines only.
+    texts[0], texts[-1] = texts[0].lstrip("[(").strip(), texts[-1].rstrip("]),;").strip()
+    return tuple(texts), tokens
+
+
+def _raw_split(line: str, decimal: str) -> tuple[list[str], list[str]]:
+    texts, tokens, end = list[str](), list[str](), 0
+    for match in _TOKENS[decimal].finditer(line := _CHECKSUM.sub("", line.strip())):
+        texts.append(line[end : match.start()])
+        tokens.append(match[0])
+        end = match.end()
+    return [*texts, line[end:]], tokens
+
+
+def find_template(lines: Sequence[str]) -> Template | None:
+    """Find the template of lines with text between the numbers; None if most have another one."""
+    found = (_template(lines, decimal) for decimal in ".,")
+    plain, comma = ((each or (0.0, set(), None)) for each in found)
+    # Decimal commas leave a single separator where commas and others alternate.
+    commas = comma[0] >= plain[0] and len(comma[1]) < len(plain[1])
+    if commas and not any(_BRACKETS.search(text) for text in comma[1]):
+        return comma[2]
+    return plain[2]
+
+
+def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Template] | None:
+    """Return the share of lines that fit, the texts between values, and the template."""
+    split = [_split(line, decimal) for line in lines]
+    counts = Counter(texts for texts, tokens in split if tokens)
+    if not counts:
+        return None
+    texts, count = counts.most_common(1)[0]
+    inside = texts[1:-1]
+    if count < _MIN_SHARE * len(lines) or any(map(_has_digit, texts)):
+        return None
+    alike = [tokens for each, tokens in split if each == texts]
+    example = next(line for line, (each, _) in zip(lines, split, strict=True) if each == texts)
+    raw, _ = _raw_split(example, decimal)
+    if len(texts) <= _MIN_VALUES or not all(_APART.search(text) for text in raw[1:-1]):
+        return None
+    if not "".join(raw).strip(" ,;|\t"):  # a table, of which some cells are wrong
+        return None
+    columns = list(zip(*alike, strict=True))
+    clocks = frozenset(
+        i for i, tokens in enumerate(columns) if ":" in tokens[0] or is_clock(tokens[0])
+    )
+    fixed = {
+        i: tokens[0]
+        for i, tokens in enumerate(columns)
+        if len(set(tokens)) == 1 and i not in clocks and _labels(raw, i)
+    }
+    names = _names(raw, columns, fixed, clocks)
+    if not names:
+        return None
+    kept = [i for i in range(len(columns)) if i not in fixed]
+    at = frozenset(kept.index(i) for i in clocks)
+    return count / len(lines), {*inside}, Template(texts, fixed, names, decimal, at, example)
+
+
+def _has_digit(text: str) -> bool:
+    return any(map(str.isdigit, text))
+
+
+def _labels(raw: Sequence[str], i: int) -> bool:
+    """Return whether a token is part of the label of the next one, by the texts around it."""
+    if i + 2 == len(raw):  # behind the values, as in tensor([0, 12], device='cuda:0')
+        return any(map(str.isalpha, raw[i])) and any(mark in raw[i] for mark in ")]}")
+    if _ENDS_LABEL.match(raw[i + 1]):
+        return True
+    glued = raw[i][-1:].isalpha() or raw[i].endswith("_")
+    following = raw[i + 1]
+    return glued and bool(following) and following.isspace()
+
+
+def _names(
+    raw: Sequence[str], columns: Sequence[Any], fixed: dict[int, str], clocks: frozenset[int]
+) -> tuple[str, ...]:
+    """Return a name for each value; values after a named one that have none are its list."""
+    names, text = list[str](), ""
+    for i in range(len(columns)):
+        text += raw[i]
+        if i in fixed:
+            text += fixed[i]
+            continue
+        parts = _MARKS.split(_SEPARATORS.split(text)[-1])
+        words = [part.lstrip(_NAME_STARTS).rstrip(_NAME_ENDS) for part in parts]
+        words = [word for word in words if any(map(str.isalnum, word))]
+        names.append("" if i in clocks or not words else words[-1])
+        text = ""
+    known = [name for name in names if name]
+    if len(set(known)) < len(known):  # units
+        names = [""] * len(names)
+    marked = _marked(raw, fixed)
+    if marked[0] and not any(marked[1:]) and not names[0] and 0 not in clocks:
+        names[0] = PREFIX
+    heads = [i for i, name in enumerate(names) if name]
+    lists = [i for i in heads if i + 1 < len(names) and not names[i + 1] and not marked[i]]
+    for head in lists:
+        end = next((i for i in heads if i > head), len(names))
+        for i in range(head, end) if len(lists) > 1 else ():
+            names[i] = f"{names[head]}.{i - head}" if i > head else names[i]
+        names[head] = f"{names[head]}.0" if len(lists) > 1 else ""
+    return tuple(names)
+
+
+def _marked(raw: Sequence[str], fixed: dict[int, str]) -> list[bool]:
+    """Return for each value whether a colon or an arrow follows it."""
+    values = (i for i in range(len(raw) - 1) if i not in fixed)
+    return [bool(_ENDS_LABEL.match(raw[i + 1])) for i in values]
+
+
+def as_objects(lines: Sequence[str]) -> tuple[tuple[str, ...], Callable[[str], str]] | None:
+    """Return the names of the numbers in lines of JSON objects, and what reads such a line."""
+    first = _flat(lines[0]) if lines else None
+    if not first or any(_flat(line) is None for line in lines[1:2]):
+        return None
+    names = tuple(first)
+
+    def convert(line: str) -> str:
+        found = _flat(line)
+        if found is None or {*found} != {*names}:
+            what = "is no JSON object" if found is None else "has other keys than the lines before"
+            raise MisfitError(f"{quote(line.strip())} {what}")
+        return ",".join(found[name] for name in names)
+
+    return names, convert
+
+
+def _flat(line: str) -> dict[str, str] | None:
+    """Return the numbers and clocks of a JSON object by name, those of lists by index."""
+    with suppress(ValueError, RecursionError):
+        found = json.loads(line)
+        if isinstance(found, dict):
+            return dict(_leaves("", found))
+    return None
+
+
+def _leaves(name: str, value: Any) -> Iterable[tuple[str, str]]:
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, each in items:
+            yield from _leaves(f"{name}.{key}" if name else str(key), each)
+    elif value is None or isinstance(value, int | float):
+        yield name, "nan" if value is None else repr(float(value))
+    elif isinstance(value, str) and (at := parse_clock(value)) is not None:
+        yield name, repr(at)

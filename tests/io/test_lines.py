@@ -1,0 +1,182 @@
+"""Lines as programs print them, with text around the numbers, and frames of several lines."""
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anisomap import io
+from anisomap.errors import FileError
+
+ROWS, COLUMNS = 3, 4
+READINGS = np.random.default_rng(3).integers(0, 400, (40, ROWS * COLUMNS))
+READINGS[READINGS < 150] = 0
+READINGS[:, 5] = 0  # a dead sensor is a sensor
+NAMES = [f"c{k}" for k in range(ROWS * COLUMNS)]
+
+
+def clock(i: int) -> str:
+    return f"10:{i // 3000:02d}:{i // 50 % 60:02d}.{20 * i % 1000:03d}"
+
+
+def joined(values: list, mark: str = ",") -> str:
+    return mark.join(map(str, values))
+
+
+def labelled(form: str, mark: str = " ") -> Callable[[int, list[int]], str]:
+    return lambda _, row: mark.join(form.format(k=k, v=v) for k, v in enumerate(row))
+
+
+def matrix(row: list[int], mark: str = " ") -> str:
+    return "\n".join(joined(part, mark) for part in np.reshape(row, (ROWS, COLUMNS)).tolist())
+
+
+LINES: dict[str, tuple[Callable[[int, list[int]], str], float | None, str]] = {
+    "arrow and tabs": (lambda i, r: f"{clock(i)} -> " + joined(r, "\t"), 50, "s0"),
+    "arrow and commas": (lambda i, r: f"{clock(i)} -> " + joined(r), 50, "s0"),
+    "clock in brackets": (lambda i, r: f"[{clock(i)}] " + joined(r), 50, "s0"),
+    "seconds and a colon": (lambda i, r: f"{i / 50}: " + joined(r, " "), 50, "s0"),
+    "date, clock, level": (lambda i, r: f"2026-03-01 {clock(i)} INFO " + joined(r, " "), 50, "s0"),
+    "a log of ESP-IDF": (lambda i, r: f"I ({1000 + 20 * i}) SKIN: " + joined(r, " "), 50, "s0"),
+    "a list": (lambda _, r: str(r), None, "s0"),
+    "a time and a list": (lambda i, r: str((i / 50, r)), 50, "s0"),
+    "an array": (lambda _, r: repr(np.array(r)), None, "s0"),
+    "a wrapped array": (lambda _, r: np.array2string(np.array(r), max_line_width=30), None, "s0"),
+    "a matrix": (lambda _, r: str(np.array(r).reshape(ROWS, COLUMNS)), None, "r0c0"),
+    "a tensor": (lambda _, r: f"tensor({r}, device='cuda:0')", None, "s0"),
+    "a dictionary": (lambda _, r: str(dict(zip(NAMES, r, strict=True))), None, "c0"),
+    "JSON": (lambda i, r: json.dumps({"t": i / 50, "p": r}), 50, "p.0"),
+    "labels with a colon": (labelled("S{k}:{v}"), None, "S0"),
+    "labels with an equals sign": (labelled("c{k}={v}"), None, "c0"),
+    "labels of two words": (labelled("Sensor {k}: {v}", ", "), None, "Sensor 0"),
+    "labels with an index": (labelled("s[{k}]={v}", "; "), None, "s[0]"),
+    "labels before a blank": (labelled("T{k} {v}"), None, "T0"),
+    "letters before values": (
+        lambda _, r: " ".join(map("{}{}".format, "ABCDEFGHIJKL", r)),
+        None,
+        "A",
+    ),
+    "NMEA": (lambda i, r: f"$SKIN,{joined(r)}*{i % 100:02X}", None, "s0"),
+    "blocks": (lambda _, r: matrix(r) + "\n", None, "r0c0"),
+    "blocks with commas": (lambda _, r: matrix(r, ",") + "\n", None, "r0c0"),
+    "blocks below comments": (lambda _, r: "# a frame\n" + matrix(r), None, "r0c0"),
+    "blocks with titles": (lambda i, r: f"frame at {i / 50}\n{matrix(r)}\n", None, "r0c0"),
+}
+"""Each gives the lines of a frame; the rate and the name of the first sensor follow."""
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("kind", LINES)
+def test_lines_of_programs(put, kind: str) -> None:
+    write, rate, first = LINES[kind]
+    text = "".join(write(i, row) + "\n" for i, row in enumerate(READINGS.tolist()))
+    found = io.read(put("log.txt", text))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names[0] == first
+    assert found.rate_hz == (rate and pytest.approx(rate, rel=1e-4))
+
+
+HEADER = joined(NAMES)
+TABLES = {
+    "a row of units": (f"{HEADER}\n{joined(['kPa'] * len(NAMES))}\n", lambda _, r: joined(r)),
+    "bars": (joined(NAMES, "|") + "\n", lambda _, r: joined(r, "|")),
+    "a table of Markdown": (
+        f"| {joined(NAMES, ' | ')} |\n|{'---|' * len(NAMES)}\n",
+        lambda _, r: f"| {joined(r, ' | ')} |",
+    ),
+    "row names": (f"{joined(NAMES, ' ')}\n", lambda i, r: f"{i} {joined(r, ' ')}"),
+    "units at the values": (f"{HEADER}\n", lambda _, r: joined([f"{v} mN" for v in r])),
+    "a label beside them": (f"who,{HEADER}\n", lambda i, r: f"S{i // 20:02d},{joined(r)}"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("kind", TABLES)
+def test_tables_of_programs(put, kind: str) -> None:
+    header, write = TABLES[kind]
+    text = header + "".join(write(i, row) + "\n" for i, row in enumerate(READINGS.tolist()))
+    found = io.read(put("table.csv", text))
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == tuple(NAMES)
+
+
+@pytest.mark.parametrize(
+    ("header", "stamp"),
+    [
+        ("time", "2026-03-01T10:00:{:06.3f}"),
+        ("time", "2026-03-01T10:00:{:06.3f}+01:00"),
+        ("", "2026-03-01 10:00:{:06.3f}"),
+        ("when", "10:00:{:06.3f}"),
+        ("Datum,Zeit", "01.03.2026,10:00:{:06.3f}"),
+        ("t", "3/1/2026 10:00:{:06.3f} PM"),
+    ],
+)
+def test_dates_and_clocks(put, header: str, stamp: str) -> None:
+    rows = "".join(f"{stamp.format(i / 50)},{joined(r)}\n" for i, r in enumerate(READINGS.tolist()))
+    found = io.read(put("run.csv", f"{header},{HEADER}\n{rows}"))
+    assert found.names == tuple(NAMES)
+    np.testing.assert_allclose(found.times, np.arange(40) / 50, atol=1e-6)
+
+
+def test_a_clock_goes_on_after_midnight(put) -> None:
+    rows = [
+        f"{23 + i // 60 if i < 60 else 0}:{(59 + i // 60) % 60:02d}:{i % 60:02d}" for i in range(90)
+    ]
+    text = "time,a,b\n" + "".join(f"{stamp},{i % 3},1\n" for i, stamp in enumerate(rows))
+    np.testing.assert_array_equal(io.read(put("night.csv", text)).times, np.arange(90))
+
+
+WORDS = ("NA", "n/a", "null", "None", "NaN", "-", "", "nil", "?", "--", "#N/A")
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t", "|"])
+def test_words_for_missing_values(put, mark: str) -> None:
+    words = iter(WORDS * 40)
+    rows = [
+        [next(words) if k == i % 12 else v for k, v in enumerate(r)]
+        for i, r in enumerate(READINGS.tolist())
+    ]
+    found = io.read(put("gaps.csv", "".join(joined(row, mark) + "\n" for row in [NAMES, *rows])))
+    expected = np.where(np.arange(12) == np.arange(40)[:, None] % 12, np.nan, READINGS)
+    np.testing.assert_array_equal(found.readings, expected)
+
+
+@pytest.mark.parametrize("kind", ["arrow and commas", "labels with a colon", "a list", "JSON"])
+@pytest.mark.parametrize("wrong", ["overflow", "S0:1 S1:2", "1, 2, 3", "[1, 2, 3]"])
+def test_the_first_line_that_does_not_fit_is_shown(put, kind: str, wrong: str) -> None:
+    write, _, _ = LINES[kind]
+    lines = [write(i, row) for i, row in enumerate(READINGS.tolist())]
+    lines[30] = wrong
+    with pytest.raises(FileError, match="line 31") as caught:
+        io.read(put("log.txt", "\n".join(lines)))
+    assert wrong[:9] in str(caught.value)
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@given(
+    prefix=st.sampled_from(["", "-> ", "data: ", "[", "<", "#1: ", "A: [", "t=5 v="]),
+    mark=st.sampled_from([",", ", ", " ", "\t", ";", " | "]),
+    suffix=st.sampled_from(["", "]", ">", " ;", " end"]),
+    values=st.lists(st.lists(st.integers(-5, 5), min_size=4, max_size=4), min_size=3, max_size=9),
+)
+def test_no_sensor_is_lost_or_moved(tmp_path_factory, prefix, mark, suffix, values) -> None:
+    """Whatever stands around the numbers: they are all read, in their order, or none is."""
+    path = tmp_path_factory.getbasetemp() / "around.txt"
+    path.write_text("".join(prefix + joined(row, mark) + suffix + "\n" for row in values))
+    try:
+        found = io.read(path).readings
+    except FileError:
+        return
+    np.testing.assert_array_equal(found[:, -4:], values)
+    assert (found[:, :-4] == found[:1, :-4]).all(), "others are numbers in the text around them"
+
+
+def test_lines_that_are_a_frame_together(put) -> None:
+    rows = "".join(
+        f"{joined(r[:3])}\n{joined(r[3:8])}\n{joined(r[8:])}\n" for r in READINGS.tolist()
+    )
+    with pytest.raises(FileError, match="3 lines seem to be a frame: write them in one line"):
+        io.read(put("hand.txt", rows))
