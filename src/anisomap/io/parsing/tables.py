@@ -291,17 +291,19 @@ def _parsed(lines: list[Numbered], table: Table) -> Iterator[NDArray[np.float64]
         yield np.array(rows)
 
 
+def _parsers(table: Table) -> dict[int | str, Callable[[str], float]]:
+    """Return how columns are parsed that hold other than numbers."""
+    found: dict[int | str, Callable[[str], float]] = dict.fromkeys(table.text_columns, _text_to_nan)
+    return found | dict.fromkeys(table.clocks, parse_time)
+
+
 def _by_numpy(lines: list[str], table: Table) -> NDArray[np.float64]:
-    converters = {
-        **dict.fromkeys(table.text_columns, _text_to_nan),
-        **dict.fromkeys(table.clocks, parse_time),
-    }
     return np.loadtxt(
         lines,
         np.float64,
         comments="#",
         delimiter=table.separator,
-        converters=converters or None,
+        converters=_parsers(table) or None,
         ndmin=2,
         quotechar='"',
     )
@@ -316,10 +318,7 @@ def _row(line: str, table: Table, number: int) -> list[float]:
     if len(fields) != table.n_columns:
         problem = f" has {len(fields)} field{'s' * (len(fields) != 1)}, but {table.because}"
         raise LineError(table.path, number, problem, surplus=len(fields) > table.n_columns)
-    parsers = {
-        **dict.fromkeys(table.text_columns, _text_to_nan),
-        **dict.fromkeys(table.clocks, parse_time),
-    }
+    parsers = _parsers(table)
     values = []
     for column, field in enumerate(fields):
         try:

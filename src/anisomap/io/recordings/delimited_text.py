@@ -153,9 +153,9 @@ def _say(table: Table, sample: list[str]) -> None:
     if table.skipped:
         warn(table.path, f"skipped {table.skipped}")
     if table.block:
-        rows, columns = table.block
+        size = "{} rows and {} columns".format(*table.block)
         apart = "brackets" if table.nested else "empty lines or comments"
-        warn(table.path, f"{apart} divide frames of {rows} rows and {columns} columns")
+        warn(table.path, f"{apart} divide frames of {size}")
     if table.separator != ",":
         _warn_of_commas(table.path, sample)
 
