@@ -1,12 +1,9 @@
 """Mantel r, alignment, neighbourhoods, diagnostics of scaling: closed forms and oracles."""
 
-from itertools import permutations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 from scipy.spatial import procrustes
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import ortho_group, pearsonr
@@ -19,10 +16,8 @@ from anisomap.evaluation import (
     compare_maps,
     mantel,
     neighbour_agreement,
-    partial_mantel,
     score,
     shepard,
-    shift_test,
     stress_per_point,
 )
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
@@ -316,55 +311,3 @@ def test_nonmetric_stress_is_at_most_the_metric_stress():
     assert 0 < found.nonmetric_stress < scaled.stress
     with pytest.raises(InputError, match="at least 2 known pairs"):
         shepard([[0, 1], [1, 0]], [[0.0], [1.0]])
-
-
-@given(seeds)
-@settings(max_examples=15)
-def test_partial_mantel_is_the_correlation_of_residuals(seed):
-    rng = np.random.default_rng(seed)
-    first, second, third = (distances(rng) for _ in range(3))
-    x, y, z = map(squareform, (first, second, third))
-    design = np.column_stack([np.ones_like(z), z])
-    residuals = [v - design @ np.linalg.lstsq(design, v, rcond=None)[0] for v in (x, y)]
-    found = partial_mantel(first, second, third, permutations=0)
-    assert found.r == pytest.approx(np.corrcoef(*residuals)[0, 1], abs=1e-9)
-    assert found.r == pytest.approx(
-        partial_mantel(second, first, third, permutations=0).r, abs=1e-9
-    )
-
-
-def test_the_null_of_partial_mantel_relabels_the_first_configuration():
-    """All 120 relabellings of five sensors, each by itself."""
-    rng = np.random.default_rng(4)
-    first, second, third = (distances(rng, n=5) for _ in range(3))
-    every = [
-        partial_mantel(first[np.ix_(order, order)], second, third, permutations=0).r
-        for order in permutations(range(5))
-    ]
-    null = partial_mantel(first, second, third, permutations=2000, rng=1).null
-    assert set(np.round(null, 9)) <= set(np.round(every, 9))
-    assert np.mean(null) == pytest.approx(np.mean(every), abs=0.05)
-    assert len(set(np.round(null, 9))) > 0.9 * len(set(np.round(every, 9)))
-
-
-def test_a_third_configuration_that_leaves_nothing_or_has_other_sensors_is_refused():
-    one, two = cloud(40), cloud(40, seed=1)
-    with pytest.raises(InputError, match="determines one"):
-        partial_mantel(one, two, one)
-    with pytest.raises(InputError, match="got 40, 40 and 39"):
-        partial_mantel(one, two, one[1:])
-
-
-def test_shifts_leave_unrelated_sensors_alike_and_related_ones_apart():
-    def strongest(readings):
-        return np.abs(np.corrcoef(readings.T) - np.eye(readings.shape[1])).max()
-
-    rng = np.random.default_rng(0)
-    steps = rng.normal(size=(60, 500, 5))
-    walks = lfilter([1], [1, -0.9], steps, axis=1)[:, 100:]  # permuted frames would not be alike
-    p = [shift_test(w, strongest, n_shifts=19, greater=True, rng=1).p_value for w in walks]
-    # Uniform on 0.05, 0.1 ... 1 if the test is exact.
-    assert 0.35 < np.mean(p) < 0.65
-    assert np.mean(np.array(p) <= 0.1) < 0.25
-    related = np.column_stack([walks[0, :, 0], walks[0, :, 0] + 0.1 * steps[1, 100:, 0]])
-    assert shift_test(related, strongest, n_shifts=19, greater=True).p_value == 0.05

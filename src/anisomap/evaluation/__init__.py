@@ -2,7 +2,7 @@
 
 from anisomap.base.defaults import PERMUTATIONS
 from anisomap.evaluation.difference import Difference, compare_maps
-from anisomap.evaluation.mantel_r import Mantel, mantel, partial_mantel
+from anisomap.evaluation.mantel_r import Mantel, mantel
 from anisomap.evaluation.scoring import (
     Alignment,
     Score,
@@ -16,7 +16,6 @@ from anisomap.evaluation.stress import (
     Shepard,
     permutation_test,
     shepard,
-    shift_test,
     stress_per_point,
 )
 
@@ -33,10 +32,8 @@ __all__ = [
     "mantel",
     "median_spacing",
     "neighbour_agreement",
-    "partial_mantel",
     "permutation_test",
     "score",
     "shepard",
-    "shift_test",
     "stress_per_point",
 ]

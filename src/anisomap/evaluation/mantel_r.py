@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +19,6 @@ NULL_QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
 """Levels of the quantiles by which a null distribution is summarised."""
 
 _NULL_ROUNDING = 1e-5  # of sums of float32 products
-_ROUNDING = 1e-12  # of the share of variance that another matrix leaves unexplained
 
 MIN_SENSORS_COMPARED = 4
 """Minimum number of sensors: three would give a correlation over three distances only."""
@@ -106,97 +104,26 @@ def mantel(
     McGregor et al. (2011), section "Results"; Mantel (1967), Cancer Research 27: 209-220. Sensors
     are relabelled, not pairs: the distances of one configuration constrain each other.
     """
-    a, b = (_standardised(matrix) for matrix in _same_sensors(first, second))
+    one, other = _distances(first), _distances(second)
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        raise InputError("distances must be finite; leave out sensors without a position")
+    if len(one) != len(other):
+        raise InputError(
+            f"both configurations must have the same sensors, got {len(one)} and {len(other)}"
+        )
+    if len(one) < MIN_SENSORS_COMPARED:
+        raise InputError(f"Mantel r requires at least 4 sensors, got {len(one)}")
+    a, b = _standardised(one), _standardised(other)
     a32, b32 = a.astype(np.float32), b.astype(np.float32)  # suffices, and is twice as fast
-    null = _null(lambda one: float(np.vdot(one, b32)) / 2, a32, permutations, rng, progress)
-    return Mantel(r=float(np.clip(np.vdot(a, b) / 2, -1, 1)), null=null, n_sensors=len(a))
-
-
-def partial_mantel(
-    first: SensorMap | ArrayLike,
-    second: SensorMap | ArrayLike,
-    third: SensorMap | ArrayLike,
-    *,
-    permutations: int = PERMUTATIONS,
-    rng: np.random.Generator | int | None = None,
-) -> Mantel:
-    """Correlate the distances of two configurations, with those of a third held constant.
-
-    It tells, for instance, whether a map agrees with another beyond what both owe to a layout.
-
-    Parameters
-    ----------
-    first, second, third : SensorMap or array_like
-        See `mantel`.
-    permutations : int
-        Size of the null distribution; 0 skips it.
-    rng : numpy.random.Generator or int, optional
-        Generator of the permutations, or its seed; seed 0 by default.
-
-    Returns
-    -------
-    Mantel
-        With the partial correlation.
-
-    Raises
-    ------
-    InputError
-        As `mantel`, or if the third configuration determines one of the others.
-
-    Notes
-    -----
-    Smouse, Long & Sokal (1986), Systematic Zoology 35: 627-632, doi:10.2307/2413122:
-    ``(r12 - r13 r23) / sqrt((1 - r13^2) (1 - r23^2))``. The sensors of the first are relabelled, as
-    by ``mantel.partial`` of R's package vegan.
-    """
-    a, b, c = (_standardised(matrix) for matrix in _same_sensors(first, second, third))
-    r23 = float(np.vdot(b, c)) / 2
-
-    def partial(relabelled: NDArray[np.float64]) -> float:
-        r12, r13 = float(np.vdot(relabelled, b)) / 2, float(np.vdot(relabelled, c)) / 2
-        unexplained = (1 - r13**2) * (1 - r23**2)
-        return (r12 - r13 * r23) / np.sqrt(unexplained) if unexplained > _ROUNDING else np.nan
-
-    r = partial(a)
-    if not np.isfinite(r):
-        raise InputError("the third configuration determines one of the others: nothing is left")
-    null = _null(partial, a, permutations, rng)
-    return Mantel(r=float(np.clip(r, -1, 1)), null=null, n_sensors=len(a))
-
-
-def _null(
-    statistic: Callable[[NDArray[Any]], float],
-    matrix: NDArray[Any],
-    permutations: int,
-    rng: np.random.Generator | int | None,
-    progress: Callable[[float], None] | None = None,
-) -> NDArray[np.float64]:
-    """Compute a statistic of a matrix (N, N) after random permutations of its sensors."""
     generator = np.random.default_rng(0 if rng is None else rng)
     null, report_every = np.empty(permutations), max(1, permutations // 100)
-    with limited_blas(len(matrix)):
+    with limited_blas(len(a)):
         for i in range(permutations):
-            order = generator.permutation(len(matrix))
-            null[i] = statistic(matrix[order].take(order, axis=1))
+            order = generator.permutation(len(a))
+            null[i] = np.vdot(a32[order].take(order, axis=1), b32) / 2
             if progress is not None and i % report_every == 0:
                 progress(i / permutations)
-    return null
-
-
-def _same_sensors(*configurations: SensorMap | ArrayLike) -> list[NDArray[np.float64]]:
-    """Return the distances of configurations of the same sensors."""
-    found = [_distances(configuration) for configuration in configurations]
-    if not all(np.isfinite(matrix).all() for matrix in found):
-        raise InputError("distances must be finite; leave out sensors without a position")
-    sizes = [len(matrix) for matrix in found]
-    if len(set(sizes)) > 1:
-        raise InputError(
-            "all configurations must have the same sensors, got "
-            f"{', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
-        )
-    if sizes[0] < MIN_SENSORS_COMPARED:
-        raise InputError(f"Mantel r requires at least 4 sensors, got {sizes[0]}")
-    return found
+    return Mantel(r=float(np.clip(np.vdot(a, b) / 2, -1, 1)), null=null, n_sensors=len(a))
 
 
 def _distances(configuration: SensorMap | ArrayLike) -> NDArray[np.float64]:

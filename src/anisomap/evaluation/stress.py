@@ -14,8 +14,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.scaling.dissimilarity_scaling import monotone_regression
 
-N_SHIFTS = 99
-"""Default size of the null distribution of a test: p is at least 0.01."""
+_PERMUTATIONS = 99  # p is at least 0.01
 
 Matrix = NDArray[np.float64]
 
@@ -159,81 +158,11 @@ def shepard(dissimilarities: ArrayLike, positions: ArrayLike) -> Shepard:
     return Shepard(wanted[first, second], actual[first, second], disparities, pairs)
 
 
-def shift_test(
-    readings: ArrayLike,
-    statistic: Callable[[Matrix], float],
-    *,
-    n_shifts: int = N_SHIFTS,
-    greater: bool = False,
-    rng: np.random.Generator | int | None = None,
-) -> NullTest:
-    """Test a statistic of a recording against recordings in which sensors are unrelated.
-
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 2.
-    statistic : callable
-        ``statistic(readings)`` returns a number, such as the stress of a map.
-    n_shifts : int
-        Size of the null distribution.
-    greater : bool
-        Whether great values are evidence of relations, as of a correlation; by default small ones
-        are, as of stress.
-    rng : numpy.random.Generator or int, optional
-        Generator of the shifts, or its seed; seed 0 by default.
-
-    Returns
-    -------
-    NullTest
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 2 frames.
-
-    Notes
-    -----
-    The readings of each sensor are shifted in time by a random number of frames, circularly. This
-    keeps their distribution and autocorrelation and removes their relations. Permutations of
-    dissimilarities (`permutation_test`) or of frames would be too different from any recording, and
-    nearly every map significant.
-
-    Examples
-    --------
-    The stress of a map of related sensors is lower than chance makes it:
-
-    >>> import numpy as np
-    >>> from anisomap import reconstruct
-    >>> places, touches = np.arange(12), np.random.default_rng(0).uniform(0, 11, (500, 1))
-    >>> readings = np.maximum(0, 2 - abs(touches - places))
-    >>> found = shift_test(
-    ...     readings, lambda x: reconstruct(x, "r-anisomap", 1).stress, n_shifts=19
-    ... )
-    >>> float(found.p_value)
-    0.05
-    """
-    values = np.asarray(readings, dtype=np.float64)
-    if values.ndim != 2 or len(values) < 2:
-        raise InputError(
-            f"a test by shifts requires readings of shape (T, N) with T >= 2, got {values.shape}"
-        )
-    generator = np.random.default_rng(0 if rng is None else rng)
-    n_frames, n_sensors = values.shape
-    observed = float(statistic(values))
-    shifted = []
-    for _ in range(n_shifts):
-        starts = generator.integers(n_frames, size=n_sensors)
-        frames = (np.arange(n_frames)[:, None] + starts) % n_frames
-        shifted.append(statistic(np.take_along_axis(values, frames, axis=0)))
-    return _null_test(observed, shifted, "sensors shifted in time", greater=greater)
-
-
 def permutation_test(
     dissimilarities: ArrayLike,
     statistic: Callable[[Matrix], float],
     *,
-    permutations: int = N_SHIFTS,
+    permutations: int = _PERMUTATIONS,
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> NullTest:
@@ -279,15 +208,9 @@ def permutation_test(
         permuted.append(statistic(other))
         if progress is not None:
             progress((i + 1) / permutations)
-    return _null_test(observed, permuted, "dissimilarities permuted")
-
-
-def _null_test(
-    observed: float, values: list[float], hypothesis: str, *, greater: bool = False
-) -> NullTest:
-    null = np.array(values)
-    extreme = np.count_nonzero(null >= observed if greater else null <= observed)
-    return NullTest(observed, null, (extreme + 1) / (len(null) + 1), hypothesis)
+    null = np.array(permuted)
+    extreme = np.count_nonzero(null <= observed)
+    return NullTest(observed, null, (extreme + 1) / (len(null) + 1), "dissimilarities permuted")
 
 
 def _compared(dissimilarities: ArrayLike, positions: ArrayLike) -> tuple[Matrix, Matrix]:

@@ -207,11 +207,6 @@ class AnchorFit:
     reflected: bool
     handed: bool
 
-    @property
-    def how(self) -> str:
-        """How the map was transformed."""
-        return "similarity and smooth field" if self.warped else "similarity"
-
 
 def fit_anchors(
     tied: Tied, known: Known, normals: tuple[Points, Points] | None = None

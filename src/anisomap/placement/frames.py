@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +13,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
-from anisomap.recording import Scalar
-from anisomap.sensor_map import MAX_COORDINATE, UNPLACED, UNSCALED, SensorMap
+from anisomap.sensor_map import MAX_COORDINATE, UNSCALED, SensorMap
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
 """Length of each supported unit in metres."""
@@ -69,47 +67,6 @@ def median_spacing(sensor_map: SensorMap) -> float:
             "positions in one connected component"
         )
     return spacing
-
-
-def check_placeable(sensor_map: SensorMap, handedness: str) -> None:
-    """Check that a map can be brought into the frame of a robot."""
-    if handedness not in ("", "same", "mirrored"):
-        raise InputError(f"handedness must be same or mirrored, got {handedness!r}")
-    if sensor_map.anchored:
-        raise InputError("the map is in the frame of the robot already; place the original map")
-    if sensor_map.dimensions not in (2, 3):
-        raise InputError(
-            f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
-        )
-    sensor_map.check_coordinates("on the map")
-
-
-def in_frame_of_robot(
-    sensor_map: SensorMap,
-    positions: NDArray[np.float64],
-    errors: NDArray[np.float64],
-    *,
-    handed: bool,
-    mirrored: bool,
-    placed_by: Mapping[str, Scalar],
-    normals: NDArray[np.float64] | None = None,
-    frame: str = "",
-) -> SensorMap:
-    """Return a map at positions (N, k) in metres, with errors (N,) and the facts of its placing."""
-    return replace(
-        sensor_map,
-        positions=positions,
-        component=np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED),
-        errors=errors,
-        covariances=None,  # errors contain them
-        normals=normals,
-        units="m",
-        frame=frame or sensor_map.frame,
-        handed=handed,
-        anchored=True,
-        mirrored=mirrored,
-        provenance={**sensor_map.provenance, **placed_by},
-    )
 
 
 def rescaled(sensor_map: SensorMap, factor: float, units: str) -> SensorMap:

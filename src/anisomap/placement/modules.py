@@ -277,8 +277,7 @@ MIN_PADS = 3
 """Number of placed pads that determine the pose of a module."""
 
 
-@dataclass(frozen=True, eq=False)
-class ModuleFit:
+class ModuleFit(NamedTuple):
     """A map of rigid modules.
 
     Attributes
@@ -286,20 +285,13 @@ class ModuleFit:
     map : SensorMap
         In the unit of the template, known up to rotation and translation. Sensors that the map did
         not place are placed with their module.
-    rms : float
-        Root mean square distance between the map and the modules, after the best scale of each
-        module; a measure of the noise of the map, in the unit of the template.
     evidence : float
         Log likelihood ratio of the handedness of the map against its mirror image; negative if the
         map was reflected, 0 if modules do not tell.
-    left_out : tuple of str
-        Labels of modules with fewer than 3 placed pads, of which sensors are placed one by one.
     """
 
     map: SensorMap
-    rms: float
     evidence: float
-    left_out: tuple[str, ...]
 
 
 def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
@@ -308,7 +300,8 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
     Poses explain two things: the positions on the map, and the distances on the map between nearby
     sensors of different modules, times the local scale, which the modules themselves give. Maps
     bend over long distances; the more the local scale varies beyond noise, the less positions
-    count against distances. Sensors on no module move alone.
+    count against distances. Sensors on no module,
+    or on one with fewer than 3 placed pads, move alone.
 
     Parameters
     ----------
@@ -351,14 +344,8 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
     alone = _fit_alone(chosen.positions, offsets, groups, pitch)
     positions = _refined(chosen, offsets, body, alone, pitch)
     component = np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED)
-    return ModuleFit(
-        map=replace(chosen, positions=positions, component=component, units=modules.units),
-        rms=alone.rms,
-        evidence=evidence,
-        left_out=tuple(
-            modules.labels[m] for m in np.flatnonzero((counts > 0) & (counts < MIN_PADS))
-        ),
-    )
+    found = replace(chosen, positions=positions, component=component, units=modules.units)
+    return ModuleFit(found, evidence)
 
 
 def _handedness(positions: Points, offsets: Points, groups: list[NDArray[np.intp]]) -> float:
@@ -390,21 +377,19 @@ class _Alone(NamedTuple):
     distortion: Standard deviation of the logarithm that noise does not explain.
     shrunk (B,): Logarithm where each module is, moved towards the median as far as noise explains.
     noise: Standard deviation of a coordinate on the map, in units of the template.
-    rms: Root mean square distance between modules and map, in units of the template.
     """
 
     log_scale: float
     distortion: float
     shrunk: NDArray[np.float64]
     noise: float
-    rms: float
 
 
 def _fit_alone(
     positions: Points, offsets: Points, groups: list[NDArray[np.intp]], pitch: float
 ) -> _Alone:
     found, spreads = [], []
-    squares, count, freedom = 0.0, 0, 0
+    squares, freedom = 0.0, 0
     tiny = float(np.finfo(float).tiny)
     for members in groups:
         # Noise of the map lowers this scale; the scale of the inverse fit, which it does not lower,
@@ -414,7 +399,7 @@ def _fit_alone(
         residual = fit.apply(positions[members]) - offsets[members]
         centred = offsets[members] - offsets[members].mean(axis=0)
         spreads.append(float(np.sum(centred**2)))
-        squares, count = squares + float(np.sum(residual**2)), count + len(members)
+        squares += float(np.sum(residual**2))
         freedom += similarity_freedom(*residual.shape)
     noise = max(float(np.sqrt(squares / max(freedom, 1))), _MIN_NOISE * pitch)
     scales = np.log(np.array(found))
@@ -425,7 +410,7 @@ def _fit_alone(
     weights = distortion**2 / np.maximum(distortion**2 + uncertainty**2, tiny)
     limit = np.log(_MAX_STRETCH)
     shrunk = typical + weights * np.clip(scales - typical, -limit, limit)
-    return _Alone(typical, distortion, shrunk, noise, float(np.sqrt(squares / count)))
+    return _Alone(typical, distortion, shrunk, noise)
 
 
 def _refined(

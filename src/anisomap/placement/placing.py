@@ -17,8 +17,6 @@ from anisomap.numerics.surfaces import Points
 from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     METRES,
-    check_placeable,
-    in_frame_of_robot,
     mirrored,
     rescaled,
     scaled_to_spacing,
@@ -107,7 +105,15 @@ def place(
         If nothing gives a scale, an anchor is no sensor of the map, no component can be placed, or
         the handedness is not determined.
     """
-    check_placeable(sensor_map, handedness)
+    if handedness not in ("", "same", "mirrored"):
+        raise InputError(f"handedness must be same or mirrored, got {handedness!r}")
+    if sensor_map.anchored:
+        raise InputError("the map is in the frame of the robot already; place the original map")
+    if sensor_map.dimensions not in (2, 3):
+        raise InputError(
+            f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
+        )
+    sensor_map.check_coordinates("on the map")
     if mesh is not None and anchors is None:
         raise InputError("to place a map on a mesh, give at least 3 anchors")
     stated = None if not handedness else handedness == "mirrored"
@@ -230,7 +236,7 @@ def _place_part(
         measured = surface_normals(part.map)[anchored], anchors.normals
     fit = fit_anchors(tied, known, measured)
     positions, normals = fit.positions, np.full((len(members), 3), np.nan)
-    how = fit.how
+    how = "similarity and smooth field" if fit.warped else "similarity"
     if surface is not None:
         if not fit.warped:
             positions = fit_to_surface(tied, surface, reflection=fit.reflected)
@@ -277,14 +283,22 @@ def _anchored(
         measured = np.isfinite(residuals)
         positions[where[measured]] = anchors.positions[measured]
         errors[where[measured]] = 0.0
-    result = in_frame_of_robot(
+    result = replace(
         sensor_map,
-        positions,
-        errors,
-        handed=handed,
-        mirrored=mirror[0],
-        placed_by={"anchors": len(where), "placed_by": methods[0]},
+        positions=positions,
+        component=np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED),
+        errors=errors,
+        covariances=None,  # errors contain them
         normals=None if shape.surface is None else normals,
+        units="m",
+        handed=handed,
+        anchored=True,
+        mirrored=mirror[0],
+        provenance={
+            **sensor_map.provenance,
+            "anchors": len(where),
+            "placed_by": methods[0],
+        },
     )
     found = Placement(result, anchors.names, residuals, left_out, tuple(methods))
     return _with_missing(found, sensor_map)

@@ -270,7 +270,7 @@ def plot_null_test(found: NullTest, *, label: str = "statistic", ax: Axes = None
     Parameters
     ----------
     found : NullTest
-        From `anisomap.evaluation.shift_test` or `anisomap.evaluation.permutation_test`.
+        From `anisomap.evaluation.permutation_test`.
     label : str
         Name of the statistic, with its unit.
     """
