@@ -140,20 +140,6 @@ def test_velocities_follow_the_maxwell_distribution(flight):
         assert ratio == pytest.approx(quantile / half, rel=0.15)
 
 
-def test_energy_is_equipartitioned_among_balls_of_different_sizes():
-    options = BombardmentOptions(size_ratio=3.0, n_balls=30)
-    assert options.radii.max() / options.radii.min() == pytest.approx(3)
-    flight = fly(options, 1000, 2)
-    assert flight.energy_drift < 0.02
-    speeds = np.linalg.norm(np.diff(flight.centres, axis=0), axis=2) / options.frame_interval
-    kinetic = options.masses * np.median(speeds, axis=0) ** 2
-    small, large = np.array_split(kinetic, 2)
-    # The masses of the two halves differ by a factor of about 5.
-    assert 0.5 < small.mean() / large.mean() < 2
-    away = np.linalg.norm(flight.centres, axis=2).min(axis=0)
-    assert (away > 1 + options.radii - 6 * options.softness).all()
-
-
 def test_readings_on_the_sphere_are_isotropic_and_stationary(flight):
     radii = DEFAULT.ball_radius, DEFAULT.detection_radius
     readings, normals = read_balls(BODY.positions, flight.centres, *radii), BODY.normals

@@ -111,17 +111,6 @@ def test_palms_are_rigid_irregular_and_random():
     assert (radii + 1 - np.linalg.norm(pads.centres, axis=2)).max() < 0.1 + 1e-9
 
 
-def test_readings_of_two_hands_are_the_maximum_of_both():
-    body = sphere()
-    one, two = (run("rubbing", body, 300, 6, n_hands=n) for n in (1, 2))
-    assert (two.readings >= one.readings).all()
-    assert (two.readings > 0).mean() > 1.2 * (one.readings > 0).mean()
-    hands = np.split(two.props[-1].centres, 2, axis=1)
-    sizes = np.split(np.asarray(two.props[-1].scales), 2)
-    alone = [read_balls(body.positions, *hand, 0.3) for hand in zip(hands, sizes, strict=True)]
-    np.testing.assert_array_equal(two.readings, np.max(alone, axis=0))
-
-
 def test_a_roller_touches_whole_lines_of_sensors():
     body = plane()
     rows = run("roller", body, 400, 7, detection_radius=0.1).readings > 0

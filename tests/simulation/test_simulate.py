@@ -126,7 +126,6 @@ def test_readings_scale_with_the_body(scenario):
         ("bombardment", {"softness": 0.1}, r"softness must be at most 0\.075 m"),
         ("bombardment", {"timestep": 0.01}, r"at most 0\.00175 s.*would not be conserved"),
         ("bombardment", {"timestep": 0.001, "speed": 30.0}, r"must be at most 0\.000175 s"),
-        ("bombardment", {"size_ratio": 0.5}, "size_ratio must be at least 1, got 0.5"),
         ("bombardment", {"ball_radius": 1.1}, r"do not fit .* must exceed 3\.2 m"),
         ("bombardment", {"n_balls": 2000}, r"only \d+ of 2000 balls .* use fewer"),
         ("locomotion", {"body": "hand"}, "the body hand does not roll"),

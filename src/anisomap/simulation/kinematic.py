@@ -126,13 +126,10 @@ class RubbingOptions(StrokeOptions):
         pads of a palm already touch several sensors. r-ANISOMAP reaches a Mantel r of .98 on the
         hexagon for any value (in 2D), .95, .97, .98, .99 on the sphere for 0.15, 0.2, 0.3, 0.44,
         and .85, .88, .88, .85 on the cylinder (means of 3 to 5 seeds).
-    n_hands : int
-        Number of hands, which move independently. 1: as in the paper.
     """
 
     hand_size: float = positive(0.35, "m", REACH)
     detection_radius: float = positive(0.3, "m", REACH)
-    n_hands: int = option(1, COUNT)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -173,19 +170,12 @@ class Palm:
 def rubbing(
     body: Body, n_frames: int, options: RubbingOptions, rng: np.random.Generator
 ) -> ScenarioResult:
-    """Simulate palms that rub the skin along lines and circles."""
-    skin = sample_skin(body, rng)
-    pads, radii, n_strokes = [], [], 0
-    for _ in range(options.n_hands):
-        palm = Palm(skin, options, rng)
-        centres, count = palm.move(n_frames)
-        pads.append(centres)
-        radii.append(palm.radii)
-        n_strokes += count
-    all_pads, all_radii = np.concatenate(pads, axis=1), np.concatenate(radii)
-    stimulus = Prop("stimulus", solids.ball(1.0).outline, all_pads, scales=all_radii)
+    """Simulate a palm that rubs the skin along lines and circles."""
+    palm = Palm(sample_skin(body, rng), options, rng)
+    pads, n_strokes = palm.move(n_frames)
+    stimulus = Prop("stimulus", solids.ball(1.0).outline, pads, scales=palm.radii)
     return ScenarioResult(
-        read_balls(body.positions, all_pads, all_radii, options.detection_radius),
+        read_balls(body.positions, pads, palm.radii, options.detection_radius),
         (*static_props(body), stimulus),
         facts={"n_strokes": n_strokes},
     )

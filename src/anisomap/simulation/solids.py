@@ -135,9 +135,7 @@ class Solid:
 
     @cached_property
     def _search(self) -> TriangleSearch:
-        if self.shape is None:
-            raise InputError(f"a solid of kind {self.kind!r} must have a shape")
-        return TriangleSearch(self.shape)
+        return TriangleSearch(self.outline if self.shape is None else self.shape)
 
 
 def ball(radius: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Solid:
@@ -346,12 +344,10 @@ def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tupl
     points = np.einsum("nc,ncd->nd", weights, corners[chosen])
     if solid.is_flat:
         return points, cross[chosen] / doubled[chosen, None]
-    if solid.kind in ("sphere", "ellipsoid"):
-        local = solid.to_local(points) / solid.size
+    if solid.kind == "sphere":
+        local = points - solid.centre
         local /= np.linalg.norm(local, axis=1, keepdims=True)
-        normals = local * (min(solid.size) / np.array(solid.size))
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return local * solid.size @ solid.rotation.T + solid.centre, normals @ solid.rotation.T
+        return local * solid.size + solid.centre, local
     points = project([solid], points)
     return points, surface_normals([solid], points)
 

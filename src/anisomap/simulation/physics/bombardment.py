@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anisomap.base.scene import Prop
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.numerics.ranges import COUNT, at_least
+from anisomap.numerics.ranges import COUNT
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.kinematic import read_balls
@@ -42,7 +42,7 @@ _WIDTH = 3  # x softness: the depth of a ball nine times as fast as `speed`
 _IMPEDANCE_AT_SURFACE, _IMPEDANCE_INSIDE = 0.0001, 0.01
 _STEPS_PER_CONTACT = 16
 _MIN_STEPS_PER_CONTACT = 10  # energy varies by 0.2 % over 2,000 frames with 10, by 14 % with 7
-_MAX_SOFTNESS = 0.25  # x radius of the smallest ball
+_MAX_SOFTNESS = 0.25  # x radius of a ball
 _MAX_ATTEMPTS = 2000  # to place a ball
 
 
@@ -59,12 +59,8 @@ class BombardmentOptions(PhysicsOptions):
         Number of balls. 40: they fill 2 % of the box, and 86 % of the readings are zero, as on real
         skin.
     ball_radius : float
-        Radius of the balls, in m; the geometric mean of several sizes. 0.3: below the sensor
-        spacing of the sphere (0.43), so that contacts are local, and above half of it, so that no
-        contact falls between sensors.
-    size_ratio : float
-        Ratio of the largest to the smallest radius, at least 1. Radii form a geometric sequence;
-        density is constant. 1: equal balls, the simplest choice; the paper gives no sizes.
+        Radius of the balls, in m. 0.3: below the sensor spacing of the sphere (0.43), so that
+        contacts are local, and above half of it, so that no contact falls between sensors.
     speed : float
         Root mean square speed of the balls, in m/s. 3: a ball crosses the box in 2 s, and the body
         is hit about 400 times in 2,000 frames.
@@ -79,7 +75,7 @@ class BombardmentOptions(PhysicsOptions):
         Time between frames, in s. 0.05: a ball is in range of a sensor for about six frames.
     softness : float
         Depth of a contact at `speed`, in m; depth is proportional to the square root of the speed.
-        0.02: small compared to a ball. At most a quarter of the smallest radius.
+        0.02: small compared to a ball. At most a quarter of the radius of a ball.
     timestep : float, optional
         Longest step of the physics, in s. It is shortened to divide a frame into equal steps.
         Default: a sixteenth of a contact, 1.1 ms with the other defaults.
@@ -88,7 +84,6 @@ class BombardmentOptions(PhysicsOptions):
     box_half_width: float = positive(3.0, "m", REACH)
     n_balls: int = option(40, COUNT)
     ball_radius: float = positive(0.3, "m", REACH)
-    size_ratio: float = option(1.0, at_least(1))
     speed: float = positive(3.0, "m/s", REACH)
     detection_radius: float = positive(0.44, "m", REACH)
     softness: float = positive(0.02, "m", REACH)
@@ -96,32 +91,13 @@ class BombardmentOptions(PhysicsOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        softest = _MAX_SOFTNESS * float(self.radii.min())
-        bound = f"{softest:g} m, a quarter of the smallest ball radius"
+        softest = _MAX_SOFTNESS * self.ball_radius
+        bound = f"{softest:g} m, a quarter of the ball radius"
         self.at_most("softness", softest, bound, "; fast balls would pass through each other")
         if self.timestep is not None:
-            longest = self.shortest_contact / _MIN_STEPS_PER_CONTACT
-            bound = f"{longest:.3g} s for contacts of {self.shortest_contact:.3g} s"
+            longest = self.contact_duration / _MIN_STEPS_PER_CONTACT
+            bound = f"{longest:.3g} s for contacts of {self.contact_duration:.3g} s"
             self.at_most("timestep", longest, bound, "; energy would not be conserved")
-
-    @property
-    def radii(self) -> NDArray[np.float64]:
-        """Radius of each ball, increasing, shape (n_balls,)."""
-        if self.n_balls == 1:
-            return np.array([self.ball_radius])
-        exponents = np.linspace(-0.5, 0.5, self.n_balls)
-        return np.asarray(self.ball_radius * self.size_ratio**exponents)
-
-    @property
-    def masses(self) -> NDArray[np.float64]:
-        """Mass of each ball, shape (n_balls,): 1 kg for a ball of radius `ball_radius`."""
-        return np.asarray((self.radii / self.ball_radius) ** 3)
-
-    @property
-    def speeds(self) -> NDArray[np.float64]:
-        """Root mean square speed of each ball, by the equipartition of energy."""
-        share = 1 / np.sqrt(self.masses)
-        return np.asarray(self.speed * share / np.sqrt(np.mean(share**2)))
 
     @property
     def contact(self) -> dict[str, Any]:
@@ -147,14 +123,9 @@ class BombardmentOptions(PhysicsOptions):
         return _LEMNISCATE * self.softness / self.speed
 
     @property
-    def shortest_contact(self) -> float:
-        """Duration of a contact of the smallest, fastest balls, in s."""
-        return self.contact_duration * math.sqrt(self.speed / float(self.speeds.max()))
-
-    @property
     def longest_step(self) -> float:
         """Longest step of the physics, in s."""
-        return self.timestep or self.shortest_contact / _STEPS_PER_CONTACT
+        return self.timestep or self.contact_duration / _STEPS_PER_CONTACT
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,9 +170,10 @@ def bombardment(
     centres = reach * flight.centres
     box = solids.box(3 * (options.box_half_width,)).outline
     room = Prop("room", box, np.zeros((1, 1, 3)))
-    balls = Prop("stimulus", solids.coarse_ball(), centres, scales=options.radii)
+    radii = np.full(options.n_balls, options.ball_radius)
+    balls = Prop("stimulus", solids.coarse_ball(), centres, scales=radii)
     return ScenarioResult(
-        read_balls(body.positions, centres, options.radii, options.detection_radius),
+        read_balls(body.positions, centres, options.ball_radius, options.detection_radius),
         (*static_props(body), room, balls),
         facts={
             "timestep": options.step,
@@ -225,10 +197,9 @@ def simulate_flight(
     data = mujoco.MjData(model)
     data.qpos[:] = centres.ravel()
     # The Maxwell distribution is the equilibrium of collisions.
-    velocities = rng.standard_normal((options.n_balls, 3)) * options.speeds[:, None]
+    velocities = rng.standard_normal((options.n_balls, 3)) * options.speed
     mean_square = np.mean(np.sum(velocities**2, axis=1))
     data.qvel[:] = (velocities * (options.speed / math.sqrt(mean_square))).ravel()
-    masses = np.repeat(options.masses, 3)
     flight = Flight(
         np.empty((n_frames, options.n_balls, 3)), np.empty(n_frames), np.empty(n_frames)
     )
@@ -240,7 +211,7 @@ def simulate_flight(
         # The energy stored in contacts of cubic springs, of which efc_pos is minus the depth.
         stored = -data.efc_force @ data.efc_pos / 4
         velocities = data.qvel + options.step / 2 * data.qacc
-        flight.energies[frame] = masses @ velocities**2 / 2 + stored
+        flight.energies[frame] = velocities @ velocities / 2 + stored
         flight.overlaps[frame] = max(0.0, -data.efc_pos.min(initial=0.0))
     return flight
 
@@ -249,26 +220,24 @@ def _place_balls(
     body: Body, options: BombardmentOptions, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Place balls by random sequential rejection, without contact."""
-    radii, half = options.radii, options.box_half_width
-    largest = float(radii.max())
-    least = body.reach + 2 * largest
+    radius, half = options.ball_radius, options.box_half_width
+    least = body.reach + 2 * radius
     if half <= least:
         raise InputError(
-            f"balls of {largest:g} m radius do not fit between the body and the walls: "
+            f"balls of {radius:g} m radius do not fit between the body and the walls: "
             f"box_half_width must exceed {least:g} m, got {half:g} m"
         )
     placed = np.empty((options.n_balls, 3))
     n_placed = failures = 0
     while n_placed < options.n_balls:
-        radius = radii[n_placed]
         centre = rng.uniform(radius - half, half - radius, size=3)
-        gaps = np.linalg.norm(placed[:n_placed] - centre, axis=1) - radii[:n_placed]
+        gaps = np.linalg.norm(placed[:n_placed] - centre, axis=1) - radius
         if (gaps > radius).all() and body.distance(centre[None])[0] > radius:
             placed[n_placed] = centre
             n_placed, failures = n_placed + 1, 0
         elif (failures := failures + 1) == _MAX_ATTEMPTS:
             raise InputError(
-                f"only {n_placed} of {options.n_balls} balls of {largest:g} m radius fit into a "
+                f"only {n_placed} of {options.n_balls} balls of {radius:g} m radius fit into a "
                 f"box of half-width {half:g} m; use fewer or smaller balls, or a larger box"
             )
     return placed
@@ -280,10 +249,10 @@ def _build_model(body: Body, options: BombardmentOptions) -> Any:
     surface = options.contact
     for solid in body.solids:
         add_solid(spec, solid, **surface)
-    for radius, mass in zip(options.radii, options.masses, strict=True):
+    limit = options.box_half_width - options.ball_radius
+    for _ in range(options.n_balls):
         ball = spec.worldbody.add_body()
-        add_geom(ball, "sphere", (radius,), mass=mass, **surface)
-        limit = options.box_half_width - radius
+        add_geom(ball, "sphere", (options.ball_radius,), mass=1, **surface)
         for axis in np.eye(3):
             ball.add_joint(
                 type=load_mujoco().mjtJoint.mjJNT_SLIDE,
