@@ -17,9 +17,7 @@ from scipy.spatial import KDTree
 
 from anisomap import score
 from anisomap.base.defaults import DEFAULT_BINS
-from anisomap.large import reconstruct_on_device
-from anisomap.numerics import array_api
-from anisomap.numerics.array_api import MIN_DEVICE_POINTS
+from anisomap.large import device, reconstruct_on_device
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
@@ -48,7 +46,10 @@ def main() -> None:
     library = importlib.import_module(chosen.library)
     chosen.output.mkdir(parents=True, exist_ok=True)
     with quietly():
-        for size in (MIN_DEVICE_POINTS, MIN_FLOAT32_SENSORS):  # compile kernels of both precisions
+        for size in (
+            device.MIN_DEVICE_POINTS,
+            MIN_FLOAT32_SENSORS,
+        ):  # compile kernels of both precisions
             list(_table(library, size, 500, chosen.seed, beside=True))
         rows = [
             row
@@ -97,19 +98,19 @@ def _table(
 
     moved, seconds = _warm(lambda: library.asarray(readings))
     yield row("copy of the readings", seconds)
-    found, seconds = _warm(lambda: array_api.spearman(moved))
+    found, seconds = _warm(lambda: device.spearman(moved))
     yield row("Spearman", seconds, lambda: spearman(readings), found)
-    found, seconds = _warm(lambda: array_api.mutual_information(moved, DEFAULT_BINS))
+    found, seconds = _warm(lambda: device.mutual_information(moved, DEFAULT_BINS))
     yield row("mutual information", seconds, lambda: mutual_information(readings), found)
-    found, seconds = _warm(lambda: array_api.pearson(moved))
+    found, seconds = _warm(lambda: device.pearson(moved))
     yield row("Pearson", seconds, lambda: pearson(readings), found)
-    lengths = array_api.regularised_reciprocal(found, 1.0)
-    metric, seconds = _warm(lambda: array_api.metricise(lengths))
+    lengths = device.regularised_reciprocal(found, 1.0)
+    metric, seconds = _warm(lambda: device.metricise(lengths))
     if beside:
-        usual_lengths = regularised_reciprocal(array_api.to_numpy(array_api.pearson(moved)))
-        distances = array_api.to_numpy(metric)
+        usual_lengths = regularised_reciprocal(device.to_numpy(device.pearson(moved)))
+        distances = device.to_numpy(metric)
     yield row("shortest paths", seconds, lambda: metricise(usual_lengths), metric)
-    scaled, seconds = _warm(lambda: array_api.scale(metric, 3, SmacofOptions()))
+    scaled, seconds = _warm(lambda: device.scale(metric, 3, SmacofOptions()))
     stage = "scaling (difference of Stress-1)" if beside else "scaling"
     yield row(stage, seconds, lambda: smacof(distances, dimensions=3), scaled)
     made, seconds = _warm(lambda: reconstruct_on_device(library.asarray(readings), dimensions=3))
@@ -136,7 +137,7 @@ def _difference(found: Any, expected: Any) -> str:
     """Return the largest difference of matrices, relative to the largest value, or of Stress-1."""
     if isinstance(found, Scaling):
         return f"{abs(found.stress - expected.stress):.1e}"
-    apart = np.abs(array_api.to_numpy(found) - expected).max() / np.abs(expected).max()
+    apart = np.abs(device.to_numpy(found) - expected).max() / np.abs(expected).max()
     return f"{float(apart):.1e}"
 
 
@@ -151,7 +152,7 @@ def _timed(run: Callable[[], Result]) -> tuple[Result, float]:
     begin = time.perf_counter()
     found = run()
     if hasattr(found, "ndim"):
-        array_api.to_numpy(cast("Any", found)[:1, :1])  # waits until the device has finished
+        device.to_numpy(cast("Any", found)[:1, :1])  # waits until the device has finished
     return found, time.perf_counter() - begin
 
 

@@ -11,10 +11,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.sparse.csgraph import floyd_warshall
 
 from anisomap.errors import InputError, MissingExtraError
+from anisomap.large import device as stages
 from anisomap.large import reconstruct_on_device
 from anisomap.method.options import MethodOptions
 from anisomap.method.reconstruction import reconstruct
-from anisomap.numerics import array_api
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
@@ -43,9 +43,9 @@ LIBRARIES = {
 }
 
 SIMILARITIES = [
-    (array_api.pearson, pearson),
-    (array_api.spearman, spearman),
-    (lambda x: array_api.mutual_information(x, 4), lambda x: mutual_information(x, 4)),
+    (stages.pearson, pearson),
+    (stages.spearman, spearman),
+    (lambda x: stages.mutual_information(x, 4), lambda x: mutual_information(x, 4)),
 ]
 
 
@@ -68,23 +68,23 @@ def asarray_of_standard():
     )
 )
 def test_similarities_of_any_readings_agree(asarray_of_standard, device, usual, readings):
-    found = array_api.to_numpy(device(asarray_of_standard(readings)))
+    found = stages.to_numpy(device(asarray_of_standard(readings)))
     np.testing.assert_allclose(found, usual(readings), atol=1e-6)
 
 
 @pytest.mark.parametrize(("device", "usual"), SIMILARITIES, ids=["r", "rho", "information"])
 def test_similarities_of_a_skin_agree(asarray, device, usual):
     readings = flat_skin().readings
-    found = array_api.to_numpy(device(asarray(readings)))
+    found = stages.to_numpy(device(asarray(readings)))
     np.testing.assert_allclose(found, usual(readings), atol=1e-5)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.1, 1.0])
 def test_reciprocals_agree(asarray, mu):
     similarity = pearson(flat_skin().readings)
-    found = array_api.regularised_reciprocal(asarray(similarity.copy()), mu)
+    found = stages.regularised_reciprocal(asarray(similarity.copy()), mu)
     expected = regularised_reciprocal(similarity, mu)
-    np.testing.assert_allclose(array_api.to_numpy(found), expected, rtol=1e-6)
+    np.testing.assert_allclose(stages.to_numpy(found), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("n_nodes", [1, 31, 32, 33, 64, 130])
@@ -95,7 +95,7 @@ def test_shortest_paths_are_those_of_scipy(asarray, n_nodes, dtype):
     lengths[rng.random(lengths.shape) < 0.8] = np.inf
     lengths = np.minimum(lengths, lengths.T).astype(dtype)
     np.fill_diagonal(lengths, 0)
-    found = array_api.to_numpy(array_api.metricise(asarray(lengths)))
+    found = stages.to_numpy(stages.metricise(asarray(lengths)))
     expected = floyd_warshall(lengths)
     np.testing.assert_allclose(found, expected, rtol=1e-5 if dtype == np.float32 else 1e-12)
     assert np.array_equal(found, found.T)
@@ -105,12 +105,12 @@ def test_shortest_paths_are_those_of_scipy(asarray, n_nodes, dtype):
 @pytest.mark.parametrize("dimensions", [1, 2, 3])
 def test_scaling_reaches_the_stress_of_smacof(asarray, dimensions):
     rng = np.random.default_rng(dimensions)
-    n_points = array_api.MIN_DEVICE_POINTS + 40
+    n_points = stages.MIN_DEVICE_POINTS + 40
     places = rng.uniform(0, 5, (n_points, 3))
     places[1] = places[0]  # coincident points have no direction
     distances = np.linalg.norm(places[:, None] - places, axis=2) * rng.uniform(0.9, 1.1)
     usual = smacof(distances, dimensions=dimensions)
-    found = array_api.scale(asarray(distances), dimensions, SmacofOptions())
+    found = stages.scale(asarray(distances), dimensions, SmacofOptions())
     assert found.stress <= usual.stress * 1.01 + 1e-6
     assert found.positions.shape == (n_points, dimensions)
     assert (np.diff(found.trace) <= 1e-6 * found.trace[0]).all()
