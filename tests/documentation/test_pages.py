@@ -82,6 +82,7 @@ def test_a_quoted_message_exists(quotation):
 
 
 HEADERS = {
+    "ablations": accuracy.ABLATIONS_COLUMNS,
     "bins": accuracy.BINS_COLUMNS,
     "check": columns(check.Result),
     "claims": claims.COLUMNS,
@@ -89,7 +90,6 @@ HEADERS = {
     "coach-evenness": coach.EVENNESS_COLUMNS,
     "coach-summary": columns(coach.Goal),
     "dimension": columns(dimension.Row),
-    "dimensions": accuracy.DIMENSIONS_COLUMNS,
     "faults": columns(faults.Result),
     "figure-3": accuracy.SUMMARY_COLUMNS,
     "figure-4": bodies.AXIAL_COLUMNS,
@@ -99,7 +99,6 @@ HEADERS = {
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns([name_of(one) for one in COMPARED]),
-    "rivals": accuracy.RIVALS_COLUMNS,
     "trust": trust.COLUMNS,
 }
 

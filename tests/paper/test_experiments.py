@@ -2,7 +2,12 @@
 
 import csv
 import json
+import os
 import re
+import subprocess
+import sys
+import time
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +15,9 @@ import pytest
 
 from anisomap import io
 from anisomap.cli.app import run
-from anisomap.paper import EXPERIMENTS, Settings, reproduce, runner
+from anisomap.paper import EXPERIMENTS, Settings, reproduce, results, runner
 from anisomap.paper.cases import patch_run
+from live_processes import LONGEST_S
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -20,16 +26,12 @@ pytest.importorskip("jinja2")
 QUICK = Settings(quick=True)
 CHEAP = ("data-s7-s11", "text-s3", "figure-s10")
 ALIKE = (
-    *(f"sensitivity-{name}" for name in ("frames", "radius", "balls", "bins")),
+    *(f"sensitivity-{name}" for name in ("frames", "radius", "balls")),
     *(f"figure-s{number}" for number in (1, 2, 3, 5, 6, 7, 9)),
 )
 """Experiments that differ from ``sensitivity-mu``, figures S4 and S8 by a parameter alone."""
 MOST = tuple(
-    name
-    for name, one in EXPERIMENTS.items()
-    if not one.files
-    and name not in CHEAP
-    and (not name.startswith(ALIKE) or name.endswith("sphere-bombardment"))
+    name for name, one in EXPERIMENTS.items() if not one.files and name not in (*CHEAP, *ALIKE)
 )
 
 
@@ -39,24 +41,32 @@ class OneRun(Settings):
     seeds, n_frames, permutations = (1,), 100, 20
 
 
+@pytest.fixture(scope="module", autouse=True)
+def one_process():
+    """Run experiments in this process; tests that want more change it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LOKY_MAX_CPU_COUNT", "1")
+        yield
+
+
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """Give the results of the cheap experiments by ``anisomap paper --quick``."""
     folder = tmp_path_factory.mktemp("paper") / "out"
     chosen = [word for name in CHEAP for word in ("--only", name)]
-    assert run(["paper", "-o", str(folder), "--quick", "--workers", "1", *chosen]) == 0
+    assert run(["paper", "-o", str(folder), "--quick", *chosen]) == 0
     return folder
 
 
 def computed_in(folder):
-    return {path.parent.name for path in folder.glob(f"*/{runner.RECORD}")}
+    return {path.parent.name for path in folder.glob(f"*/{results.RECORD}")}
 
 
 def check_results(folder, names):
     """Check the files of each experiment, and the page, which shows all without a network."""
     assert computed_in(folder) == set(names)
     for name in names:
-        record = json.loads((folder / name / runner.RECORD).read_text())
+        record = json.loads((folder / name / results.RECORD).read_text())
         assert record["pictures"] or record["tables"] or record["documents"]
         for table in record["tables"]:
             with (folder / name / f"{table['name']}.csv").open(newline="") as file:
@@ -65,7 +75,7 @@ def check_results(folder, names):
             assert rows
             assert all(table["columns"].values()), "every column has a description"
         for picture in record["pictures"]:
-            for kind in runner.FIGURE_FORMATS:
+            for kind in results.FIGURE_FORMATS:
                 assert (folder / name / f"{picture['name']}.{kind}").stat().st_size > 5000
     page = (folder / "index.html").read_text()
     links = re.findall(r'(?:href|src)="([^"]+)"', page)
@@ -86,25 +96,55 @@ def test_cheap_experiments_write_files_and_a_page(quick):
 
 @pytest.mark.slow
 def test_most_experiments_write_files_and_a_page(tmp_path):
-    reproduce(tmp_path, OneRun(quick=True), only=MOST, workers=1)
+    reproduce(tmp_path, OneRun(quick=True), only=MOST)
     check_results(tmp_path, MOST)
 
 
 def test_finished_experiments_are_not_repeated(quick):
     before = {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
-    found = reproduce(quick, QUICK, only=[*computed_in(quick), "real-skin"], workers=2)
+    found = reproduce(quick, QUICK, only=[*computed_in(quick), "real-skin"])
     assert {one.name for one in found if one.state == "cached"} == computed_in(quick)
     assert {one.name for one in found if one.state == "skipped"} == {"real-skin"}
     assert before == {path: path.stat().st_mtime_ns for path in quick.glob("*/*")}
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="process groups are those of Unix")
 @pytest.mark.slow
-def test_results_do_not_depend_on_the_number_of_workers(quick, tmp_path):
+def test_a_killed_run_leaves_no_processes(tmp_path):
+    command = [sys.executable, "-m", "anisomap", "paper", "-o", str(tmp_path / "out")]
+    command += ["--only", "sensitivity-radius", "--only", "text-s3"]
+    watched = {"env": os.environ | {"LOKY_MAX_CPU_COUNT": "2"}, "start_new_session": True}
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, **watched)
+    until((tmp_path / "out" / "text-s3" / results.RECORD).exists)
+    process.kill()
+    process.wait()
+    until(lambda: not exists(process.pid))
+
+
+def exists(group):
+    """Return whether a process of a group exists."""
+    with suppress(ProcessLookupError):
+        os.killpg(group, 0)
+        return True
+    return False
+
+
+def until(condition):
+    for _ in range(int(LONGEST_S / 0.1)):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen")
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_number_of_processes(quick, tmp_path, monkeypatch):
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "2")
     chosen = ("figure-s10", "data-s7-s11")
-    reproduce(tmp_path, QUICK, only=chosen, workers=2)
+    reproduce(tmp_path, QUICK, only=chosen)
     for name in chosen:
         for path in (tmp_path / name).iterdir():
-            if path.name != runner.RECORD:  # holds the duration
+            if path.name != results.RECORD:  # holds the duration
                 assert path.read_bytes() == (quick / name / path.name).read_bytes(), path.name
 
 
@@ -139,7 +179,7 @@ def test_the_simulated_patch_has_the_failures_of_the_paper(quick):
 @pytest.mark.slow
 def test_real_skin_is_mapped_if_its_recording_is_given(recordings_folder, tmp_path):
     settings = replace(QUICK, recordings=recordings_folder)
-    reproduce(tmp_path, settings, only=["real-skin"], workers=1)
+    reproduce(tmp_path, settings, only=["real-skin"])
     with (tmp_path / "real-skin" / "real-skin.csv").open(newline="") as file:
         found = {row["method"]: float(row["mantel_r"]) for row in csv.DictReader(file)}
     assert found["r-anisomap"] > 0.9

@@ -9,7 +9,7 @@ from benchmarks import numbers
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap.errors import FileError, InputError
-from anisomap.paper import Document, Experiment, Settings, Table, reproduce, runner
+from anisomap.paper import Document, Experiment, Settings, Table, reproduce, results
 from anisomap.paper.claims import CLAIMS
 
 ROOT = Path(__file__).parents[2]
@@ -39,6 +39,12 @@ def count_threads(_settings, _tables):
     yield Table("threads", "Threads.", columns, rows)
 
 
+@pytest.fixture(autouse=True)
+def one_process(monkeypatch):
+    """Run experiments in this process: they are functions of this module."""
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
+
+
 def registry(*experiments):
     return {one.name: one for one in experiments}
 
@@ -51,7 +57,7 @@ ALL = registry(SECOND, FIRST, TEXT)
 
 def compute(folder, settings=QUICK, experiments=ALL, **options):
     """Return the names of the experiments that were computed."""
-    found = reproduce(folder, settings, experiments=experiments, workers=1, **options)
+    found = reproduce(folder, settings, experiments=experiments, **options)
     return {one.name for one in found if one.state == "computed"}
 
 
@@ -74,7 +80,7 @@ def test_progress_is_reported_up_to_the_end(tmp_path):
         assert [fraction for _, fraction in calls] == pytest.approx([1 / 3, 2 / 3, 1])
 
 
-@pytest.mark.parametrize("name", ["text.txt", runner.RECORD])
+@pytest.mark.parametrize("name", ["text.txt", results.RECORD])
 @pytest.mark.parametrize("damage", ["truncated", "removed", "changed"])
 def test_damaged_results_are_computed_again(tmp_path, name, damage):
     compute(tmp_path)
@@ -109,8 +115,6 @@ def test_experiments_use_one_thread_per_worker(tmp_path):
 def test_invalid_arguments_raise_errors(tmp_path):
     with pytest.raises(InputError, match="choose from second, first, text"):
         compute(tmp_path, only=["third"])
-    with pytest.raises(InputError, match="workers must be at least 1, got 0"):
-        reproduce(tmp_path, QUICK, experiments=ALL, workers=0)
     with pytest.raises(FileError, match="nowhere does not exist"):
         compute(tmp_path, replace(QUICK, recordings=tmp_path / "nowhere"))
     with pytest.raises(InputError, match="seed must be at least 0"):

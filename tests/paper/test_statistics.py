@@ -9,16 +9,12 @@ from anisomap.paper import Settings
 from anisomap.paper.cases import METHODS
 from anisomap.paper.map_scores import (
     SCORE_COLUMNS,
-    cylinder_shape,
-    isolation,
     map_and_score,
-    n_dimensions,
     null_box,
     score_rows,
-    spectrum,
-    straightness,
 )
-from anisomap.paper.sensitivity import radial_basis
+from anisomap.paper.responses import radial_basis
+from anisomap.paper.shapes import cylinder_shape, isolation, straightness
 from anisomap.simulation import find_body
 from skins import flat_skin
 
@@ -29,7 +25,7 @@ CYLINDER = find_body("cylinder").positions
 
 def test_box_plots_keep_every_value_beyond_the_whiskers():
     recording = flat_skin(n_frames=300)
-    row = next(score_rows("skin", recording, 1, [2], Settings()))
+    row = next(score_rows(str, recording, 1, [2], Settings()))
     box = null_box(dict(zip(SCORE_COLUMNS, row, strict=True)))
     null = map_and_score(recording, METHODS[0], 2, permutations=10_000).score.mantel.null
     drawn = cbook.boxplot_stats(null)[0]
@@ -85,15 +81,3 @@ def test_isolation_inside_and_outside_a_lattice():
     assert isolation(grid, 7) == pytest.approx(1)
     grid[0] -= [3, 4]
     assert isolation(grid, 0) == pytest.approx(np.hypot(4, 4))
-
-
-@pytest.mark.parametrize("dimensions", [1, 2, 3, 5])
-def test_the_spectrum_of_k_dimensional_points_has_k_positive_variances(dimensions):
-    points = np.random.default_rng(dimensions).normal(size=(400, dimensions))
-    distances = np.linalg.norm(points[:, None] - points, axis=2)
-    variances = spectrum(distances)
-    assert n_dimensions(variances) == dimensions
-    np.testing.assert_allclose(
-        variances[:dimensions].sum(), ((points - points.mean(axis=0)) ** 2).sum()
-    )
-    np.testing.assert_allclose(variances[dimensions:], 0, atol=1e-9)

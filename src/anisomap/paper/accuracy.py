@@ -1,33 +1,27 @@
-"""Accuracy of all methods: Figure 3, numbers of bins, prior work, ablations and dimensions."""
+"""Accuracy of all methods on the paper's runs: Figure 3, numbers of bins, ablations, responses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
 from anisomap.evaluation import mantel
-from anisomap.evaluation.rivals import map_by_rival
-from anisomap.method.pipeline import dissimilarities
-from anisomap.method.reconstruction import reconstruct
+from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.graph.neighbour_graphs import smallest_connected_neighbour_graph
+from anisomap.numerics.graph.neighbour_graphs import (
+    neighbour_graph,
+    smallest_connected_neighbour_graph,
+)
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from anisomap.paper.cases import (
-    CASES,
-    FAILING,
-    METHODS,
-    PATCH_RUNS,
-    Case,
-    patch_run,
-    patch_runs,
-    true_positions,
-)
+from anisomap.paper.cases import CASES, FAILING, METHODS, PATCH_RUNS, Case, patch_runs
+from anisomap.paper.cases import true_positions as positions_of
 from anisomap.paper.experiment import (
     Picture,
     Row,
@@ -35,27 +29,113 @@ from anisomap.paper.experiment import (
     Table,
     Tables,
     by,
+    curve,
     experiment,
     joined,
     mean_by,
-    provide,
 )
 from anisomap.paper.map_scores import (
+    MORE_BINS,
     SCORE_COLUMNS,
     SMACOF,
-    compared,
-    map_and_score,
-    n_dimensions,
     null_box,
-    published_metric,
     score_rows,
-    spectrum,
+    similarity_of,
     stopped,
 )
+from anisomap.paper.responses import RESPONSE_COLUMNS, response_rows
 from anisomap.recording import Recording
 
-MORE_BINS = (6, 8)
-"""Other numbers of bins that the paper tried."""
+ALL_PAIRS, SMALLEST, DIRECT = "all pairs", "smallest connected graph", "no shortest paths"
+NEIGHBOURS = (4, 6, 8, 12)
+"""Numbers of neighbours of other graphs."""
+
+_ABLATION_COLUMNS = {
+    "run": SCORE_COLUMNS["run"],
+    "seed": "seed of the run",
+    "edges": "pairs of sensors that paths lead along: all, as in r-ANISOMAP; those of a graph of k "
+    "neighbours; all, without paths",
+    "k": "neighbours of each sensor, at least those of the smallest connected graph; 0 for all",
+    "mantel_r": "Mantel r of the map",
+}
+
+
+def ablation_rows(run: str, recording: Recording, seed: int, dimensions: int) -> Iterator[Row]:
+    """Score r-ANISOMAP with one step changed; yield rows of `_ABLATION_COLUMNS`."""
+    varying = recording.select(recording.varying())
+    truth, similarity = positions_of(varying, dimensions), similarity_of(varying, "r-anisomap")
+    direct = regularised_reciprocal(similarity)
+
+    def score(metric: Reals) -> float:
+        positions = smacof(metric, dimensions=dimensions, options=SMACOF).positions
+        return mantel(positions, truth, permutations=0).r
+
+    def along(graph: NDArray[np.bool_]) -> float:
+        joined = graph | np.eye(len(direct), dtype=bool)
+        return score(metricise(np.where(joined, direct, np.inf)))
+
+    smallest, least = smallest_connected_neighbour_graph(similarity)
+    found = {
+        ALL_PAIRS: (0, score(metricise(direct))),
+        DIRECT: (0, score(direct)),
+        SMALLEST: (least, along(smallest)),
+    }
+    for k in NEIGHBOURS:
+        graph = (k, along(neighbour_graph(similarity, k))) if k > least else found[SMALLEST]
+        found[f"k = {k}"] = graph
+    for edges, (k, r) in found.items():
+        yield (run, seed, edges, k, r)
+
+
+def _provide(name: str, rows: Mapping[str, list[Row]]) -> Iterator[Table]:
+    columns = (SCORE_COLUMNS, _ABLATION_COLUMNS, RESPONSE_COLUMNS)
+    for (kind, found), each in zip(rows.items(), columns, strict=False):
+        yield Table(f"{kind}-{name}", "Scores of all runs.", each, found, shown=False)
+
+
+def _simulated(case: Case, settings: Settings, _: Tables) -> Iterator[Table]:
+    """Score all maps of a simulated scenario in 3D; of the plane also in 2D."""
+    dimensions = (2, 3) if case.body == "plane" else (3,)
+    rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "responses": []}
+    for seed in settings.seeds:
+        run = case.record(settings, seed)
+        rows["scores"] += score_rows(case.run_name, run, seed, dimensions, settings)
+        rows["ablations"] += ablation_rows(case.name, run, seed, 3)
+        rows["responses"] += response_rows(case.name, run, seed)
+    yield from _provide(case.name, rows)
+
+
+def _patch_name(dimensions: int) -> str:
+    return f"patch, {dimensions}D"
+
+
+def _patch(settings: Settings, _: Tables) -> Iterator[Table]:
+    """Score all maps of the runs of the simulated patch without the failing sensor."""
+    rows: dict[str, list[Row]] = {"scores": [], "ablations": []}
+    for _number, run, seed in patch_runs(settings):
+        rows["scores"] += score_rows(_patch_name, run, seed, (2, 3), settings, exclude=[FAILING])
+    for _number, run, seed in patch_runs(settings, fails=False):
+        rows["ablations"] += ablation_rows(_patch_name(2), run, seed, 2)
+    yield from _provide("patch", rows)
+
+
+for _case in CASES:
+    experiment(f"runs-{_case.name}", cost=150)(partial(_simulated, _case))
+experiment("runs-patch", cost=60)(_patch)
+
+_NAMES = (*(case.name for case in CASES), "patch")
+RUNS = tuple(f"runs-{name}" for name in _NAMES)
+"""Experiments that score all maps."""
+
+
+def tables_of(kind: str, tables: Tables, name: str = "", caption: str = "") -> Table:
+    """Join the ``scores``, ``ablations`` or ``responses`` of all runs."""
+    return joined(tables, [f"{kind}-{one}" for one in _NAMES], name, caption)
+
+
+def _default_scores(tables: Tables) -> list[Mapping[str, Any]]:
+    return [row for row in tables_of("scores", tables).records() if row["bins"] == DEFAULT_BINS]
+
 
 _RUN = "body and scenario; the patch in 2D or 3D"
 SUMMARY_COLUMNS = {
@@ -69,49 +149,6 @@ SUMMARY_COLUMNS = {
     "null max": "maximum of the null distributions of all maps",
     "stopped": "number of maps whose scaling stopped before it converged, by method",
 }
-BINS_COLUMNS = {
-    "run": _RUN,
-    "method": "method",
-    **{f"{bins} bins": f"mean Mantel r with {bins} bins" for bins in (DEFAULT_BINS, *MORE_BINS)},
-    "largest change": f"largest absolute difference from {DEFAULT_BINS} bins",
-}
-
-
-def _simulated(case: Case, settings: Settings) -> Iterator[Row]:
-    """Score all maps of a simulated scenario in 3D; of the plane also in 2D."""
-    dimensions = (2, 3) if case.body == "plane" else (3,)
-    for seed in settings.seeds:
-        run = case.record(settings, seed)
-        yield from score_rows(case.name, run, seed, dimensions, settings, more_bins=MORE_BINS)
-
-
-def _patch(settings: Settings) -> Iterator[Row]:
-    """Score all maps of the five runs of the simulated patch without the failing sensor."""
-    excluding: dict[str, Any] = {"exclude": [FAILING], "more_bins": MORE_BINS}
-    for number, run, seed in patch_runs(settings):
-        yield from score_rows(str(number), run, seed, (2, 3), settings, **excluding)
-
-
-SCORES = (
-    *(
-        provide(f"scores-{case.name}", SCORE_COLUMNS, partial(_simulated, case), cost=60)
-        for case in CASES
-    ),
-    provide("scores-patch", SCORE_COLUMNS, _patch, cost=30),
-)
-"""Names of the tables with the scores of all maps."""
-
-
-def all_scores(tables: Tables) -> list[Mapping[str, Any]]:
-    """Return all rows of scores, each with the ``group`` over which means are taken."""
-    rows = joined(tables, SCORES).records()
-    simulated = {case.name for case in CASES}
-    for row in rows:
-        if row["run"] not in simulated:
-            row["group"] = f"patch, {row['dimensions']}D"
-        else:
-            row["group"] = row["run"] + (", 2D" if row["dimensions"] == 2 else "")
-    return [*rows]
 
 
 @experiment(
@@ -121,16 +158,18 @@ def all_scores(tables: Tables) -> list[Mapping[str, Any]]:
     "distances. It shows one run of each scenario and the five hardware runs, beside box plots of "
     "10,000 random relabellings. Here each scenario is run with several seeds, to show the "
     "variation between runs. The hardware runs are simulated; real skin has its own section.",
-    needs=SCORES,
+    needs=RUNS,
 )
 def figure_3(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw the scores of all methods on all runs."""
-    groups = by((row for row in all_scores(tables) if row["bins"] == DEFAULT_BINS), "group")
+    groups = by(_default_scores(tables), "run")
     simulated = [_score_group(case.label, groups[case.name]) for case in CASES]
     patch = [
-        _score_group(f"run {number},\n{k}D", by(groups[f"patch, {k}D"], "run")[number])
+        _score_group(f"run {number},\n{k}D", found)
         for k in (2, 3)
-        for number in PATCH_RUNS
+        for number, found in zip(
+            PATCH_RUNS, by(groups[_patch_name(k)], "seed").values(), strict=True
+        )
     ]
     figure = scores_figure(
         "Figure 3. Accuracy of the maps: simulation (3D) and simulated patch (2D and 3D)",
@@ -148,25 +187,6 @@ def figure_3(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     yield Table("figure-3", "Mantel r by scenario and method.", SUMMARY_COLUMNS, rows)
 
 
-@experiment(
-    "bins",
-    "4, 6 and 8 bins",
-    "The paper uses 4 bins and states that 6 and 8 bins produced qualitatively similar results.",
-    needs=SCORES,
-)
-def bins_table(_: Settings, tables: Tables) -> Iterator[Table]:
-    """Compare numbers of bins."""
-    rows: list[Row] = []
-    for group, members in by(all_scores(tables), "group").items():
-        for method in METHODS[1:]:
-            by_bins = mean_by(by(members, "method")[method], "bins", "mantel_r")
-            means = [by_bins[bins] for bins in (DEFAULT_BINS, *MORE_BINS)]
-            change = max(abs(mean - means[0]) for mean in means[1:])
-            rows.append((group, method, *means, change))
-    caption = "Mean Mantel r with 4, 6 and 8 bins; r-ANISOMAP does not use bins."
-    yield Table("bins", caption, BINS_COLUMNS, rows)
-
-
 def _score_group(label: str, rows: list[Mapping[str, Any]]) -> ScoreGroup:
     by_method = by(rows, "method")
     return ScoreGroup(
@@ -181,168 +201,110 @@ def _summary(rows: list[Mapping[str, Any]]) -> Row:
     for found in by(rows, "method").values():
         scores = [row["mantel_r"] for row in found]
         cells += [float(np.mean(scores)), min(scores), max(scores)]
-    runs = len({(row["run"], row["seed"]) for row in rows})
-    return (runs, *cells, max(row["null_max"] for row in rows), stopped(rows))
+    n_runs = len({row["seed"] for row in rows})
+    return (n_runs, *cells, max(row["null_max"] for row in rows), stopped(rows))
 
 
-POINT_SOURCES = tuple(Case(body, "pulses") for body in ("sphere", "cylinder", "plane"))
-"""Stimuli of the earlier work that the paper compares its own with."""
-
-_RIVAL_COLUMNS = {
-    "run": "body and scenario; the five runs of the patch without a failing sensor, in 2D",
-    "seed": "seed of the run",
+BINS_COLUMNS = {
+    "run": _RUN,
     "method": "method",
-    "mantel_r": "Mantel r with the true positions",
+    **{f"{bins} bins": f"mean Mantel r with {bins} bins" for bins in (DEFAULT_BINS, *MORE_BINS)},
+    "largest change": f"largest absolute difference from {DEFAULT_BINS} bins",
 }
-
-
-def _neighbours(similarity: Reals, edges: Reals) -> Reals:
-    """Keep the edges of the smallest connected neighbour graph; shortest paths."""
-    joined, _ = smallest_connected_neighbour_graph(similarity)
-    return metricise(np.where(joined | np.eye(len(edges), dtype=bool), edges, np.inf))
-
-
-def _gaussian(similarity: Reals, _: Reals) -> Reals:
-    """Distances of neighbours by a Gaussian covariance, r = exp(-d^2 / 2); shortest paths."""
-    return _neighbours(similarity, np.sqrt(-2 * np.log(np.clip(similarity, 1e-6, 1))))
-
-
-ABLATIONS = ("r-anisomap, neighbours", "r-anisomap, not metricised")
-
-_METRICS: Mapping[str, Callable[[Reals, Reals], Reals]] = {
-    ABLATIONS[0]: _neighbours,
-    ABLATIONS[1]: lambda _similarity, dissimilarity: dissimilarity,
-    "gaussian, neighbours": _gaussian,
-}
-"""Metrics by name: functions of the correlations r (N, N) and of the dissimilarities 1 / r."""
-
-RIVALS = (*METHODS, *_METRICS, "isomap-on-r")
-RIVALS_COLUMNS = {
-    "run": _RIVAL_COLUMNS["run"],
-    "runs": "number of runs",
-    **{name: f"mean Mantel r of {name}" for name in RIVALS},
-}
-
-
-def score_rivals(name: str, recording: Recording, seed: int, dimensions: int) -> Iterator[Row]:
-    """Score all rivals on a recording; yield rows of `_RIVAL_COLUMNS`."""
-    varying = recording.select(recording.varying())
-    truth = true_positions(varying, dimensions)
-    pairs = compared(varying, "r-anisomap")
-    direct = dissimilarities(pairs, "r-anisomap")
-    for method in RIVALS:
-        if method in METHODS:
-            r = map_and_score(varying, method, dimensions).score.mantel.r
-        else:
-            if method in _METRICS:
-                metric = _METRICS[method](pairs.similarity, direct)
-                positions = smacof(metric, dimensions=dimensions, options=SMACOF).positions
-            else:
-                positions = map_by_rival(varying, method, dimensions).positions
-            r = mantel(positions, truth, permutations=0).r
-        yield (name, seed, method, r)
-
-
-def _rivals_simulated(case: Case, settings: Settings) -> Iterator[Row]:
-    """Score all rivals on the runs of a scenario, in 3D."""
-    for seed in settings.seeds:
-        yield from score_rivals(case.name, case.record(settings, seed), seed, 3)
-
-
-def _rivals_patch(settings: Settings) -> Iterator[Row]:
-    """Score all rivals on the runs of the patch without a failing sensor, in 2D."""
-    for _number, run, seed in patch_runs(settings, fails=False):
-        yield from score_rivals("patch, 2D", run, seed, 2)
-
-
-def _provide_rivals(case: Case) -> str:
-    return provide(f"rivals-{case.name}", _RIVAL_COLUMNS, partial(_rivals_simulated, case), cost=40)
-
-
-_RIVAL_SCORES = (
-    *map(_provide_rivals, CASES),
-    provide("rivals-patch", _RIVAL_COLUMNS, _rivals_patch, cost=10),
-    *map(_provide_rivals, POINT_SOURCES),
-)
 
 
 @experiment(
-    "rivals",
-    "Prior work and ablations",
-    "Methods of prior work that the paper discusses, and r-ANISOMAP with one step changed, on the "
-    "same runs.\n\nThe ablations are r-ANISOMAP with only the edges of the smallest connected "
-    "neighbour graph, as in ISOMAP, and r-ANISOMAP without shortest paths. Isomap on correlations "
-    "uses scikit-learn.\n\nThe bodies in the last rows are stimulated by point sources. All "
-    "sensors respond to each source, by their distance to it, as in the earlier simulation that "
-    "the paper cites (Modayil). The method with Gaussian neighbours follows this work: it computes "
-    "the distances of neighbours from a Gaussian covariance.",
-    needs=_RIVAL_SCORES,
+    "bins",
+    "4, 6 and 8 bins",
+    "The paper uses 4 bins and states that 6 and 8 bins produced qualitatively similar results.",
+    needs=RUNS,
 )
-def rivals_table(_: Settings, tables: Tables) -> Iterator[Table]:
-    """Average the scores of all rivals."""
-    scores = joined(tables, _RIVAL_SCORES, "rival-scores", "Scores of all runs.")
+def bins_table(_: Settings, tables: Tables) -> Iterator[Table]:
+    """Compare numbers of bins."""
+    rows: list[Row] = []
+    for group, members in by(tables_of("scores", tables).records(), "run").items():
+        for method in METHODS[1:]:
+            by_bins = mean_by(by(members, "method")[method], "bins", "mantel_r")
+            means = [by_bins[bins] for bins in (DEFAULT_BINS, *MORE_BINS)]
+            change = max(abs(mean - means[0]) for mean in means[1:])
+            rows.append((group, method, *means, change))
+    caption = "Mean Mantel r with 4, 6 and 8 bins; r-ANISOMAP does not use bins."
+    yield Table("bins", caption, BINS_COLUMNS, rows)
+
+
+_EDGES = (ALL_PAIRS, SMALLEST, *(f"k = {k}" for k in NEIGHBOURS), DIRECT)
+ABLATIONS_COLUMNS = {
+    "run": _RUN,
+    "smallest k": "neighbours of the smallest connected graph, median over the runs",
+    **{edges: f"mean Mantel r: {edges}" for edges in _EDGES},
+}
+
+
+@experiment(
+    "ablations",
+    "r-ANISOMAP with one step changed",
+    "The paper gives two reasons for the accuracy of ANISOMAP: it considers all pairs of sensors, "
+    "not only neighbours as in ISOMAP, and it replaces distances by shortest paths. Here paths "
+    "lead along all pairs (r-ANISOMAP), along the smallest connected graph of neighbours, as in "
+    "the paper's ISOMAP, or along graphs of 4 to 12 neighbours; or distances are not replaced. "
+    "Where the smallest connected graph has more neighbours than k, it takes the place of k.",
+    needs=RUNS,
+)
+def ablations(_: Settings, tables: Tables) -> Iterator[Table]:
+    """Average the scores of all variants."""
+    scores = tables_of("ablations", tables, "ablation-scores", "Scores of all runs.")
     rows: list[Row] = []
     for run, found in by(scores.records(), "run").items():
-        means = mean_by(found, "method", "mantel_r")
-        rows.append((run, len(found) // len(RIVALS), *(means[method] for method in RIVALS)))
-    yield Table("rivals", "Mean Mantel r of prior work and ablations.", RIVALS_COLUMNS, rows)
+        means = mean_by(found, "edges", "mantel_r")
+        smallest = float(np.median([row["k"] for row in found if row["edges"] == SMALLEST]))
+        rows.append((run, smallest, *(means[edges] for edges in _EDGES)))
+    yield Table("ablations", "Mean Mantel r.", ABLATIONS_COLUMNS, rows)
     yield scores
 
 
-DIMENSIONS_COLUMNS = {
-    "run": "body and scenario, or patch",
-    "true": "dimensions of the true configuration",
-    "auto": "dimensions that anisomap chooses, by the elbow of the stress",
-    **{method: f"dimensions chosen from the metric of {method}" for method in METHODS},
+_CLAIMED_COLUMNS = {key: RESPONSE_COLUMNS[key] for key in ("run", "optimum", "noise", "method")} | {
+    key: f"{RESPONSE_COLUMNS[key]}; mean over the runs" for key in ("identified", "mantel_r")
 }
-_SPECTRA = {
-    "run": "body and scenario, or patch",
-    "method": "method",
-    "dimension": "number of the dimension, by descending variance",
-    "share": "variance of classical scaling, relative to the sum of the positive variances",
-}
-_MAX_DIMENSIONS = 8  # shown in the figure
 
 
 @experiment(
-    "dimensions",
-    "Number of dimensions",
-    "The paper assumes three dimensions and mentions that the approach of Pierce & Kuipers (1997) "
-    "could choose their number: apply classical scaling, and keep the dimensions before the "
-    "largest drop in variance. This rule errs on thin bodies and with long contacts. The column "
-    "auto gives the choice of anisomap.",
-    cost=20,
+    "unlike-responses",
+    "Sensors of unlike response",
+    "The sensors of the paper are identical, which favours linear correlation. According to the "
+    "paper, if one sensor is linear and another is a radial basis function around an optimal "
+    "response point, mutual information is more likely to identify the relation between them. The "
+    "paper has no experiment on this. Here both kinds of sensors are simulated without noise and, "
+    "for an optimum at the median, with noise in every reading.",
+    needs=RUNS,
 )
-def dimensions(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
-    """Choose the number of dimensions of every body and of the patch."""
-    seed = settings.seed
-    runs = [(c.name, c.record(settings, seed), 2 if c.body == "plane" else 3) for c in CASES]
-    runs.append(("patch, run 1", patch_run(settings, 1), 2))
-    panels: list[CurvePanel] = []
-    rows: list[Row] = []
-    shares: list[Row] = []
-    for name, recording, true in runs:
-        curves, chosen = {}, []
-        for method in METHODS:
-            variances = spectrum(published_metric(recording, method))
-            chosen.append(n_dimensions(variances))
-            share = variances[:_MAX_DIMENSIONS] / variances[variances > 0].sum()
-            curves[method] = share[:, None]
-            shares += [(name, method, i + 1, float(value)) for i, value in enumerate(share)]
-        auto = reconstruct(recording, "r-anisomap").dimensions
-        rows.append((name, true, auto, *chosen))
-        x = np.arange(1.0, _MAX_DIMENSIONS + 1)
-        panels.append(CurvePanel(name, x, curves, float(true)))
+def unlike_responses(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
+    """Draw the scores of skins with both kinds of sensors."""
+    scores = tables_of("responses", tables, "unlike-scores", "Scores of all runs.")
+    rows = scores.records()
+    panels = []
+    for case in CASES:
+        found = [row for row in rows if row["run"] == case.name and not row["noise"]]
+        curves = {m: curve(each, "optimum") for m, each in by(found, "method").items()}
+        (x, _), *_others = curves.values()
+        title = case.label.replace("\n", " ")
+        panels.append(CurvePanel(title, x, {m: y for m, (_, y) in curves.items()}))
     figure = curves_figure(
-        "Variance by dimension of classical scaling",
+        "Skins with linear and radial-basis sensors",
         panels,
-        x_label="dimension",
-        y_label="share of variance",
+        x_label="optimum: quantile of contact readings",
     )
     caption = (
-        "Share of variance of each dimension of classical scaling. Dotted line: dimensions of the "
-        f"true configuration. Seed {seed}."
+        "Mantel r of skins of which half of the sensors have a response whose optimum is at a "
+        f"quantile of the readings in contact; dots: runs (seeds {settings.seeds[0]} to "
+        f"{settings.seeds[-1]}), lines: means. At a quantile of 1, the response increases "
+        "everywhere."
     )
-    yield Picture("dimensions", caption, figure)
-    yield Table("dimensions", "Dimensions chosen by the largest drop.", DIMENSIONS_COLUMNS, rows)
-    yield Table("spectra", "Variance by dimension.", _SPECTRA, shares, shown=False)
+    yield Picture("unlike-responses", caption, figure)
+    means: list[Row] = []
+    for run, of_run in by(rows, "run").items():
+        for optimum, of_optimum in by(of_run, "optimum").items():
+            for noise, each in by(of_optimum, "noise").items():
+                identified, r = (mean_by(each, "method", v) for v in ("identified", "mantel_r"))
+                means += [(run, optimum, noise, m, identified[m], r[m]) for m in identified]
+    yield Table("unlike-responses", "Means of all runs.", _CLAIMED_COLUMNS, means)
+    yield scores

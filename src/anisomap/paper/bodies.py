@@ -5,30 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.maps import gallery_figure
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment, mean_by
-from anisomap.paper.map_scores import SCORE_COLUMNS, ScoredMap, draw_run
+from anisomap.paper.map_scores import SCORE_COLUMNS, draw_run
 from anisomap.simulation import find_body, run_simulation
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _NOTE = (
     "A sensor has the same colour in all panels; lines join true neighbours. Maps are aligned with "
     "the true positions by rotation, scale and reflection."
 )
-_COLUMNS = {
-    "body": "body",
-    "seed": "randomly picked seed",
-    "method": "method",
-    "mantel_r": "Mantel r with the true positions",
-    "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
-}
 _CYLINDER = ("mantel_r", "axial_scale", "local_axial_scale", "order_around", "order_along")
 AXIAL_COLUMNS = {
     "scenario": "scenario of the cylinder",
@@ -45,6 +35,30 @@ ROUNDNESS_COLUMNS = {
 }
 
 
+def _maps_of_bodies(
+    name: str, title: str, bodies: tuple[str, ...], method: str, settings: Settings
+) -> Picture:
+    """Draw the true positions of bombarded bodies, and below them their maps by one method."""
+    truths, maps, seeds = [], [], {}
+    for case in map(Case, bodies):
+        seeds[case.body] = settings.picked_seed(case.name)
+        (truth, shown), _ = draw_run(case.record(settings, seeds[case.body]), methods=[method])
+        truths.append(replace(truth, title=case.body))
+        maps.append(shown)
+    picked = ", ".join(f"{body} {seed}" for body, seed in seeds.items())
+    caption = f"Typical maps by {method}. Randomly picked seeds: {picked}."
+    return Picture(name, caption, gallery_figure(title, [*truths, *maps], len(bodies), _NOTE))
+
+
+def _maps_by_all_methods(name: str, title: str, case: Case, settings: Settings) -> Picture:
+    """Draw the true positions and the maps of a randomly picked run, in a row."""
+    seed = settings.picked_seed(case.name)
+    panels, _ = draw_run(case.record(settings, seed))
+    caption = f"Maps of {case.body}, {case.scenario}, by all methods. Randomly picked seed: {seed}."
+    figure = gallery_figure(f"{title}, {case.scenario}, seed {seed}", panels, 5, _NOTE)
+    return Picture(name, caption, figure)
+
+
 @experiment(
     "figure-1",
     "Figure 1: typical reconstructions by r-ANISOMAP",
@@ -52,29 +66,19 @@ ROUNDNESS_COLUMNS = {
     "Y-shape and sphere) after 2,000 frames of bombardment by small balls.",
     cost=20,
 )
-def figure_1(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def figure_1(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the maps of the four bodies by r-ANISOMAP."""
-    figure, rows = _maps_of_bodies(
-        "Figure 1. Maps of bombarded bodies by r-ANISOMAP (bottom) and true positions (top)",
-        ("cylinder", "plane", "y-shape", "sphere"),
-        "r-anisomap",
-        settings,
-    )
-    seeds = ", ".join(f"{row[0]} {row[1]}" for row in rows)
-    caption = f"Typical reconstructions by r-ANISOMAP. Randomly picked seeds: {seeds}."
-    yield Picture("figure-1", caption, figure)
-    yield Table("figure-1", "Scores of the maps in Figure 1.", _COLUMNS, rows, shown=False)
+    title = "Figure 1. Maps of bombarded bodies by r-ANISOMAP (bottom) and true positions (top)"
+    bodies = ("cylinder", "plane", "y-shape", "sphere")
+    yield _maps_of_bodies("figure-1", title, bodies, "r-anisomap", settings)
 
 
 def supplementary_figure(
-    body: str, number: str, settings: Settings, _: Tables
-) -> Iterator[Picture | Table]:
+    number: str, body: str, settings: Settings, _: Tables
+) -> Iterator[Picture]:
     """Draw the maps of one bombarded body by all methods."""
-    name = f"figure-{number.lower()}"
-    figure, rows, seed = _maps_by_all_methods(f"Figure {number}. {body}", Case(body), settings)
-    caption = f"Maps of the bombarded {body} by all methods. Randomly picked seed: {seed}."
-    yield Picture(name, caption, figure)
-    yield Table(name, caption, _COLUMNS, rows, shown=False)
+    name, title = f"figure-{number.lower()}", f"Figure {number}. {body}"
+    yield _maps_by_all_methods(name, title, Case(body), settings)
 
 
 for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), ("S4", "sphere")):
@@ -83,7 +87,7 @@ for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), (
         f"Figure {_number}: {_body}, bombardment, all methods",
         f"The randomly picked run of the {_body}, reconstructed by each of the four methods.",
         cost=12,
-    )(partial(supplementary_figure, _body, _number))
+    )(partial(supplementary_figure, _number, _body))
 
 
 @experiment(
@@ -97,19 +101,15 @@ for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), (
     "circumferential neighbours. Maps with a scale below 1 are compressed. Two orders measure the "
     "topology, independently of the compression: the order of the lines around the axis, and the "
     "order of the sensors along each line. The bombarded cylinder is the control.",
-    needs=("scores-cylinder-locomotion", "scores-cylinder-bombardment"),
-    cost=5,
+    needs=("runs-cylinder-locomotion", "runs-cylinder-bombardment"),
 )
 def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw the rolling cylinder; measure its axial compression, and that of the bombarded one."""
     rolling = Case("cylinder", "locomotion")
-    figure, _, seed = _maps_by_all_methods("Figure 4. Cylinder", rolling, settings)
-    caption = f"Maps of the rolling cylinder by all methods. Randomly picked seed: {seed}."
-    yield Picture("figure-4", caption, figure)
+    yield _maps_by_all_methods("figure-4", "Figure 4. Cylinder", rolling, settings)
     rows: list[Row] = []
     for case in (rolling, Case("cylinder")):
-        scores = _scores(tables, case)
-        means = [mean_by(scores, "method", name) for name in _CYLINDER]
+        means = [mean_by(_scores(tables, case), "method", name) for name in _CYLINDER]
         rows += [(case.scenario, method, *(mean[method] for mean in means)) for method in METHODS]
     caption = "Mean axial scale and order of the maps of the cylinder."
     yield Table("figure-4", caption, AXIAL_COLUMNS, rows)
@@ -124,56 +124,19 @@ def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     "this effect: it is the distance between the ends of the line, divided by the length of the "
     "path through its middle. Unlike the spread of the distances from the centroid, it does not "
     "change if a map is compressed along an axis.",
-    needs=tuple(f"scores-{case.name}" for case in BOMBARDED),
-    cost=8,
+    needs=tuple(f"runs-{case.name}" for case in BOMBARDED),
 )
 def figure_7(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw maps by information distance; measure how all maps bend straight lines."""
-    figure, _ = _maps_of_bodies(
-        "Figure 7. Maps by information distance (bottom) and true positions (top)",
-        ("cylinder", "y-shape", "plane"),
-        "information-distance",
-        settings,
-    )
-    caption = "Typical maps by information distance: cylinder, Y-shape, plane (seeds of Figure 1)."
-    yield Picture("figure-7", caption, figure)
+    title = "Figure 7. Maps by information distance (bottom) and true positions (top)"
+    bodies = ("cylinder", "y-shape", "plane")
+    yield _maps_of_bodies("figure-7", title, bodies, "information-distance", settings)
     rows: list[Row] = []
-    for case in BOMBARDED:
-        if case.body != "sphere":
-            scores = [row for row in _scores(tables, case) if row["dimensions"] == 3]
-            means = mean_by(scores, "method", "straightness")
-            rows.append((case.body, *(means[method] for method in METHODS)))
-    caption = "Straightness of straight lines of sensors."
-    yield Table("figure-7", caption, ROUNDNESS_COLUMNS, rows)
-
-
-def _maps_of_bodies(
-    title: str, bodies: tuple[str, ...], method: str, settings: Settings
-) -> tuple[Figure, list[Row]]:
-    """Draw the true positions of bombarded bodies, and below them their maps by one method."""
-    pairs, rows = [], []
-    for case in map(Case, bodies):
-        seed = settings.picked_seed(case.name)
-        (truth, shown), (scored,) = draw_run(case.record(settings, seed), methods=[method])
-        pairs.append((replace(truth, title=case.body), shown))
-        rows.append(_row(case, seed, scored))
-    truths, maps = zip(*pairs, strict=True)
-    return gallery_figure(title, [*truths, *maps], len(bodies), _NOTE), rows
-
-
-def _maps_by_all_methods(
-    title: str, case: Case, settings: Settings
-) -> tuple[Figure, list[Row], int]:
-    """Draw the true positions and the maps of a randomly picked run, in a row; return its seed."""
-    seed = settings.picked_seed(case.name)
-    panels, found = draw_run(case.record(settings, seed))
-    figure = gallery_figure(f"{title}, {case.scenario}, seed {seed}", panels, 5, _NOTE)
-    return figure, [_row(case, seed, scored) for scored in found], seed
-
-
-def _row(case: Case, seed: int, scored: ScoredMap) -> Row:
-    score = scored.score
-    return (case.body, seed, scored.sensor_map.method, score.mantel.r, score.rms_in_spacings)
+    for body in bodies:
+        scores = [row for row in _scores(tables, Case(body)) if row["dimensions"] == 3]
+        means = mean_by(scores, "method", "straightness")
+        rows.append((body, *(means[method] for method in METHODS)))
+    yield Table("figure-7", "Straightness of straight lines of sensors.", ROUNDNESS_COLUMNS, rows)
 
 
 def _scores(tables: Tables, case: Case) -> list[Mapping[str, Any]]:
@@ -212,11 +175,8 @@ def figure_5(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     scenes = [
         run_simulation(body, "bombardment", n_frames=1, seed=settings.seed).scene for body in bodies
     ]
-    figure = bodies_figure(
-        "Figure 5. The bodies and their sensors",
-        scenes,
-        [f"{body.name}, {body.n_sensors} sensors" for body in bodies],
-    )
+    labels = [f"{body.name}, {body.n_sensors} sensors" for body in bodies]
+    figure = bodies_figure("Figure 5. The bodies and their sensors", scenes, labels)
     caption = (
         "Sphere, cylinder (no sensors on its ends), Y-shape and plane. Yellow dots are sensors."
     )

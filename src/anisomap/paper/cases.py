@@ -36,21 +36,26 @@ class Case:
         """Label in figures."""
         return f"{self.body.replace('y-', 'Y-')},\n{self.scenario}"
 
+    def run_name(self, dimensions: int) -> str:
+        """Return the name of a run in tables of scores."""
+        return self.name + (", 2D" if dimensions == 2 else "")
+
     def record(self, settings: Settings, seed: int, **parameters: Any) -> Recording:
         """Simulate a run; `parameters` are those of the scenario, and ``n_frames``."""
-        if not parameters:
-            return _simulated(self.body, self.scenario, seed, settings.n_frames)
         chosen = {"n_frames": settings.n_frames, **parameters}
-        return simulate(self.body, self.scenario, seed=seed, **chosen)
+        return _simulated(self.body, self.scenario, seed, tuple(chosen.items()))
 
 
-@lru_cache(maxsize=64)  # several experiments of one worker use the same runs
-def _simulated(body: str, scenario: str, seed: int, n_frames: int) -> Recording:
-    return simulate(body, scenario, seed=seed, n_frames=n_frames)
+@lru_cache(maxsize=16)  # several experiments of one worker use the same runs
+def _simulated(
+    body: str, scenario: str, seed: int, chosen: tuple[tuple[str, Any], ...]
+) -> Recording:
+    return simulate(body, scenario, seed=seed, **dict(chosen))
 
 
 BOMBARDED = tuple(map(Case, ("sphere", "cylinder", "y-shape", "plane")))
 CASES = (*BOMBARDED, Case("sphere", "locomotion"), Case("cylinder", "locomotion"))
+PATCH = Case("hexagon", "rubbing")
 
 PATCH_FRAMES = (1120, 1054, 1487, 2128, 2105)
 """Frames of the paper's five hardware runs."""
@@ -85,7 +90,7 @@ def patch_run(
     seed = patch_seed(settings, number)
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
-    recording = inject(_simulated("hexagon", "rubbing", seed, n_frames), "dead", SILENT)
+    recording = inject(PATCH.record(settings, seed, n_frames=n_frames), "dead", SILENT)
     if number in FAILED_RUNS if fails is None else fails:
         recording = inject(recording, "saturating", [failing], rng=seed, **failure)
     return replace(

@@ -13,10 +13,11 @@ from scipy.stats import rankdata
 
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.base.wording import join_items
-from anisomap.paper.accuracy import ABLATIONS, MORE_BINS, SCORES, all_scores
-from anisomap.paper.cases import CASES, METHODS
+from anisomap.paper.accuracy import ALL_PAIRS, DIRECT, RUNS, SMALLEST, tables_of
+from anisomap.paper.cases import METHODS
 from anisomap.paper.experiment import Row, Settings, Table, Tables, by, experiment
-from anisomap.paper.sensitivity import CLAIMED_NOISE, MEDIAN
+from anisomap.paper.map_scores import MORE_BINS
+from anisomap.paper.responses import CLAIMED_NOISE, MEDIAN
 
 # The paper gives no numbers for its claims; all bounds are chosen by hand, before the runs.
 REASONABLE, EXCELLENT = 0.7, 0.9  # Mantel r
@@ -76,14 +77,14 @@ class Evidence:
     tables: Tables
 
     @cached_property
-    def _scores(self) -> list[Mapping[str, Any]]:
-        return all_scores(self.tables)
+    def _scores(self) -> Sequence[Mapping[str, Any]]:
+        return tables_of("scores", self.tables).records()
 
     def scores(
         self, value: str = "mantel_r", *, bins: int = DEFAULT_BINS, methods: Sequence[str] = METHODS
     ) -> dict[str, dict[str, Runs]]:
         """Return a score of the maps, by group of runs and method."""
-        return _by_method([r for r in self._scores if r["bins"] == bins], "group", value, methods)
+        return _by_method([r for r in self._scores if r["bins"] == bins], "run", value, methods)
 
     def rolling(self, value: str = "mantel_r") -> list[tuple[str, Runs, Runs]]:
         """Return a score of the rolling and of the bombarded cylinder, for each method."""
@@ -105,11 +106,10 @@ class Evidence:
         return {f"run {run}": np.array([*map(value, rows)]) for run, rows in runs.items()}
 
     def gains(self, ablation: str) -> dict[str, Runs]:
-        """Return the gain of r-ANISOMAP over an ablation, on the paper's runs."""
-        names = {case.name for case in CASES} | {"patch, 2D"}
-        rows = [row for row in self.tables["rival-scores"].records() if row["run"] in names]
-        found = _by_method(rows, "run", "mantel_r", ("r-anisomap", ablation))
-        return {run: each["r-anisomap"] - each[ablation] for run, each in found.items()}
+        """Return the gain of r-ANISOMAP over an ablation."""
+        rows = tables_of("ablations", self.tables).records()
+        found = _by_method(rows, "run", "mantel_r", (ALL_PAIRS, ablation), "edges")
+        return {run: each[ALL_PAIRS] - each[ablation] for run, each in found.items()}
 
     def bins(self) -> dict[str, Runs]:
         """Return the largest change of Mantel r by other numbers of bins."""
@@ -124,7 +124,7 @@ class Evidence:
 
     def identified(self) -> dict[str, Runs]:
         """Return the gain by mutual information in sensors of unlike response."""
-        rows = self.tables["unlike-responses"].records()
+        rows = tables_of("responses", self.tables).records()
         claimed = [r for r in rows if (r["optimum"], r["noise"]) == (MEDIAN, CLAIMED_NOISE)]
         found = _by_method(claimed, "run", "identified", METHODS[:2])
         return {run: each["i-anisomap"] - each["r-anisomap"] for run, each in found.items()}
@@ -139,10 +139,14 @@ class Evidence:
 
 
 def _by_method(
-    rows: Sequence[Mapping[str, Any]], key: str, value: str, methods: Sequence[str]
+    rows: Sequence[Mapping[str, Any]],
+    key: str,
+    value: str,
+    methods: Sequence[str],
+    method: str = "method",
 ) -> dict[str, dict[str, Runs]]:
     return {
-        group: {m: np.array([row[value] for row in each if row["method"] == m]) for m in methods}
+        group: {m: np.array([row[value] for row in each if row[method] == m]) for m in methods}
         for group, each in by(rows, key).items()
     }
 
@@ -345,13 +349,13 @@ CLAIMS = (
         "Methods",
         "Mantel r of r-ANISOMAP: all pairs minus the edges of a neighbour graph only, in the same "
         "run",
-        lambda e: e.gains(ABLATIONS[0]),
+        lambda e: e.gains(SMALLEST),
     ),
     Claim(
         "Shorter chains of distances refine over-estimated long distances",
         "Discussion",
         "Mantel r of r-ANISOMAP: with minus without shortest paths, in the same run",
-        lambda e: e.gains(ABLATIONS[1]),
+        lambda e: e.gains(DIRECT),
     ),
     Claim(
         "If one sensor is linear and another a radial basis function around an optimal response, "
@@ -404,7 +408,7 @@ COLUMNS = {
     "otherwise. Comparisons are within runs of the same seed.\n\nThe paper's supplement with the "
     "parameters of its simulation is not available. A claim that is not reproduced may therefore "
     "depend on these parameters; the sensitivity analyses below show their effects.",
-    needs=(*SCORES, "failing-sensor", "rivals", "unlike-responses"),
+    needs=(*RUNS, "failing-sensor"),
 )
 def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
     """Check every claim."""

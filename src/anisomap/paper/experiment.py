@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -21,7 +21,7 @@ class Settings:
     """Size and randomness of all experiments.
 
     seed: First seed of each scenario; at least 0.
-    quick: Use far fewer frames, seeds and permutations, for tests and previews.
+    quick: Use fewer frames, seeds and permutations, for previews.
     recordings: Folder of real recordings; experiments that need an absent recording are skipped.
     """
 
@@ -36,7 +36,7 @@ class Settings:
     @property
     def n_frames(self) -> int:
         """Frames per simulated run: 2,000, as in the paper."""
-        return 250 if self.quick else 2000
+        return 1000 if self.quick else 2000
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -107,18 +107,20 @@ class Document:
     text: str
 
 
+Result: TypeAlias = Picture | Table | Document
+
 Tables: TypeAlias = Mapping[str, Table]
 """Tables of other experiments, by name."""
 
 
 def joined(tables: Tables, names: Iterable[str], name: str = "", caption: str = "") -> Table:
-    """Join tables of the same columns to one that the page only links to."""
-    parts = [tables[one] for one in names]
+    """Join the tables that exist, of the same columns, to one that the page only links to."""
+    parts = [tables[one] for one in names if one in tables]
     rows = [row for part in parts for row in part.rows]
     return Table(name, caption, parts[0].columns, rows, shown=False)
 
 
-Compute: TypeAlias = Callable[[Settings, Tables], Iterable[Picture | Table | Document]]
+Compute: TypeAlias = Callable[[Settings, Tables], Iterable[Result]]
 
 
 @dataclass(frozen=True)
@@ -127,10 +129,10 @@ class Experiment:
 
     name: Unique; also the name of its folder.
     compute: ``compute(settings, tables)`` yields the results; `tables` holds the tables of the
-        experiments in `needs`.
+        experiments in `needs`, without those that were skipped.
     title: Heading on the page; empty for experiments that only provide data to others.
     description: Paragraphs shown on the page, separated by blank lines.
-    needs: Names of experiments that must run first.
+    needs: Names of experiments that must run first, which need none themselves.
     files: Real recordings that are read from `Settings.recordings`. If one is absent, the
         experiment is skipped.
     absent: Text shown on the page if the experiment is skipped.
@@ -161,7 +163,7 @@ REGISTRY: dict[str, Experiment] = {}
 
 
 def experiment(
-    name: str, title: str, description: str, **options: Any
+    name: str, title: str = "", description: str = "", **options: Any
 ) -> Callable[[Compute], Compute]:
     """Register a function as an experiment; the arguments are the fields of `Experiment`."""
 
@@ -170,18 +172,6 @@ def experiment(
         return compute
 
     return register
-
-
-def provide(
-    name: str, columns: Mapping[str, str], rows: Callable[[Settings], Iterable[Row]], cost: float
-) -> str:
-    """Register an experiment without a section, which writes one table for others."""
-
-    def tabulate(settings: Settings, _: Tables) -> Iterator[Table]:
-        yield Table(name, "Scores of all runs.", columns, [*rows(settings)], shown=False)
-
-    REGISTRY[name] = Experiment(name, tabulate, cost=cost)
-    return name
 
 
 def mean_by(rows: Iterable[Mapping[str, Any]], key: str, value: str) -> dict[Any, float]:

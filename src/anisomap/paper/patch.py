@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -22,7 +22,6 @@ from anisomap.paper.cases import (
     PATCH_RUNS,
     SILENT,
     patch_run,
-    patch_seed,
     true_positions,
 )
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, by, curve, experiment
@@ -30,23 +29,13 @@ from anisomap.paper.map_scores import (
     SCORE_COLUMNS,
     ScoredMap,
     draw_run,
-    isolation,
     map_and_score,
     score_rows,
 )
+from anisomap.paper.shapes import isolation
 
 REAL_RECORDING = "icub_hexagon.npz"
 
-_COLUMNS = {
-    "run": "number of the run",
-    "frames": "frames of the run",
-    "seed": "seed of the run",
-    "method": "method",
-    "dimensions": "dimensions of the map",
-    "mantel_r": "Mantel r without the failing sensor",
-    "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
-    "the median of this distance over all other sensors; about 1 if it lies among the others",
-}
 _LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
 _NOTE = (
     "Six triangles of ten pads each, rubbed by a hand; one triangle (rings) is silent in all runs. "
@@ -63,18 +52,6 @@ def _scores(scored: ScoredMap, failing: str = FAILING) -> tuple[float, float]:
     return scored.score.mantel.r, isolation(made.positions[placed], row)
 
 
-def _draw_run(
-    settings: Settings, number: int, dimensions: Iterable[int], methods: Iterable[str] = METHODS
-) -> tuple[list[Panel], list[Row]]:
-    """Draw a run of the patch; return also rows of `_COLUMNS`."""
-    recording, seed = patch_run(settings, number), patch_seed(settings, number)
-    panels, found = draw_run(recording, dimensions, methods, _LABELS)
-    run = (number, recording.n_frames, seed)
-    return panels, [
-        (*run, m.sensor_map.method, m.sensor_map.dimensions, *_scores(m)) for m in found
-    ]
-
-
 @experiment(
     "figure-2",
     "Figure 2: the hardware experiment (simulated)",
@@ -87,30 +64,26 @@ def _draw_run(
     "simulated, and 50 of 60 respond.",
     cost=12,
 )
-def figure_2(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def figure_2(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the maps of all runs by r-ANISOMAP."""
     panels: list[Panel] = []
-    rows: list[Row] = []
     for number in PATCH_RUNS:
-        (truth, shown), scores = _draw_run(settings, number, (2,), ("r-anisomap",))
-        panels = panels or [replace(truth, title="actual configuration")]
-        panels.append(replace(shown, title=f"run {number}, r = {scores[0][-2]:.3f}"))
-        rows += scores
+        drawn, (scored,) = draw_run(patch_run(settings, number), (2,), ("r-anisomap",), _LABELS)
+        panels = panels or [replace(drawn[0], title="actual configuration")]
+        panels.append(replace(drawn[1], title=f"run {number}, r = {scored.score.mantel.r:.3f}"))
     figure = gallery_figure("Figure 2. Maps of the simulated patch by r-ANISOMAP", panels, 3, _NOTE)
-    seeds = f"{patch_seed(settings, PATCH_RUNS[0])} to {patch_seed(settings, PATCH_RUNS[-1])}"
+    seeds = f"{settings.seed} to {settings.seed + PATCH_RUNS[-1] - 1}"
     caption = f"r-ANISOMAP in 2D on the simulated patch, runs 1 to 5 (seeds {seeds})."
     yield Picture("figure-2", caption, figure)
-    yield Table("figure-2", "Isolation of sensor 30.", _COLUMNS, rows, shown=False)
 
 
-def supplementary_figure(number: int, settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def supplementary_figure(number: int, settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the maps of one run by all methods, in 2D and 3D."""
-    panels, rows = _draw_run(settings, number, (2, 3))
-    name = f"figure-s{4 + number}"
-    title = f"Figure S{4 + number}. Simulated patch, run {number}: {rows[0][1]} frames"
-    caption = f"All methods on run {number} (seed {rows[0][2]}), in 2D and 3D."
-    yield Picture(name, caption, gallery_figure(title, panels, 5, _NOTE))
-    yield Table(name, caption, _COLUMNS, rows, shown=False)
+    recording = patch_run(settings, number)
+    panels, _maps = draw_run(recording, (2, 3), METHODS, _LABELS)
+    title = f"Figure S{4 + number}. Simulated patch, run {number}: {recording.n_frames} frames"
+    caption = f"All methods on run {number}, in 2D and 3D."
+    yield Picture(f"figure-s{4 + number}", caption, gallery_figure(title, panels, 5, _NOTE))
 
 
 for _number in PATCH_RUNS:
@@ -188,7 +161,7 @@ def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     )
     caption = "Real IIT skin, six triangles around a vertex, by all methods in 2D and 3D."
     yield Picture("real-skin", caption, figure)
-    rows = [*score_rows("real", recording, 0, (2, 3), settings)]
+    rows = [*score_rows(lambda k: f"real, {k}D", recording, 0, (2, 3), settings)]
     yield Table("real-skin", "Scores of the maps of real skin.", SCORE_COLUMNS, rows)
 
 
@@ -200,7 +173,10 @@ _ISOLATION_COLUMNS = {
     "run": "number of the run",
     "saturated": "share of frames in which the failing sensor is saturated",
     "method": "method",
-    **{name: _COLUMNS[name] for name in ("dimensions", "mantel_r", "isolation")},
+    "dimensions": "dimensions of the map",
+    "mantel_r": "Mantel r without the failing sensor",
+    "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
+    "the median of this distance over all other sensors; about 1 if it lies among the others",
 }
 _N_FAILING = 10
 _FAILURE_COLUMNS = {

@@ -198,33 +198,30 @@ def paper(
     ),
     quick: bool = False,
     first_seed: Annotated[options.Amount, options.expert] = 1,
-    workers: options.Count | None = None,
     recordings: Path | None = None,
     only: list[str] | None = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper, with a page of all results.
 
-    Experiments that are already finished in the folder are not repeated, so an interrupted run can
-    be continued.
+    Experiments run in one process per core. Those that are already finished in the folder are not
+    repeated, so an interrupted run can be continued.
 
     Parameters
     ----------
     output_dir
         Folder for the results; created if absent. Open its index.html.
     quick
-        Use far fewer frames, seeds and permutations, for a preview.
+        Use fewer frames, seeds and permutations, for a preview.
     first_seed
         First seed of each scenario; the same seed gives the same results.
-    workers
-        Number of processes; the number of cores by default.
     recordings
         Folder of recordings of real skin (icub_hexagon.npz); the page explains how to get them.
     only
         Experiment to run, after those that it needs; may be repeated. All by default.
     """
     from anisomap.paper import Settings, Status, reproduce
-    from anisomap.paper.runner import PAGE
+    from anisomap.paper.results import PAGE
 
     settings = Settings(seed=first_seed, quick=quick, recordings=recordings)
     with progress("reproducing the paper") as show:
@@ -234,7 +231,7 @@ def paper(
             if status.state == "computed":
                 errors.print(f"{status.name}: {status.seconds:.1f} s", markup=False)
 
-        found = reproduce(output_dir, settings, only=only or (), workers=workers, report=report)
+        found = reproduce(output_dir, settings, only=only or (), report=report)
     printer.table(
         "Experiments",
         ("name", "seconds", "state"),
