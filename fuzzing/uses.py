@@ -13,10 +13,11 @@ from numpy.random import Generator
 from anisomap import io
 from anisomap.evaluation import align, compare_maps
 from anisomap.layout import check_layout
-from anisomap.live.batches import Batch, Names, Notice
+from anisomap.live.batches import Batch, Names, Notice, batched
 from anisomap.live.quick_map import QuickMapper
 from anisomap.live.session import read_levels
-from anisomap.live.sources.connections import LineParser, _yarp_translation
+from anisomap.live.sources.connections import yarp_translation
+from anisomap.live.sources.lines import LineParser
 from anisomap.placement import Anchors, place
 from anisomap.recording import default_names
 from fuzzing.checks import Findings
@@ -71,13 +72,13 @@ def check_source(path: Path, found: Findings, rng: Generator) -> None:
     content = path.read_bytes()
     cuts = np.sort(rng.integers(len(content) + 1, size=int(rng.integers(6))))
     ends = [0, *cuts.tolist(), len(content)]
-    parser = LineParser() if rng.integers(2) else LineParser(_yarp_translation())
+    parser = LineParser() if rng.integers(2) else LineParser(yarp_translation())
 
     def received() -> list[Any]:
         items = [
             item
             for start, end in pairwise(ends)
-            for item in parser.feed(content[start:end], complete=end == len(content))
+            for item in batched(parser.feed(content[start:end], complete=end == len(content)))
         ]
         mappers: dict[int, QuickMapper] = {}
         for item in items:

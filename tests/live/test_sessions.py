@@ -70,7 +70,7 @@ def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
         "holds no frame",
         "taxel 0 sent no number",
         "3 readings instead of 42 set aside",
-        "waiting for the next",
+        "waiting for another",
     ):
         assert any(told in notice for notice in found["notices"])
     code, said = live.end(signal.SIGINT)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import groupby
 from threading import Event
 from typing import Any, TypeAlias, TypeVar
 from urllib.parse import SplitResult, parse_qs, unquote
@@ -55,6 +56,11 @@ class Notice:
 
 
 Item: TypeAlias = Batch | Names | Notice
+
+Frame: TypeAlias = tuple[float | None, Sequence[float] | NDArray[np.float64]]
+"""A time in seconds of the clock of the source, if it is known, and readings."""
+
+Found: TypeAlias = Frame | Names | Notice
 
 _Received = TypeVar("_Received")
 
@@ -120,55 +126,91 @@ class Source:
     port: int = 0
 
 
-def polled(
-    stop: Event, receive: Callable[[], _Received], idle: type[Exception] = TimeoutError
-) -> Iterator[_Received]:
-    """Yield what is received until `stop` is set; `idle` is raised when nothing came in time."""
+def batched(found: Iterable[Found]) -> Iterator[Item]:
+    """Join consecutive frames of one width, with times or without, to batches."""
+    for kind, alike in groupby(found, _kind):
+        if kind is None:
+            yield from (one for one in alike if not isinstance(one, tuple))
+        else:
+            times, rows = zip(*(one for one in alike if isinstance(one, tuple)), strict=True)
+            known = None if times[0] is None else np.array(times)
+            yield Batch(np.array(rows, dtype=np.float64), known)
+
+
+def _kind(one: Found) -> tuple[bool, int] | None:
+    return (one[0] is None, len(one[1])) if isinstance(one, tuple) else None
+
+
+def polled(stop: Event, receive: Callable[[], _Received]) -> Iterator[_Received]:
+    """Yield what is received until `stop` is set; a TimeoutError says that nothing came."""
     while not stop.is_set():
         try:
             received = receive()
-        except idle:
+        except TimeoutError:
             continue
         yield received
 
 
 def connected(
     description: str,
-    connect: Callable[[], AbstractContextManager[Any]],
-    receive: Callable[[Any, Event], Iterator[Item]],
-    lost: tuple[type[Exception], ...] = (OSError,),
+    connect: Callable[[Event], AbstractContextManager[Any]],
+    receive: Callable[[Any], Any],
+    parser: Callable[[Any], Callable[[Any], Iterator[Found]]],
+    *,
+    peer: str = "",
+    waiting: str = "",
+    greeting: str | None = None,
+    lost: tuple[type[Exception], ...] = (),
+    again: bool = True,
+    held: AbstractContextManager[Any] | None = None,
 ) -> Source:
     """Return a source with a connection, which is made again when it is lost.
 
-    receive: Iterates over what a connection sends, until it ends or an event is set.
-    lost: Errors that mean that there is no connection.
+    receive: Waits for something from the connection, or raises a TimeoutError.
+    parser: Returns a function that finds the frames in what was received; an EOFError ends the
+        connection.
+    peer: The other side, in notices; by default the description.
+    waiting, greeting: Notices at the beginning, and when there is a connection.
+    lost: Errors besides OSError and EOFError that mean that there is no connection.
+    again: Whether there may be another connection.
+    held: What is open as long as the source, such as a port.
     """
+    peer = peer or description
+    greeting = f"connected to {peer}" if greeting is None else greeting
+    ends: tuple[type[Exception], ...] = (OSError, EOFError, *lost)
 
     def items(stop: Event) -> Iterator[Item]:
+        with held or nullcontext():
+            yield from opened(stop)
+
+    def opened(stop: Event) -> Iterator[Item]:
         told = False
+        if waiting:
+            yield Notice(waiting)
         while not stop.is_set():
+            is_open = False
             try:
-                opened = connect()
-            except lost as error:
-                if not told:
-                    reason = getattr(error, "strerror", None) or error
-                    yield Notice(f"cannot connect to {description} ({reason}); still trying")
-                told = True
-                stop.wait(RETRY_S)
-                continue
-            told = False
-            yield Notice(f"connected to {description}")
-            with opened as connection:
-                received = receive(connection, stop)
-                while True:
-                    # Only errors of the source are caught, not those of the code that takes items.
-                    try:
-                        item = next(received)
-                    except (StopIteration, *lost):  # type: ignore[misc]
-                        break
-                    yield item
-            if not stop.is_set():
-                yield Notice(f"lost the connection to {description}; connecting again")
-                stop.wait(WAIT_S)
+                with connect(stop) as connection:
+                    is_open = True
+                    if greeting:
+                        yield Notice(greeting)
+                    parse = parser(connection)
+                    for content in polled(stop, lambda: receive(connection)):
+                        yield from batched(parse(content))
+            except ends as error:
+                if not again:
+                    yield Notice(f"{description} has ended")
+                    return
+                if is_open or not told:
+                    yield _lost(peer, error, is_open=is_open)
+                told = not is_open
+                stop.wait(WAIT_S if is_open else RETRY_S)
 
     return Source(description, items)
+
+
+def _lost(peer: str, error: Exception, *, is_open: bool) -> Notice:
+    if is_open:
+        return Notice(f"lost the connection to {peer}; waiting for another")
+    reason = getattr(error, "strerror", None) or error
+    return Notice(f"cannot connect to {peer} ({reason}); still trying")
