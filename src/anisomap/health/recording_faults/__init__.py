@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from anisomap.numerics.signals import some_sensors, unit_rows
 from anisomap.recording import Recording
 
 
@@ -42,6 +43,32 @@ def with_readings(
 ) -> Callable[[Recording], Recording]:
     """Return a repair that changes the readings alone, shape (T, N)."""
     return lambda recording: replace(recording, readings=change(recording.readings))
+
+
+def halves_of(n_frames: int) -> tuple[slice, slice]:
+    """Return the frames of both halves of a recording."""
+    return slice(n_frames // 2), slice(n_frames // 2, None)
+
+
+def agree_more(before: NDArray[Any], after: NDArray[Any], group: NDArray[np.intp]) -> bool:
+    """Return whether a group of sensors resembles other sensors more after a mend.
+
+    before, after (T, N): Readings, which do not differ in other sensors.
+
+    Others have no part in a fault of the group, but in the contacts that might be taken for one.
+    The sensor with which each is compared in either half is chosen in the other half.
+    """
+    others = np.setdiff1d(np.arange(before.shape[1]), group)
+    others = others[some_sensors(others.size)]
+    one, other = halves_of(len(before))
+    for here, there in ((one, other), (other, one)):
+        r = unit_rows(after[there][:, group]) @ unit_rows(after[there][:, others]).T
+        partners = unit_rows(after[here][:, others[r.argmax(axis=1)]])
+        rows = (unit_rows(readings[here][:, group]) for readings in (before, after))
+        was, now = (np.einsum("nt,nt->n", one, partners).mean() for one in rows)
+        if not now > was:
+            return False
+    return True
 
 
 # Of contact, as a surface needs: place in two dimensions, and height.

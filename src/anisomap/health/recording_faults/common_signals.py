@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from anisomap.health.recording_faults import (
     Found,
+    agree_more,
+    halves_of,
     has_contacts,
     linked_groups,
     turns_like_noise,
@@ -96,7 +98,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     share = _median_share(gains / np.sqrt(2), readings[:, free])
     if share < _MIN_SHARE:
         return
-    halves = [_sine_gains(readings[half][:, free], course[half]) for half in _halves(n_frames)]
+    halves = [_sine_gains(readings[half][:, free], course[half]) for half in halves_of(n_frames)]
     again = np.median(np.abs(halves[0] - halves[1])) <= _MAX_APART * np.median(gains)
     values = {"period": 1 / frequency, "rate_hz": recording.rate_hz}
     yield Found(free, share, values, _without(free, course, gains) if again else None)
@@ -112,7 +114,7 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
     sensors that are not in contact. It is a finding if it is white, the rest of the readings is
     not, and it is at least 10 % of the fast noise. A group that is not the whole skin must also be
     touched by contacts of several kinds; otherwise, what it shares may be a single contact. Noise
-    of a group is mended only if that raises its agreement with other sensors: see `_agree_more`.
+    of a group is mended only if that raises its agreement with other sensors: see `agree_more`.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = _SCREENED
@@ -132,39 +134,22 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
         if everywhere:
             yield Found(group, share)
         elif has_contacts(mend(recording), group):
-            known = _agree_more(readings, group)
+            left = _held_out(readings, group)
+            known = left is not None and agree_more(readings, left, group)
             yield Found(group, share, mend=mend if known else None, kind="board-noise")
 
 
-def _agree_more(readings: NDArray[Any], group: NDArray[np.intp]) -> bool:
-    """Return whether a group resembles other sensors more without the noise that it shares.
-
-    Other sensors have no part in that noise, but in the contacts that might be taken for it. The
-    gains that are subtracted in either half of the recording, and the other sensors with which each
-    is compared, are those of the other half.
-    """
-    others = np.setdiff1d(np.arange(readings.shape[1]), group)
-    others = others[some_sensors(others.size)]
-    one, other = (
-        (readings[half], _noise_of(readings[half][:, group])) for half in _halves(len(readings))
-    )
-    gained = []
-    for (here, noise), (there, known) in ((one, other), (other, one)):
-        if noise is None or known is None:
-            return False
-        rows = unit_rows(there[:, group] - np.outer(known[0], known[1]))
-        best = np.abs(rows @ unit_rows(there[:, others]).T).argmax(axis=1)
-        partners = unit_rows(here[:, others[best]])
-        before, after = (
-            np.abs(np.einsum("nt,nt->n", unit_rows(values), partners))
-            for values in (here[:, group], here[:, group] - np.outer(noise[0], known[1]))
-        )
-        gained.append(np.mean(after) - np.mean(before))
-    return bool(min(gained) > 0)
-
-
-def _halves(n_frames: int) -> tuple[slice, slice]:
-    return slice(n_frames // 2), slice(n_frames // 2, None)
+def _held_out(readings: NDArray[Any], group: NDArray[np.intp]) -> NDArray[Any] | None:
+    """Subtract the noise of a group from either half of a recording by the gains of the other."""
+    halves = halves_of(len(readings))
+    found = [_noise_of(readings[half][:, group]) for half in halves]
+    one, other = found
+    if one is None or other is None:
+        return None
+    left = np.array(readings)
+    for half, (course, _), (_, gains) in zip(halves, (one, other), (other, one), strict=True):
+        left[half, group] -= np.outer(course, gains)
+    return left
 
 
 def _without(

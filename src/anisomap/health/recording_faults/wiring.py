@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.health.recording_faults import Found
+from anisomap.health.recording_faults import Found, agree_more
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
@@ -48,16 +48,18 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     rest, such as those of sensors that are often in contact, the signs of the correlations along a
     maximum spanning tree give the parts, which must then be mixed. Sensors with fewer than 5
     contacts, or that resemble no other, are not judged, since their signs may be due to chance;
-    but a sensor that rises with one of them, and resembles that one most, is not inverted.
+    but a sensor that rises with one of them, and resembles that one most, is not inverted. Sensors
+    are mirrored only if they have 10 contacts on average, 5 in either half of the recording, and
+    then resemble the others in both halves.
     """
     judged = np.flatnonzero(_often_touched(recording))
     readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
-    values = standardised(readings)
-    skewness = np.einsum("ti,ti,ti->i", values, values, values) / len(values)
+    standard = standardised(readings)
+    skewness = np.einsum("ti,ti,ti->i", standard, standard, standard) / len(standard)
     skewed = np.abs(skewness) >= _MIN_SKEWNESS
     if judged.size < 3 or (np.mean(skewed) >= _MIN_SKEWED and _are_equal(skewness[skewed] > 0)):
         return
-    correlation = _clear_correlations(recording, judged, readings, values)
+    correlation = _clear_correlations(recording, judged, readings, standard)
     related = correlation.any(axis=1)
     if np.count_nonzero(related) < 3:
         return
@@ -79,12 +81,12 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     if found.size:
         found = found[~_rise_with_others(recording, found)]
     if found.size:
-        yield Found(
-            found,
-            found.size / recording.n_sensors,
-            {"n_sensors": recording.n_sensors},
-            lambda recording: _mirrored(recording, found),
-        )
+        mended = _mirrored(recording, found)
+        known = recording.signals.contacts[found].mean() >= 2 * MIN_CONTACTS
+        known &= agree_more(recording.readings, mended.readings, found)
+        values = {"n_sensors": recording.n_sensors}
+        mend = (lambda recording: _mirrored(recording, found)) if known else None
+        yield Found(found, found.size / recording.n_sensors, values, mend)
 
 
 def _rise_with_others(recording: Recording, suspects: NDArray[np.intp]) -> NDArray[np.bool_]:
