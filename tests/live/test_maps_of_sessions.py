@@ -44,27 +44,35 @@ def mapper_of(readings, *sizes, names=(), dimensions=2):
 
 
 @pytest.mark.parametrize("level", [*LEVELS, UNKNOWN])
-def test_enough_touches_are_stated_of_usable_maps_only(level):
-    maps = SessionMaps(ExaminationOptions(), print, print, lambda: 0.0)
+def test_the_headline_says_what_to_do_and_repeats_no_verdict(level):
+    options = ExaminationOptions(spacing_mm=6.0)
+    maps = SessionMaps(options, print, print, lambda: 0.0)
+    assert maps.guidance == ("Touch the skin", False)
     maps.quick = mapper_of(READINGS[:34]).make()
+    place = maps.quick.advice.places[0].in_words(maps.names)
+    assert place in maps.guidance[0] or "not touched yet" in maps.guidance[0]
     maps.quick = replace(maps.quick, advice=Advice(enough=True, text="touched everywhere"))
-    assert maps.guidance == ("touched everywhere", False), "without a verdict, nothing is known"
-    verdict = Verdict(level, reasons=("record longer",))
+    assert maps.guidance[0].startswith("Touch the whole skin")
+    verdict = Verdict(level, 0.3, reasons=("record longer",))
     maps.checked = Examination(None, (), None, verdict, np.nan, 80, 1.0, final=False)
-    told, enough = maps.guidance
-    assert ("enough" in told) == enough == (level == "usable")
-    assert level in told
-    assert ("record longer" in told) != enough
+    told, good = maps.guidance
+    assert good == (level == "usable")
+    assert told.startswith("Good: 0.3 spacings (1.8 mm)" if good else "Touch the whole skin")
+    assert "80" not in told
 
 
-def test_a_map_that_lags_gives_no_advice(tmp_path, monkeypatch):
+def test_the_headline_follows_the_state_of_the_session(tmp_path, monkeypatch):
     session = LiveSession(Given(), tmp_path / "r.csv")
+    assert session.guidance[0] == "Waiting for the first frame"
+    session.recorder.n_frames = 34
     session.maps.quick = mapper_of(READINGS[:34]).make()
-    assert session.guidance == session.maps.guidance != ("", False)
+    assert session.guidance == session.maps.guidance
     monkeypatch.setattr(LiveSession, "lags", True)
-    advice, enough = session.guidance
-    assert "wait for it" in advice
-    assert not enough
+    assert session.guidance[0].startswith("Wait: the map lacks the last")
+    session.pause(True)
+    assert session.guidance[0].startswith("Paused")
+    session.ended.set()
+    assert session.guidance == ("The session is over: there is no map", False)
 
 
 @given(sizes=st.lists(st.integers(1, 60), max_size=4), offset=st.floats(-1e3, 1e3))

@@ -12,6 +12,7 @@ import pytest
 import anisomap
 from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Names, Notice
+from anisomap.live.page import save_page
 from anisomap.live.page.server import Server
 from anisomap.usability import LEVELS, UNKNOWN
 from live_processes import LONGEST_S, Given, wait_for_maps
@@ -118,25 +119,21 @@ def test_buttons(page):
     assert NAME not in (page.folder / "r.report.html").read_text()
     _, content = ask(server, saved["files"][0]["url"])
     assert content == (page.folder / "r.map.csv").read_bytes()
-    assert "metres" in act(server, "export", suffix=".urdf")["text"]
-    assert act(server, "export", suffix=".icub.txt", spacing="5mm")["ok"]
-    assert not act(server, "export", suffix="/../x")["ok"]
-    positions = page.skin.positions
-    rows = [f"s{i},{x},{y}" for i, (x, y) in enumerate(positions)][1:]
-    assert act(server, "truth", name="t.csv", text="name,x,y\n" + "\n".join(rows))["ok"]
-    assert session.maps.options.truth.n_sensors == 41
-    assert not act(server, "truth", name="t.exe", text="")["ok"]
-    anchors = [f"s{i}={x / 1000},{y / 1000}" for i, (x, y) in enumerate(positions)][1:12]
-    assert act(server, "anchors", text="\n".join(anchors))["ok"]
-    exported = act(server, "export", suffix=".csv")
-    assert exported["ok"], exported
-    placed = anisomap.read_map(page.folder / "r.map.csv")
-    assert placed.anchored
-    errors = np.linalg.norm(placed.positions[1:, :2] - positions[1:] / 1000, axis=1)
-    assert np.median(errors) < 0.0005  # half of a spacing, in the frame of the anchors
-    assert not act(server, "anchors", text="s3")["ok"]
-    assert act(server, "anchors", text="")["ok"]
     assert not act(server, "anything")["ok"]
+
+
+def test_the_page_at_the_end_is_one_file_with_the_map_and_links(page):
+    path = save_page(page.session, page.folder / "end.html", [page.folder / "r.csv"])
+    text = path.read_text()
+    assert not any(
+        word in text
+        for word in ("http://", "https://", "innerHTML", '<link rel="style', "<script src")
+    )
+    assert NAME not in text
+    shown = json.loads(text.partition('type="application/json">')[2].partition("</script>")[0])
+    assert shown["map"]["names"][0] == NAME
+    assert shown["status"]["frames"] == 800
+    assert shown["files"] == [{"name": "r.csv", "url": "r.csv"}]
 
 
 @pytest.mark.parametrize(

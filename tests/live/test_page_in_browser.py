@@ -8,6 +8,7 @@ from benchmarks.live.film import browser, find_chromium
 
 from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Names
+from anisomap.live.page import save_page
 from anisomap.live.page.server import Server
 from skins import flat_skin
 
@@ -66,7 +67,8 @@ def test_a_session_in_the_browser(tmp_path):
             page.wait_for(f"{element('dropped')}.textContent.includes('<img')")
             assert session.maps.options.drop == (EVIL,)
             page.press("p")
-            page.wait_for(f"{element('state')}.textContent === 'paused'")
+            page.wait_for("document.body.dataset.state === 'paused'")
+            page.wait_for(f"{element('coach')}.textContent.startsWith('Paused')")
             before = session.recorder.n_frames
             page.press("p")
             page.wait_for(f"{element('state')}.textContent === 'running'")
@@ -77,12 +79,18 @@ def test_a_session_in_the_browser(tmp_path):
             page.wait_for(f"{element('which')}.textContent.startsWith('checked map')")
             page.press("s")
             page.wait_for(f"{element('files')}.children.length === 2")
-            page.press("e")
-            assert page.evaluate(f"{element('export-dialog')}.open")
             assert page.errors == []
             assert page.evaluate("document.title") == "anisomap live"
         page.wait_for(f"!{element('disconnected')}.hidden")
-        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        # The page at the end needs no session, and survives a reload.
+        written = save_page(session, tmp_path / "end.html", [tmp_path / "r.csv"])
+        for _ in range(2):
+            page.open(written.as_uri())
+            page.wait_for(f"{element('coach')}.textContent.startsWith('The session is over')")
+            page.wait_for(f"{element('files')}.children.length === 1")
+            assert not page.evaluate(f"{element('pause')}.offsetParent")
+            assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+        assert page.errors == []
     assert (tmp_path / "r.report.html").exists()
     lines = (tmp_path / "r.csv").read_bytes().count(b"\n")
     assert lines > session.recorder.n_frames

@@ -105,6 +105,28 @@ def test_a_killed_session_leaves_its_recording_and_no_process(session, tmp_path)
     np.testing.assert_array_equal(anisomap.read(path).readings, SKIN.readings[:40].astype(float))
     wait_until(lambda: not any(is_alive(pid) for pid in children), "the end of the processes")
 
+    rest = tmp_path / "rest.txt"
+    rest.write_bytes(text(LINES[40:80]))
+    with path.open("a") as file:
+        file.write(LINES[40][:9])  # as a kill in the middle of a line leaves it
+    with rest.open("rb") as lines:
+        code, said = session("-", *METHOD, "--headless", "--resume", "r.csv", stdin=lines).join()
+    assert code == 0, said
+    recorded = anisomap.read(path)
+    np.testing.assert_array_equal(recorded.readings, SKIN.readings[:80].astype(float))
+    assert (np.diff(recorded.times) > 0).all()
+
+
+def test_the_duration_counts_from_the_first_frame(session):
+    live = session("tcp-listen://127.0.0.1:0", *METHOD, *FILE, "--for", "0.5")
+    port = live.port("waiting for a connection")
+    live.wait_for(lambda event: event["seconds"] > 2)  # longer than the duration
+    with connected(port) as peer:
+        peer.sendall(text(LINES[:100]))
+        code, said = live.join()
+    assert code == 0, said
+    assert live.result["frames"] == 100
+
 
 def is_alive(pid):
     try:

@@ -24,6 +24,7 @@ from anisomap.errors import FileError
 from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.delimited_text import header_text
+from anisomap.io.registry import open_stream
 from anisomap.live.batches import Batch
 from anisomap.recording import default_names
 
@@ -34,6 +35,9 @@ MAX_WIDTH = 250_000
 """Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a
 reading has up to 25 characters; sensors without a number have names of up to 7."""
 
+GAP = "no frame for"
+"""Beginning of the notice of a gap."""
+
 _HELD_BYTES = 1 << 16  # written at once above this size, whatever the time
 _SILENCE_S = 1.0  # without a frame, after which a gap is noticed
 _CHANGED_S, _CHANGED_FRAMES = 1.0, 10  # of frames of one new width, before the width counts as new
@@ -41,21 +45,76 @@ _MAX_ODD = 10_000  # frames of another width that are held in memory
 _TICK = 1e-6  # seconds; the last digit of the times in the file
 
 
-class JournalWriter:
-    """Appends frames to a new file; without names of the sensors, it has no header."""
+@dataclass(frozen=True)
+class Journal:
+    """What a recording of a live session holds that is to be continued.
 
-    def __init__(self, path: Path, names: Sequence[str] = (), source: str = "") -> None:
+    header_bytes, size: Of the lines before the first frame, and of all whole lines.
+    n_frames, seconds: Number of frames, and time of the last one.
+    has_gaps: Whether a reading is missing.
+    """
+
+    names: tuple[str, ...]
+    header_bytes: int
+    size: int
+    n_frames: int
+    seconds: float
+    has_gaps: bool
+
+    @classmethod
+    def of(cls, path: Path) -> Journal:
+        """Examine a recording that a live session wrote, whether or not that was killed."""
+        header_bytes, size, n_frames, last, has_gaps = 0, 0, 0, b"0", False
+        try:
+            with open_stream(path, frames=1) as stream:
+                first = next(iter(stream.blocks), None)
+                names, is_timed = stream.names, first is not None and first.times is not None
+            with path.open("rb") as file:
+                for line in file:
+                    if not line.endswith(b"\n"):
+                        break  # cut when the session was killed
+                    size += len(line)
+                    if line.startswith(b"#") or not header_bytes:
+                        header_bytes = size if not line.startswith(b"#") else 0
+                    else:
+                        n_frames, last = n_frames + 1, line.partition(b",")[0]
+                        has_gaps |= b"nan" in line
+        except OSError as error:
+            raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+        if not names or not is_timed:
+            raise FileError(f"{path} is no recording of a live session: it lacks names or times")
+        return cls(tuple(names), header_bytes, size, n_frames, float(last), has_gaps)
+
+
+class JournalWriter:
+    """Appends frames to a new file, or to one that is continued.
+
+    Without names of the sensors, a new file has no header.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        names: Sequence[str] = (),
+        source: str = "",
+        before: Journal | None = None,
+    ) -> None:
         check_target(path)
         text = header_text(names, source=source) if names else ""
         header = text.encode("utf-8", "replace")
         self.path = path
         self._held = bytearray()
         try:
-            self._file = path.open("xb", buffering=0)
+            self._file = path.open("xb" if before is None else "r+b", buffering=0)
         except FileExistsError:
             raise FileError(f"{path} exists; a live session writes a new recording") from None
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+        if before is not None:
+            self._size, self.header_bytes = before.size, before.header_bytes
+            self._file.truncate(self._size)
+            self._file.seek(self._size)
+            return
         self._size = 0
         self.header_bytes = len(header)
         self._write(header)
@@ -168,6 +227,17 @@ class Recorder:
         """Whether a reading of the current file is missing."""
         return bool(self._missing.any())
 
+    def resume(self, before: Journal) -> None:
+        """Append to the first file from now on; its frames lie in the past."""
+        with self._lock:
+            self._writer = JournalWriter(self._path, before=before)
+            self.n_frames, self.seconds = before.n_frames, before.seconds
+            self._missing = np.full(len(before.names), before.has_gaps)
+            self._began = time.monotonic() - before.seconds
+            names, start = before.names, before.header_bytes
+            self.segments.append(Segment(self._path, names, start, 1, self._source))
+            self._begin(self.segments[-1])
+
     def put(self, batch: Batch) -> None:
         """Record frames, unless they are wider than `MAX_WIDTH`."""
         if not batch.readings.size:
@@ -179,7 +249,7 @@ class Recorder:
         with self._lock:
             now = time.monotonic()
             if self.arrived_at is not None and now - self.arrived_at > _SILENCE_S:
-                self._notify(f"no frame for {now - self.arrived_at:.1f} s")
+                self._notify(f"{GAP} {now - self.arrived_at:.1f} s")
             if self._writer is None:
                 self._start(width)
             if width == self.width:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -13,17 +14,15 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import printable
+from anisomap.base.wording import join_items, printable
 from anisomap.errors import AnisomapError, InputError
 from anisomap.health import SensorHealth
 from anisomap.live.batches import Names, Notice, Source
 from anisomap.live.quick_map import QuickMap, confirmed_faults
-from anisomap.live.recorder import Recorder, Segment
+from anisomap.live.recorder import GAP, Journal, Recorder, Segment
 from anisomap.live.saving import command_for, save_map
 from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task, Worker
 from anisomap.method.dimensions import AUTO, SPATIAL
-from anisomap.placement import Anchors
-from anisomap.sensor_map import SensorMap
 from anisomap.usability import LEVELS, UNKNOWN
 from anisomap.verdict.chance import MIN_FRAMES
 
@@ -33,6 +32,7 @@ MAX_CURVE = 500
 _GROWTH = 1.15  # of the number of frames between two checked maps
 _NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand
 _REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}
+_MAX_NAMED = 3  # sensors in one sentence
 _SHARE_S = 1.0  # between two points of the share of sensors touched
 
 _Point = TypeVar("_Point")
@@ -119,20 +119,45 @@ class SessionMaps:
 
     @property
     def guidance(self) -> tuple[str, bool]:
-        """What to do next, in words, and whether nothing is left to do.
+        """What to do now, in one sentence, and whether the map is good.
 
-        Where contacts suffice, the verdict decides, and its first reason says what to do.
+        It says nothing of the last checked map, which the panel shows, but whether it is good.
         """
         if self.quick is None:
-            return "", False
-        advice, checked = self.quick.advice, self.checked
-        if not advice.enough or checked is None:
-            return advice.text, False
-        level, reasons = checked.verdict.level, checked.verdict.reasons
-        if level == list(LEVELS)[-1]:
-            return f"enough touches: the map of {checked.n_frames} frames is {level}", True
-        found = f"{UNKNOWN} yet how far the map can be used" if level == UNKNOWN else level
-        return "; ".join([f"the map of {checked.n_frames} frames: {found}", *reasons[:1]]), False
+            return "Touch the skin", False
+        advice = self.quick.advice
+        if advice.untouched:
+            names = join_items([self.names[i] for i in advice.untouched], _MAX_NAMED)
+            return f"Touch {names}: not touched yet", False
+        if advice.places:
+            return f"Touch {advice.places[0].in_words(self.names)}", False
+        if not self.is_good:
+            return "Touch the whole skin again, each place in other directions", False
+        return f"Good: {self.error_in_words}. Keep going, or press Q to finish", True
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the checked map is usable."""
+        return self.checked is not None and self.checked.verdict.level == list(LEVELS)[-1]
+
+    @property
+    def outcome(self) -> str:
+        """What the checked map is good for, in words."""
+        if self.checked is None or self.checked.sensor_map is None:
+            return "there is no map"
+        level = self.checked.verdict.level
+        if level == UNKNOWN:
+            return "how far its map is right is not known"
+        return f"its map is {level}, {self.error_in_words}"
+
+    @property
+    def error_in_words(self) -> str:
+        """The expected error of the checked map, in mm too if the distance of sensors is known."""
+        error = math.nan if self.checked is None else self.checked.verdict.expected_error
+        if not math.isfinite(error):
+            return "error not known"
+        spacing = self.options.spacing_mm
+        return f"{error:.2g} spacings" + (f" ({error * spacing:.2g} mm)" if spacing else "")
 
     def reached(self, level: str) -> bool:
         """Return whether the last two checked maps have a level, or a better one.
@@ -310,16 +335,22 @@ class LiveSession:
     Use it as a context manager: frames are recorded from its beginning, and everything is on disk
     at its end.
 
-    recording: File for the recording; must not exist.
+    recording: File for the recording; must not exist, unless it is continued.
+    before: What the recording holds, if it is continued.
     levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
-    anchors: Known positions of some sensors, by which saved maps are placed.
     ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
     changed: Notified of every map, and of every state of the readings, which `tick` counts.
+    first_frame_at: Time of the first frame by the monotonic clock; infinite before it.
+    page: File to which the page is written at the end, if it is.
     failure: Why the recording ended, if it could not go on.
     """
 
     def __init__(
-        self, source: Source, recording: Path, options: ExaminationOptions | None = None
+        self,
+        source: Source,
+        recording: Path,
+        options: ExaminationOptions | None = None,
+        before: Journal | None = None,
     ) -> None:
         self.source = source
         options = options or ExaminationOptions()
@@ -330,12 +361,14 @@ class LiveSession:
         self.maps = SessionMaps(options, self.notify, self._announce, lambda: self.seconds)
         self.levels = np.empty(0)
         self._first: NDArray[np.float64] | None = None
+        self._before = before
+        self.first_frame_at = math.inf
+        self.page: Path | None = None
         self.notices: deque[Note] = deque(maxlen=_MAX_NOTICES)
         self.failure: AnisomapError | None = None
         self.paused = False
         self.ended = threading.Event()
         self.wanted_end = threading.Event()
-        self.anchors: Anchors | None = None
         self.finishing = False
         self.changed = threading.Condition()
         self.tick = 0
@@ -349,6 +382,9 @@ class LiveSession:
     def __enter__(self) -> LiveSession:
         self._began = time.monotonic()
         self.maps.start()
+        if self._before is not None:
+            self.recorder.resume(self._before)
+            self.notify(f"continues a recording of {self._before.n_frames} frames")
         tasks = (self._acquire, self._keep_time)
         self._threads = [threading.Thread(target=task, daemon=True) for task in tasks]
         for thread in self._threads:
@@ -370,6 +406,11 @@ class LiveSession:
     def segment(self) -> Segment | None:
         """The current file of the recording."""
         return self.recorder.segments[-1] if self.recorder.segments else None
+
+    @property
+    def gaps(self) -> list[float]:
+        """When a gap in the readings ended, in seconds since the start."""
+        return [note.seconds for note in list(self.notices) if note.text.startswith(GAP)]
 
     @property
     def state(self) -> str:
@@ -402,9 +443,18 @@ class LiveSession:
 
     @property
     def guidance(self) -> tuple[str, bool]:
-        """See `SessionMaps.guidance`; a map that lags does not know what was touched since."""
+        """What to do now, in one sentence, and whether the map is good."""
+        match self.state:
+            case "finishing":
+                return "Making the final map", False
+            case "ended":
+                return f"The session is over: {self.maps.outcome}", self.maps.is_good
+            case "paused":
+                return "Paused: nothing is recorded. Press P to go on", False
+        if self.recorder.n_frames == 0:
+            return "Waiting for the first frame", False
         if self.lags:
-            return f"the map lacks the last {self.map_age:.0f} s: wait for it", False
+            return f"Wait: the map lacks the last {self.map_age:.0f} s", False
         return self.maps.guidance
 
     @property
@@ -443,21 +493,9 @@ class LiveSession:
             raise InputError(f"there is no sensor {printable(unknown[0])}")
         self.maps.change(replace(self.maps.options, drop=tuple(names)))
 
-    def declare_truth(self, truth: SensorMap) -> None:
-        """Compare checked maps with true positions from now on."""
-        self.maps.change(replace(self.maps.options, truth=truth))
-        self.notify(f"maps are compared with the {truth.n_sensors} positions that were declared")
-
     def save(self, path: Path, spacing: str = "") -> Path:
-        """Write the checked map in the frame of the anchors, or what a viewer shows."""
-        return save_map(
-            self.maps.checked,
-            path,
-            recording=self.recorder.segments[-1].path,
-            preset=self.maps.options.preset,
-            spacing=spacing,
-            anchors=self.anchors,
-        )
+        """Write the checked map."""
+        return save_map(self.maps.checked, path, spacing=spacing)
 
     def stop(self) -> None:
         """End the acquisition; everything that arrived is on disk afterwards."""
@@ -493,6 +531,7 @@ class LiveSession:
                     self.recorder.names = item.names
                 elif not self.paused:
                     self.recorder.put(item)
+                    self.first_frame_at = min(self.first_frame_at, time.monotonic())
                     self._arrivals.add(self.recorder.n_frames, time.monotonic())
                 if self._stop.is_set():
                     break

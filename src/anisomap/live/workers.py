@@ -66,6 +66,7 @@ class ExaminationOptions:
     preset: See `ReadOptions`.
     drop: Sensors to leave out.
     truth: Positions to compare with.
+    spacing_mm: Distance between neighbouring sensors; 0 if it is not known.
     """
 
     dimensions: Dimensions = AUTO
@@ -73,6 +74,7 @@ class ExaminationOptions:
     preset: str = ""
     drop: tuple[str, ...] = ()
     truth: SensorMap | None = None
+    spacing_mm: float = 0.0
 
 
 def examine(

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from anisomap.live import LiveSession
     from anisomap.live.batches import Source
     from anisomap.live.page.server import Server
+    from anisomap.live.recorder import Journal
     from anisomap.live.sources import Advised
 
 _source = Group("Source", sort_key=0)
@@ -57,7 +58,7 @@ class PageOptions:
     until
         End the session when two checked maps in a row reach this level, or a better one.
     duration
-        End the session after this number of seconds.
+        End the session this number of seconds after its first frame.
     """
 
     port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535)), options.expert] = 8765
@@ -85,6 +86,7 @@ def live(
     seed: options.Seed = 0,
     preset: Annotated[str, Parameter(group=_source)] = "",
     recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
+    resume: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     output: options.Output = None,
     report: options.Report = None,
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
@@ -101,7 +103,7 @@ def live(
 
     Readings are recorded as they arrive, in a file that `anisomap map` reads. A page in the browser
     shows the readings, the map made so far, and how far it can be trusted. Ctrl-C ends the session;
-    the final map is then made from all frames.
+    the final map is then made from all frames, and the page is kept as a file beside the recording.
 
     Parameters
     ----------
@@ -115,10 +117,11 @@ def live(
         Robot with a known numbering of sensors: icub, icub-hand.
     recording
         File for the recording, .csv; must not exist. Default: live-DATE-TIME.csv.
+    resume
+        Recording of a session that was killed or has ended, to continue in the same file.
     output
-        File for the map; its suffix chooses the format, or a viewer of the session: .mcap
-        (Foxglove) or .rrd (Rerun). May be repeated. Default: the name of the recording with
-        .map.csv.
+        File for the map; its suffix chooses the format. May be repeated. Default: the name of the
+        recording with .map.csv.
     spacing
         Median distance between neighbouring sensors, such as 6.5mm: scales the written maps.
     dimensions
@@ -130,21 +133,16 @@ def live(
     from anisomap.cli.outputs import Outputs, read_reference
     from anisomap.io.presets import check_preset
     from anisomap.live.page.server import Server
-    from anisomap.live.saving import SESSIONS
     from anisomap.live.sources import SimulatedHand
     from anisomap.method.named import find_method
 
-    target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
-    if target.suffix.lower() != ".csv":
-        raise InputError(f"the recording is written as CSV: {target} must end in .csv")
-    if target.exists():
-        raise InputError(f"{target} exists; a live session writes a new recording")
+    target, before = _target(recording, resume)
     given = Path(source) if source and Path(source).exists() else None
     maps = output or [target.with_suffix(".map.csv")]
-    sessions = [path for path in maps if path.suffix.lower() in SESSIONS]
-    written = [path for path in maps if path not in sessions]
-    Outputs(maps=written, report=report, others=[target, *sessions], inputs=[given, truth])
-    options.PlacingOptions(spacing=spacing).check(written)
+    ending = [] if page.headless else [target.with_suffix(".html")]
+    others = [target, *ending]
+    Outputs(maps=maps, report=report, others=others, inputs=[given, truth])
+    options.PlacingOptions(spacing=spacing).check(maps)
     find_method(method)
     if preset:
         check_preset(preset)
@@ -154,9 +152,11 @@ def live(
         preset=preset,
         drop=tuple(name for text in drop or [] for name in text.split(",")),
         truth=None if truth is None else read_reference(truth),
+        spacing_mm=_millimetres(spacing),
     )
     opened = _opened(source, simulate, speed, seed, coached)
-    session = anisomap.live.LiveSession(opened, target, chosen)
+    session = anisomap.live.LiveSession(opened, target, chosen, before)
+    session.page = ending[0] if ending else None
     with ExitStack() as stack:
         # A port in use is reported before anything is recorded.
         server = None
@@ -169,6 +169,29 @@ def live(
         _run(session, page, printer, server, finish)
     if session.failure is not None:
         raise session.failure
+
+
+def _target(recording: Path | None, resume: Path | None) -> tuple[Path, Journal | None]:
+    """Return the file for the recording, and what it holds if it is continued."""
+    if recording is not None and resume is not None:
+        raise InputError("give either --recording for a new file or --resume to continue one")
+    target = resume or recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
+    if target.suffix.lower() != ".csv":
+        raise InputError(f"the recording is written as CSV: {target} must end in .csv")
+    if resume is not None:
+        from anisomap.live.recorder import Journal
+
+        return target, Journal.of(target)
+    if target.exists():
+        raise InputError(f"{target} exists: --resume continues it, --recording names a new file")
+    return target, None
+
+
+def _millimetres(spacing: str) -> float:
+    from anisomap.placement import METRES, parse_length
+
+    value, unit = parse_length(spacing) if spacing else (0.0, "mm")
+    return 1e3 * value * METRES[unit]
 
 
 def _opened(
@@ -202,10 +225,10 @@ def _run(
     finish: Callable[[], None],
 ) -> None:
     """Show the session until it ends, and finish it while the page still shows it."""
-    ends = time.monotonic() + (page.duration or math.inf)
 
     def over() -> bool:
         done = page.until is not None and session.maps.reached(page.until.replace("-", " "))
+        ends = session.first_frame_at + (page.duration or math.inf)
         return done or time.monotonic() >= ends
 
     if server is None:
@@ -220,25 +243,18 @@ def _run(
     with _until_interrupted(printer):
         while not (over() or session.wanted_end.is_set() or session.ended.wait(_POLL_S)):
             pass
-    asked = over() or session.wanted_end.is_set() or not session.ended.is_set()
     finish()
-    if not asked:
-        printer.line(
-            "The source has ended. The page stays open: Q on it, or Ctrl-C here, closes it."
-        )
-    with _until_interrupted():
-        while not (asked or session.wanted_end.wait(_POLL_S)):
-            pass
+    if page.browser and session.page is not None and session.page.exists():
+        webbrowser.open(session.page.absolute().as_uri())
 
 
 @contextmanager
-def _until_interrupted(printer: Printer | None = None) -> Iterator[None]:
+def _until_interrupted(printer: Printer) -> Iterator[None]:
     """Take the first Ctrl-C as the end of the block."""
     try:
         yield
     except KeyboardInterrupt:
-        if printer is not None:
-            printer.line("ending the session; press Ctrl-C again to leave out the final map")
+        printer.line("ending the session; press Ctrl-C again to leave out the final map")
 
 
 def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool]) -> None:
@@ -292,7 +308,7 @@ def _finish(
     session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
 ) -> None:
     """Make the final map, write all files, and say what was written."""
-    from anisomap.live.saving import SESSIONS, save_report
+    from anisomap.live.saving import save_report
 
     try:
         with progress("making the final map"):
@@ -302,9 +318,7 @@ def _finish(
     written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"), together():
-            for path in maps:
-                kind = "session" if path.suffix.lower() in SESSIONS else "map"
-                written.append((kind, session.save(path, spacing)))
+            written += [("map", session.save(path, spacing)) for path in maps]
             if report:
                 written.append(("report", save_report(final, report)))
         printer.say(f"Final map of {final.n_frames} frames: {final.verdict}")
@@ -314,6 +328,11 @@ def _finish(
         print_warning("the final map was not made; the recording is complete")
     else:
         print_warning("no frame arrived, so nothing was recorded")
+    if session.page is not None and written:
+        from anisomap.live.page import save_page
+
+        links = [path for _, path in written]
+        written.append(("page", save_page(session, session.page, links)))
     printer.record(
         **_facts(session), files=[], final=final is not None and final.sensor_map is not None
     )

@@ -1,11 +1,17 @@
-"""The page of a session in the browser: what it shows, as plain data, and what its buttons do."""
+"""The page of a session in the browser: what it shows, as plain data, and what its buttons do.
+
+At the end, the page is written as one file that needs no session: see `save_page`.
+"""
 
 from __future__ import annotations
 
 import base64
+import html
+import json
 import math
-import tempfile
-from collections.abc import Callable, Mapping
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,20 +19,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap import io
 from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
-from anisomap.files.paths import together
+from anisomap.files.paths import atomic_write, together
 from anisomap.live.quick_map import QuickMap, turned_onto
-from anisomap.live.saving import EXPORTS, save_report
+from anisomap.live.saving import save_report
 from anisomap.live.session import LiveSession
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement import anchors_at, parse_anchor
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
-_TRUTH_SUFFIXES = (".csv", ".tsv", ".txt", ".json", ".ply", ".pcd", ".urdf", ".xml", ".mjcf")
+STATIC = Path(__file__).parent / "static"
+"""Files of which the page is made."""
+
+_MODULES = ("charts.js", "map_view.js", "live.js")  # in the order of their imports
+_BETWEEN_MODULES = re.compile(r"^(?:import .*$|export )", re.MULTILINE)
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
 
 class Done(NamedTuple):
@@ -62,50 +71,15 @@ def _drop(session: LiveSession, request: Mapping[str, Any]) -> Done:
     return Done(f"left out: {', '.join(names)}" if names else "no sensor is left out")
 
 
-def _truth(session: LiveSession, request: Mapping[str, Any]) -> Done:
-    text, suffix = _text(request, "text"), Path(_text(request, "name")).suffix.lower()
-    if suffix not in _TRUTH_SUFFIXES:
-        raise InputError(f"a file of positions must be one of {', '.join(_TRUTH_SUFFIXES)}")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"positions{suffix}"
-        path.write_text(text, encoding="utf-8")
-        truth = io.read_map(path)
-    session.declare_truth(truth)
-    return Done(f"the next checked map is compared with {truth.n_sensors} positions")
-
-
-def _anchors(session: LiveSession, request: Mapping[str, Any]) -> Done:
-    lines = map(str.strip, _text(request, "text").split("\n"))
-    given = [parse_anchor(line) for line in lines if line]
-    if not given:
-        session.anchors = None
-        return Done("there are no anchors: maps have no frame")
-    anchors = anchors_at(given)
-    if unknown := [name for name in anchors.names if name not in session.maps.names]:
-        raise InputError(f"there is no sensor {unknown[0]}")
-    session.anchors = anchors
-    return Done(f"saved maps are placed by {len(given)} anchors, in metres")
-
-
-def _save(session: LiveSession, request: Mapping[str, Any]) -> Done:
+def _save(session: LiveSession, _: Mapping[str, Any]) -> Done:
+    """Write the checked map and a report beside the recording."""
+    if session.segment is None:
+        raise InputError("nothing is recorded yet")
+    recording = session.segment.path
     with together():
-        made = _written(session, request, ".map.csv")
-        report = save_report(session.maps.checked, _recording(session).with_suffix(".report.html"))
-    return Done(f"{made.text}, {report.name}", (*made.files, report))
-
-
-def _export(session: LiveSession, request: Mapping[str, Any]) -> Done:
-    suffix = _text(request, "suffix")
-    if suffix not in EXPORTS:
-        raise InputError(f"a format must be one of {', '.join(EXPORTS)}")
-    return _written(session, request, f".map{suffix}")
-
-
-def _written(session: LiveSession, request: Mapping[str, Any], suffix: str) -> Done:
-    """Write the checked map beside the recording."""
-    target = _recording(session).with_suffix(suffix)
-    path = session.save(target, str(request.get("spacing") or ""))
-    return Done(f"written: {path.name}", (path,))
+        made = session.save(recording.with_suffix(".map.csv"))
+        report = save_report(session.maps.checked, recording.with_suffix(".report.html"))
+    return Done(f"written: {made.name}, {report.name}", (made, report))
 
 
 def _end(session: LiveSession, _: Mapping[str, Any]) -> Done:
@@ -118,27 +92,11 @@ ACTIONS: Mapping[str, Callable[[LiveSession, Mapping[str, Any]], Done]] = Mappin
         "pause": _pause,
         "restart": _restart,
         "drop": _drop,
-        "truth": _truth,
-        "anchors": _anchors,
         "save": _save,
-        "export": _export,
         "end": _end,
     }
 )
 """Actions by name."""
-
-
-def _recording(session: LiveSession) -> Path:
-    if session.segment is None:
-        raise InputError("nothing is recorded yet")
-    return session.segment.path
-
-
-def _text(request: Mapping[str, Any], key: str) -> str:
-    value = request.get(key)
-    if not isinstance(value, str):
-        raise InputError(f"{key} must be text")
-    return value
 
 
 _DIGITS = 3  # of seconds and errors
@@ -200,6 +158,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "level": verdict.level,
         "expected_error": _finite(verdict.expected_error),
         "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
+        "spacing_mm": session.maps.options.spacing_mm,
         "reasons": list(verdict.reasons),
         "advice": advice,
         "enough": enough,
@@ -217,9 +176,33 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         ],
         "checked_frames": 0 if checked is None else checked.n_frames,
         "examining": session.maps.examining,
+        "gaps": [round(seconds, 1) for seconds in session.gaps],
         "notices": [[round(note.seconds, 1), note.text] for note in list(session.notices)],
+        "page": "" if session.page is None else str(session.page),
         "recording": "" if session.segment is None else str(session.segment.path),
     }
+
+
+def save_page(session: LiveSession, path: Path, files: Sequence[Path]) -> Path:
+    """Write the page as it is at the end: one file, with the final map and links to files."""
+    links = [{"name": file.name, "url": os.path.relpath(file, path.parent)} for file in files]
+    shown = {"map": map_snapshot(session), "status": status_snapshot(session), "files": links}
+    data = json.dumps(shown, allow_nan=False).replace("<", "\\u003c")
+    style, *modules = (
+        (STATIC / name).read_text(encoding="utf-8") for name in ("live.css", *_MODULES)
+    )
+    script = "\n".join(_BETWEEN_MODULES.sub("", module) for module in modules)
+    head = (
+        f'<meta http-equiv="Content-Security-Policy" content="{html.escape(_POLICY)}">\n'
+        f"<style>\n{style}</style>\n"
+        f'<script id="end-of-session" type="application/json">{data}</script>\n'
+        f'<script type="module">\n{script}</script>\n'
+    )
+    text = (STATIC / "index.html").read_text(encoding="utf-8")
+    before, _, rest = text.partition('<link rel="stylesheet"')
+    with atomic_write(path) as temporary:
+        temporary.write_text(before + head + rest[rest.index("</head>") :], encoding="utf-8")
+    return path
 
 
 def _in_order(made: SensorMap, values: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from pathlib import Path
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 from anisomap.errors import AnisomapError, InputError
-from anisomap.live.page import act, map_snapshot, readings_snapshot, status_snapshot
+from anisomap.live.page import STATIC, act, map_snapshot, readings_snapshot, status_snapshot
 from anisomap.live.session import LiveSession
 
 logger = logging.getLogger(__name__)
@@ -33,7 +33,6 @@ _POLICY = (
 )
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}  # as of any system
 _BYTES = {"errors": "surrogateescape"}  # of file names
-_STATIC = Path(__file__).parent / "static"
 _STATUS_S = 0.5  # between two states of what changes slowly
 _HOST = re.compile(
     r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?"
@@ -106,8 +105,8 @@ class _Handler(BaseHTTPRequestHandler):
         address = _split(self.path)
         if not self._allowed(address.query):
             return
-        page = _STATIC / (address.path[1:] or "index.html")
-        if page.parent == _STATIC and page.suffix in _TYPES and page.is_file():
+        page = STATIC / (address.path[1:] or "index.html")
+        if page.parent == STATIC and page.suffix in _TYPES and page.is_file():
             self._send(page.read_bytes(), f"{_TYPES[page.suffix]}; charset=utf-8")
         elif address.path == "/events":
             self._send_events()

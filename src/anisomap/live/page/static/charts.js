@@ -1,6 +1,7 @@
 // Curves and the raster. All colours differ in lightness, so that they can be told apart without hue.
 
-const INK = "#1c2733", QUIET = "#4d5b69", GRID = "#dde3e9", BLUE = "#0b5394", MARK = "#b35000";
+const INK = "#1c2733", QUIET = "#4d5b69", GRID = "#dde3e9", BLUE = "#0b5394";
+export const MARK = "#b35000";
 const RASTER_SECONDS = 10;
 const FAMILY = "system-ui, 'DejaVu Sans', sans-serif";
 
@@ -54,7 +55,7 @@ function niceStep(range, count) {
 }
 
 // Draw curves: each is {points: [[x, y]], dashed}. Points with a null y are left out.
-export function drawCurves(canvas, curves, { top, unit, rule, end: last, events = [] }) {
+export function drawCurves(canvas, curves, { top, unit, rule, end: last }) {
   const context = sized(canvas), width = canvas.clientWidth, height = canvas.clientHeight;
   const left = 42, bottom = height - 16, right = width - 8, above = 6;
   const all = curves.flatMap((curve) => curve.points.filter(([, y]) => y !== null));
@@ -81,7 +82,6 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last, events 
     lines(context, [[left, y(rule), right, y(rule)]]);
     context.setLineDash([]);
   }
-  ticks(context, events.map(x), above, bottom);
   for (const curve of curves) {
     const points = curve.points.filter(([, value]) => value !== null);
     context.strokeStyle = curve.dashed ? INK : BLUE;
@@ -103,21 +103,12 @@ function curveThrough(context, points) {
   context.stroke();
 }
 
-// Mark events by thin lines with a foot that stands out.
-function ticks(context, places, top, bottom) {
-  context.strokeStyle = MARK;
-  context.lineWidth = 1;
-  context.globalAlpha = 0.5;
-  lines(context, places.map((x) => [x, top, x, bottom]));
-  context.globalAlpha = 1;
-}
-
 // The readings of the last seconds as an image: time to the right, one row per sensor.
 export class Raster {
   constructor(canvas) {
     this.canvas = canvas;
     this.columns = [];
-    this.events = [];
+    this.gaps = [];
   }
 
   add(seconds, levels) {
@@ -135,16 +126,10 @@ export class Raster {
     return (1 - (this.now - seconds) / RASTER_SECONDS) * width;
   }
 
-  _markEvents(context, width, height) {
-    const recent = this.events.filter((seconds) => seconds > this.now - RASTER_SECONDS && seconds <= this.now);
-    ticks(context, recent.map((seconds) => this.at(seconds, width)), 0, height);
-  }
-
   // Draw the readings of one sensor as a curve.
   drawTrace(canvas, sensor) {
     if (!this.columns.length || sensor >= this.columns[0].levels.length) return;
     const context = sized(canvas), width = canvas.clientWidth, height = canvas.clientHeight;
-    this._markEvents(context, width, height);
     context.strokeStyle = BLUE;
     context.lineWidth = 1.5;
     curveThrough(context, this.columns.map(({ seconds, levels }) => [
@@ -177,7 +162,10 @@ export class Raster {
     image.getContext("2d").putImageData(pixels, 0, 0);
     context.imageSmoothingEnabled = false;
     context.drawImage(image, 0, 0, width, height);
-    this._markEvents(context, width, height);
+    context.strokeStyle = MARK;
+    context.lineWidth = 2;
+    const gaps = this.gaps.filter((seconds) => seconds > now - RASTER_SECONDS && seconds <= now);
+    lines(context, gaps.map((seconds) => [this.at(seconds, width), 0, this.at(seconds, width), height]));
     texts(context, "11px", QUIET, "left");
     context.fillText(`−${RASTER_SECONDS} s`, 2, height + 12);
     context.textAlign = "right";

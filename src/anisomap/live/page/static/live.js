@@ -45,12 +45,13 @@ function showMap() {
 }
 
 function showStatus() {
-  const { level, expected_error: expected, error_against_truth: truth } = status;
+  const { level, expected_error: expected, error_against_truth: truth, spacing_mm: mm } = status;
   $("verdict").dataset.level = level;
   const waits = status.examining && !status.curve.length;
   $("level").textContent = level === "cannot tell" && waits ? "checking the first map" : level;
   $("error").textContent = [
-    expected === null ? "" : `expected error ${expected.toFixed(2)} spacings`,
+    expected === null ? "" : `expected error ${expected.toFixed(2)} spacings`
+      + (mm ? ` (${(expected * mm).toFixed(1)} mm)` : ""),
     truth === null ? "" : `${truth.toFixed(2)} spacings from the truth`,
   ].filter(Boolean).join(", ");
   $("reason").textContent = status.reasons[0] || "";
@@ -64,8 +65,8 @@ function showStatus() {
   $("state").textContent = status.state;
   $("frames").textContent = status.frames;
   $("seconds").textContent = `${status.seconds.toFixed(1)} s`;
-  $("coach").textContent = { finishing: "making the final map", ended: "the recording has ended; press Q to leave" }[status.state]
-    || status.advice || "touch the skin";
+  document.body.dataset.state = status.state;
+  $("coach").textContent = status.advice;
   $("coach").className = status.enough ? "enough" : "";
   $("faulty").textContent = status.faulty.length
     ? `faulty: ${status.faulty.map((s) => `${s.name} (${s.status})`).join(", ")}` : "no faulty sensor";
@@ -78,12 +79,11 @@ function showStatus() {
     item.textContent = `${seconds} s: ${text}`;
     return item;
   }));
-  const events = status.notices.map(([seconds]) => seconds);
-  raster.events = events;
+  raster.gaps = status.gaps;
   const points = (column) => status.curve.map((row) => [row[0], row[column]]);
   const end = status.seconds;
-  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: 1, end, events });
-  drawCurves($("shares"), [{ points: status.touched }], { top: 1, unit: "%", end, events });
+  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: 1, end });
+  drawCurves($("shares"), [{ points: status.touched }], { top: 1, unit: "%", end });
   showSelected();
 }
 
@@ -99,17 +99,27 @@ function showSelected() {
     + (fault ? `, ${fault.status}: ${fault.reason}` : "");
 }
 
+function takeMap(data) {
+  map = data;
+  map.pairs = decoded(map.pairs, Uint32Array);
+  for (const key of ["positions", "checked", "stated", "halo", "checked_halo"]) {
+    map[key] = map[key] && decoded(map[key], Float32Array);
+  }
+  showMap();
+  showSelected();
+}
+
+// The page that is written at the end holds its data, and needs no session.
+function showEnd(shown) {
+  if (shown.map) takeMap(shown.map);
+  status = shown.status;
+  showStatus();
+  listFiles(shown.files);
+}
+
 function connect() {
   const events = new EventSource("/events");
-  events.addEventListener("map", (event) => {
-    map = JSON.parse(event.data);
-    map.pairs = decoded(map.pairs, Uint32Array);
-    for (const key of ["positions", "checked", "stated", "halo", "checked_halo"]) {
-      map[key] = map[key] && decoded(map[key], Float32Array);
-    }
-    showMap();
-    showSelected();
-  });
+  events.addEventListener("map", (event) => takeMap(JSON.parse(event.data)));
   events.addEventListener("readings", (event) => {
     const { frames, seconds, levels } = JSON.parse(event.data);
     view.levels = decoded(levels, Uint8Array);
@@ -124,7 +134,10 @@ function connect() {
   events.addEventListener("open", () => { $("disconnected").hidden = true; });
   events.addEventListener("error", () => {
     $("state").textContent = "closed";
+    document.body.dataset.state = "ended";
     $("disconnected").hidden = false;
+    $("disconnected").textContent = status?.page
+      ? `The session is over. Its page is ${status.page}.` : "The session cannot be reached.";
   });
 }
 
@@ -144,15 +157,18 @@ async function act(request) {
   }
   $("answer").className = done.ok ? "" : "failed";
   $("answer").textContent = done.text;
-  for (const file of done.files || []) {
+  listFiles(done.files || []);
+}
+
+function listFiles(files) {
+  for (const file of files) {
     const item = document.createElement("li"), link = document.createElement("a");
     link.href = file.url;
-    link.download = file.name;
+    if (file.url.startsWith("/")) link.download = file.name;
     link.textContent = file.name;
     item.append(link);
-    $("files").prepend(item);
+    $("files").append(item);
   }
-  return done.ok;
 }
 
 function dropSelected() {
@@ -165,13 +181,6 @@ function dropSelected() {
   act({ do: "drop", sensors: [...dropped] });
 }
 
-async function declare() {
-  const [file] = $("truth-file").files;
-  if (file && !await act({ do: "truth", name: file.name, text: await file.text() })) return;
-  const anchors = $("anchors").value;
-  if (anchors.trim() || !file) await act({ do: "anchors", text: anchors });
-}
-
 const BUTTONS = {
   p: ["pause", () => act({ do: "pause", on: status?.state !== "paused" })],
   r: ["restart", () => confirm("Begin a new recording and a new map? The recording so far is kept.") && act({ do: "restart" })],
@@ -179,20 +188,10 @@ const BUTTONS = {
   n: ["names", () => { view.named = !view.named; showMap(); }],
   l: ["layout", () => { view.layout = !view.layout; showMap(); }],
   m: ["show", () => { showsChecked = !showsChecked; showMap(); }],
-  s: ["save", () => act({ do: "save", spacing: $("spacing").value.trim() })],
-  e: ["open-export", () => $("export-dialog").showModal()],
-  t: ["open-truth", () => $("truth-dialog").showModal()],
-  q: ["end", () => (status?.state === "ended" || confirm("End the session and make the final map?")) && act({ do: "end" })],
+  s: ["save", () => act({ do: "save" })],
+  q: ["end", () => confirm("End the session and make the final map?") && act({ do: "end" })],
 };
 for (const [id, run] of Object.values(BUTTONS)) $(id).addEventListener("click", run);
-$("export-dialog").addEventListener("close", () => {
-  if ($("export-dialog").returnValue === "export") {
-    act({ do: "export", suffix: $("suffix").value, spacing: $("spacing").value.trim() });
-  }
-});
-$("truth-dialog").addEventListener("close", () => {
-  if ($("truth-dialog").returnValue === "declare") declare();
-});
 $("map").addEventListener("selected", showSelected);
 
 function step(direction) {
@@ -205,14 +204,14 @@ function step(direction) {
 
 const TURNS = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] };
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select, textarea, dialog")) return;
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
   const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
   if (event.shiftKey && TURNS[key]) view.turnBy(...TURNS[key]);
   else if (key === "ArrowLeft" || key === "ArrowRight") step(key === "ArrowLeft" ? -1 : 1);
   else if (key === "+" || key === "=") view.zoomBy(1.2);
   else if (key === "-") view.zoomBy(1 / 1.2);
   else if (key === "0") view.reset();
-  else if (BUTTONS[key]) BUTTONS[key][1]();
+  else if (BUTTONS[key] && $(BUTTONS[key][0]).offsetParent) BUTTONS[key][1]();
   else return;
   event.preventDefault();
 });
@@ -235,5 +234,7 @@ function draw(now) {
   drawnAt = now;
   requestAnimationFrame(draw);
 }
-connect();
+const atEnd = $("end-of-session");
+if (atEnd) showEnd(JSON.parse(atEnd.textContent));
+else connect();
 requestAnimationFrame(draw);

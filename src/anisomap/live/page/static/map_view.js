@@ -1,8 +1,8 @@
 // The map: sensors, neighbours, halos and the places to touch, in 2D or turned in 3D.
 
-import { COLOURS, disc, lines, sized, texts } from "./charts.js";
+import { COLOURS, MARK, disc, lines, sized, texts } from "./charts.js";
 
-const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.2)", MARK = "#b35000";
+const LINE = "#b4bfca", OUTLINE = "#1c2733", HALO = "rgba(77, 91, 105, 0.2)";
 const EASE_MS = 250;
 const MARGIN = 0.1, SHELF = 96, ABOVE = 84;
 const SHELF_ROWS = 3, SHELF_STEP = 26;
