@@ -12,7 +12,7 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
 # Without byte code on disk, every process that a test starts compiles the package again: .4 s.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality faults trust dimension fuzz tables docs size clean
+.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality noise faults trust dimension fuzz tables docs size clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 15
@@ -68,15 +68,16 @@ format: $(READY)  ## format the code
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
-bench: $(READY)  ## time stages, maps and verdicts against other libraries, in bench/ (LARGE=1, SEED=1)
-	$(BIN)/python -m benchmarks $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(if $(LARGE),--large) $(ARGS)
-	$(BIN)/python -m benchmarks.speed.journeys $(if $(LARGE),--large) $(if $(SEED),--seed $(SEED))
+bench: $(READY)  ## time maps and verdicts against corrcoef and Isomap, in bench/ (LARGE=1, SEED=1, ARGS="--sizes 60x4000")
+	$(BIN)/python -m benchmarks.speed.bench $(if $(LARGE),--large) $(if $(SEED),--first-seed $(SEED)) $(ARGS)
 
 quality: $(READY)  ## measure the accuracy of every method, in quality/ (RECORDINGS=folders adds real recordings)
 	$(BIN)/python -m benchmarks.accuracy.quality -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
-	$(BIN)/python -m benchmarks.accuracy.contacts -o quality
 	$(BIN)/python -m benchmarks.accuracy.steps -o quality $(if $(RECORDINGS),--recordings $(RECORDINGS))
 	$(if $(RECORDINGS),$(BIN)/python -m benchmarks.accuracy.limits -o quality --recordings $(RECORDINGS))
+
+noise: $(READY)  ## map skins under growing white noise, in noise/ (ARGS="--seeds 2")
+	$(BIN)/python -m benchmarks.accuracy.noise -o noise $(ARGS)
 
 tables: $(READY)  ## update the tables of accuracy in README, paper and docs from the results of make quality, faults and trust
 	cp quality/*-table.md docs/
@@ -85,20 +86,21 @@ tables: $(READY)  ## update the tables of accuracy in README, paper and docs fro
 	$(BIN)/python -m benchmarks.numbers quality docs/results README.md paper/paper.md
 	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
 	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
+	if [ -d noise ]; then cp noise/noise-table.md docs/; fi
+	if [ -d bench ]; then cp bench/bench-table.md docs/; fi
 	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
 
-faults: $(READY)  ## measure which faults of recordings are found and mended, in faults/ (RECORDINGS=folder)
-	$(BIN)/python -m benchmarks.verdicts.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS))
+faults: $(READY)  ## measure which damages of recordings are found and mended, in faults/ (RECORDINGS=folder)
+	$(BIN)/python -m benchmarks.verdicts.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
-trust: $(READY)  ## compare verdicts with the errors of 500 maps, in trust/ (RECORDINGS=folders, ARGS="--seeds 20")
+trust: $(READY)  ## compare verdicts with the errors of 180 maps, in trust/ (RECORDINGS=folders, ARGS="--seeds 200")
 	$(BIN)/python -m benchmarks.verdicts.trust -o trust $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
 dimension: $(READY)  ## measure how often the number of dimensions is right, in dimension/ (RECORDINGS=folders)
 	$(BIN)/python -m benchmarks.accuracy.dimension -o dimension $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
 
-fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/, and time growing ones (ARGS="--cases 5000 --formats npz")
+fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--cases 5000 --formats npz")
 	$(BIN)/python -m fuzzing $(ARGS)
-	$(BIN)/python -m fuzzing.growth
 
 docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
@@ -107,4 +109,4 @@ size: $(READY)  ## count lines, functions and modules, and those that a map pass
 	@$(BIN)/python -m benchmarks.size -o docs/size-table.md
 
 clean:  ## remove the output of all targets
-	rm -rf .venv .venv-lowest-versions demo bench fuzz quality faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv .venv-lowest-versions demo bench fuzz quality noise faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

@@ -6,6 +6,7 @@ import argparse
 import csv
 import multiprocessing
 import os
+import platform
 import threading
 import time
 import warnings
@@ -13,12 +14,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import astuple, fields
+from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from anisomap.errors import AnisomapWarning
 
@@ -190,3 +193,33 @@ def keyed_table(
     if first is not None:
         cells = (row.values() for row in chain([first], remaining))
         yield from markdown_table([*first], cells, texts)
+
+
+def machine(of_what: str) -> str:
+    """Describe the machine, the versions of libraries and the inputs in one sentence."""
+    libraries = ("numpy", "scipy", "scikit-learn", "numba")
+    versions = ", ".join(f"{name} {version(name)}" for name in libraries)
+    blas = {
+        f"{found['internal_api']} {found['version']} for {found['architecture']}"
+        for found in threadpool_info()
+        if found["user_api"] == "blas" and "architecture" in found
+    }
+    python = platform.python_version()
+    return (
+        f"Measured on {os.cpu_count()} cores ({_processor()}) with Python {python}, "
+        f"{versions}{''.join(', ' + one for one in sorted(blas))}; {of_what}."
+    )
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.processor() or platform.machine())
+
+
+def growth_exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
+    """Fit the exponent of a power law of times."""
+    return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])

@@ -1,9 +1,14 @@
-"""Count lines, functions and constants of the package, and those that a map passes."""
+"""Count lines, functions and constants, words of the docs, and what a map passes (``make size``).
+
+Templates and JavaScript are counted beside Python. Pages for users are those on how to start, how
+to do something, explanations and references; tables that commands write are not counted.
+"""
 
 from __future__ import annotations
 
 import argparse
 import ast
+import re
 import sys
 import tempfile
 import warnings
@@ -20,7 +25,13 @@ from anisomap.method.reconstruction import reconstruct_with_stages
 from benchmarks.harness import columns, markdown_table
 
 PACKAGE = Path(anisomap.__file__).parent
-GOALS = {"files": 230, "lines": 42_000, "code": 28_000}
+ROOT = PACKAGE.parents[1]
+GOALS = {"files": 195, "lines": 41_000, "code": 28_000}
+TESTS_GOAL = {"code": 20_000}
+PATH_GOAL = ("150", "25")
+WORDS_GOALS = {"users": 22_000, "developers": 8_000}
+USERS = ("getting-started.md", "how-to/", "explanation/", "reference/", "robots/")
+DEVELOPERS = ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "CODE_OF_CONDUCT.md", "README.md")
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="benchmarks.size", description=__doc__)
     parser.add_argument("-o", "--output", type=Path, help="file for the tables")
     chosen = parser.parse_args(arguments)
-    text = "\n".join([*_size_table(), "", *_path_table()]) + "\n"
+    tables = (_size_table(), _page_table(), _path_table(), _words_table())
+    text = "\n\n".join("\n".join(table) for table in tables) + "\n"
     print(text)
     if chosen.output:
         chosen.output.write_text(text, encoding="utf-8")
@@ -96,22 +108,52 @@ def _size_table() -> list[str]:
     rows = {room.name: size_of(sorted(room.rglob("*.py"))) for room in rooms}
     rows["modules beside them"] = size_of(sorted(PACKAGE.glob("*.py")))
     rows["all"] = size_of(sorted(PACKAGE.rglob("*.py")))
-    tests = sorted((PACKAGE.parents[1] / "tests").rglob("*.py"))
-    rows["tests"] = size_of(tests)
+    goals = {"goal for all": GOALS, "goal for tests": TESTS_GOAL}
+    rows["tests"] = size_of(sorted((ROOT / "tests").rglob("*.py")))
     cells = [(name, *(f"{count:,}" for count in astuple(size))) for name, size in rows.items()]
-    cells.append(("goal for all", *(f"{GOALS[n]:,}" if n in GOALS else "" for n in names)))
+    cells += [
+        (title, *(f"{goal[name]:,}" if name in goal else "" for name in names))
+        for title, goal in goals.items()
+    ]
     return [*markdown_table(("", *names), cells)]
+
+
+def _page_table() -> list[str]:
+    """Count the files of pages and reports that are not in Python."""
+    rows = []
+    for kind in ("js", "css", "html", "txt"):
+        paths = sorted(PACKAGE.rglob(f"*.{kind}"))
+        if paths:
+            lines = sum(path.read_text(encoding="utf-8").count("\n") for path in paths)
+            rows.append((f".{kind}", len(paths), f"{lines:,}"))
+    return [*markdown_table(("other files of the package", "files", "lines"), rows)]
+
+
+def _words_table() -> list[str]:
+    """Count the words of the docs, without code and without tables that commands write."""
+    docs = ROOT / "docs"
+    words = dict.fromkeys(WORDS_GOALS, 0)
+    for path in [*docs.rglob("*.md"), *(ROOT / name for name in DEVELOPERS)]:
+        name = str(path.relative_to(docs)) if path.is_relative_to(docs) else path.name
+        if name.startswith("_build") or path.stem.endswith("-table"):
+            continue
+        text = re.sub(r"^(```|~~~).*?^\1|^\|.*?$|<!--.*?-->", "", path.read_text(encoding="utf-8"),
+                      flags=re.DOTALL | re.MULTILINE)  # fmt: skip
+        words["users" if name.startswith(USERS) else "developers"] += len(text.split())
+    rows = [(who, f"{words[who]:,}", f"{goal:,}") for who, goal in WORDS_GOALS.items()]
+    return [*markdown_table(("words of pages for", "words", "goal"), rows)]
 
 
 def _path_table() -> list[str]:
     rng = np.random.default_rng(1)
     places, touches = rng.uniform(0, 8, (60, 2)), rng.uniform(0, 8, (2000, 1, 2))
     readings = np.maximum(0, 2 - np.linalg.norm(touches - places, axis=2))
-    rows = []
+    rows: list[tuple[object, ...]] = []
     with warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
         warnings.simplefilter("ignore")
         for name, call in _calls(readings, Path(folder)).items():
             rows.append((name, *astuple(path_of(call))))
+    rows.append(("goal for the default method", *PATH_GOAL))
     return [*markdown_table(("map of 60 sensors", "functions", "modules"), rows)]
 
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from itertools import product
 from pathlib import Path
 
+from benchmarks.harness import markdown_table
+
 from fuzzing.subjects import Subject, subjects
-from fuzzing.table import Results, write
 from fuzzing.workers import BATCH, Tally, run_cases, warm_up
 
 _LOADED = (
@@ -37,21 +38,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tried = [s for s in subjects() if not chosen.formats or s.name in chosen.formats]
     warm_up(tried)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    results = Results(chosen.output / "results.json", chosen.seed, chosen.first, chosen.resume)
+    tallies = {subject.name: Tally() for subject in tried}
     end = time.monotonic() + chosen.seconds
     share = -(-chosen.cases // len(tried))
     for start, subject in product(range(0, share, BATCH), tried):
-        tally = results.tallies.setdefault(subject.name, Tally())
-        if tally.n_cases > start or time.monotonic() > end:
-            continue
+        tally = tallies[subject.name]
+        if time.monotonic() > end:
+            break
         stop = min(start + BATCH, share)
         indices = range(chosen.first + start, chosen.first + stop)
         run_cases(subject, chosen.seed, indices, chosen.output, tally)
         if stop == share:
             _print(subject, tally)
-        results.save()
-        write(results.tallies, chosen.output / "reliability-table.md", chosen.seed)
-    return 1 if any(tally.n_failed for tally in results.tallies.values()) else 0
+        write(tallies, chosen.output / "reliability-table.md", chosen.seed)
+    return 1 if any(tally.n_failed for tally in tallies.values()) else 0
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -61,7 +61,6 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first case per format")
     parser.add_argument("--formats", nargs="+", help="formats to try; default: all")
-    parser.add_argument("--resume", action="store_true", help="continue the run in the folder")
     parser.add_argument("-o", "--output", type=Path, default=Path("fuzz"), help="output folder")
     return parser.parse_args(arguments)
 
@@ -73,6 +72,24 @@ def _print(subject: Subject, tally: Tally) -> None:
         f"{tally.n_failed} with problems, {each:.1f} ms each",
         flush=True,
     )
+
+
+def write(tallies: Mapping[str, Tally], path: Path, seed: int) -> None:
+    """Write the results as a table in Markdown, and the problems."""
+    names = ("format", "cases", "refused", "accepted", "problems", "slowest (s)", "largest (MB)")
+    rows: list[tuple[object, ...]] = [
+        (name, one.n_cases, one.n_cases - one.n_accepted - one.n_failed, one.n_accepted,
+         one.n_failed, f"{one.slowest_s:.1f}", f"{one.memory / 1e6:.0f}")
+        for name, one in tallies.items()
+    ]  # fmt: skip
+    problems = [
+        f"- {name}, {n} times: {problem}"
+        for name, tally in tallies.items()
+        for problem, n in tally.problems.items()
+    ]
+    told = "Problems:" if problems else "There was no problem."
+    lines = [*markdown_table(names, rows, names[:1]), "", f"Seed {seed}. {told}", "", *problems]
+    path.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import struct
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from importlib import import_module
@@ -69,29 +68,15 @@ def odd_npz(rng: Generator) -> bytes:
     return packed.getvalue()
 
 
-def odd_npy(rng: Generator) -> bytes:
-    """Make an array file, sometimes with a header that does not match."""
-    stream = BytesIO()
-    np.save(stream, odd_array(rng), allow_pickle=False)
-    if rng.integers(2):
-        return stream.getvalue()
-    shape = rng.choice(["(True, 9)", "(-1, 3)", "(10**9, 9)", "(3.0, 2)", "()", "(99999999999, 9)"])
-    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
-    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + bytes(80)
-
-
 def odd_mat(rng: Generator) -> bytes:
-    """Make a MATLAB file with structures, cells, text and sparse matrices."""
-    contents: dict[str, Any] = dict(_fields(rng))
-    sparse = import_module("scipy.sparse")
-    more = ({"a": np.eye(3)}, np.array([np.eye(2), "x"], dtype=object), sparse.eye(5).tocsc(), "x")
-    contents["more"] = more[rng.integers(len(more))]
-    contents = {
-        name: v if not isinstance(v, np.ndarray) or v.dtype.kind in "fciubUSO" else np.eye(3)
-        for name, v in contents.items()
-    }
+    """Make a MATLAB file with structures, cells and text."""
+    more = ({"a": np.eye(3)}, np.array([np.eye(2), "x"], dtype=object), "x")
+    kept = {name: one for name, one in _fields(rng).items() if one.dtype.kind in "fciubUSO"}
     stream = BytesIO()
-    import_module("scipy.io").savemat(stream, contents, do_compression=bool(rng.integers(2)))
+    packed = bool(rng.integers(2))
+    import_module("scipy.io").savemat(
+        stream, {**kept, "more": more[rng.integers(len(more))]}, do_compression=packed
+    )
     return stream.getvalue()
 
 
@@ -104,69 +89,36 @@ def odd_hdf5(rng: Generator) -> bytes:
             plain = array.view("i8") if array.dtype.kind in "Mm" and array.ndim else array
             plain = plain if plain.dtype.kind in "biufcS" else np.array([b"text"])
             file["a/" * int(rng.integers(3)) + name] = plain
-        kind = rng.integers(7)
-        if kind == 0:
-            file["link"] = h5py.SoftLink("/nowhere")
-        elif kind == 1:
-            file["outside"] = h5py.ExternalLink("/etc/passwd", "/x")
-        elif kind == 2:
-            file["loop"] = h5py.SoftLink("/loop")
-        elif kind == 3:
-            file.create_dataset("big", (1 << int(rng.integers(20, 60)), 9), "f8", chunks=(64, 9))
-        elif kind == 4:
-            file.create_dataset("text", data="free text")
-            file.create_dataset("references", (3,), h5py.ref_dtype)
-            file.create_dataset("ragged", (3,), h5py.vlen_dtype("f8"))
-        elif kind == 5:
-            pairs = np.zeros(4, dtype=[("a", "f8"), ("b", "i4", (2,))])
-            file["pairs"] = pairs
-        else:
-            file.create_dataset("empty", data=h5py.Empty("f4"))
+        odd: tuple[Callable[[], Any], ...] = (
+            lambda: file.update({"outside": h5py.ExternalLink("/etc/passwd", "/x")}),
+            lambda: file.update({"loop": h5py.SoftLink("/loop")}),
+            lambda: file.create_dataset("big", (1 << 50, 9), "f8", chunks=(64, 9)),
+            lambda: file.create_dataset("references", (3,), h5py.ref_dtype),
+            lambda: file.create_dataset("ragged", (3,), h5py.vlen_dtype("f8")),
+            lambda: file.create_dataset("empty", data=h5py.Empty("f4")),
+        )
+        odd[rng.integers(len(odd))]()
     return stream.getvalue()
 
 
 def odd_table(rng: Generator) -> bytes:
-    """Make a Parquet or Arrow file with nested, repeated, missing and textual columns."""
+    """Make a Parquet file with nested, repeated, missing and textual columns."""
     arrow = import_module("pyarrow")
     n = int(rng.choice([0, 1, 24]))
-    values = rng.random(n)
-    kinds: tuple[Callable[[], Any], ...] = (
-        lambda: arrow.array(values),
-        lambda: arrow.array(values, mask=values < 0.5),
-        lambda: arrow.array([None] * n),
-        lambda: arrow.array([[1.0] * int(rng.integers(4)) for _ in range(n)]),
-        lambda: arrow.array([[[1, 2], []]] * n),
-        lambda: arrow.array([{"a": 1, "b": [2.0]}] * n),
-        lambda: arrow.array(["x"] * n).dictionary_encode(),
-        lambda: arrow.array([b"\xff\0"] * n),
-        lambda: arrow.array(np.arange(n).astype("M8[ns]")),
-        lambda: arrow.array([10**30] * n, arrow.decimal128(38)),
-        lambda: arrow.array([True] * n),
-        lambda: arrow.FixedSizeListArray.from_arrays(arrow.array(rng.random(5 * n)), 5),
-        lambda: arrow.array(values.astype("f2")),
+    kinds = (
+        rng.random(n),
+        [None] * n,
+        [[1.0] * int(rng.integers(4)) for _ in range(n)],
+        [[[1, 2], []]] * n,
+        [{"a": 1, "b": [2.0]}] * n,
+        ["x"] * n,
+        np.arange(n).astype("M8[ns]"),
     )
-    columns = [kinds[rng.integers(len(kinds))]() for _ in range(int(rng.integers(1, 6)))]
+    columns = [arrow.array(kinds[rng.integers(len(kinds))]) for _ in range(int(rng.integers(1, 6)))]
     names = [str(rng.choice([*_FIELDS, "a", "a", "", "timestamp", "\x1b[m"])) for _ in columns]
-    table = arrow.Table.from_arrays(columns, names=names)
-    return _table_bytes(table, rng)
-
-
-def _table_bytes(table: Any, rng: Generator) -> bytes:
     stream = BytesIO()
-    kind = rng.integers(3)
-    try:
-        if kind == 0:
-            import_module("pyarrow.parquet").write_table(table, stream)
-        elif kind == 1:
-            packed = str(rng.choice(["lz4", "zstd", "uncompressed"]))
-            import_module("pyarrow.feather").write_feather(table, stream, packed)
-        else:
-            ipc = import_module("pyarrow").ipc
-            with ipc.new_stream(stream, table.schema) as writer:
-                writer.write_table(table)
-    except (ValueError, NotImplementedError):  # some types exist in one of the formats only
-        stream = BytesIO()
-        import_module("pyarrow.parquet").write_table(table.select([]), stream)
+    table = arrow.Table.from_arrays(columns, names=names)
+    import_module("pyarrow.parquet").write_table(table, stream)
     return stream.getvalue()
 
 
@@ -204,36 +156,32 @@ def _replace(node: Any, rng: Generator) -> None:
 
 
 def odd_positions(rng: Generator) -> bytes:
-    """Make a map of sensors whose positions are extreme, equal, on a line or missing."""
+    """Make a map of sensors whose positions are extreme, equal or on a line."""
     n_sensors = int(rng.choice([1, 2, 3, 4, 12]))
     positions = rng.normal(0, 1, (n_sensors, int(rng.choice([1, 2, 3]))))
     positions *= rng.choice([1e-320, 1e-200, 1e-9, 1, 1e9, 1e160, 1e300])
-    kind = rng.integers(6)
+    kind = rng.integers(4)
     if kind == 0:
         positions[:] = positions[0]
     elif kind == 1:
         positions[:, 1:] = 0
     elif kind == 2:
         positions[rng.integers(n_sensors)] = rng.choice([1e308, -1e200, 0.0, 1e-308])
-    elif kind == 3:
-        positions[rng.random(n_sensors) < 0.4] = np.nan
     sensors = [
-        {"name": f"a{i}", "position": row.tolist(), "component": 0}
-        if np.isfinite(row).all()
-        else {"name": f"a{i}", "position": [None] * len(row), "component": -1}
-        for i, row in enumerate(positions)
+        {"name": f"a{i}", "position": row, "component": 0}
+        for i, row in enumerate(positions.tolist())
     ]
-    return json.dumps(
-        {"format": "anisomap map", "version": 1, "units": "m", "sensors": sensors}
-    ).encode()
+    whole = {"format": "anisomap map", "version": 1, "units": "m", "sensors": sensors}
+    return json.dumps(whole).encode()
 
 
 def bomb_npz(rng: Generator) -> bytes:
     """Compress an array of zeros."""
     stream, header = BytesIO(), BytesIO()
     n_rows = BOMB_BYTES // 8 // 4
-    write = np.lib.format.write_array_header_1_0
-    write(header, {"descr": "<f8", "fortran_order": bool(rng.integers(2)), "shape": (n_rows, 4)})
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": bool(rng.integers(2)), "shape": (n_rows, 4)}
+    )
     with ZipFile(stream, "w", ZIP_DEFLATED, compresslevel=1) as archive:
         name = str(rng.choice(["readings.npy", "names.npy", "other.npy"]))
         with archive.open(name, "w", force_zip64=True) as member:
@@ -267,14 +215,6 @@ def bomb_hdf5(rng: Generator) -> bytes:
     return stream.getvalue()
 
 
-def bomb_mat(rng: Generator) -> bytes:
-    """Compress a matrix of zeros."""
-    stream = BytesIO()
-    zeros = np.zeros((int(rng.integers(1, 4)) << 20, 12))
-    import_module("scipy.io").savemat(stream, {"readings": zeros}, do_compression=True)
-    return stream.getvalue()
-
-
 def bomb_table(rng: Generator) -> bytes:
     """Compress columns of zeros."""
     arrow = import_module("pyarrow")
@@ -302,7 +242,6 @@ def bomb_image(rng: Generator) -> bytes:
 ODD: Mapping[str, Maker] = MappingProxyType(
     {
         "npz": odd_npz,
-        "npy": odd_npy,
         "mat": odd_mat,
         "hdf5": odd_hdf5,
         "parquet": odd_table,
@@ -313,7 +252,6 @@ ODD: Mapping[str, Maker] = MappingProxyType(
 BOMBS: Mapping[str, Maker] = MappingProxyType(
     {
         "npz": bomb_npz,
-        "mat": bomb_mat,
         "hdf5": bomb_hdf5,
         "parquet": bomb_table,
         "images": bomb_image,

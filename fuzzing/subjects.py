@@ -35,30 +35,12 @@ _LINES = (
 )
 """What ports and sockets send: delimited text, objects, lists, and bottles of YARP."""
 
-_MESSAGE = """std_msgs/Header header
-uint8 MODE_A=1
-string<=10 name "x"
-float32[<=9] values
-Pad[4] pads
-===
-MSG: lab_msgs/Pad
-int16 x
-"""
-
 
 @dataclass(frozen=True)
 class Subject:
-    """A format, and files of it that are whole.
+    """A format, and files of it that are whole; the file to read comes first in each.
 
-    Parameters
-    ----------
-    name : str
-        Name of the format.
-    kind : str
-        How its files are used: ``"file"`` (recordings and maps), ``"mesh"``, ``"definition"`` (of
-        messages), ``"maps"`` (with a recording) or ``"source"`` (of live sessions).
-    seeds : sequence of Tree
-        The file to read comes first; if it is in a folder, the folder is read.
+    kind: A key of the checks in `workers`.
     """
 
     name: str
@@ -67,14 +49,7 @@ class Subject:
 
 
 def subjects() -> list[Subject]:
-    """Make whole files of every format.
-
-    Returns
-    -------
-    list of Subject
-        One per format in `anisomap.io.FORMATS`, one per suffix of meshes and models, and one for
-        definitions of messages, for maps with a recording, and for sources of live sessions.
-    """
+    """Make whole files of every format, of meshes, and of all else that is read."""
     seeds: dict[str, list[Tree]] = {known.name: [] for known in io.FORMATS}
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
@@ -86,8 +61,7 @@ def subjects() -> list[Subject]:
         found = [Subject(name, "file", trees) for name, trees in seeds.items() if trees]
         found += [*_meshes(folder), _maps(folder)]
     found.append(Subject("live source", "source", [{"lines": text} for text in _LINES]))
-    definition = {"lab_msgs/msg/Pads.msg": _MESSAGE.encode()}
-    return [*found, Subject("message definition", "definition", [definition])]
+    return found
 
 
 def map_suffixes() -> list[str]:
@@ -158,13 +132,6 @@ def _meshes(folder: Path) -> list[Subject]:
             path = folder / f"mesh{suffix}"
             shape.export(path)
             seeds.append(_tree(path))
-            if suffix in (".stl", ".ply"):
-                kinds: dict[str, dict[str, Any]] = {
-                    ".stl": {"file_type": "stl_ascii"},
-                    ".ply": {"encoding": "ascii"},
-                }
-                shape.export(path, **kinds[suffix])
-                seeds.append(_tree(path))
         found.append(Subject(f"mesh {suffix}", "mesh", seeds))
     return found
 

@@ -28,9 +28,8 @@ BEFORE, AFTER, SKIN = "before.json", "after.json", "skin.csv"
 _MAX_SENSORS, _MAX_FRAMES = 60, 400
 
 
-def check_maps(path: Path, found: Findings, rng: Generator) -> None:
+def check_maps(_: Path, found: Findings, rng: Generator) -> None:
     """Compare, align, place and check maps of the folder, by a recording."""
-    del path
     before, after = (_read(found, io.read_map, name) for name in (BEFORE, AFTER))
     skin = _read(found, io.read, SKIN)
     uses: tuple[tuple[str, Sequence[Any], Callable[[], Any]], ...] = (
@@ -43,19 +42,6 @@ def check_maps(path: Path, found: Findings, rng: Generator) -> None:
     small = skin is None or skin.readings.size <= _MAX_SENSORS * _MAX_FRAMES
     if small and all(one is not None and len(one.names) <= _MAX_SENSORS for one in needed):
         found.accepted |= found.attempt(name, use) is not None
-
-
-def check_maps_by_command(path: Path, found: Findings, rng: Generator) -> None:
-    """Do the same by the commands."""
-    folder = path.parent
-    anchors = [word for i in range(3) for word in ("--anchor", f"a{i}={i},{i * i},0")]
-    commands: tuple[tuple[str | Path, ...], ...] = (
-        ("diff", folder / BEFORE, folder / AFTER),
-        ("score", folder / BEFORE, folder / AFTER, "--permutations", "0"),
-        ("place", folder / BEFORE, *anchors, "-o", folder / "output.csv"),
-        ("check", folder / BEFORE, folder / SKIN),
-    )
-    found.command(*commands[rng.integers(len(commands))])
 
 
 def _read(found: Findings, reader: Callable[[Path], Any], name: str) -> Any:

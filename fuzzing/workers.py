@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
-from importlib import import_module
 from itertools import product
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -26,7 +25,7 @@ from numpy.random import Generator
 from fuzzing import checks, odd, uses
 from fuzzing.checks import Findings
 from fuzzing.damage import DAMAGES, Damage, inside
-from fuzzing.subjects import Subject, Tree, examples
+from fuzzing.subjects import Subject, Tree
 
 MAX_CPU_SECONDS, MAX_SECONDS = 10, 600
 """A case that computes longer, or waits longer, is a hang; a busy machine slows the clock only."""
@@ -40,12 +39,11 @@ BATCH = 500
 _BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.001, 0.03, 0.01
 _N_BOMBS = 2
 _N_USES = 4  # of each format, to reach all commands
-_CHECKS: Mapping[str, tuple[Any, Any]] = {
-    "file": (checks.check_file, checks.check_file_by_command),
-    "mesh": (checks.check_mesh, checks.check_mesh),
-    "definition": (checks.check_definition, checks.check_definition),
-    "maps": (uses.check_maps, uses.check_maps_by_command),
-    "source": (uses.check_source, uses.check_source),
+_CHECKS: Mapping[str, Any] = {
+    "file": checks.check_file,
+    "mesh": checks.check_mesh,
+    "maps": uses.check_maps,
+    "source": uses.check_source,
 }
 
 
@@ -58,40 +56,14 @@ class Tally:
     seconds: float = 0.0
     slowest_s: float = 0.0
     memory: int = 0
-    damages: Counter[str] = field(default_factory=Counter)
     problems: Counter[str] = field(default_factory=Counter)
     n_failed: int = 0
-
-    def add(self, other: Tally) -> None:
-        """Add the cases of another run."""
-        self.n_cases += other.n_cases
-        self.n_accepted += other.n_accepted
-        self.n_failed += other.n_failed
-        self.seconds += other.seconds
-        self.slowest_s = max(self.slowest_s, other.slowest_s)
-        self.memory = max(self.memory, other.memory)
-        self.damages += other.damages
-        self.problems += other.problems
 
 
 def make_case(subject: Subject, seed: int, index: int) -> tuple[str, Tree, bool, Generator]:
     """Make one case, which depends on the subject, the seed and the index alone.
 
-    Parameters
-    ----------
-    subject : Subject
-    seed, index : int
-
-    Returns
-    -------
-    str
-        The damage.
-    Tree
-        The damaged files.
-    bool
-        Whether a command reads them, rather than the library.
-    Generator
-        For the choices of the check.
+    Returns the damage, the files, whether a command reads them, and a generator for the check.
     """
     rng = np.random.default_rng([seed, zlib.crc32(subject.name.encode()), index])
     tree = dict(subject.seeds[int(rng.integers(len(subject.seeds)))])
@@ -132,16 +104,14 @@ def run_case(
 ) -> Findings:
     """Read the files of a case from a folder, and return what that showed."""
     found = Findings(folder)
-    if subject.kind == "definition":
-        (folder / "run.bag").write_bytes(_bag())
     for name, content in tree.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     first = next(iter(tree))
-    target = folder / (first if subject.kind == "definition" else Path(first).parts[0])
-    by_library, command = _CHECKS[subject.kind]
-    (command if by_command else by_library)(target, found, rng)
+    target = folder / Path(first).parts[0]
+    command = by_command and subject.kind == "file"
+    (checks.check_file_by_command if command else _CHECKS[subject.kind])(target, found, rng)
     return found
 
 
@@ -166,22 +136,7 @@ def warm_up(tried: Sequence[Subject]) -> None:
 def run_cases(
     subject: Subject, seed: int, indices: Sequence[int], keep: Path, tally: Tally | None = None
 ) -> Tally:
-    """Run cases of a subject in processes that are replaced when they die.
-
-    Parameters
-    ----------
-    subject : Subject
-    seed : int
-    indices : sequence of int
-    keep : Path
-        Folder for the input of cases with problems, one per kind of problem.
-    tally : Tally, optional
-        Results of earlier cases, to which these are added.
-
-    Returns
-    -------
-    Tally
-    """
+    """Run cases of a subject in processes that are replaced when they die; keep failing ones."""
     tally = Tally() if tally is None else tally
     if subject.name in odd.BOMBS and len(indices) >= BATCH:
         for index in range(_N_BOMBS):
@@ -202,7 +157,6 @@ def _count(tally: Tally, subject: Subject, seed: int, record: dict[str, Any], ke
     tally.seconds += record["seconds"]
     tally.slowest_s = max(tally.slowest_s, record["seconds"])
     tally.memory = max(tally.memory, record["memory"])
-    tally.damages[record["damage"]] += 1
     tally.n_failed += bool(record["problems"])
     for problem in record["problems"]:
         tally.problems[problem] += 1
@@ -221,7 +175,7 @@ def _forked(subject: Subject, seed: int, indices: Sequence[int]) -> Iterator[dic
     receiving, sending = forked.Pipe(duplex=False)
     with tempfile.TemporaryDirectory(prefix="anisomap-fuzz-") as folder:  # also if it dies
         cases = subject, seed, indices, Path(folder), sending
-        worker = forked.Process(target=_work, args=cases)
+        worker = forked.Process(target=_run, args=cases)
         worker.start()
         sending.close()
         with suppress(EOFError):
@@ -240,16 +194,6 @@ def _forked(subject: Subject, seed: int, indices: Sequence[int]) -> Iterator[dic
         yield {**begun, **costs, "accepted": False, "problems": [problem]}
     elif worker.exitcode:
         raise RuntimeError(f"a worker for {subject.name} ended with code {worker.exitcode}")
-
-
-def _work(
-    subject: Subject, seed: int, indices: Sequence[int], base: Path, sending: Connection
-) -> None:
-    terminal = os.dup(2)
-    try:
-        _run(subject, seed, indices, base, sending)
-    finally:
-        os.dup2(terminal, 2)  # for the traceback of a defect of the fuzzer
 
 
 def _run(
@@ -296,13 +240,3 @@ def _redirected(stream: int, path: Path) -> int:
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
     os.dup2(file, stream)
     return file
-
-
-@lru_cache
-def _bag() -> bytes:
-    """Write a bag of a type whose definition is not in it."""
-    bag = import_module("bags").Bag("bag")
-    for i, row in enumerate(examples.example_recording().readings):
-        bag.add("/skin", bag.array(row), i)
-    with tempfile.TemporaryDirectory() as name:
-        return bytes(bag.write(Path(name) / "run.bag").read_bytes())

@@ -75,81 +75,11 @@ def _part(recording: Recording, frames: slice, sensors: slice) -> Recording:
     return part.select(np.arange(recording.n_sensors)[sensors])
 
 
-@dataclass(frozen=True)
-class Source:
-    """How a stored recording was made.
-
-    Attributes
-    ----------
-    body, stimulus : str
-        Body, and scenario of `anisomap.simulation` or stimulus of `benchmarks.skins.footprints`.
-    n_sensors, n_frames : int
-    fault : str
-        As for `simulation.inject`; ``{sd}`` is that of `benchmarks.verdicts.faults.DAMAGES`.
-    dtype : str
-        Of the stored readings.
-    skins : int
-        Number of copies of the skin side by side, of which one is touched at a time.
-    """
-
-    body: str
-    stimulus: str
-    n_sensors: int = 60
-    n_frames: int = 800
-    fault: str = ""
-    dtype: str = "float16"
-    skins: int = 1
-
-
-SOURCES: Mapping[str, Source] = MappingProxyType(
-    {
-        "sphere-bombarded": Source("sphere", "bombardment", 48, 1500),
-        "cylinder-bombarded": Source("cylinder", "bombardment"),
-        "y-shape-bombarded": Source("y-shape", "bombardment"),
-        "plane-bombarded": Source("plane", "bombardment", 49),
-        "hand-bombarded": Source("hand", "bombardment"),
-        "sphere-rolling": Source("sphere", "locomotion", 48),
-        "cylinder-rolling": Source("cylinder", "locomotion", 60, 1500),
-        "hexagon-rubbed": Source("hexagon", "rubbing"),
-        "torus-rubbed": Source("torus", "rubbing", 48, 1500),
-        "cube-rubbed": Source("cube", "rubbing", 54, 1200),
-        "hemisphere-roller": Source("hemisphere", "roller", 48),
-        "uneven-sphere-pressed": Source("uneven-sphere", "pressing", 48),
-        "tube-self-touch": Source("tube", "self-touch", 48),
-        "holed-plate-pulses": Source("holed-plate", "pulses", 49, 400),
-        "plane-walking": Source("plane", "walking", 49, 600),
-        "plane-waves": Source("plane", "waves", 49, 600, dtype="uint8"),
-        "hand-grasp": Source("hand", "grasp", 48),
-        "sphere-potentials": Source("sphere", "conducted-sources", 32, 600),
-        "binary": Source("hexagon", "rubbing", 60, 1000, "thresholded:*", "uint8"),
-        "graded": Source("torus", "rubbing", 48, 1500, "quantised:*,levels=8"),
-        "noisy-plane": Source("plane", "rubbing", 36, 500, "noisy:*,level=0.05", "float32"),
-        "noisy-sphere": Source("sphere", "bombardment", 40, 1000, "noisy:*,level=0.02", "float32"),
-        "few-contacts": Source("plane", "rubbing", 49, 800, "rarely-touched:20%"),
-        "short": Source("hexagon", "rubbing", 60, 150),
-        "two-skins": Source("plane", "rubbing", 25, 800, skins=2),
-        "missing": Source("torus", "rubbing", 48, 1500, "nan-bursts:30%,mean_gap=150,mean_span=15"),
-        "broken-sensors": Source("hexagon", "rubbing", 60, 800, "dead:5%+noisy:10%+stuck:5%"),
-        "copies": Source("torus", "rubbing", 48, 1500, "duplicated:10%,factor=3,noise=0.1"),
-        "leak": Source("hand", "bombardment", 48, 1000, "leaking:*,share=0.05"),
-        "lags": Source("plane", "rubbing", 49, 1000, "lagging:*,board=12,frames=3"),
-        "inverted": Source("torus", "rubbing", 48, 1500, "inverted:30%"),
-        "common-noise": Source("hexagon", "rubbing", 60, 500, "common-noise:*,level=1"),
-        "board-noise": Source("torus", "rubbing", 48, 1200, "common-noise:*,level=1,board=12"),
-        "spikes": Source("hand", "bombardment", 48, 600, "spiking:*,board=12"),
-        "hum": Source("hexagon", "rubbing", 60, 500, "humming:*,level=1"),
-        "drift": Source("torus", "rubbing", 48, 1200, "drifting:*,level={sd}1"),
-        "gaps": Source("hand", "bombardment", 48, 1200, "bridged-gaps:30%"),
-        "saturation": Source("torus", "rubbing", 48, 1200, "clipped:30%,share=0.3"),
-        "separate-regions": Source("plane", "rubbing", 49, 800, "separate-regions"),
-        "one-period": Source("plane", "rubbing", 25, 300, "cycling:*"),
-        "swapped": Source("hexagon", "rubbing", 60, 600, "swapped:s3,s17,s30,s41"),
-    }
-)
-"""Stored recordings, by name."""
+STORED = tuple(sorted(path.stem for path in (FOLDER / "readings").glob("*.npz")))
+"""Names of the stored recordings; ``tests/golden/README.md`` says how each was made."""
 
 CASES: Mapping[str, Case] = MappingProxyType(
-    {name: Case(name) for name in SOURCES}
+    {name: Case(name) for name in STORED}
     | {f"hexagon-rubbed, {m}": Case("hexagon-rubbed", m) for m in METHODS if m != DEFAULT_METHOD}
     | {
         "sphere-rolling, r-anisomap": Case("sphere-rolling", "r-anisomap", 3),

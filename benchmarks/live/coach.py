@@ -6,8 +6,7 @@ the skin for 0.3 s before each bout. Uncoached, it rubs without a pause as in th
 "rubbing", in which strokes lead to the parts that were rubbed least, as of a person who remembers
 them. The errors of the quick maps of both are compared at several numbers of frames.
 
-Rows are written as they are made. ``--evenness FOLDER`` compares how evenly the uncoached hand
-touches with recordings of rubbed skins in a folder.
+Rows are written as they are made.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from anisomap import read as read_recording
 from anisomap.evaluation import median_spacing, score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.live.quick_map import QuickMapper
@@ -31,21 +29,15 @@ from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body, find_body
 from anisomap.simulation.kinematic import TRAVEL_FRAMES, GuidedHand, RubbingOptions
 from anisomap.simulation.options import options_for
-from benchmarks.accuracy.contacts import contacts_by_frame
-from benchmarks.harness import frame, options, stream, write_csv, write_rows
+from benchmarks.harness import frame, options, stream, write_rows
 
 BODIES = ("sphere", "hand", "hexagon")
 DIMENSIONS = {"hexagon": 2}  # the others are bodies in 3D
 SEEDS = range(401, 411)
 LENGTHS = (80, 120, 160, 200, 240, 280, 320, 400, 480, 560, 640, 800, 960)
-MEAN_CONTACTS = (1, 2, 4, 8)  # at which the evenness is compared
 TICKS = (80, 160, 320, 640)  # of the figure
 STIMULI = ("palm", "fingertip")
 WAYS = ("coached", "uncoached")
-EVENNESS_COLUMNS = (
-    "skin",
-    *(f"{what}_{mean}" for mean in MEAN_CONTACTS for what in ("touched", "variation")),
-)
 FINGERTIP = 0.3  # x the size of the palm of `RubbingOptions`: it touches a few sensors at once
 
 
@@ -101,35 +93,6 @@ def hand_on(body: Body, stimulus: str, seed: int) -> GuidedHand:
 def uncoached(hand: GuidedHand, n_frames: int) -> NDArray[np.float32]:
     """Rub along one path; the hand is on the skin from the first frame on."""
     return hand.rub(TRAVEL_FRAMES + n_frames)[TRAVEL_FRAMES:]
-
-
-def evenness(readings: NDArray[np.floating], mean: float) -> tuple[float, float]:
-    """Return how evenly a skin was touched when sensors had some contacts on average.
-
-    The share of the sensors that were touched by then, and the standard deviation of their contacts
-    over the mean; NaN if there are fewer contacts.
-    """
-    counts = contacts_by_frame(readings)
-    until = int(np.searchsorted(counts.mean(axis=1), mean))
-    if until >= len(counts):
-        return float("nan"), float("nan")
-    contacts = counts[until]
-    return float((contacts > 0).mean()), float(contacts.std() / contacts.mean())
-
-
-def evenness_table(folder: Path, seeds: Sequence[int]) -> list[list[object]]:
-    """Compare the evenness of recordings in a folder and of the uncoached hand."""
-    rubbed = [(path.stem, [read_recording(path).readings]) for path in sorted(folder.glob("icub*"))]
-    for name, stimulus in itertools.product(BODIES, STIMULI):
-        hands = [hand_on(find_body(name), stimulus, seed) for seed in seeds]
-        rubbed.append((f"{name}, {stimulus}", [uncoached(hand, max(LENGTHS)) for hand in hands]))
-    found: list[list[object]] = []
-    for label, runs in rubbed:
-        found.append([label])
-        for mean in MEAN_CONTACTS:
-            values = [evenness(np.asarray(run, dtype=np.float64), mean) for run in runs]
-            found[-1] += [round(value, 2) for value in np.mean(values, axis=0)]
-    return found
 
 
 def error_of(positions: NDArray[np.float64], body: Body) -> float:
@@ -192,12 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = options(__doc__, "coach", recordings=False)
     parser.add_argument("--seeds", type=int, nargs="*", default=list(SEEDS))
     parser.add_argument("--bodies", nargs="*", default=list(BODIES))
-    parser.add_argument("--evenness", type=Path, help="folder of recordings of rubbed skins")
     given = parser.parse_args(arguments)
-    if given.evenness is not None:
-        evenly = evenness_table(given.evenness, given.seeds[:3])
-        write_csv(given.output / "coach-evenness.csv", EVENNESS_COLUMNS, evenly)
-        return
     runs = itertools.product(given.bodies, STIMULI, given.seeds, WAYS)
     found = itertools.chain.from_iterable(rows_of(*run) for run in runs)
     rows = stream(given.output / "coach.csv", found)

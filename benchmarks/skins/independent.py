@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from anisomap import Recording
-from benchmarks.skins.readout import DAMAGES, TRANSDUCERS, Damaged, Floats, Ints, Rng
+from benchmarks.skins.readout import DAMAGES, TRANSDUCERS, Floats, Ints, Rng
 
 CLOUD = 40
 """Points on the surface for each sensor, at which contacts can be."""
@@ -365,9 +365,8 @@ def make(case: Case) -> Recording:
 
     Positions are true, 2D for flat skins: where wires are exchanged all the time, they are those of
     the sensors on the wires, and those of the case without damage are what a layout would state.
-    The metadata name the sensors that are at fault.
     """
-    rngs = np.random.default_rng(case.seed).spawn(4)
+    rngs = np.random.default_rng([case.seed, *case.body.encode()]).spawn(4)
     body, given = _parsed(case.body)
     skin = find_body(rngs[0], body, **given)
     parts, (touch, given) = [(skin, case.n_frames)], _parsed(case.stimulation)
@@ -378,17 +377,30 @@ def make(case: Case) -> Recording:
     loads = np.concatenate([np.max([c.onto(one) for c in all_], axis=0) for one, all_ in touches])
     loads /= np.quantile(loads[loads > 0], 0.9)
     transducer, given = _parsed(case.transducer)
-    damaged = Damaged(TRANSDUCERS[transducer](loads, rngs[2], skin.at, **given))
-    if case.damage:
-        damage, given = _parsed(case.damage)
-        damaged = DAMAGES[damage](damaged.readings, rngs[3], **given)
-    positions = skin.at[:, :2] if body in FLAT else skin.at
-    return Recording(
-        damaged.readings.astype(np.float32),
-        positions=positions if damaged.wires is None else positions[damaged.wires],
+    sound = Recording(
+        TRANSDUCERS[transducer](loads, rngs[2], skin.at, **given).astype(np.float32),
+        positions=skin.at[:, :2] if body in FLAT else skin.at,
         units="spacings",
         source=str(case),
-        metadata={"seed": case.seed, "faulty": ",".join(f"s{i}" for i in damaged.faulty)},
+        metadata={"seed": case.seed, "faulty": ""},
+    )
+    return damaged(sound, case.damage, rngs[3]) if case.damage else sound
+
+
+def damaged(recording: Recording, damage: str, rng: Rng) -> Recording:
+    """Damage a recording, as named in `DAMAGES`; the metadata name the sensors at fault."""
+    name, given = _parsed(damage)
+    found = DAMAGES[name](recording.readings.astype(np.float64), rng, **given)
+    positions = recording.positions
+    if positions is not None and found.wires is not None:
+        positions = positions[found.wires]
+    return Recording(
+        found.readings.astype(np.float32),
+        recording.names,
+        positions=positions,
+        units=recording.units,
+        source=f"{recording.source}, {damage}",
+        metadata={"faulty": ",".join(recording.names[i] for i in found.faulty)},
     )
 
 
@@ -418,13 +430,13 @@ def _bent(skin: Skin) -> Skin:
     )  # fmt: skip
 
 
-def drawn(seed: int, *, damage: str = "", longest: int = 20_000) -> Case:
+def drawn(seed: int, *, body: str = "", damage: str = "", longest: int = 20_000) -> Case:
     """Draw a case of 500 frames or more."""
-    rng = np.random.default_rng([seed, 99])
-    touch = str(rng.choice([name for name in STIMULATIONS if name != "jumps"]))
-    bodies = [*FLAT, *SOLID]
-    if touch == "footsteps":  # which load one side
-        bodies = [*FLAT, "hemisphere", "dome", "glove"]
+    rng = np.random.default_rng([seed, *body.encode()])
+    body = body or str(rng.choice([*FLAT, *SOLID]))
+    touches = {*STIMULATIONS} - {"jumps"}
+    if body in ("sphere", "cylinder", "finger", "hand"):
+        touches -= {"footsteps"}  # which load one side
     n_frames = int(np.exp(rng.uniform(np.log(500), np.log(longest))))
     transducer = str(rng.choice([*TRANSDUCERS, "white:level=0.3"]))
-    return Case(str(rng.choice(bodies)), touch, transducer, damage, n_frames, seed)
+    return Case(body, str(rng.choice(sorted(touches))), transducer, damage, n_frames, seed)

@@ -1,8 +1,7 @@
-"""Inputs: simulated skins, copies of a real skin side by side, and difficult matrices."""
+"""Inputs: simulated skins, and copies of a real skin side by side."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
-from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.precision import float_type
-from anisomap.numerics.similarity.correlation import pearson
 
 Matrix = NDArray[np.floating[Any]]
 Readings = NDArray[np.float32]
@@ -23,7 +20,6 @@ Places = NDArray[np.float64]
 
 _REACH = 2.5
 _TOUCHES_PER_SENSOR = 8
-_SENSOR_NOISE = 0.5  # standard deviation; the deepest contact reads 2.5
 _OVERLAP = 0.25
 _BLOCK_FRAMES = 256
 
@@ -39,43 +35,12 @@ def sphere_radius(n_sensors: int) -> float:
     return float(np.sqrt(n_sensors / (4 * np.pi)))
 
 
-def sphere(n: int, _: np.random.Generator, power: float = 1.0) -> Places:
-    """Place sensors on a golden spiral; a power above 1 crowds them at the equator."""
+def sphere(n: int, _: np.random.Generator) -> Places:
+    """Place sensors on a golden spiral on a unit sphere."""
     i = np.arange(n) + 0.5
     z = 1 - 2 * i / n
-    z = np.sign(z) * np.abs(z) ** power
     turn, radius = np.pi * (1 + 5**0.5) * i, np.sqrt(1 - z**2)
     return np.column_stack([np.cos(turn) * radius, np.sin(turn) * radius, z])
-
-
-@dataclass(frozen=True)
-class Press:
-    """How contacts press: width in frames, length along x, and the profile over distance."""
-
-    width: int
-    length: float
-    profile: int
-
-    def onto(
-        self,
-        readings: Matrix,
-        offsets: Places,
-        at: int,
-        height: float,
-        radius: float,
-    ) -> None:
-        """Add a contact to readings, shape (T, N), given the offsets of sensors, shape (N, 3)."""
-        away = np.linalg.norm(offsets / [self.length, 1, 1], axis=1) / radius
-        shape = (
-            np.maximum(0, 1 - away**2),
-            np.maximum(0, 1 - away),
-            np.exp(-2 * away**2) * (away < 1.6),
-        )[self.profile]
-        frames = np.arange(max(0, at - self.width), min(len(readings), at + self.width + 1))
-        course = np.cos((frames - at) / self.width * np.pi / 2) ** 2
-        near = np.flatnonzero(shape)
-        part = np.ix_(frames, near)
-        readings[part] = np.maximum(readings[part], height * course[:, None] * shape[near])
 
 
 @lru_cache(maxsize=1)
@@ -103,14 +68,6 @@ def rubbed_skin(n_sensors: int, n_frames: int, active: float = 0.09) -> tuple[Re
     return readings, positions
 
 
-def noisy_readings(n_sensors: int, n_frames: int) -> Readings:
-    """Draw independent continuous readings far from 0, without a rest value."""
-    rng = np.random.default_rng(0)
-    readings = rng.standard_normal((n_frames, n_sensors), np.float32)
-    readings += rng.uniform(10, 100, n_sensors).astype(np.float32)
-    return readings
-
-
 @lru_cache(maxsize=1)
 def flat_skin(n_sensors: int) -> Matrix:
     """Return dissimilarities of a flat skin that is touched uniformly."""
@@ -121,13 +78,6 @@ def flat_skin(n_sensors: int) -> Matrix:
     lengths = _touched(sensors, touches, rng)
     lengths.setflags(write=False)
     return lengths
-
-
-def round_skin(n_sensors: int) -> Matrix:
-    """Return dissimilarities of a spherical skin, which embeds in 3D with low stress."""
-    rng = np.random.default_rng(0)
-    points = sphere_radius(n_sensors) * directions((1 + _TOUCHES_PER_SENSOR) * n_sensors, rng)
-    return _touched(points[:n_sensors], points[n_sensors:], rng)
 
 
 def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matrix:
@@ -145,36 +95,6 @@ def _touched(sensors: Matrix, touches: Matrix, rng: np.random.Generator) -> Matr
     correlation /= deviation
     correlation /= deviation[:, None]
     return _as_working_type(regularised_reciprocal(correlation))
-
-
-def noisy_skin(n_sensors: int) -> Matrix:
-    """Return dissimilarities of a flat skin whose sensors have noise of their own.
-
-    Far sensors are independent: their correlations, near .01, are noise, and so are their lengths.
-    """
-    rng = np.random.default_rng(0)
-    width = n_sensors**0.5
-    sensors = rng.uniform(0, width, (n_sensors, 2))
-    touches = rng.uniform(0, width, (_TOUCHES_PER_SENSOR * n_sensors, 2))
-    apart = KDTree(touches).sparse_distance_matrix(
-        KDTree(sensors), _REACH, output_type="coo_matrix"
-    )
-    readings = _SENSOR_NOISE * rng.standard_normal((len(touches), n_sensors), np.float32)
-    readings[apart.row, apart.col] += (_REACH - apart.data).astype(np.float32)
-    return _as_working_type(regularised_reciprocal(pearson(readings)))
-
-
-def noisy_metric(n_sensors: int) -> Matrix:
-    """Return distances in 3D with 5 % noise: most edges are shortest paths."""
-    rng = np.random.default_rng(0)
-    distances = pdist(rng.normal(size=(n_sensors, 3)))
-    return _as_working_type(squareform(distances * rng.uniform(0.95, 1.05, len(distances))))
-
-
-def pure_noise(n_sensors: int) -> Matrix:
-    """Return independent random lengths, as of unrelated sensors."""
-    rng = np.random.default_rng(0)
-    return _as_working_type(squareform(rng.uniform(0.01, 1, n_sensors * (n_sensors - 1) // 2)))
 
 
 def _as_working_type(matrix: Matrix) -> Matrix:

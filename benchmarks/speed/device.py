@@ -24,9 +24,8 @@ from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
-from benchmarks.harness import markdown_table, options, quietly
+from benchmarks.harness import machine, markdown_table, options, quietly
 from benchmarks.skins.inputs import directions, sphere_radius
-from benchmarks.speed.tables import machine
 
 _REACH = 4.0  # radius of a contact in sensor spacings; it covers 50 sensors
 _STROKE = 15  # frames of a straight motion of a contact

@@ -87,7 +87,6 @@ HEADERS = {
     "check": columns(check.Result),
     "claims": claims.COLUMNS,
     "coach": columns(coach.Row),
-    "coach-evenness": coach.EVENNESS_COLUMNS,
     "coach-summary": columns(coach.Goal),
     "dimension": columns(dimension.Row),
     "faults": columns(faults.Result),

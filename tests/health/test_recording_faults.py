@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from benchmarks.skins.clean_recordings import COURSES, FORMS, TRUE_OF_CLEAN, Case, cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -20,6 +19,7 @@ from anisomap.live.quick_map import confirmed_faults
 from anisomap.numerics.signals import Signals
 from anisomap.sensor_map import is_faulty
 from anisomap.simulation import inject
+from clean_recordings import COURSES, FORMS, TRUE_OF_CLEAN, Case, cases
 from skins import bombarded_skin, flat_skin, lattice, mantel_r, rubbed, seeing_patch, stored
 
 

@@ -4,8 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.harness import growth_exponent
 from benchmarks.skins.inputs import flat_skin, rubbed_skin
-from benchmarks.speed.tables import growth_exponent
 
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.skins.footprints import FOOTPRINTS
+from benchmarks.skins.independent import Case, make
 from golden.cases import FOLDER
 from hypothesis import given
 from hypothesis import strategies as st
@@ -212,18 +212,15 @@ def test_expected_errors_do_not_depend_on_the_order_of_sensors(name):
     assert np.ptp(found) < 1e-3
 
 
-def test_noise_and_large_contacts_in_one_place_are_worse_than_a_plain_skin():
-    """Both are wrong in ways that maps of the same recording share, or do not."""
-    places = lattice(8, 9)
-    solid = np.column_stack([places, np.zeros(len(places))])
-    rng = np.random.default_rng(0)
+def test_long_contacts_are_worse_than_a_plain_skin():
+    """They are wrong in ways that maps of the same recording share."""
 
     def judged(readings):
         made = reconstruct(readings, dimensions=2)
         return diagnose(made, readings).verdict
 
     plain = judged(flat_skin(n_frames=1000).readings)
-    long = judged(FOOTPRINTS["bars"](solid, 2000, rng))
+    long = judged(make(Case("plate:n=72", "rolling", "exact")).readings)
     assert plain.level == "usable"
     assert long.level != "usable"
     assert long.expected_error > 2 * plain.expected_error

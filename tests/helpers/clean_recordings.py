@@ -10,10 +10,10 @@ from itertools import product, starmap
 from typing import NamedTuple
 
 import numpy as np
+from benchmarks.skins.inputs import directions, sphere, sphere_radius
 from numpy.typing import NDArray
 
 from anisomap import Recording
-from benchmarks.skins.inputs import directions, sphere, sphere_radius
 
 Floats = NDArray[np.float64]
 
