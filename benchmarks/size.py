@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import anisomap
-from anisomap.method.reconstruction import reconstruct_with_stages
+from anisomap.method.pipeline import reconstruct_with_stages
 from benchmarks.harness import columns, markdown_table
 
 PACKAGE = Path(anisomap.__file__).parent

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.evaluation.scoring import median_spacing
-from anisomap.method.reconstruction import reconstruct_with_stages
+from anisomap.method.pipeline import reconstruct_with_stages
 from golden.cases import FOLDER, Case
 
 EXACT = 1e-9

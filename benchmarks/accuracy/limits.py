@@ -23,17 +23,18 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import pdist
 from sklearn.isotonic import IsotonicRegression
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.evaluation import mantel
 from anisomap.evaluation.compare import compare_methods, spanned_dimensions, touched
-from anisomap.method.evidence import compare
+from anisomap.method.configuration import best_scale
+from anisomap.method.evidence import Evidence
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
-from anisomap.method.pipeline import Configuration, dissimilarities, refine_components
+from anisomap.method.refinement import refine
 from anisomap.recording import Recording
 from benchmarks.accuracy.rivals import RIVALS
 from benchmarks.harness import files_in, keyed_table, markdown_table, measured, options, publish
@@ -94,20 +95,15 @@ def limits_of(path: Path) -> list[Limits]:
 
 def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
     """Return the similarity, and the default map if its refinement starts from given places."""
-    recipe, options = METHODS[DEFAULT_METHOD], MethodOptions(split_unrelated=False)
-    pairs = compare(
-        [part], recipe.similarity_of([part]), bins=options.entropy_bins, with_noise=True
+    recipe, options = METHODS[DEFAULT_METHOD], MethodOptions()
+    evidence = Evidence.of(
+        [part], recipe.similarity_of([part]), bins=options.entropy_bins, with_variance=True
     )
-    metric = np.asarray(recipe.metric(dissimilarities(pairs, DEFAULT_METHOD, options)))
-    start = Configuration(
-        positions=places * (squareform(metric, checks=False).mean() / pdist(places).mean()),
-        component=np.zeros(len(places), dtype=np.intp),
-        stress=math.nan,
-        converged=True,
-        n_iterations=0,
-    )
-    refined = refine_components(recipe.refinements, pairs, metric, start, options)
-    return np.asarray(pairs.similarity), np.asarray(refined.positions)
+    metric = np.asarray(recipe.metric(recipe.dissimilarity_of(evidence, options)))
+    start = places * best_scale(places, metric)[0]
+    refined = refine(evidence, metric, start, options)
+    found = start if refined is None else refined.positions
+    return np.asarray(evidence.similarity), np.asarray(found)
 
 
 def _isotonic(similarity: Array, places: Array) -> float:

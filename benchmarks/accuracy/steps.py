@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from operator import call
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -22,7 +23,8 @@ from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.evaluation.compare import spanned_dimensions, touched
 from anisomap.method import evidence
 from anisomap.method.named import METHODS, Method
-from anisomap.method.reconstruction import reconstruct_with_stages
+from anisomap.method.pipeline import reconstruct_with_stages
+from anisomap.method.refinement import Refinement, refine
 from anisomap.recording import Recording
 from benchmarks.harness import files_in, frame, markdown_table, measured, options, publish
 
@@ -63,18 +65,17 @@ class Row:
     cpu: float
 
 
-def _without(step: str) -> Method:
-    kept = {name: one for name, one in _DEFAULT.refinements.items() if name != step}
-    return replace(_DEFAULT, refinements=kept)
+def _without_paths(*stages: Any) -> Refinement | None:
+    refined = refine(*stages)
+    return refined and replace(refined, positions=refined.fit.positions, path_weight=0.0)
 
 
 VARIANTS: Mapping[str, Method] = {
     "nothing": _DEFAULT,
     "common signal": _DEFAULT,
     "kappa": replace(_DEFAULT, contact_similarity=None),
-    **{step: _without(step) for step in ("covariogram", "heights", "paths", "contacts")},
-    # Without any step, the noise that the first stages use would not be computed either.
-    "all refinements": replace(_DEFAULT, refinements={"none": lambda *_: None}),
+    "paths": replace(_DEFAULT, refine=_without_paths),
+    "refinement": replace(_DEFAULT, refine=lambda *_: None),
 }
 """Methods by what they leave out of the default method."""
 
@@ -141,7 +142,7 @@ def rows_of(kind: str, name: str, recording: Recording) -> list[Row]:
 def _similarities(left_out: str) -> Mapping[str, evidence.Similarity]:
     if left_out != "common signal":
         return evidence.SIMILARITIES
-    plain = replace(evidence.SIMILARITIES[_DEFAULT.similarity], refer=None)
+    plain = replace(evidence.SIMILARITIES[_DEFAULT.similarity], centred=False)
     return {**evidence.SIMILARITIES, _DEFAULT.similarity: plain}
 
 

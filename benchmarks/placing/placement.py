@@ -228,7 +228,7 @@ def _hands(recordings: Sequence[Recording], dimensions: int) -> Iterator[Measure
         )
         here = np.flatnonzero(whole.component == 0)
         truth = np.asarray(recording.positions, dtype=np.float64)[here] * _MM
-        part = SensorMap(whole.positions[here], uneven=whole.uneven)
+        part = SensorMap(whole.positions[here], distorted=whole.distorted)
         right = align(part.positions, truth).aligned
         for count in (3, 4, 5):
             for rows in _draws(truth, count, HAND_DRAWS):

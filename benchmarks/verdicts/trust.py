@@ -25,7 +25,7 @@ from scipy.stats import chi2
 
 import anisomap
 from anisomap.evaluation import align, median_spacing
-from anisomap.method.reconstruction import reconstruct_with_stages
+from anisomap.method.pipeline import reconstruct_with_stages
 from anisomap.usability import ACCURACY
 from anisomap.verdict import judge
 from anisomap.verdict.accuracy import MIN_REGION, REGION_RADIUS

@@ -29,8 +29,8 @@ from .layout import check_layout as check_layout
 from .method.evidence import SIMILARITIES as SIMILARITIES
 from .method.named import METHODS as METHODS
 from .method.options import MethodOptions as MethodOptions
-from .method.reconstruction import reconstruct as reconstruct
-from .method.reconstruction import reconstruct_from as reconstruct_from
+from .method.pipeline import reconstruct as reconstruct
+from .method.pipeline import reconstruct_from as reconstruct_from
 from .recording import Recording as Recording
 from .recording import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap

@@ -18,7 +18,7 @@ from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.dimensions import AUTO, Dimensions
 from anisomap.method.options import MethodOptions
-from anisomap.method.reconstruction import reconstruct
+from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions

@@ -25,7 +25,7 @@ from anisomap.health import (
 )
 from anisomap.method.dimensions import Dimensions
 from anisomap.method.options import MethodOptions
-from anisomap.method.reconstruction import reconstruct_with_stages
+from anisomap.method.pipeline import reconstruct_with_stages
 from anisomap.numerics.precision import check_pair_memory
 from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, join_runs
 from anisomap.sensor_map import SensorMap

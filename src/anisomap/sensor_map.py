@@ -37,6 +37,9 @@ FEW_CONTACTS = "few contacts"
 
 DEFAULT_FRAME = "skin"
 
+DEFAULT_KIND = "sensor"
+"""What a map places, unless it was made from dissimilarities of objects."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorMap(Immutable):
@@ -71,11 +74,11 @@ class SensorMap(Immutable):
     verdict : Verdict
         How far the map can be used, from `anisomap.diagnose`; its level is ``"cannot tell"`` by
         default.
-    uneven : bool
-        Whether the largest component is distorted in a way that the refinement could not correct
-        and that maps of parts of the recording share: neighbours lie at very unequal distances,
-        sensors lie along a curve, contacts are long in one direction, or contacts differ between
-        places.
+    distorted : bool
+        Whether lengths in the largest component are distorted in a way that maps of parts of the
+        recording share, because contacts differ from place to place.
+    kind : str
+        What the map places: ``"sensor"``, or ``"object"`` if it was made from dissimilarities.
     mirrored : bool
         Whether the map was reflected after it was made.
     handed : bool
@@ -113,7 +116,8 @@ class SensorMap(Immutable):
     stress: float = float("nan")
     n_iterations: int = 0
     verdict: Verdict = field(default_factory=Verdict)
-    uneven: bool = False
+    distorted: bool = False
+    kind: str = DEFAULT_KIND
     mirrored: bool = False
     handed: bool = False
     anchored: bool = False
@@ -229,11 +233,6 @@ class SensorMap(Immutable):
     ) -> NDArray[np.float64]:
         """Return the positions, shape (N, k)."""
         return np.array(self.positions, dtype=dtype, copy=copy)
-
-    @property
-    def kind(self) -> str:
-        """What the map places: "object" if it was made from dissimilarities, else "sensor"."""
-        return "object" if self.provenance.get("precomputed") == "dissimilarity" else "sensor"
 
     def __repr__(self) -> str:
         details = [f"{np.count_nonzero(self.placed)} of {self.n_sensors} {self.kind}s placed"]
@@ -385,22 +384,6 @@ def check_coordinates(points: NDArray[np.float64], names: Sequence[str], what: s
 def is_faulty(status: str) -> bool:
     """Return whether a status in `SensorMap.health` is that of a faulty sensor."""
     return status not in ("ok", UNASSESSED, SILENT, FEW_CONTACTS)
-
-
-_WEIGHT = "weight_of_"  # of a step, in the provenance of a map
-
-
-def steps_of(sensor_map: SensorMap) -> list[str]:
-    """Name the steps that refined a map, each with its share of the map that it gave."""
-    weights = {
-        name.removeprefix(_WEIGHT): float(weight)
-        for name, weight in sensor_map.provenance.items()
-        if name.startswith(_WEIGHT)
-    }
-    return [
-        name if weight == 1 else f"{name} ({weight:.2f})".replace("(0.", "(.")
-        for name, weight in weights.items()
-    ]
 
 
 def ellipses(

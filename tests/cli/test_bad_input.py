@@ -32,7 +32,6 @@ map skin.npz -d 1.5                                       | 1.5
 map skin.npz -d flat                                      | flat
 map skin.npz --exclude nobody                             | nobody
 map skin.npz --drop {LONG}                                | there is no sensor 'xxx
-map skin.npz -m r-anisomap --even-spacing                 | r-anisomap does not support even spacing
 map skin.npz --seed -1                                    | seed
 map skin.npz --memory 0                                   | memory
 map skin.npz --missing ignore                             | drop-frames

@@ -11,10 +11,9 @@ from scipy.stats import ortho_group
 
 from anisomap import Recording, SensorMap, io, mantel, reconstruct, score
 from anisomap.errors import AnisomapWarning
-from anisomap.method.evidence import compare
+from anisomap.method.evidence import Evidence
 from anisomap.method.named import find_method
 from anisomap.method.options import MethodOptions
-from anisomap.method.pipeline import dissimilarities
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 
@@ -90,13 +89,12 @@ def seeing_patch(*, seed: int = 0, n_frames: int = 1500) -> Recording:
 def stages(readings, method="covariogram", options=None):
     """Compute the similarity of pairs, the dissimilarity and the metric of a method."""
     recipe, chosen = find_method(method), options or MethodOptions()
-    refined = bool(recipe.refinements)
-    runs = [Recording(readings)]
-    pairs = compare(runs, recipe.similarity, bins=chosen.entropy_bins, with_noise=refined)
-    dissimilarity = dissimilarities(pairs, method, chosen)
+    runs, refined = [Recording(readings)], recipe.refine is not None
+    evidence = Evidence.of(runs, recipe.similarity, bins=chosen.entropy_bins, with_variance=refined)
+    dissimilarity = recipe.dissimilarity_of(evidence, chosen)
     return SimpleNamespace(
-        pairs=pairs,
-        similarity=pairs.similarity,
+        evidence=evidence,
+        similarity=evidence.similarity,
         dissimilarity=dissimilarity,
         metric=recipe.metric(dissimilarity),
     )
@@ -128,24 +126,6 @@ def triangles(columns: int = 4, rows: int = 2) -> NDArray[np.float64]:
             centre = np.array([side * column + side / 2 * row, side * height * row])
             found += [pads + centre, centre + np.array([side / 2, side * height / 3]) - pads]
     return np.vstack(found)
-
-
-def swept(
-    positions: NDArray[np.float64], n_sweeps: int = 80, *, seed: int = 0, smoothness: float = 2.0
-) -> NDArray[np.float64]:
-    """Return readings under a bar along y that sweeps over x; its pressure varies smoothly.
-
-    The bar is uneven, differently in each sweep: pressures at a distance d have the correlation
-    ``exp(-(d / smoothness)^2 / 2)`` in all directions. Readings at both ends of the bar rise and
-    fall together.
-    """
-    rng = np.random.default_rng(seed)
-    squares = ((positions[:, None] - positions) ** 2).sum(axis=2) / smoothness**2
-    smooth = np.linalg.cholesky(np.exp(-squares / 2) + 1e-6 * np.eye(len(positions)))
-    pressures = 6 + rng.normal(size=(n_sweeps, len(positions))) @ smooth.T
-    bar = np.arange(positions[:, 0].min() - 3, positions[:, 0].max() + 3, 0.4)
-    profile = np.maximum(0, 1 - ((bar[:, None] - positions[:, 0]) / 2) ** 2)
-    return (pressures[:, None] * profile).reshape(-1, len(positions))
 
 
 @cache

@@ -212,7 +212,7 @@ def test_provenance_accepts_numpy_scalars(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".json", ".npz"])
-@pytest.mark.parametrize("field", ["uneven", "mirrored", "handed", "anchored", "frame"])
+@pytest.mark.parametrize("field", ["distorted", "mirrored", "handed", "anchored", "frame"])
 def test_provenance_may_use_the_names_of_fields(tmp_path: Path, suffix: str, field: str) -> None:
     path = tmp_path / f"map{suffix}"
     for value, flag in (("", True), (True, False), ("base", True)):

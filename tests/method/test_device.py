@@ -14,7 +14,7 @@ from anisomap.errors import InputError, MissingExtraError
 from anisomap.large import device as stages
 from anisomap.large import reconstruct_on_device
 from anisomap.method.options import MethodOptions
-from anisomap.method.reconstruction import reconstruct
+from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof

@@ -1,6 +1,5 @@
 """Maps of real skins, beside those of the methods that users would take instead."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -52,19 +51,6 @@ def test_default_is_not_behind_plain_methods_on_flat_skins(recordings_folder, na
     r = compared(recordings_folder / f"{name}.npz")
     assert r["covariogram"] > max(0.93, plain(r) - 0.02)
     assert all(r[rival] < r["covariogram"] - 0.01 for rival in RIVALS if rival in r)
-
-
-def test_heights_of_contacts_do_not_replace_maps_of_parts_of_a_sole(recordings_folder):
-    """Heights contradict these maps, but contacts differ from place to place under a foot."""
-    whole = io.read(recordings_folder / "plantar.npz")
-    across, along = np.argsort(np.asarray(whole.positions), axis=0).T
-    frames = np.array_split(np.arange(whole.n_frames), 2)
-    parts = [replace(whole, readings=whole.readings[half], times=None) for half in frames]
-    parts += [
-        whole.select(np.sort(order[n : n + 67])) for order in (across, along) for n in (0, 67)
-    ]
-    for part in parts:
-        assert "contact_heights" not in quietly(reconstruct, part, dimensions=2).provenance
 
 
 def test_flat_skins_are_mapped(recordings_folder):

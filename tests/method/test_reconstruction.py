@@ -1,6 +1,5 @@
 """Reconstruction from a recording: quality, components, notes, refusals."""
 
-import contextlib
 import pickle
 import warnings
 from functools import cache
@@ -13,21 +12,18 @@ from anisomap import Recording, SensorMap, diagnose, reconstruct, score
 from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large import reconstruct_on_device
-from anisomap.method.evidence import SIMILARITIES, compare
+from anisomap.method.evidence import SIMILARITIES, Evidence
 from anisomap.method.named import METHODS, PAPER_METHODS
 from anisomap.method.options import MethodOptions
-from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.placement import median_spacing
 from skins import flat_map, flat_skin, lattice, mantel_r, quietly, rubbed, seeing_patch
-
-QUICK = MethodOptions(contacts=ContactOptions(max_readings=6000))
 
 
 @cache
 def short_map(method):
     """Return the map of a short recording, for tests that change the recording."""
-    return reconstruct(flat_skin(n_frames=800), method, 2, options=QUICK)
+    return reconstruct(flat_skin(n_frames=800), method, 2)
 
 
 @pytest.mark.parametrize("method", ["r-anisomap", "spearman-anisomap", "co-activation-anisomap"])
@@ -42,9 +38,7 @@ def test_a_rubbed_flat_skin_is_reconstructed(method):
 def test_every_method_makes_a_map_far_above_its_null(method, dimensions):
     # All sensors have the same entropy here, which information distance stands and falls with.
     skin = seeing_patch(n_frames=600)
-    untouched = pytest.warns(AnisomapWarning, match="not refined by contacts: .* are at rest")
-    with untouched if method == "contact-fit" else contextlib.nullcontext():
-        sensor_map = reconstruct(skin, method, dimensions)
+    sensor_map = reconstruct(skin, method, dimensions)
     assert sensor_map.positions.shape == (42, dimensions)
     assert sensor_map.method == method
     found = score(sensor_map, skin.positions, permutations=100).mantel
@@ -67,7 +61,7 @@ def test_only_information_distance_is_much_worse_in_space_than_in_the_plane():
 @pytest.mark.parametrize("method", METHODS)
 def test_relabelling_the_sensors_only_relabels_the_map(method):
     order = np.random.default_rng(1).permutation(42)
-    relabelled = reconstruct(flat_skin(n_frames=800).select(order), method, 2, options=QUICK)
+    relabelled = reconstruct(flat_skin(n_frames=800).select(order), method, 2)
     assert anisomap.mantel(
         short_map(method).positions[order], relabelled.positions, permutations=0
     ).r == pytest.approx(1, abs=1e-5)
@@ -77,15 +71,14 @@ def test_relabelling_the_sensors_only_relabels_the_map(method):
 def test_units_of_readings_do_not_matter_to_a_map(method):
     gains = 2.0 ** np.random.default_rng(0).integers(-4, 5, 42)
     other = Recording(flat_skin(n_frames=800).readings * gains)
-    second = reconstruct(other, method, 2, options=QUICK)
-    # Contacts compare the depths of different sensors, so they have to estimate gains.
-    off = 0.005 if method in ("covariogram", "contact-fit") else 1e-6
-    assert anisomap.mantel(short_map(method), second, permutations=0).r == pytest.approx(1, abs=off)
+    second = reconstruct(other, method, 2)
+    found = anisomap.mantel(short_map(method), second, permutations=0).r
+    assert found == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_the_same_recording_gives_the_same_bytes(method):
-    again = reconstruct(flat_skin(n_frames=800), method, 2, options=QUICK)
+    again = reconstruct(flat_skin(n_frames=800), method, 2)
     assert again.positions.tobytes() == short_map(method).positions.tobytes()
 
 
@@ -94,21 +87,6 @@ def test_arrays_and_lists_of_frames_are_recordings():
     for given in (readings, np.asfortranarray(readings), readings.tolist()):
         made = reconstruct(given, "r-anisomap", 2)
         np.testing.assert_allclose(made.positions, flat_map("r-anisomap").positions, atol=1e-9)
-
-
-def test_the_number_of_contacts_is_in_the_provenance():
-    refined = flat_map("contact-fit")
-    assert refined.provenance["n_contacts"] > 100
-    assert refined.notes == ()
-
-
-def test_rejected_contact_fits_keep_the_covariogram_map_with_a_note():
-    skin = seeing_patch()
-    with pytest.warns(AnisomapWarning, match="the map was not refined by contacts") as told:
-        found = reconstruct(skin, "contact-fit", 2)
-    assert found.notes == tuple(str(warning.message) for warning in told)
-    assert found.provenance["n_contacts"] == 0
-    np.testing.assert_array_equal(found.positions, reconstruct(skin, "covariogram", 2).positions)
 
 
 def test_dead_sensors_are_left_out_and_listed():
@@ -320,8 +298,8 @@ def test_two_sensors_that_read_the_same_are_mapped():
 
 def changes_of(readings):
     recording = anisomap.Recording(readings)
-    found = compare(
-        [recording], "blended-correlation", bins=DEFAULT_BINS, with_noise=True
+    found = Evidence.of(
+        [recording], "blended-correlation", bins=DEFAULT_BINS, with_variance=True
     ).rank_changes
     return found[np.triu_indices(len(found), 1)]
 

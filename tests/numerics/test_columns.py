@@ -1,5 +1,7 @@
 """Readings and ranks of single sensors, compared with numpy and scipy."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,9 +35,15 @@ def test_ranks_are_those_of_scipy(column):
 )
 def test_ranks_of_depths_are_those_of_scipy(readings, side):
     readings = np.maximum(readings * side, 0) * side
-    expected = rankdata(estimate_rest(readings).depth(readings), axis=0)
-    np.testing.assert_array_equal(ranks_of_depths(readings), expected)
-    np.testing.assert_array_equal(ranks_of_depths(readings, single=True), expected)
+    rest = estimate_rest(readings)
+    own = rankdata(rest.side * rest.depth(readings), axis=0)
+    np.testing.assert_array_equal(ranks_of_depths(readings, alike=False), own)
+    # A rest counts for all sensors or for none.
+    rest = replace(rest, known=np.full(rest.known.shape, 2 * rest.known.sum() >= rest.known.size))
+    depths = rest.side * rest.depth(readings) if rest.known.all() else readings
+    for single in (False, True):
+        found = ranks_of_depths(readings, single=single)
+        np.testing.assert_array_equal(found, rankdata(depths, axis=0))
 
 
 @given(arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 130))))

@@ -17,7 +17,7 @@ from anisomap.numerics.graph.dissimilarity import (
 )
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import is_symmetric, mirror
-from anisomap.numerics.reliability.sampling_noise import significant_components
+from anisomap.numerics.reliability.sampling_noise import group_sensors
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
@@ -95,10 +95,10 @@ def test_asymmetry_beyond_rounding_is_rejected():
 def test_components_equal_those_in_float64(readings):
     apart = np.kron(np.eye(2), pearson(readings)[:20, :20])
     noise = np.full(apart.shape, 0.002)
-    expected = significant_components(apart, noise)
-    assert expected.max() == 1
-    found = significant_components(apart.astype(np.float32), noise.astype(np.float32))
-    np.testing.assert_array_equal(found, expected)
+    expected = group_sensors(apart, noise)
+    assert expected.related.max() == 1
+    found = group_sensors(apart.astype(np.float32), noise.astype(np.float32))
+    np.testing.assert_array_equal(found.related, expected.related)
 
 
 @pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "i-anisomap", "isomap"])

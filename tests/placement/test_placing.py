@@ -129,7 +129,7 @@ def test_a_map_of_two_hands_is_refused():
     for seed in range(30):
         rng = np.random.default_rng(seed)
         rows = rng.choice(len(truth), rng.integers(3, 7), replace=False)
-        sensor_map = mapped(folded, seed, noise=0.001, mirror=bool(seed % 2), uneven=True)
+        sensor_map = mapped(folded, seed, noise=0.001, mirror=bool(seed % 2), distorted=True)
         placed.append(placed_or_refused(sensor_map, truth, rows) is not None)
     assert np.mean(placed) < 0.25
 
@@ -256,7 +256,7 @@ def test_a_stated_hand_does_not_tell_the_sides_of_a_flat_map(stated):
     """Three anchors fit a distorted map in space about as well from either side."""
     anchors = anchors_at(in_space(FLAT), [0, 22, 8])
     with pytest.raises(InputError, match="sides of the flat map; give more anchors off"):
-        place(mapped(FLAT, 0, uneven=True), anchors, handedness=stated)
+        place(mapped(FLAT, 0, distorted=True), anchors, handedness=stated)
 
 
 def test_anchors_are_read():

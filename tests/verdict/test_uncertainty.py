@@ -1,7 +1,5 @@
 """Covariances of positions: their estimation, their calibration, and where they are shown."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +20,6 @@ from anisomap.verdict.chance import (
     deviations_from_mean,
     error_in_spacings,
 )
-from anisomap.verdict.diagnosis import estimate_uncertainty
 from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
@@ -101,7 +98,8 @@ def test_ellipses_hold_the_mean_of_maps_of_other_recordings():
     others = np.mean([align(m.positions, skins[0].positions).aligned for m in made], axis=0)
     shares, ratios = [], []
     for skin, one in zip(skins[:5], made, strict=False):
-        found, repeatability = estimate_uncertainty(one, skin)
+        judged = diagnose(one, skin)
+        found, repeatability = judged.covariances, judged.verdict.repeatability
         errors = align(others, one.positions).aligned - one.positions
         shares.append(inside(errors, found))
         spacing = anisomap.evaluation.median_spacing(one.positions)
@@ -115,9 +113,10 @@ def test_a_seed_repeats_and_longer_recordings_have_smaller_ellipses():
     size = {}
     for n_frames in (300, 1500):
         made, skin = flat_map(n_frames=n_frames), flat_skin(n_frames=n_frames)
-        first, size[n_frames] = estimate_uncertainty(made, skin, rng=1)
-    again, _ = estimate_uncertainty(made, skin, rng=1)
-    np.testing.assert_array_equal(first, again)
+        first = diagnose(made, skin, rng=1)
+        size[n_frames] = first.verdict.repeatability
+    again = diagnose(made, skin, rng=1)
+    np.testing.assert_array_equal(first.covariances, again.covariances)
     assert size[1500] < 0.7 * size[300]
 
 
@@ -130,18 +129,19 @@ def test_resamples_of_small_maps_leave_linear_algebra_on_one_thread():
         threads.extend(one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas")
 
     with threadpool_limits(2, user_api="blas"):
-        estimate_uncertainty(made, recording, progress=count)
+        diagnose(made, recording, progress=count)
     assert set(threads) == {1}
 
 
 @quiet
 def test_small_components_have_no_ellipses():
-    skin, made = flat_skin(n_frames=300), flat_map(n_frames=300)
-    component = np.where(np.arange(42) < 36, 0, 1)
-    found, _ = estimate_uncertainty(replace(made, component=component), skin)
-    assert np.isfinite(found[:36]).all()
-    assert np.isnan(found[36:]).all()
-    few = diagnose(made, skin, with_verdict=False)
+    first, second = (flat_skin(seed=seed).readings for seed in (0, 1))
+    both = np.hstack([first, second[:, :9]])
+    found = diagnose(reconstruct(both, dimensions=2), both)
+    assert found.component_sizes == (42, 9)
+    assert np.isfinite(found.covariances[:42]).all()
+    assert np.isnan(found.covariances[42:]).all()
+    few = diagnose(flat_map(n_frames=300), flat_skin(n_frames=300), with_verdict=False)
     assert few.covariances is None
 
 

@@ -22,11 +22,11 @@ from anisomap.evaluation import Score, score
 from anisomap.files.paths import check_distinct, check_target, together
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
-from anisomap.method.reconstruction import reconstruct
+from anisomap.method.pipeline import reconstruct
 from anisomap.placement.frames import in_millimetres
 from anisomap.recording import Recording
 from anisomap.route import Examined, Judge
-from anisomap.sensor_map import SensorMap, steps_of
+from anisomap.sensor_map import SensorMap
 from anisomap.verdict.chance import MIN_FRAMES
 
 if TYPE_CHECKING:
@@ -360,7 +360,6 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
             f"{kind}s placed": placed,
             "dimensions": f"{dimensions}, chosen: {because}" if because else "",
             "order along the line": join_items(order, len(order)),
-            "refined by": join_items(steps_of(sensor_map)),
             "components": components,
             "Stress-1": f"{number(sensor_map.stress)} ({means})",
             "pose": sensor_map.pose,

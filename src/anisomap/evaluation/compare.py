@@ -17,11 +17,11 @@ from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.evaluation.rivals import RIVALS, Method, check_methods, map_by_rival, name_of
 from anisomap.method.named import METHODS, PAPER_METHODS
-from anisomap.method.reconstruction import reconstruct
+from anisomap.method.pipeline import reconstruct
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
-COMPARED = (DEFAULT_METHOD, "contact-fit", *PAPER_METHODS, *RIVALS)
+COMPARED = (DEFAULT_METHOD, *PAPER_METHODS, *RIVALS)
 """Methods that are compared by default: the default method, its refinement by contacts, the paper's
 methods, and the stock methods."""
 

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError, import_extra
-from anisomap.method import reconstruction
+from anisomap.method.configuration import Configuration
 from anisomap.method.dimensions import AUTO, check_dimensions
 from anisomap.method.named import find_method
 from anisomap.method.options import MethodOptions
-from anisomap.method.pipeline import Configuration
+from anisomap.method.result import as_map, caveats, parameters_of
+from anisomap.method.validation import check_frames, check_sensors, check_unlike
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.precision import Floats, float_type, slices_of
@@ -355,14 +356,14 @@ def reconstruct_on_device(
     n_frames, n_sensors = readings.shape
     names = tuple(names) or default_names(n_sensors)
     check_names(names, n_sensors)
-    reconstruction.check_frames(n_frames, dimensions)
+    check_frames(n_frames, dimensions)
     if xp.isdtype(readings.dtype, "bool"):
         readings = xp.astype(readings, xp.uint8)  # the standard puts no booleans in order
     varying = _varying(readings)
-    reconstruction.check_sensors(varying, dimensions, chosen)
+    check_sensors(varying, dimensions, chosen)
     if not varying.all():
         readings = xp.take(readings, _moved(np.flatnonzero(varying), readings), axis=1)
-    reconstruction.check_unlike(readings, rows_of=lambda some: centred_rows(to_numpy(some)))
+    check_unlike(readings, rows_of=lambda some: centred_rows(to_numpy(some)))
     compared = _COMPARED[method](readings, chosen.entropy_bins)
     metric = metricise(regularised_reciprocal(compared, chosen.regularisation))
     del compared
@@ -374,14 +375,14 @@ def reconstruct_on_device(
     )
     library = xp.__name__.rpartition(".")[2]
     facts = {"frames": int(n_frames), "similarity": similarity, "array_library": library}
-    provenance = reconstruction.options_provenance(method, chosen) | facts
-    return reconstruction.as_map(
+    provenance = parameters_of(method, chosen) | facts
+    return as_map(
         configuration,
         names,
         varying,
         method=method,
         similarity=similarity,
-        notes=(),
+        notes=caveats(configuration, None, names),
         provenance=provenance,
     )
 

@@ -21,7 +21,7 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
-from anisomap.method.reconstruction import reconstruct_from
+from anisomap.method.pipeline import reconstruct_from
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.signals import count_contacts, count_joint_contacts

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
+from anisomap.notes import Note
 from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
@@ -23,34 +24,6 @@ Dimensions: TypeAlias = int | Literal["auto"]
 
 SPATIAL = 3
 """Dimensions of a map if the readings do not show their number: those of space."""
-
-_CHOSEN = {
-    2: "a third dimension explains no more than chance; a skin that is bent like a sheet of paper "
-    "is mapped as if rolled out",
-    3: "two dimensions do not explain the readings",
-}
-_UNCLEAR = (
-    "the readings do not show whether the skin is flat, so the map has 3 dimensions: for a flat "
-    "skin, choose 2 (-d 2)"
-)
-_ELONGATED = (
-    "contacts appear to be long in one direction, which hides whether the skin is flat, so the map "
-    "has 3 dimensions: for a flat skin, choose 2 (-d 2)"
-)
-_LOOKS_FLAT = (
-    "this looks flat: a third dimension explains no more than chance; unless the skin is bent like "
-    "a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
-)
-_LINE = "the sensors appear to lie along a line: to map them along it, choose 1 dimension (-d 1)"
-_OF_OBJECTS = {
-    _CHOSEN[2]: "a third dimension explains no more than chance",
-    _CHOSEN[3]: "two dimensions do not explain the dissimilarities",
-    _UNCLEAR: "the dissimilarities do not show the number of dimensions: choose it (-d 2)",
-    _LOOKS_FLAT: "a third dimension explains no more than chance: 2 dimensions suffice (-d 2)",
-    _LINE: _LINE.replace("sensors", "objects"),
-}
-"""What is said of objects, which are not on a skin, in place of what is said of sensors."""
-
 
 FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
 """Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
@@ -77,16 +50,28 @@ _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-5)
 
 @dataclass(frozen=True)
 class DimensionChoice:
-    """Number of dimensions of a metric.
+    """Number of dimensions of a map, and why.
 
-    dimensions: 2 or 3; 3 if it is not clear.
-    clear: Whether the metric shows the number of dimensions.
-    line: Whether the sensors appear to lie along a line.
-    stress: Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
+    Attributes
+    ----------
+    dimensions : int
+        The given number; else 2 or 3, and 3 if the metric does not show it.
+    given : bool
+        Whether the number was given.
+    examined : bool
+        Whether the metric was examined.
+    shown : int
+        The number that the metric shows; 0 if it is not clear.
+    line : bool
+        Whether the sensors appear to lie along a line.
+    stress : tuple of float
+        Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
     """
 
     dimensions: int = SPATIAL
-    clear: bool = False
+    given: bool = False
+    examined: bool = True
+    shown: int = 0
     line: bool = False
     stress: tuple[float, ...] = ()
 
@@ -96,6 +81,52 @@ class DimensionChoice:
             return float("nan")
         s = np.hypot((1.0, *self.stress), _FLOOR)  # in 0 dimensions, Stress-1 is 1
         return float(s[dimensions - 1] * s[dimensions + 1] / s[dimensions] ** 2)
+
+    def notes(self, *, objects: bool = False) -> tuple[Note, ...]:
+        """Return caveats for users; none if the number is clear, or was not examined.
+
+        objects: Whether it is a map of objects, from their dissimilarities.
+        """
+        if not self.examined:
+            return ()
+        if self.given:
+            too_many = 0 < self.shown < self.dimensions
+            return (Note("looks-flat", objects=objects),) if too_many else ()
+        if not self.shown:
+            return (Note("unclear-dimensions", objects=objects),)
+        return (Note("line", objects=objects),) if self.line else ()
+
+    def facts(self, *, objects: bool = False) -> dict[str, Scalar]:
+        """Return the choice and its evidence for the provenance, if the number was not given."""
+        if self.given or not self.examined:
+            return {}
+        kind = "two-dimensions" if self.dimensions == 2 else "three-dimensions"
+        because = self.notes(objects=objects) or (Note(kind, objects=objects),)
+        facts: dict[str, Scalar] = {
+            "chosen_dimensions": self.dimensions,
+            "dimensions_because": str(because[0]),
+        }
+        if self.stress:
+            facts |= {f"elbow_{k}": round(self.elbow(k), 3) for k in (1, 2, 3)}
+        return facts
+
+
+def plan_dimensions(
+    dimensions: Dimensions,
+    metric: Reals | None,
+    weights: Reals | None = None,
+    *,
+    common_share: float = 0.0,
+) -> DimensionChoice:
+    """Choose the number of dimensions of a map, or examine the given number, if it is 3.
+
+    metric (n, n), weights (n, n). Nothing is examined without a metric.
+    """
+    given = dimensions != AUTO
+    if metric is None or dimensions not in (AUTO, SPATIAL):
+        return DimensionChoice(given_dimensions(dimensions), given, examined=not given)
+    found = choose_dimensions(metric, weights, common_share=common_share)
+    return replace(found, dimensions=SPATIAL, given=True) if given else found
 
 
 def choose_dimensions(
@@ -133,13 +164,13 @@ def choose_dimensions(
     found = DimensionChoice(stress=stress)
     elongated = found.elbow(1) >= DISTINCT > found.elbow(2)
     if elongated and _is_curve(two.positions, one.positions[:, 0]):
-        return DimensionChoice(2, clear=True, line=True, stress=stress)
+        return DimensionChoice(2, shown=2, line=True, stress=stress)
     if (found.elbow(3) - 1) * (1 - common_share) >= SPATIAL_ELBOW - 1:
-        return DimensionChoice(3, clear=True, stress=stress)
+        return DimensionChoice(3, shown=3, stress=stress)
     distinct = max(found.elbow(1), found.elbow(2)) >= DISTINCT
     limit = FLAT_ELBOW if distinct else WEAK_FLAT_ELBOW
     if found.elbow(3) < limit and found.elbow(2) >= PLANE_ELBOW:
-        return DimensionChoice(2, clear=True, stress=stress)
+        return DimensionChoice(2, shown=2, stress=stress)
     return found
 
 
@@ -151,90 +182,6 @@ def _is_curve(positions: Reals, line: Reals) -> bool:
     rank = np.argsort(np.argsort(line, kind="stable"), kind="stable")
     nearest = np.asarray(KDTree(positions).query(positions, k=3)[1])[:, 1:]
     return bool(np.mean(np.abs(rank[nearest] - rank[:, None]) == 1) > _MOST)
-
-
-@dataclass(frozen=True)
-class DimensionPlan:
-    """The number of dimensions of a map, and why.
-
-    choice: What the metric shows, if it was examined.
-    elongated: Whether contacts appear elongated, so that the metric does not show the dimensions.
-    objects: Whether it is a map of objects, from their dissimilarities.
-    """
-
-    dimensions: int
-    requested: Dimensions
-    choice: DimensionChoice | None = None
-    elongated: bool = False
-    objects: bool = False
-
-    @property
-    def note(self) -> tuple[str, ...]:
-        """A caveat for users; empty if the number of dimensions is clear, or was not examined."""
-        if self.choice is None:
-            return ()
-        if self.requested != AUTO:
-            flat = self.choice.clear and self.choice.dimensions < self.dimensions
-            flat = flat and not self.elongated
-            return self._said(_LOOKS_FLAT) if flat else ()
-        if self.elongated:
-            return (_ELONGATED,)
-        if not self.choice.clear:
-            return self._said(_UNCLEAR)
-        return self._said(_LINE) if self.choice.line else ()
-
-    def _said(self, text: str) -> tuple[str, ...]:
-        return (_OF_OBJECTS[text] if self.objects else text,)
-
-    @property
-    def provenance(self) -> dict[str, Scalar]:
-        """The choice and its evidence, if the number of dimensions was not given."""
-        if self.requested != AUTO or self.choice is None:
-            return {}
-        (because,) = self.note or self._said(_CHOSEN[self.dimensions])
-        facts: dict[str, Scalar] = {
-            "chosen_dimensions": self.dimensions,
-            "dimensions_because": because,
-        }
-        if self.choice.stress:
-            facts |= {f"elbow_{k}": round(self.choice.elbow(k), 3) for k in (1, 2, 3)}
-        return facts
-
-    def revised(self, *, elongated: bool) -> DimensionPlan:
-        """Return the plan after the map was refined.
-
-        Distances across elongated contacts appear too small, so that the metric looks flat.
-        """
-        # Maps of lines are curves, which look like maps of elongated contacts.
-        if self.choice is None or self.choice.line or not elongated:
-            return self
-        if not self.choice.clear or self.choice.dimensions == SPATIAL:
-            return self
-        dimensions = SPATIAL if self.requested == AUTO else self.dimensions
-        return replace(self, dimensions=dimensions, elongated=True)
-
-
-def plan_dimensions(
-    dimensions: Dimensions,
-    metric: Reals | None,
-    weights: Reals | None = None,
-    *,
-    common_share: float = 0.0,
-    examine: bool = True,
-) -> DimensionPlan:
-    """Choose the number of dimensions of a map, or examine the given number.
-
-    metric (n, n), weights (n, n).
-    """
-    if dimensions == AUTO:
-        choice = DimensionChoice()
-        if metric is not None:
-            choice = choose_dimensions(metric, weights, common_share=common_share)
-        return DimensionPlan(choice.dimensions, AUTO, choice)
-    given = DimensionPlan(int(dimensions), int(dimensions))
-    if not examine or dimensions != SPATIAL or metric is None:
-        return given
-    return replace(given, choice=choose_dimensions(metric, weights, common_share=common_share))
 
 
 def check_dimensions(dimensions: Dimensions) -> None:

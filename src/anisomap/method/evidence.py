@@ -1,4 +1,8 @@
-"""The first stage: similarity of all pairs of sensors, and its sampling variance."""
+"""The evidence of a recording: the similarity of all pairs of sensors, and its sampling variance.
+
+`Evidence` is the one place where pairs are compared. The whole recording, its resamples, several
+runs and a component of the sensors are evidence alike.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +10,30 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations_with_replacement
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import ranked
-from anisomap.numerics.contacts.contact_agreement import contact_agreement, distinct_contacts
-from anisomap.numerics.covariogram.covariogram_fit import Covariogram, unexplained_share
+from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.sampling_noise import (
+    Groups,
+    balanced_weights,
+    block_edges,
+    group_sensors,
     sampling_variance,
     thinning,
     typical_variance,
 )
-from anisomap.numerics.reliability.split_half import Blend, blend, blended_correlation
+from anisomap.numerics.reliability.split_half import Blend, blended_correlation
 from anisomap.numerics.signals import Signals
+from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import (
     co_activation,
     pearson,
@@ -41,49 +49,69 @@ logger = logging.getLogger(__name__)
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 
+Scores: TypeAlias = Blend | Contacts
+"""Scores of frames, whose sums over weighted blocks give the similarity of a resample."""
+
+Compared: TypeAlias = tuple[Reals, Reals, Scores | None]
+"""Similarity and sampling variance, (n, n) each, and the scores that they follow from."""
+
 
 @dataclass(frozen=True)
 class Similarity:
     """A pairwise statistic.
 
-    compute: ``compute(readings, bins)`` returns the similarity, shape (n, n).
-    scores: ``scores(readings)`` returns the values, shape (T, n), whose linear correlation the
-        similarity is; its sampling variance is theirs. The readings by default.
-    blend: ``blend(readings, rest)`` returns the similarity, its sampling variance and what it was
-        blended from, if it is not the correlation of any scores; rest may be None.
-    shared: ``shared(signals)`` returns what `compute` would, if other analyses need it, too.
+    compute: ``compute(readings, bins)`` returns the similarity of all pairs, shape (n, n).
+    compare: ``compare(readings, rest, centred)`` returns it with its variance and its scores; rest
+        may be None. By default, the variance is that of correlations of the readings.
+    of_signals: ``of_signals(signals)`` returns what `compute` would, if other analyses need it.
+    centred: Whether the signal that all sensors share is subtracted first.
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
-    scores: Callable[[NDArray[np.generic]], ArrayLike] | None = None
-    blend: Callable[[ArrayLike, Rest | None], Blend] | None = None
-    refer: Callable[[NDArray[Any]], tuple[NDArray[Any], float]] | None = None
-    shared: Callable[[Signals], Reals] | None = None
+    compare: Callable[[NDArray[Any], Rest | None, bool], Compared] | None = None
+    of_signals: Callable[[Signals], Reals] | None = None
+    centred: bool = False
 
-    def with_variance(self, readings: NDArray[np.generic], bins: int) -> tuple[Reals, Reals]:
-        """Compute the similarity, and its sampling variance for unrelated sensors, (n, n) each."""
-        if self.blend is not None:
-            found = self.blend(readings, None)
-            return found.similarity, found.variance
-        scores = readings if self.scores is None else self.scores(readings)
-        return self.compute(readings, bins), sampling_variance(scores)
+    def with_variance(
+        self, readings: NDArray[Any], bins: int, rest: Rest | None = None, *, centred: bool = False
+    ) -> Compared:
+        """Compute the similarity, its sampling variance for unrelated sensors, and its scores."""
+        if self.compare is not None:
+            return self.compare(readings, rest, centred)
+        return self.compute(readings, bins), sampling_variance(readings), None
 
-    def referred(self, readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
-        """Return the readings that are compared, (T, n), and the share of what was subtracted."""
-        return (readings, 0.0) if self.refer is None else self.refer(readings)
+
+def _blended(readings: NDArray[Any], rest: Rest | None, centred: bool) -> Compared:
+    blend = Blend.of(readings, rest, centred=centred)
+    return blend.similarity, blend.variance, blend
+
+
+def _agreement(readings: NDArray[Any], *_: object) -> Compared:
+    contacts = Contacts.of(readings)
+    return contacts.agreement(), sampling_variance(contacts.active), contacts
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
     {
         "pearson": Similarity(
-            "linear correlation", lambda x, _: pearson(x), shared=lambda signals: signals.pearson
+            "linear correlation",
+            lambda x, _: pearson(x),
+            of_signals=lambda signals: signals.pearson,
         ),
-        "spearman": Similarity("rank correlation", lambda x, _: spearman(x), ranked),
+        "spearman": Similarity(
+            "rank correlation",
+            lambda x, _: spearman(x),
+            lambda x, *_: (spearman(x), sampling_variance(ranked(x)), None),
+        ),
         "co-activation": Similarity(
             "correlation of binary contact (phi)",
             lambda x, _: co_activation(x),
-            lambda x: estimate_rest(x).active(x),
+            lambda x, *_: (
+                co_activation(x),
+                sampling_variance(estimate_rest(x).active(x)),
+                None,
+            ),
         ),
         "mutual-information": Similarity(
             "mutual information of binned readings", mutual_information
@@ -91,89 +119,145 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "blended-correlation": Similarity(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
-            blend=blend,
-            refer=without_common_signal,
+            _blended,
+            centred=True,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
             lambda x, _: contact_agreement(x),
-            distinct_contacts,
+            _agreement,
         ),
     }
 )
 
 
 @dataclass(frozen=True, eq=False)
-class PairStatistics:
-    """Similarity of all pairs of n sensors, and its sampling variance.
+class Evidence:
+    """What readings show of n sensors: the similarity of all pairs, and its sampling variance.
 
     Attributes
     ----------
     similarity : ndarray of shape (n, n)
         Symmetric.
-    noise : ndarray of shape (n, n)
+    variance : ndarray of shape (n, n)
         Sampling variance of each similarity.
     known : ndarray of bool, shape (n, n)
         Pairs that were recorded together.
+    statistic : str
+        Name of the similarity that was computed from readings; empty if it was precomputed.
     readings : ndarray of shape (T, n), optional
         Readings in temporal order; None for a precomputed similarity, and if some pairs are
         unknown.
-    statistic : str
-        Name of the similarity that was computed from readings; empty if it was precomputed.
-    blended : Blend, optional
-        What a blended correlation was computed from, of all sensors that were compared.
+    scores : Blend or Contacts, optional
+        What resamples are computed from.
     common_share : float
         Share of the mean over sensors that is a signal of all of them, which was subtracted.
-    near : Covariogram, optional
-        A fit to nearly the same similarity, from which that to this one starts.
+    related : bool
+        Whether the sensors are known to be related, as those of one component are.
     """
 
     similarity: Reals
-    noise: Reals
+    variance: Reals
     known: NDArray[np.bool_]
-    readings: NDArray[np.generic] | None = None
     statistic: str = ""
-    blended: Blend | None = None
+    readings: NDArray[np.generic] | None = None
+    scores: Scores | None = None
     common_share: float = 0.0
-    near: Covariogram | None = None
+    related: bool = False
+
+    @classmethod
+    def of(
+        cls, runs: Sequence[Recording], statistic: str, *, bins: int, with_variance: bool
+    ) -> Evidence:
+        """Compare all pairs of the sensors of runs; each pair over the runs that contain both."""
+        logger.info("comparing all pairs of sensors (%s)", statistic)
+        if sensors_differ(runs):
+            return _of_different_sensors(runs, statistic, bins)
+        how, readings = SIMILARITIES[statistic], _joined(runs, runs[0].names)
+        if not with_variance:
+            if how.of_signals is not None and len(runs) == 1:
+                found = how.of_signals(runs[0].signals)
+            else:
+                found = how.compute(_centred(how, readings)[0], bins)
+            return cls.from_similarity(found, variance=np.nan, statistic=statistic)
+        step = thinning(readings)
+        readings, share = _centred(how, readings[::step])
+        rest = runs[0].signals.rest if len(runs) == 1 and step == 1 and share == 0 else None
+        readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
+        found, variance, scores = how.with_variance(readings, bins, rest, centred=share > 0)
+        checked = cls.from_similarity(found, variance=variance, statistic=statistic)
+        return replace(checked, readings=readings, scores=scores, common_share=share)
 
     @classmethod
     def from_similarity(
         cls,
         similarity: ArrayLike,
         *,
-        noise: ArrayLike,
+        variance: ArrayLike,
         known: NDArray[np.bool_] | None = None,
-        readings: NDArray[np.generic] | None = None,
         statistic: str = "",
-    ) -> PairStatistics:
+    ) -> Evidence:
         """Check and complete a similarity (n, n).
 
-        noise (n, n) or a number: Its sampling variance. known (n, n): All by default; the
-        similarity of other pairs is ignored. statistic: Its name, if it was computed from readings.
+        variance (n, n) or a number. known (n, n): All by default; the similarity of other pairs is
+        ignored.
         """
         if known is not None and not known.all():
             known = known | np.eye(len(known), dtype=bool)
             similarity = np.where(known, similarity, 0)
-            readings = None
         checked = as_symmetric(similarity, "similarity")
-        noise = np.asarray(noise)
+        noise = np.asarray(variance)
         noise = as_symmetric(noise, "noise") if noise.ndim else noise
         # Constant matrices are broadcast, which takes no memory.
         return cls(
             checked,
             np.broadcast_to(noise, checked.shape),
             np.broadcast_to(np.array(True), checked.shape) if known is None else known,
-            readings,
             statistic,
         )
 
+    def select(self, sensors: NDArray[np.bool_]) -> Evidence:
+        """Return the evidence of some sensors, given as a mask of shape (n,)."""
+        if sensors.all():
+            return self
+        inside = np.ix_(sensors, sensors)
+        return replace(
+            self,
+            similarity=self.similarity[inside],
+            variance=self.variance[inside],
+            known=self.known[inside],
+            readings=None if self.readings is None else self.readings[:, sensors],
+            scores=None if self.scores is None else self.scores.select(sensors),
+        )
+
+    def resamples(self, count: int, step: float, rng: np.random.Generator) -> Iterator[Evidence]:
+        """Yield the evidence of weighted blocks of frames; requires scores.
+
+        A block that occurs n times in a resample has the weight ``1 + step (n - 1)``.
+        """
+        edges = block_edges(np.asarray(self.readings))
+        weights = 1 + step * (balanced_weights(len(edges) - 1, count, rng) - 1)
+        for similarity in self.scores.resampled(edges, weights) if self.scores else ():
+            yield Evidence(
+                similarity, self.variance, self.known, self.statistic, related=self.related
+            )
+
+    @property
+    def weights(self) -> Floats | None:
+        """Weights of distances in scaling: 0 for unknown pairs; None if all pairs are known."""
+        return None if self.known.all() else self.known.astype(np.float64)
+
     @cached_property
-    def rank_changes(self) -> Reals | None:
-        """Correlation of the changes of ranks between frames, shape (n, n); None without them."""
-        if self.readings is None or len(self.readings) < _MIN_FRAMES:
-            return None
-        return pearson(np.diff(self.ranks, axis=0))
+    def noise(self) -> float:
+        """Typical sampling variance of a similarity."""
+        return typical_variance(self.variance)
+
+    @cached_property
+    def groups(self) -> Groups:
+        """Groups of sensors that significant correlations show to be related, or unrelated."""
+        if self.related:
+            return Groups(*np.zeros((2, len(self.similarity)), dtype=np.intp))
+        return group_sensors(self.similarity, self.variance)
 
     @cached_property
     def correlation(self) -> Reals | None:
@@ -183,50 +267,22 @@ class PairStatistics:
         return None if self.readings is None else blended_correlation(self.readings)
 
     @cached_property
-    def rest(self) -> Rest:
-        """Rest of each sensor; requires readings."""
-        return (
-            estimate_rest(np.asarray(self.readings)) if self.blended is None else self.blended.rest
-        )
+    def rank_changes(self) -> Reals | None:
+        """Correlation of the changes of ranks between frames, shape (n, n); None without them."""
+        if self.readings is None or len(self.readings) < _MIN_FRAMES:
+            return None
+        return pearson(np.diff(self.ranks, axis=0))
 
     @cached_property
     def ranks(self) -> Reals:
         """Ranks of the depths of each sensor beyond rest, (T, n); requires readings."""
-        if self.blended is not None:
-            return self.blended.ranks
-        return ranks_of_depths(np.asarray(self.readings), self.rest)
+        if isinstance(self.scores, Blend):
+            return self.scores.ranks
+        return ranks_of_depths(np.asarray(self.readings))
 
     def unexplained(self, positions: Reals) -> float:
         """Return the share of the variance of S that distances on a map, (n, k), do not explain."""
-        noise = typical_variance(self.noise)
-        return unexplained_share(self.similarity, positions, noise, known=self.known)
-
-    def of_frames(self, frames: NDArray[np.intp]) -> PairStatistics:
-        """Compare the sensors in some frames, which increase; requires readings."""
-        readings = np.asarray(self.readings)[frames]
-        found = _examined(readings, self.statistic, DEFAULT_BINS)
-        return replace(found, common_share=self.common_share)
-
-    @property
-    def weights(self) -> Floats | None:
-        """Weights of distances in scaling: 0 for unknown pairs; None if all pairs are known."""
-        return None if self.known.all() else self.known.astype(np.float64)
-
-    def select(self, sensors: NDArray[np.bool_]) -> PairStatistics:
-        """Return the statistics of some sensors, given as a mask of shape (n,)."""
-        if sensors.all():
-            return self
-        inside = np.ix_(sensors, sensors)
-        readings = None if self.readings is None else self.readings[:, sensors]
-        return replace(
-            self,
-            similarity=self.similarity[inside],
-            noise=self.noise[inside],
-            known=self.known[inside],
-            readings=readings,
-            blended=None if self.blended is None else self.blended.select(sensors),
-            near=None,
-        )
+        return unexplained_share(self.similarity, positions, self.noise, known=self.known)
 
     def check_correlations(self) -> None:
         """Check that the similarity is a correlation, at most 1 in magnitude."""
@@ -238,57 +294,41 @@ class PairStatistics:
             )
 
 
-def compare(
-    runs: Sequence[Recording], similarity: str, *, bins: int, with_noise: bool
-) -> PairStatistics:
-    """Compute the similarity S of all pairs of sensors."""
-    logger.info("comparing all pairs of sensors (%s)", similarity)
-    statistic = SIMILARITIES[similarity]
-    if not sensors_differ(runs):
-        readings = _joined(runs, runs[0].names)
-        if not with_noise:
-            if statistic.shared is not None and len(runs) == 1:
-                found = statistic.shared(runs[0].signals)
-            else:
-                found = statistic.compute(statistic.referred(readings)[0], bins)
-            return PairStatistics.from_similarity(found, noise=np.nan, statistic=similarity)
-        step = thinning(readings)
-        readings, share = statistic.referred(readings[::step])
-        rest = runs[0].signals.rest if len(runs) == 1 and step == 1 and share == 0 else None
-        return replace(_examined(readings, similarity, bins, rest), common_share=share)
+def _centred(how: Similarity, readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
+    """Return the readings that are compared, (T, n), and the share of what was subtracted."""
+    return without_common_signal(readings) if how.centred else (readings, 0.0)
+
+
+def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) -> Evidence:
+    """Compare each pair of sensors over the runs that contain both."""
+    how = SIMILARITIES[statistic]
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
-    shared = _shared_runs(runs, names)
-    values, noise = np.eye(len(names)), np.ones(shared.shape)
-    for runs_of_pair, chosen, sensors in _groups(runs, shared):
-        readings, _ = statistic.referred(_joined(chosen, tuple(names[i] for i in sensors)))
-        inside = np.ix_(sensors, sensors)
-        in_group = shared[inside] == runs_of_pair
-        if with_noise:
-            found, variance = statistic.with_variance(readings, bins)
-            noise[inside] = np.where(in_group, variance, noise[inside])
-        else:
-            found = statistic.compute(readings, bins)
-        values[inside] = np.where(in_group, found, values[inside])
-    return PairStatistics.from_similarity(
-        values, noise=noise, known=shared > 0, statistic=similarity
-    )
-
-
-def _examined(
-    readings: NDArray[Any], similarity: str, bins: int, rest: Rest | None = None
-) -> PairStatistics:
-    """Compare readings, (T, n), which stay at hand for refinements; their rest may be known."""
-    statistic = SIMILARITIES[similarity]
-    readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
-    blended = None if statistic.blend is None else statistic.blend(readings, rest)
-    if blended is None:
-        found, variance = statistic.with_variance(readings, bins)
-    else:
-        found, variance = blended.similarity, blended.variance
-    pairs = PairStatistics.from_similarity(
-        found, noise=variance, readings=readings, statistic=similarity
-    )
-    return replace(pairs, blended=blended)
+    column = {name: i for i, name in enumerate(names)}
+    present = np.zeros((len(runs), len(names)), dtype=bool)
+    for row, run in zip(present, runs, strict=True):
+        row[[column[name] for name in run.names]] = True
+    similarity, variance = np.eye(len(names)), np.ones((len(names), len(names)))
+    known = np.eye(len(names), dtype=bool)
+    patterns, pattern = np.unique(present, axis=1, return_inverse=True)
+    compared: dict[bytes, tuple[NDArray[np.intp], Reals, Reals]] = {}
+    for a, b in combinations_with_replacement(range(patterns.shape[1]), 2):
+        shared = patterns[:, a] & patterns[:, b]
+        if not shared.any():
+            continue
+        if (key := shared.tobytes()) not in compared:
+            sensors = np.flatnonzero(present[shared].all(axis=0))
+            chosen = [run for run, has_both in zip(runs, shared, strict=True) if has_both]
+            readings = _joined(chosen, tuple(names[i] for i in sensors))
+            values, share = _centred(how, readings)
+            found = how.with_variance(values, bins, centred=share > 0)
+            compared[key] = sensors, found[0], found[1]
+        sensors, *statistics = compared[key]
+        one, other = (np.flatnonzero(pattern[sensors] == which) for which in (a, b))
+        for rows, columns in ((one, other), (other, one)):
+            target, source = np.ix_(sensors[rows], sensors[columns]), np.ix_(rows, columns)
+            similarity[target], variance[target] = (values[source] for values in statistics)
+            known[target] = True
+    return Evidence.from_similarity(similarity, variance=variance, known=known, statistic=statistic)
 
 
 def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:
@@ -300,22 +340,3 @@ def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.flo
         for run in runs
     ]
     return ordered[0] if len(ordered) == 1 else np.concatenate(ordered)
-
-
-def _shared_runs(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.int64]:
-    """Encode the runs that contain both sensors of each pair: one bit per run, shape (N, N)."""
-    present = np.zeros(len(names), dtype=np.int64)
-    column = {name: i for i, name in enumerate(names)}
-    for bit, run in enumerate(runs):
-        present[[column[name] for name in run.names]] |= 1 << bit
-    return present[:, None] & present
-
-
-def _groups(
-    runs: Sequence[Recording], shared: NDArray[np.int64]
-) -> Iterator[tuple[int, list[Recording], NDArray[np.intp]]]:
-    """Yield each set of runs that some pair shares: its code, the runs, and its sensors."""
-    for code in np.unique(shared[shared > 0]).tolist():
-        chosen = [run for bit, run in enumerate(runs) if code >> bit & 1]
-        sensors = np.flatnonzero((np.diag(shared) & code) == code)
-        yield code, chosen, sensors

@@ -1,4 +1,4 @@
-"""The named methods, and the parameters of their stages.
+"""The named methods.
 
 A method is a chain of stages::
 
@@ -12,25 +12,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 
-from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import InputError
-from anisomap.method.evidence import PairStatistics
+from anisomap.method.evidence import Evidence
 from anisomap.method.options import MethodOptions
-from anisomap.method.refinements import (
-    Step,
-    by_contacts,
-    by_covariogram,
-    by_even_spacing,
-    by_heights,
-    by_paths,
-    only_contacts,
-)
-from anisomap.numerics.contacts.contact_agreement import shows_single_contacts
+from anisomap.method.refinement import Refinement, refine
 from anisomap.numerics.graph.dissimilarity import (
     direct_dissimilarity,
     information_distance,
@@ -43,11 +34,14 @@ from anisomap.numerics.graph.neighbour_graphs import (
 )
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import remove_insignificant_links
+from anisomap.numerics.similarity.contact_agreement import shows_single_contacts
 from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
 
 _MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
+
+Refine: TypeAlias = Callable[..., Refinement | None]
 
 
 @dataclass(frozen=True)
@@ -61,12 +55,11 @@ class Method:
     similarity : str
         A key of `anisomap.method.evidence.SIMILARITIES`.
     dissimilarity : callable
-        ``dissimilarity(pairs, options)`` returns M, shape (n, n).
+        ``dissimilarity(evidence, options)`` returns M, shape (n, n).
     metric : callable
         ``metric(M)`` returns D.
-    refinements : mapping of str to callable
-        Steps that refine the positions of one component, in order: see
-        `anisomap.method.refinements`. Empty if the scaled positions are the result.
+    refine : callable, optional
+        Refines the scaled positions of one component: see `anisomap.method.refinement.refine`.
     contact_similarity : str, optional
         Similarity that takes the place of `similarity` for readings that are on or off and show
         one contact at a time.
@@ -74,21 +67,21 @@ class Method:
 
     summary: str
     similarity: str
-    dissimilarity: Callable[[PairStatistics, MethodOptions], Reals]
+    dissimilarity: Callable[[Evidence, MethodOptions], Reals]
     metric: Callable[[Reals], Reals]
-    refinements: Mapping[str, Step] = field(default_factory=dict)
+    refine: Refine | None = None
     contact_similarity: str | None = None
 
     @property
-    def takes_even_spacing(self) -> bool:
-        """Whether a step can use declared even spacing of neighbours."""
-        return by_even_spacing in self.refinements.values()
+    def shows_dimensions(self) -> bool:
+        """Whether the number of dimensions can be chosen from the metric."""
+        return self.refine is not None
 
-    def dissimilarity_of(self, pairs: PairStatistics, options: MethodOptions) -> Reals:
-        """Compute M, shape (n, n), infinite for unknown pairs."""
-        dissimilarity = self.dissimilarity(pairs, options)
-        if not pairs.known.all():
-            dissimilarity[~pairs.known] = np.inf
+    def dissimilarity_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
+        """Compute M, shape (n, n), infinite for unknown evidence."""
+        dissimilarity = self.dissimilarity(evidence, options)
+        if not evidence.known.all():
+            dissimilarity[~evidence.known] = np.inf
             np.fill_diagonal(dissimilarity, 0)
         return dissimilarity
 
@@ -100,28 +93,28 @@ class Method:
         return self.contact_similarity if single else self.similarity
 
 
-def _reciprocal(pairs: PairStatistics, options: MethodOptions) -> Reals:
-    return regularised_reciprocal(pairs.similarity, options.regularisation)
+def _reciprocal(evidence: Evidence, options: MethodOptions) -> Reals:
+    return regularised_reciprocal(evidence.similarity, options.regularisation)
 
 
-def _information_distance(pairs: PairStatistics, _: MethodOptions) -> Reals:
-    return information_distance(pairs.similarity)
+def _information_distance(evidence: Evidence, _: MethodOptions) -> Reals:
+    return information_distance(evidence.similarity)
 
 
-def _direct(pairs: PairStatistics, options: MethodOptions) -> Reals:
-    pairs.check_correlations()
-    if pairs.known.mean() < _MIN_KNOWN:
-        return regularised_reciprocal(pairs.similarity, options.regularisation)
-    direct = direct_dissimilarity(pairs.similarity, pairs.noise)
+def _direct(evidence: Evidence, options: MethodOptions) -> Reals:
+    evidence.check_correlations()
+    if evidence.known.mean() < _MIN_KNOWN:
+        return regularised_reciprocal(evidence.similarity, options.regularisation)
+    direct = direct_dissimilarity(evidence.similarity, evidence.variance)
     return remove_insignificant_links(
-        direct, pairs.similarity, pairs.noise, split_unrelated=options.split_unrelated
+        direct, evidence.similarity, evidence.variance, evidence.groups.related
     )
 
 
-def _neighbour_edges(pairs: PairStatistics, options: MethodOptions) -> Reals:
+def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Reals:
     """Information distance between neighbours, infinite between all others."""
-    similarity = pairs.similarity
-    ranked = np.where(pairs.known, similarity, -np.inf)
+    similarity = evidence.similarity
+    ranked = np.where(evidence.known, similarity, -np.inf)
     if options.n_neighbours is None:
         joined, n_neighbours = smallest_connected_neighbour_graph(ranked)
         logger.debug("%d neighbours connect all sensors", n_neighbours)
@@ -146,31 +139,11 @@ PAPER_METHODS = ("r-anisomap", "i-anisomap", "information-distance", "isomap")
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "covariogram": Method(
-            "positions at which one function of distance explains all correlations, averaged with "
-            "a fit of contacts where they are compact",
+            "positions at which one function of distance explains all correlations",
             "blended-correlation",
             _direct,
             metricise,
-            {
-                "covariogram": by_covariogram,
-                "even-spacing": by_even_spacing,
-                "heights": by_heights,
-                "paths": by_paths,
-                "contacts": by_contacts,
-            },
-            contact_similarity="contact-agreement",
-        ),
-        "contact-fit": Method(
-            "the covariogram map, refined by a fit of the contacts that caused the readings",
-            "blended-correlation",
-            _direct,
-            metricise,
-            {
-                "covariogram": by_covariogram,
-                "heights": by_heights,
-                "paths": by_paths,
-                "contacts": only_contacts,
-            },
+            refine,
             contact_similarity="contact-agreement",
         ),
         "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),
@@ -204,29 +177,3 @@ def find_method(name: str) -> Method:
     if name not in METHODS:
         raise InputError(f"there is no method {name!r}; choose from {', '.join(METHODS)}")
     return METHODS[name]
-
-
-def examined_metric(
-    recipe: Method, pairs: PairStatistics | None, metric: Reals, options: MethodOptions
-) -> Reals | None:
-    """Return the metric, (n, n), from which the number of dimensions can be chosen."""
-    default = METHODS[DEFAULT_METHOD]
-    if pairs is None or recipe.dissimilarity == default.dissimilarity:
-        return metric
-    if recipe.similarity == "mutual-information":
-        return None
-    return default.metric(default.dissimilarity_of(pairs, options))
-
-
-def check_even_spacing(method: str, options: MethodOptions, *, readings: bool) -> None:
-    """Check that declared even spacing can be used."""
-    if not options.even_spacing:
-        return
-    if not find_method(method).takes_even_spacing:
-        able = ", ".join(name for name, known in METHODS.items() if known.takes_even_spacing)
-        raise InputError(f"{method} does not support even spacing; use {able}, or leave it out")
-    if not readings:
-        raise InputError(
-            "even spacing requires readings of all sensors in the same frames, which precomputed "
-            "stages, unknown pairs and runs that lack sensors do not have; leave it out"
-        )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_MU
-from anisomap.numerics.contacts import ContactOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.ranges import COUNT, NOT_NEGATIVE, POSITIVE, at_least, check_ranges
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
@@ -28,16 +27,8 @@ class MethodOptions:
         Stopping criteria of the scaling.
     covariogram : CovariogramOptions
         Parameters of the method "covariogram".
-    contacts : ContactOptions
-        Parameters of the fit of contacts, in "covariogram" and "contact-fit".
-    split_unrelated : bool
-        Whether the covariogram method separates components without statistically significant
-        links.
     independent_frames : float
         Effective sample size of correlations that are given without readings, above 0.
-    even_spacing : bool
-        Whether neighbours are declared to be evenly spaced, for methods with
-        `Method.takes_even_spacing`. A map that relies on the declaration carries a note.
     min_sensors : int
         Minimum number of sensors in the largest component of a map.
 
@@ -52,10 +43,7 @@ class MethodOptions:
     n_neighbours: int | None = None
     smacof: SmacofOptions = field(default_factory=SmacofOptions)
     covariogram: CovariogramOptions = field(default_factory=CovariogramOptions)
-    contacts: ContactOptions = field(default_factory=ContactOptions)
-    split_unrelated: bool = True
     independent_frames: float = 500.0
-    even_spacing: bool = False
     min_sensors: int = 3
 
     def __post_init__(self) -> None:

@@ -1,289 +1,381 @@
-"""The method on one page: from readings to positions.
+"""The method on one page: readings become evidence, a metric, positions and a map.
 
-Readings are compared, similarities converted to a dissimilarity and a metric, and each connected
-component is scaled and refined. A recording, a part of it and a resample pass the same stages.
+McGregor et al. (2011), section "Methods". `reconstruct` starts from readings, `reconstruct_from`
+from a precomputed stage; both pass these stages:
+
+=============  ===================================  ========================================
+S              `Evidence.of`                        similarity of all pairs of sensors
+M              `Method.dissimilarity_of`            dissimilarity of all pairs of sensors
+D              `Method.metric`                      metric: shortest path lengths
+dimensions     `plan_dimensions`                    their number, given or chosen
+positions      `configuration.scale`                scaling by SMACOF
+refinement     `refinement.refine`                  positions refined by S
+=============  ===================================  ========================================
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
+from numpy.typing import ArrayLike
 
 from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.errors import AnisomapWarning
+from anisomap.method.blocks import is_dask, sum_blocks
+from anisomap.method.configuration import Configuration, configure
 from anisomap.method.dimensions import (
     AUTO,
     SPATIAL,
-    DimensionPlan,
+    DimensionChoice,
     Dimensions,
+    check_dimensions,
+    given_dimensions,
     plan_dimensions,
 )
-from anisomap.method.evidence import PairStatistics, compare
+from anisomap.method.evidence import Evidence
 from anisomap.method.named import METHODS, Method, find_method
 from anisomap.method.options import MethodOptions
-from anisomap.method.refinements import RefinedMap, Step, refine
+from anisomap.method.result import as_map, caveats, parameters_of, unknown_pairs
+from anisomap.method.validation import (
+    check_frames,
+    check_related,
+    check_size,
+    check_unlike,
+    checked_noise,
+    checked_start,
+    checked_weights,
+    only_stage,
+)
+from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.graph.neighbour_graphs import components
-from anisomap.numerics.precision import Floats, Reals, row_blocks
-from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
-from anisomap.recording import Recording
-
-logger = logging.getLogger(__name__)
-
-
-_START_TOLERANCE = 1e-5  # of a scaling that only starts the covariogram fit
-
-
-@dataclass(frozen=True, eq=False)
-class Configuration:
-    """Positions of n sensors in one or several connected components.
-
-    positions (n, k): In the unit of the metric; components share no frame of reference.
-    component: The component of each sensor; 0 is the largest.
-    stress: Stress-1 of all pairs within components.
-    converged: Whether the scaling of every component converged.
-    n_iterations: Number of SMACOF iterations, the maximum over components.
-    refinements: How each component was refined, before it was rescaled; empty if none was.
-    """
-
-    positions: Floats
-    component: NDArray[np.intp]
-    stress: float
-    converged: bool
-    n_iterations: int
-    refinements: tuple[RefinedMap | None, ...] = ()
-
-    @property
-    def largest(self) -> RefinedMap | None:
-        """How the largest component was refined; None if it was not."""
-        return self.refinements[0] if self.refinements else None
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Caveats of the refinement of any component, each once."""
-        refined = [one for one in self.refinements if one is not None]
-        return tuple(dict.fromkeys(note for one in refined for note in one.notes))
+from anisomap.numerics.graph.metric import check_semi_metric
+from anisomap.numerics.precision import Reals
+from anisomap.recording import (
+    Recording,
+    as_runs,
+    check_names,
+    column_names,
+    default_names,
+    join_runs,
+    select_sensors,
+    sensor_mask,
+)
+from anisomap.sensor_map import SensorMap
 
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The stages of a map. pairs: Of the n mapped sensors."""
+    """The stages of a map of n sensors, which a verdict can use again. metric (n, n)."""
 
-    pairs: PairStatistics
+    evidence: Evidence
+    metric: Reals
     configuration: Configuration
-    plan: DimensionPlan
+    choice: DimensionChoice
+
+
+def reconstruct(
+    recording: Recording | ArrayLike | Sequence[Recording],
+    method: str = DEFAULT_METHOD,
+    dimensions: Dimensions = AUTO,
+    *,
+    options: MethodOptions | None = None,
+    drop: Iterable[str | int] = (),
+) -> SensorMap:
+    """Reconstruct the positions of sensors from their readings.
+
+    Parameters
+    ----------
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
+        Complete readings (see `Recording.complete`). Several recordings of one skin make one map:
+        sensors are matched by name, and each pair is compared over the runs that contain both. The
+        blocks of a Dask array are compared where Dask runs, by methods that are not refined.
+    method : str
+        A key of `anisomap.METHODS`: ``"covariogram"`` (the default), a variant, or one of the
+        paper's: ``"r-anisomap"``, ``"i-anisomap"``, ``"information-distance"`` and ``"isomap"``.
+    dimensions : int or "auto"
+        Number of coordinates: 2 for flat skins, 3 for bodies. ``"auto"`` chooses between them: see
+        the notes; 3 if it is not clear, with a note.
+    options : MethodOptions, optional
+        Parameters of the stages.
+    drop : iterable of str or int
+        Sensors to leave out, by name or index.
+
+    Returns
+    -------
+    SensorMap
+        Positions in the order of the recording, known up to rotation, translation, scale and
+        reflection; NaN for constant and dropped sensors. `anisomap.diagnose` adds sensor health
+        and a verdict.
+
+    Raises
+    ------
+    InputError
+        If a reading is missing, fewer than 3 sensors vary or are related, all read the same but for
+        offset and gain, the method or a sensor is unknown, `dimensions` is less than 1 or more than
+        the number of sensors that are mapped, or the matrices of all pairs do not fit in memory.
+
+    Warns
+    -----
+    AnisomapWarning
+        Once for each note of the map.
+
+    Notes
+    -----
+    McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561: the similarity S is
+    converted to a dissimilarity M (step 1 of ANISOMAP), M to the metric D of shortest path lengths
+    (step 2), and D is scaled to positions (step 3). Some methods, the default included, then refine
+    the positions by S, which is not part of the paper.
+
+    ``"auto"`` compares how much the third and the fourth dimension improve the fit of the metric of
+    the default method: see `anisomap.method.dimensions.choose_dimensions`. Readings show distances
+    along the skin, so skins that are bent like a sheet of paper are mapped in 2D.
+
+    Examples
+    --------
+    Twelve sensors in a line, pressed at random places:
+
+    >>> import numpy as np
+    >>> places, touches = np.arange(12), np.random.default_rng(0).uniform(0, 11, (2000, 1))
+    >>> readings = np.maximum(0, 2 - abs(touches - places))
+    >>> sensor_map = reconstruct(readings, dimensions=1)
+    >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
+    True
+    """
+    if is_dask(recording):
+        return _reconstruct_blocks(recording, method, dimensions, options or MethodOptions(), drop)
+    return reconstruct_with_stages(
+        recording, method, dimensions, options=options, drop=drop, stack_level=3
+    )[0]
+
+
+def reconstruct_with_stages(
+    recording: Recording | ArrayLike | Sequence[Recording],
+    method: str = DEFAULT_METHOD,
+    dimensions: Dimensions = AUTO,
+    *,
+    options: MethodOptions | None = None,
+    drop: Iterable[str | int] = (),
+    recipe: Method | None = None,
+    stack_level: int = 2,
+) -> tuple[SensorMap, Stages]:
+    """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again."""
+    recipe, options = recipe or find_method(method), options or MethodOptions()
+    runs = as_runs(recording)
+    joined = join_runs(runs)
+    mapped = joined.varying() & ~sensor_mask(joined.names, drop)
+    check_size(mapped, dimensions, options, refined=recipe.refine is not None)
+    check_frames(joined.n_frames, dimensions)
+    names = [joined.names[i] for i in np.flatnonzero(mapped)]
+    complete = [run.complete() for run in select_sensors(runs, names)]
+    check_unlike(*(run.readings for run in complete))
+    with limited_blas(len(names)):
+        stages = compute_stages(complete, recipe, dimensions, options)
+    configuration, evidence = stages.configuration, stages.evidence
+    check_related(configuration.component, options)
+    facts = parameters_of(method, options) | stages.choice.facts()
+    facts |= {"source": joined.source, "frames": joined.n_frames, "similarity": evidence.statistic}
+    made = as_map(
+        configuration,
+        joined.names,
+        mapped,
+        method=method,
+        similarity=evidence.statistic,
+        notes=(
+            *stages.choice.notes(),
+            *unknown_pairs(evidence, names),
+            *caveats(configuration, evidence, names),
+        ),
+        provenance=facts if len(runs) == 1 else facts | {"runs": len(runs)},
+        stack_level=stack_level + 1,
+    )
+    return made, stages
 
 
 def compute_stages(
     runs: Sequence[Recording], recipe: Method, dimensions: Dimensions, options: MethodOptions
 ) -> Stages:
-    """Compute the configuration of all sensors of some recordings."""
-    refined = bool(recipe.refinements)
-    with limited_blas(max(run.n_sensors for run in runs)):
-        pairs = compare(
-            runs, recipe.similarity_of(runs), bins=options.entropy_bins, with_noise=refined
+    """Compute all stages of the sensors of some complete recordings."""
+    evidence = Evidence.of(
+        runs,
+        recipe.similarity_of(runs),
+        bins=options.entropy_bins,
+        with_variance=recipe.refine is not None,
+    )
+    metric = recipe.metric(recipe.dissimilarity_of(evidence, options))
+    if recipe.shows_dimensions:
+        choice = plan_dimensions(
+            dimensions, metric, evidence.weights, common_share=evidence.common_share
         )
-        metric = recipe.metric(recipe.dissimilarity_of(pairs, options))
-        if dimensions == AUTO and recipe.dissimilarity != METHODS[DEFAULT_METHOD].dissimilarity:
-            plan = _plan_by_default_method(runs, options)
-        else:
-            share = pairs.common_share
-            plan = plan_dimensions(
-                dimensions, metric, pairs.weights, common_share=share, examine=refined
-            )
-        configuration, plan = configure(plan, metric, pairs, recipe, options, weights=pairs.weights)
-    return Stages(pairs, configuration, plan)
+    elif dimensions == AUTO:  # other metrics need not show the dimensions
+        choice = compute_stages(runs, METHODS[DEFAULT_METHOD], AUTO, options).choice
+    else:
+        choice = plan_dimensions(dimensions, None)
+    configuration = configure(
+        metric, evidence, choice.dimensions, recipe, options, weights=evidence.weights
+    )
+    return Stages(evidence, metric, configuration, choice)
 
 
-def configure_pairs(
-    pairs: PairStatistics,
-    recipe: Method,
-    dimensions: int,
+def _reconstruct_blocks(
+    readings: Any,
+    method: str,
+    dimensions: Dimensions,
     options: MethodOptions,
+    drop: Iterable[str | int],
+) -> SensorMap:
+    """Reconstruct positions from a Dask array of readings, shape (T, N)."""
+    check_dimensions(dimensions)
+    statistic = find_method(method).similarity
+    found = sum_blocks(readings, statistic, options.entropy_bins)
+    check_frames(found.n_frames, dimensions)
+    dropped = sensor_mask(default_names(len(found.varying)), drop) | ~found.varying
+    made = reconstruct_from(
+        similarity=found.similarity,
+        method=method,
+        dimensions=dimensions,
+        options=options,
+        drop=np.flatnonzero(dropped).tolist(),
+        statistic=statistic,
+    )
+    for note in found.notes:
+        warnings.warn(note, AnisomapWarning, stacklevel=3)
+    return replace(
+        made,
+        notes=(*found.notes, *made.notes),
+        provenance={**made.provenance, "frames": found.n_frames},
+    )
+
+
+def reconstruct_from(
     *,
-    start: Floats | None = None,
-) -> Configuration:
-    """Compute the configuration of sensors of which all pairs were compared.
-
-    start (n, k): Positions near the result, which replace the scaling.
-    """
-    with limited_blas(len(pairs.similarity)):
-        metric = recipe.metric(recipe.dissimilarity_of(pairs, options))
-        if start is not None:
-            given = of_positions(start, metric)
-            return refine_components(recipe.refinements, pairs, metric, given, options)
-        plan = plan_dimensions(dimensions, None)
-        return configure(plan, metric, pairs, recipe, options, weights=pairs.weights)[0]
-
-
-def dissimilarities(
-    pairs: PairStatistics, method: str = DEFAULT_METHOD, options: MethodOptions | None = None
-) -> Reals:
-    """Compute the dissimilarity M of all pairs of sensors from their similarity S.
+    similarity: ArrayLike | None = None,
+    dissimilarity: ArrayLike | None = None,
+    metric: ArrayLike | None = None,
+    method: str = DEFAULT_METHOD,
+    dimensions: Dimensions = AUTO,
+    options: MethodOptions | None = None,
+    noise: ArrayLike | None = None,
+    weights: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    names: Sequence[str] = (),
+    drop: Iterable[str | int] = (),
+    statistic: str = "",
+) -> SensorMap:
+    """Reconstruct the positions of sensors from a precomputed stage.
 
     Parameters
     ----------
-    pairs : PairStatistics
-        From `anisomap.method.evidence.compare`.
-    method : str
-        A key of `METHODS`.
-    options : MethodOptions, optional
+    similarity, dissimilarity, metric : array_like of shape (N, N)
+        Exactly one of them; the method continues from this stage. Only a similarity allows
+        refinement of the map.
+    method, options, drop
+        See `reconstruct`.
+    dimensions : int or "auto"
+        See `reconstruct`. ``"auto"`` needs a correlation, a dissimilarity or a metric, or takes
+        the number of coordinates of `start`.
+    noise : array_like of shape (N, N), optional
+        Sampling variance of each similarity; by default the reciprocal of
+        `MethodOptions.independent_frames`.
+    weights : array_like of shape (N, N), optional
+        Weights of the distances in scaling; 0 marks an unknown pair.
+    start : array_like of shape (N, k), optional
+        Initial positions of the scaling, with k = `dimensions` if that is a number.
+    names : sequence of str, optional
+        Unique names of the sensors; by default the columns of a DataFrame, or ``s0, s1, ...``.
+    statistic : str
+        Name of the similarity, if it was computed from readings; noted in the map.
 
     Returns
     -------
-    ndarray of shape (n, n)
-        A semi-metric, infinite for unknown and unrelated pairs.
+    SensorMap
+        See `reconstruct`.
 
     Raises
     ------
     InputError
-        If there is no such method, or it requires correlations and the similarity is not one.
+        If not exactly one stage is given, a matrix is not symmetric, shapes disagree, or for the
+        reasons given in `reconstruct`.
 
-    Notes
+    Warns
     -----
-    McGregor et al. (2011), section "ANISOMAP", step 1, doi:10.1371/journal.pone.0026561.
+    AnisomapWarning
+        Once for each note of the map.
     """
-    return find_method(method).dissimilarity_of(pairs, options or MethodOptions())
-
-
-def _plan_by_default_method(runs: Sequence[Recording], options: MethodOptions) -> DimensionPlan:
-    """Choose dimensions by the default method, which examines contacts if the skin looks flat."""
-    recipe = METHODS[DEFAULT_METHOD]
-    pairs = compare(runs, recipe.similarity_of(runs), bins=options.entropy_bins, with_noise=True)
-    metric = recipe.metric(recipe.dissimilarity_of(pairs, options))
-    plan = plan_dimensions(AUTO, metric, pairs.weights, common_share=pairs.common_share)
-    if plan.dimensions == SPATIAL:
-        return plan
-    return configure(plan, metric, pairs, recipe, options, weights=pairs.weights)[1]
-
-
-def configure(
-    plan: DimensionPlan,
-    metric: Reals,
-    pairs: PairStatistics | None,
-    recipe: Method,
-    options: MethodOptions,
-    *,
-    weights: Reals | None = None,
-    start: Floats | None = None,
-) -> tuple[Configuration, DimensionPlan]:
-    """Scale a metric and refine the positions; once more if these contradict the plan.
-
-    metric (n, n), weights (n, n), start (n, k). Nothing is refined without statistics of pairs.
-    """
-    steps = recipe.refinements
-    if not steps or pairs is None:
-        scaled = scale(
-            metric, plan.dimensions, start=start, weights=weights, options=options.smacof
+    recipe, options = find_method(method), options or MethodOptions()
+    stage, matrix = only_stage(
+        {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
+    )
+    n_sensors = len(matrix)
+    given = column_names(next(x for x in (similarity, dissimilarity, metric) if x is not None))
+    names = tuple(names) or given or default_names(n_sensors)
+    check_names(names, n_sensors)
+    mapped = ~sensor_mask(names, drop)
+    check_size(mapped, dimensions, options, refined=recipe.refine is not None)
+    inside = ... if mapped.all() else np.ix_(mapped, mapped)
+    matrix = matrix[inside]
+    pair_weights = None if weights is None else checked_weights(weights, n_sensors)[inside]
+    if start is not None and dimensions == AUTO:
+        dimensions = int(np.shape(start)[-1]) if np.ndim(start) == 2 else SPATIAL
+    k = given_dimensions(dimensions)
+    initial = None if start is None else checked_start(start, n_sensors, k)[mapped]
+    evidence = None
+    if stage == "similarity":
+        evidence = Evidence.from_similarity(
+            matrix,
+            variance=1 / options.independent_frames
+            if noise is None
+            else checked_noise(noise, n_sensors)[inside],
+            known=None if pair_weights is None else pair_weights > 0,
+            statistic=statistic,
         )
-        return scaled, plan
-    near = replace(options.smacof, tolerance=max(options.smacof.tolerance, _START_TOLERANCE))
-    found = scale(metric, plan.dimensions, start=start, weights=weights, options=near)
-    found = refine_components(steps, pairs, metric, found, options)
-    revised = plan.revised(elongated=found.largest is not None and found.largest.elongated)
-    if revised.dimensions != plan.dimensions:
-        found = scale(metric, revised.dimensions, weights=weights, options=near)
-        found = refine_components(steps, pairs, metric, found, options)
-    return found, revised
-
-
-def scale(
-    metric: Reals,
-    dimensions: int,
-    *,
-    start: Floats | None = None,
-    weights: Reals | None = None,
-    options: SmacofOptions | None = None,
-) -> Configuration:
-    """Scale each connected component of a metric (n, n) by SMACOF, from positions (n, k) if given.
-
-    McGregor et al. (2011), section "ANISOMAP", step 3, doi:10.1371/journal.pone.0026561.
-    """
-    labels = components(metric if weights is None else np.where(weights > 0, metric, np.inf))
-    positions = np.empty((len(metric), dimensions))
-    scalings: list[Scaling] = []
-    for label in range(labels.max() + 1):
-        inside = labels == label
-        logger.info("scaling %d sensors into %d dimensions", inside.sum(), dimensions)
-        scaling = smacof(
-            _among(metric, inside),
-            dimensions=dimensions,
-            start=None if start is None else start[inside],
-            weights=None if weights is None else _among(weights, inside),
-            options=options,
+    with limited_blas(len(matrix)):
+        if evidence is not None:
+            matrix = recipe.dissimilarity_of(evidence, options)
+            check_unlike(evidence.similarity, rows_of=np.transpose)
+        semi_metric = check_semi_metric(matrix)
+        lengths = semi_metric if stage == "metric" else recipe.metric(semi_metric)
+        shown = _showing_dimensions(lengths, evidence, recipe, options)
+        examine = dimensions == AUTO or (evidence is not None and recipe.shows_dimensions)
+        choice = plan_dimensions(dimensions, shown if examine else None, pair_weights)
+        configuration = configure(
+            lengths,
+            evidence,
+            choice.dimensions,
+            recipe,
+            options,
+            weights=pair_weights,
+            start=initial,
         )
-        positions[inside] = scaling.positions
-        scalings.append(scaling)
-    raw = sum(scaling.raw_stress for scaling in scalings)
-    spread = sum(scaling.spread for scaling in scalings)
-    return Configuration(
-        positions=positions,
-        component=labels,
-        stress=float(np.sqrt(raw / spread)) if spread > 0 else 0.0,
-        converged=all(scaling.converged for scaling in scalings),
-        n_iterations=max(len(scaling.trace) - 1 for scaling in scalings),
+    check_related(configuration.component, options)
+    objects = stage == "dissimilarity"
+    notes = [*choice.notes(objects=objects), *caveats(configuration, evidence, names)]
+    if recipe.refine is not None and evidence is None:
+        notes.append(Note("not-refined", method=method))
+    facts = parameters_of(method, options) | choice.facts(objects=objects)
+    facts |= {"similarity": statistic} if statistic else {"precomputed": stage}
+    return as_map(
+        configuration,
+        names,
+        mapped,
+        method=method,
+        similarity=statistic,
+        notes=notes,
+        provenance=facts,
+        objects=objects,
     )
 
 
-def of_positions(positions: Floats, metric: Reals) -> Configuration:
-    """Take given positions, shape (n, k), for the scaling of a metric, in its unit."""
-    labels = components(metric)
-    scaled = positions.copy()
-    for label in range(labels.max() + 1):
-        inside = labels == label
-        scaled[inside] *= _best_scale(positions[inside], _among(metric, inside))[0] or 1.0
-    return Configuration(scaled, labels, stress=np.nan, converged=True, n_iterations=0)
-
-
-def refine_components(
-    steps: Mapping[str, Step],
-    pairs: PairStatistics,
-    metric: Reals,
-    configuration: Configuration,
-    options: MethodOptions,
-) -> Configuration:
-    """Refine each connected component; those of fewer than `min_sensors` stay as they are."""
-    positions = configuration.positions.copy()
-    raw = spread = 0.0
-    refinements: list[RefinedMap | None] = []
-    for label in range(configuration.component.max() + 1):
-        inside = configuration.component == label
-        lengths = _among(metric, inside)
-        refined = None
-        if np.count_nonzero(inside) >= options.min_sensors and (lengths > 0).any():
-            refined = refine(pairs.select(inside), lengths, positions[inside], steps, options)
-            positions[inside] = refined.positions
-        refinements.append(refined)
-        # Refinement changes the unit; rescale every component to the unit of the metric.
-        factor, missed, size = _best_scale(positions[inside], lengths)
-        positions[inside] *= factor if factor > 0 else 1.0
-        raw += missed
-        spread += factor**2 * size
-    stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
-    return replace(
-        configuration, positions=positions, stress=stress, refinements=tuple(refinements)
-    )
-
-
-def _among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:
-    """Select the pairs of some sensors; return the matrix itself if these are all."""
-    return matrix if sensors.all() else matrix[np.ix_(sensors, sensors)]
-
-
-def _best_scale(positions: Floats, lengths: Reals) -> tuple[float, float, float]:
-    """Find the least-squares scale of positions to given distances."""
-    size = product = missed = 0.0
-    for rows in row_blocks(len(positions)):
-        distances = cdist(positions[rows], positions)
-        size += float(np.vdot(distances, distances))
-        product += float((distances * lengths[rows]).sum())
-    scale = product / size if size > 0 else 0.0
-    for rows in row_blocks(len(positions)):
-        missed += float(
-            ((scale * cdist(positions[rows], positions) - lengths[rows]) ** 2).sum(dtype=np.float64)
-        )
-    return scale, missed, size
+def _showing_dimensions(
+    metric: Reals, evidence: Evidence | None, recipe: Method, options: MethodOptions
+) -> Reals | None:
+    """Return the metric, (n, n), from which the number of dimensions can be chosen, if any."""
+    if evidence is None or recipe.shows_dimensions:
+        return metric
+    if recipe.similarity == "mutual-information":
+        return None
+    default = METHODS[DEFAULT_METHOD]
+    return default.metric(default.dissimilarity_of(evidence, options))

@@ -99,7 +99,7 @@ class Signals:
         restless = np.flatnonzero(~rest.known)
         if not (restless.size or rest.threshold.any()):
             return self.active
-        touched = replace(rest, threshold=2 * rest.threshold).active(self.readings)
+        touched = replace(rest, noise=2 * rest.noise).active(self.readings)
         if 2 * restless.size > rest.known.size:
             restless = restless[~_exceed_noise(self.readings, restless)]
         elif restless.size:

@@ -15,7 +15,7 @@ from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.evaluation import Mantel, Score, score
 from anisomap.method.options import MethodOptions
-from anisomap.method.reconstruction import reconstruct_from
+from anisomap.method.pipeline import reconstruct_from
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.similarity.correlation import pearson

@@ -31,7 +31,7 @@ The logarithm of the errors of even maps then has a standard deviation of .40, a
 """
 
 # RMS error of a coordinate relative to the size of a map, the root of the summed variance of its
-# coordinates: medians over 62 maps that are not marked as distorted (`SensorMap.uneven`), of the
+# coordinates: medians over 62 maps that are not marked as distorted (`SensorMap.distorted`), of the
 # iCub and of simulated bodies, and over four that are, of feet and of Nao.
 ERROR_EVEN, ERROR_UNEVEN = 0.06, 0.25
 
@@ -56,7 +56,7 @@ class Known:
 
     spacing: Distance between neighbouring sensors on the map.
     size: Root of the summed variance of the coordinates of the map.
-    uneven: Whether the map is known to be distorted: `SensorMap.uneven`.
+    uneven: Whether the map is known to be distorted: `SensorMap.distorted`.
     scale_sigma: Standard deviation of the logarithm of the scale; inf if the scale is unknown.
     evidence: Log likelihood ratio of the handedness of the map against its mirror image.
     handedness: Whether the map is a mirror image, if the user states it.
@@ -80,7 +80,7 @@ class Known:
         """Measure a map of one component."""
         size = extent(sensor_map.positions[sensor_map.placed])
         spacing = median_spacing(sensor_map)
-        return cls(spacing, size, sensor_map.uneven, scale_sigma, evidence, handedness)
+        return cls(spacing, size, sensor_map.distorted, scale_sigma, evidence, handedness)
 
     @property
     def sigma(self) -> float:

@@ -1,6 +1,6 @@
-"""Diagnosis of a map: sensor health, and the verdict that follows from evidence of its errors."""
+"""The verdict on a map: how far it can be used, from what is measured of its errors."""
 
 from anisomap.usability import LEVELS, UNKNOWN, Verdict
-from anisomap.verdict.judge import Evidence, judge
+from anisomap.verdict.judge import Measurements, judge
 
-__all__ = ["LEVELS", "UNKNOWN", "Evidence", "Verdict", "judge"]
+__all__ = ["LEVELS", "UNKNOWN", "Measurements", "Verdict", "judge"]

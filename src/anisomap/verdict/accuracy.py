@@ -16,20 +16,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 from scipy.special import expit
 
 from anisomap.evaluation.scoring import median_spacing
-from anisomap.method.evidence import PairStatistics
-from anisomap.numerics.geodesic.adjacency import adjacency_graph
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 
 _N_POOLED = 9  # a sensor and its nearest 8, over which squared differences are averaged
 _LEAST = 0.01  # spacings: smaller errors are not calibrated
-_PARTING = 1e-3  # share of the distances on the map; far above rounding, far below a step
 
 
 @dataclass(frozen=True)
@@ -92,29 +86,6 @@ def neighbours_kept(region: float) -> Estimate:
     """Estimate the share of true neighbours that are neighbours on the map, from `region_error`."""
     odds = NEIGHBOURS + NEIGHBOURS_SLOPE * math.log(min(max(region, _LEAST), _MAX_ERROR))
     return Estimate(*(float(expit(odds + more)) for more in (0.0, *NEIGHBOURS_INTERVAL)))
-
-
-def differences_from_steps(
-    pairs: PairStatistics, positions: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Compare a map with that of the numbers of steps between sensors. positions (n, k) -> (n, k).
-
-    After the best similarity transform; infinite if there is no such map.
-    """
-    if median_spacing(positions) == 0:
-        return np.full(positions.shape, math.inf)
-    readings = np.asarray(pairs.readings)
-    graph = adjacency_graph(
-        readings, positions, similarity=pairs.correlation, changes=pairs.rank_changes
-    )
-    steps = shortest_path(graph.astype(np.float64), unweighted=True)
-    # Classical scaling as start: this map must not inherit a fold of the given one. Sensors with
-    # equal numbers of steps to all others would coincide there, and rounding would part them.
-    distances = cdist(positions, positions)
-    parted = steps + _PARTING * (steps.sum() / distances.sum()) * distances
-    k = positions.shape[1]
-    found = smacof(steps, dimensions=k, start=torgerson(parted, k)).positions
-    return np.asarray(fit_similarity(found, positions).apply(found) - positions)
 
 
 def rms_in_spacings(differences: NDArray[np.float64], positions: NDArray[np.float64]) -> float:

@@ -16,17 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
-from anisomap.method.pipeline import Stages
-from anisomap.method.refinements import CURVE
+from anisomap.method.pipeline import Stages, reconstruct_with_stages
+from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.recording import Recording, as_runs, join_runs
+from anisomap.recording import Recording, as_runs, join_runs, select_sensors
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 from anisomap.verdict.accuracy import (
-    differences_from_steps,
     expected_error,
     regional_difference,
     rms_in_spacings,
@@ -36,15 +36,17 @@ from anisomap.verdict.chance import (
     MAX_SENSORS,
     MIN_FRAMES,
     MIN_SENSORS,
+    Part,
     covariances,
     deviations_by_chance,
     error_in_spacings,
-    made_again,
-    part_of,
 )
-from anisomap.verdict.judge import Evidence, judge
+from anisomap.verdict.judge import Measurements, judge
+from anisomap.verdict.second_map import differences_from_steps
 
 logger = logging.getLogger(__name__)
+
+_SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
 
 FATAL = ("one-period",)
 """Faults after which similar readings do not mean that sensors are near."""
@@ -88,13 +90,13 @@ def diagnose(
         From `anisomap.find_faults`, if computed already.
     with_verdict : bool
         Whether to judge the map, and to estimate the covariance of every position, by maps of
-        resampled recordings and of halves.
+        resampled recordings and a second map.
     rng : numpy.random.Generator or int, optional
         Draws the resamples; seed 0 by default.
     progress : callable, optional
         Called with the completed share, from 0 to 1.
     stages : Stages, optional
-        From `anisomap.method.reconstruction.reconstruct_with_stages`, if the map comes from it.
+        From `anisomap.method.pipeline.reconstruct_with_stages`, if the map comes from it.
         Without them, the map is made again; the result is the same.
 
     Returns
@@ -127,16 +129,16 @@ def diagnose(
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict, found = Verdict(), None
     if with_verdict:
-        evidence, found = examine(
+        measured, found = examine(
             sensor_map,
-            runs,
+            [run.complete() for run in select_sensors(runs, joined.names)],
             options=options,
             rng=rng,
             progress=progress,
             stages=stages,
             faults=faults,
         )
-        verdict = judge(evidence)
+        verdict = judge(measured)
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -150,49 +152,6 @@ def diagnose(
     )
 
 
-def estimate_uncertainty(
-    sensor_map: SensorMap,
-    recording: Recording | ArrayLike | Sequence[Recording],
-    *,
-    options: MethodOptions | None = None,
-    rng: np.random.Generator | int | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[NDArray[np.float64] | None, float]:
-    """Estimate the covariances of positions, and the errors that chance makes.
-
-    Parameters
-    ----------
-    sensor_map, recording, options, rng, progress
-        See `diagnose`.
-
-    Returns
-    -------
-    covariances : ndarray of shape (N, k, k), or None
-        See `SensorMap.covariances`; None if they cannot be known.
-    repeatability : float
-        RMS error of the positions of the largest component by chance, in spacings; NaN if it
-        cannot be known.
-
-    Raises
-    ------
-    InputError
-        If a reading is missing.
-
-    Notes
-    -----
-    Blocks of frames are resampled (`anisomap.numerics.reliability.sampling_noise`), and the method
-    maps each resample from the covariogram fit of the map, in a few iterations and without the fit
-    of contacts. If the map does not follow from that fit, because lengths were taken from the
-    heights of contacts, halves of the recording are mapped from the beginning instead. Systematic
-    errors are estimated from the differences from a map of evenly spaced sensors: see
-    `anisomap.verdict.accuracy`.
-    """
-    evidence, found = examine(
-        sensor_map, as_runs(recording), options=options, rng=rng, progress=progress
-    )
-    return found, evidence.repeatability
-
-
 def examine(
     sensor_map: SensorMap,
     runs: Sequence[Recording],
@@ -202,83 +161,130 @@ def examine(
     progress: Callable[[float], None] | None = None,
     stages: Stages | None = None,
     faults: Sequence[Finding] = (),
-) -> tuple[Evidence, NDArray[np.float64] | None]:
-    """Collect the evidence for the verdict on a map, and the covariances of its positions."""
+) -> tuple[Measurements, NDArray[np.float64] | None]:
+    """Measure what is known of the errors of a map, and the covariances of its positions."""
     sizes = sensor_map.component_sizes
-    evidence = Evidence(
+    measured = Measurements(
         placed=int(np.count_nonzero(sensor_map.placed)),
         largest=sizes[0],
         faults=spoiling([one for one in faults if one.kind not in UNSEEN + FATAL]),
-        unseen=(
-            *spoiling([one for one in faults if one.kind in UNSEEN]),
-            *(note for note in sensor_map.notes if note == CURVE),
-        ),
+        unseen=spoiling([one for one in faults if one.kind in UNSEEN]),
         fatal=spoiling([one for one in faults if one.kind in FATAL]),
     )
-    if unknown := _unknown(sensor_map, runs):
-        return replace(evidence, unknown=unknown), None
-    run, options = runs[0].complete(), options or MethodOptions()
-    stages = made_again(sensor_map, run, options) if stages is None else stages
-    report = progress or (lambda _share: None)
+    options, report = options or MethodOptions(), progress or (lambda _share: None)
+    judged = _judged(sensor_map, runs, options, stages)
+    if isinstance(judged, Note):
+        return replace(measured, unknown=judged), None
+    made, stages = judged
     generator = np.random.default_rng(0 if rng is None else rng)
     found = np.full((*sensor_map.positions.shape, sensor_map.dimensions), np.nan)
     logger.info("mapping resampled recordings to estimate the repeatability")
+    sizes = made.component_sizes
     for label, size in enumerate(sizes):
-        if size < MIN_SENSORS:
+        part = Part.of(stages, label)
+        if size < MIN_SENSORS or part is None:
             continue
         done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
-        told = _part_of(report, done, share)
-        if label == 0:
-            evidence = replace(
-                evidence, repeatability=math.inf, difference=math.inf, regional=math.inf
-            )
+        positions = made.positions[made.component == label]
+        recipe, told = METHODS[sensor_map.method], _part_of(report, done, share)
         with limited_blas(1):  # products are those of short blocks of frames, or of few sensors
-            try:
-                part = part_of(sensor_map, label, run, options, stages)
-                deviations = deviations_by_chance(part, sensor_map.method, options, generator, told)
-            except InputError:  # no relation between sensors is left
-                continue
-            positions = part.positions
-            differences = differences_from_steps(part.pairs, positions)
+            deviations = deviations_by_chance(
+                part, positions, recipe, options, rng=generator, progress=told
+            )
+            differences = differences_from_steps(part.evidence, positions)
         chance = covariances(deviations, positions)
         repeatability = error_in_spacings(chance, positions)
         difference = rms_in_spacings(differences, positions)
         if label == 0:
-            evidence = replace(
-                evidence,
+            groups = np.bincount(stages.evidence.groups.linked[stages.configuration.component == 0])
+            measured = replace(
+                measured,
+                linked=int(groups.max()),
                 repeatability=repeatability,
                 difference=difference,
                 regional=regional_difference(differences, positions),
             )
         error = expected_error(repeatability, difference).value
         if math.isfinite(error):
-            members = sensor_map.component == label
+            members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
-    return evidence, found
+    return measured, found
 
 
-def _part_of(report: Callable[[float], None], done: float, share: float) -> Callable[[float], None]:
-    return lambda part: report(done + part * share)
+def _judged(
+    sensor_map: SensorMap, runs: Sequence[Recording], options: MethodOptions, stages: Stages | None
+) -> tuple[SensorMap, Stages] | Note:
+    """Return the map that is measured and its stages, or why none can be.
+
+    It is the given map, but for its scale and pose. Of runs that lack sensors, it is a map of the
+    sensors that all of them have.
+    """
+    common = set(sensor_map.names).intersection(*(run.names for run in runs))
+    kept = [name for name in sensor_map.names if name in common]
+    made = (
+        sensor_map
+        if len(kept) == sensor_map.n_sensors
+        else sensor_map.select(sensor_map.indices(kept))
+    )
+    if note := _unknown(made, runs, whole=made is sensor_map):
+        return note
+    if made is sensor_map and stages is not None and _follows(made, stages):
+        return made, stages
+    unplaced = [made.names[i] for i in np.flatnonzero(~made.placed)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map have them
+        try:
+            again, stages = reconstruct_with_stages(
+                select_sensors(runs, kept),
+                made.method,
+                made.dimensions,
+                options=options,
+                drop=unplaced,
+            )
+        except InputError:
+            return Note("other-readings")
+    if made is not sensor_map:
+        return again, stages
+    return (made, stages) if _follows(made, stages) else Note("other-readings")
 
 
-def _unknown(sensor_map: SensorMap, runs: Sequence[Recording]) -> str:
-    """Return why the repeatability of a map cannot be known, and what to do; empty if it can."""
+def _follows(sensor_map: SensorMap, stages: Stages) -> bool:
+    """Return whether a map has the positions of some stages, but for its scale and pose."""
+    found, placed = stages.configuration, sensor_map.component[sensor_map.placed]
+    if not np.array_equal(found.component, placed):
+        return False
+    largest = placed == 0
+    given = sensor_map.positions[sensor_map.placed][largest]
+    spacing = median_spacing(given)
+    return spacing == 0 or align(found.positions[largest], given).rms <= _SAME * spacing
+
+
+def _unknown(sensor_map: SensorMap, runs: Sequence[Recording], *, whole: bool) -> Note | None:
+    """Return why the errors of a map cannot be known, and what to do; None if they can."""
     method = METHODS.get(sensor_map.method)
     if method is None or sensor_map.similarity not in (
         method.similarity,
         method.contact_similarity,
     ):
-        return "a verdict needs the readings that the map was made from"
-    n_sensors, n_frames = np.count_nonzero(sensor_map.component == 0), runs[0].n_frames
-    reasons = {
-        f"maps by {sensor_map.method} have no verdict: use "
-        f"{DEFAULT_METHOD}": not method.refinements,
-        "the recordings have different sensors: map one of them": len(runs) > 1,
-        f"only {n_sensors} sensors are related, and a verdict needs {MIN_SENSORS}: touch more of "
-        "the skin": n_sensors < MIN_SENSORS,
-        f"resampling more than {MAX_SENSORS:,} sensors takes too much memory: map parts of the "
-        "skin": n_sensors > MAX_SENSORS,
-        f"the recording has {n_frames} frames, and a verdict needs {MIN_FRAMES}: record "
-        "longer": n_frames < MIN_FRAMES,
-    }
-    return next((reason for reason, holds in reasons.items() if holds), "")
+        return Note("other-readings")
+    n_sensors = int(np.count_nonzero(sensor_map.component == 0))
+    n_frames = sum(run.n_frames for run in runs)
+    reasons = (
+        (
+            method.refine is None,
+            Note("no-verdict", method=sensor_map.method, default=DEFAULT_METHOD),
+        ),
+        (
+            n_sensors < MIN_SENSORS,
+            Note("few-sensors", count=n_sensors, least=MIN_SENSORS)
+            if whole
+            else Note("no-common-sensors", least=MIN_SENSORS),
+        ),
+        (n_sensors > MAX_SENSORS, Note("many-sensors", most=MAX_SENSORS)),
+        (n_frames < MIN_FRAMES, Note("few-frames", count=n_frames, least=MIN_FRAMES)),
+    )
+    return next((note for holds, note in reasons if holds), None)
+
+
+def _part_of(report: Callable[[float], None], done: float, share: float) -> Callable[[float], None]:
+    return lambda part: report(done + part * share)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from anisomap.notes import Note
 from anisomap.usability import Verdict
 from anisomap.verdict.accuracy import expected_error, neighbours_kept, region_error
 
@@ -29,7 +30,7 @@ MIN_LARGEST, MIN_FRAGMENT = 0.9, 1 / 3
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Measurements:
     """What is known about the errors of a map.
 
     repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
@@ -37,6 +38,7 @@ class Evidence:
     regional: The same of regions, each aligned by itself.
     placed: Number of sensors with positions.
     largest: Number of sensors in the largest component.
+    linked: Number of these that significant correlations connect; all, if None.
     faults: Sentences on faults of the recording that the measurements show.
     unseen: Sentences on what spoils the map in a way that the measurements do not show.
     fatal: Sentences on faults after which readings do not tell which sensors are near.
@@ -48,56 +50,53 @@ class Evidence:
     regional: float = math.nan
     placed: int = 0
     largest: int = 0
+    linked: int | None = None
     faults: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
     fatal: tuple[str, ...] = ()
     unknown: str = ""
 
 
-def judge(evidence: Evidence) -> Verdict:
-    """Return the verdict that follows from the evidence."""
-    limits = [*evidence.fatal, *evidence.unseen]
-    if evidence.largest < MIN_LARGEST * evidence.placed:
-        apart = evidence.placed - evidence.largest
-        limits.append(
-            f"the positions of {apart} of {evidence.placed} sensors relative to the others are "
-            "unknown: touch the skin where they join"
-        )
-    measured = evidence.repeatability, evidence.difference
-    if evidence.unknown or any(map(math.isnan, (*measured, evidence.regional))):
-        return Verdict(reasons=(evidence.unknown or "the map was not examined", *limits))
-    error = expected_error(*measured)
-    region = region_error(evidence.repeatability, evidence.regional, error.value)
+def judge(measured: Measurements) -> Verdict:
+    """Return the verdict that follows from what was measured."""
+    limits = [*measured.fatal, *measured.unseen]
+    if measured.largest < MIN_LARGEST * measured.placed:
+        apart = measured.placed - measured.largest
+        limits.append(Note("apart", apart=apart, placed=measured.placed))
+    connected = measured.largest if measured.linked is None else measured.linked
+    if connected < MIN_LARGEST * measured.largest:
+        limits.append(Note("unlinked", count=measured.largest - connected, total=measured.largest))
+    sizes = measured.repeatability, measured.difference
+    if measured.unknown or any(map(math.isnan, (*sizes, measured.regional))):
+        return Verdict(reasons=(measured.unknown or Note("not-examined"), *limits))
+    error = expected_error(*sizes)
+    region = region_error(measured.repeatability, measured.regional, error.value)
     kept = neighbours_kept(region.value)
     if error.value < MAX_ERROR and not limits:
         level = "usable"
     elif (
         kept.value >= MIN_KEPT
-        and evidence.repeatability <= MAX_CHANCE
-        and evidence.largest >= MIN_FRAGMENT * evidence.placed
-        and not evidence.fatal
+        and measured.repeatability <= MAX_CHANCE
+        and connected >= MIN_FRAGMENT * measured.placed
+        and not measured.fatal
     ):
         level = "usable for neighbours"
     else:
         level = "not usable"
     if level != "usable":
-        limits += evidence.faults
+        limits += measured.faults
     return Verdict(
         level,
         *(error.value, error.low, error.high),
         *(region.value, region.low, region.high),
         *(kept.value, kept.low, kept.high),
-        evidence.repeatability,
-        reasons=(*limits, *_reasons(*measured)),
+        measured.repeatability,
+        reasons=(*limits, *_reasons(*sizes)),
     )
 
 
-def _reasons(repeatability: float, difference: float) -> tuple[str, ...]:
+def _reasons(repeatability: float, difference: float) -> tuple[Note, ...]:
     """Say what the measurements mean, that which adds more to the expected error first."""
-    chance = f"maps of resampled recordings differ by {repeatability:.2f} spacings"
-    other = f"a second map, assuming even spacing, disagrees by {difference:.2f} spacings"
-    if repeatability > MAX_ERROR:
-        chance += ": record longer, and touch all of the skin"
-    if difference > 2 * MAX_ERROR:
-        other += ": contacts may be elongated or differ in size from place to place"
+    chance = Note("chance", size=repeatability, much=repeatability > MAX_ERROR)
+    other = Note("second-map", size=difference, much=difference > 2 * MAX_ERROR)
     return (chance, other) if repeatability >= difference / 2 else (other, chance)

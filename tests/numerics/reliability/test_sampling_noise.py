@@ -12,10 +12,6 @@ from scipy.spatial.distance import cdist, pdist
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
 from anisomap.method.evidence import SIMILARITIES
-from anisomap.numerics.contacts.contact_agreement import (
-    contact_agreement,
-    resampled_contact_agreement,
-)
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.reliability import sampling_noise
@@ -26,10 +22,10 @@ from anisomap.numerics.reliability.sampling_noise import (
     block_edges,
     correlation_time,
     count_shared_neighbours,
+    group_sensors,
     links_with_shared_neighbours,
     remove_insignificant_links,
     sampling_variance,
-    significant_components,
     significant_links,
     standardised_correlation,
     thinning,
@@ -37,6 +33,7 @@ from anisomap.numerics.reliability.sampling_noise import (
 )
 from anisomap.numerics.reliability.split_half import blended_correlation
 from anisomap.numerics.scaling.multidimensional_scaling import torgerson
+from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import pearson, resampled_correlation
 from skins import flat_skin
 
@@ -121,8 +118,8 @@ def test_the_variance_is_that_of_the_statistic_and_not_of_the_readings(statistic
     readings = [respond[response](x) for x in found]
     pairs = np.triu_indices(30, 1)
     computed = [SIMILARITIES[statistic].with_variance(x, 4) for x in readings]
-    observed = np.mean([similarity[pairs].var() for similarity, _ in computed])
-    estimated = np.mean([typical_variance(variance) for _, variance in computed])
+    observed = np.mean([similarity[pairs].var() for similarity, *_ in computed])
+    estimated = np.mean([typical_variance(variance) for _, variance, _ in computed])
     assert estimated == pytest.approx(observed, rel=0.3)
 
 
@@ -176,7 +173,7 @@ def test_equal_weights_give_the_agreement_of_contacts():
     readings = np.random.default_rng(0).random((300, 7)) < 0.4
     edges = np.array([0, 50, 110, 300])
     weights = np.array([[1.0, 1, 1], [2, 2, 2], [1, 0, 3]])
-    found = resampled_contact_agreement(readings, edges, weights)
+    found = Contacts.of(readings).resampled(edges, weights)
     np.testing.assert_allclose(found[0], contact_agreement(readings), atol=1e-12)
     np.testing.assert_allclose(found[0], found[1], atol=1e-12)
     assert np.abs(found[2] - found[0]).max() > 0.01
@@ -267,6 +264,11 @@ def test_significant_links_join_sensors_of_one_contact(short):
     assert strong[apart > 2 * REACH].any()
 
 
+def filtered(lengths, similarity, variance):
+    related = group_sensors(similarity, variance).related
+    return remove_insignificant_links(lengths.copy(), similarity, variance, related)
+
+
 def test_insignificant_links_shorten_paths_across_the_skin(short):
     positions, readings = short
     similarity, variance = links_of(readings)
@@ -275,7 +277,7 @@ def test_insignificant_links_shorten_paths_across_the_skin(short):
     def agreement(lengths):
         return mantel(torgerson(metricise(lengths), 2), positions, permutations=0).r
 
-    significant = agreement(remove_insignificant_links(dissimilarity.copy(), similarity, variance))
+    significant = agreement(filtered(dissimilarity, similarity, variance))
     assert significant > 0.99
     assert significant > agreement(dissimilarity)
 
@@ -285,7 +287,7 @@ def test_components_stay_connected_and_separate():
     size = readings.shape[1] // 2
     similarity, variance = links_of(readings)
     similarity[:size, size:] = similarity[size:, :size] = 0
-    apart = remove_insignificant_links(np.ones_like(similarity), similarity, variance)
+    apart = filtered(np.ones_like(similarity), similarity, variance)
     assert np.isinf(apart[:size, size:]).all()
     for piece in (apart[:size, :size], apart[size:, size:]):
         assert 0.01 < np.isfinite(piece).mean() < 0.3
@@ -323,7 +325,7 @@ def test_all_links_of_few_sensors_are_kept():
     apart = np.zeros_like(similarity)
     apart[np.triu_indices(len(apart), 1)] = lengths
     apart += apart.T
-    found = remove_insignificant_links(apart.copy(), similarity, variance)
+    found = filtered(apart, similarity, variance)
     np.testing.assert_array_equal(found, apart)
 
 
@@ -344,6 +346,10 @@ def test_links_are_kept_if_counting_shared_neighbours_is_too_costly(monkeypatch)
     np.testing.assert_array_equal(links_with_shared_neighbours(path), path)
 
 
+def grouped(readings):
+    return group_sensors(blended_correlation(readings), sampling_variance(readings))
+
+
 def test_skins_touched_independently_are_separate_components():
     parted = []
     for seed in range(8):
@@ -351,8 +357,7 @@ def test_skins_touched_independently_are_separate_components():
         both = np.hstack([first, second[:, :25]])
         order = np.random.default_rng(seed).permutation(both.shape[1])
         alone, together, shuffled = (
-            significant_components(blended_correlation(readings), sampling_variance(readings))
-            for readings in (first, both, both[:, order])
+            grouped(readings).related for readings in (first, both, both[:, order])
         )
         assert not alone.any()
         np.testing.assert_array_equal(shuffled, together[order])
@@ -360,10 +365,26 @@ def test_skins_touched_independently_are_separate_components():
     assert np.mean(parted) > 0.5
 
 
-def test_noise_has_no_large_components():
-    noise = np.random.default_rng(1).standard_normal((2000, 40))
-    found = significant_components(blended_correlation(noise), sampling_variance(noise))
-    assert np.bincount(found).max() <= 6
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_links_few_sensors_and_shows_none_to_be_unrelated(seed):
+    noise = np.random.default_rng(seed).standard_normal((2000, 40))
+    found = grouped(noise)
+    assert np.bincount(found.linked).max() <= 6
+    assert not found.related.any()
+    assert found.hidden.size >= 34
+
+
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
+def test_noise_that_hides_links_does_not_part_a_skin(noise):
+    readings = flat_skin().readings
+    found = grouped(readings + np.random.default_rng(0).normal(0, noise, readings.shape))
+    assert not found.related.any()
+
+
+def test_a_sensor_of_noise_alone_is_parted_from_a_skin_with_clear_links():
+    readings = np.array(flat_skin().readings)
+    readings[:, 7] = np.random.default_rng(0).normal(size=len(readings))
+    np.testing.assert_array_equal(np.flatnonzero(grouped(readings).related), [7])
 
 
 @pytest.mark.parametrize("seed", [5, 6, 7])
@@ -376,5 +397,4 @@ def test_few_long_contacts_connect_a_skin(seed):
     course = np.sin(np.linspace(0, np.pi, 100))
     readings = np.concatenate([course[:, None] * press for press in depth])
     readings = readings[:, depth.any(axis=0)]
-    found = significant_components(blended_correlation(readings), sampling_variance(readings))
-    assert not found.any()
+    assert not grouped(readings).related.any()

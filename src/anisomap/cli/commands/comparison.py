@@ -161,8 +161,8 @@ def compare(
     Parameters
     ----------
     method
-        Method to compare; may be repeated. Default: the default method, contact-fit, the paper's
-        four, and the stock methods isomap-on-r, umap-on-r (extra 'umap'), tsne-on-r, pca-on-r and
+        Method to compare; may be repeated. Default: the default method, the paper's four,
+        and the stock methods isomap-on-r, umap-on-r (extra 'umap'), tsne-on-r, pca-on-r and
         laplacian-on-r.
     dimensions
         Number of coordinates; may be repeated. Default: as many as the true positions span.

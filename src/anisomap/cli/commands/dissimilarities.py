@@ -125,7 +125,7 @@ def map_objects(
         target = None
         if dimensions == AUTO:
             target = scale(values, dimensions=2, weights=shares, options=options)[1]
-        plan = replace(plan_dimensions(dimensions, target, shares), objects=True)
+        plan = plan_dimensions(dimensions, target, shares)
         if dimensions == AUTO:  # n objects span n - 1 dimensions
             plan = replace(plan, dimensions=min(plan.dimensions, len(kept) - 1))
         k = plan.dimensions
@@ -145,8 +145,9 @@ def map_objects(
         method=name,
         stress=scaling.stress,
         n_iterations=len(scaling.trace) - 1,
-        notes=plan.note,
-        provenance=plan.provenance | {"source": source, "precomputed": "dissimilarity"},
+        notes=plan.notes(objects=True),
+        provenance=plan.facts(objects=True) | {"source": source},
+        kind="object",
     )
     fit = Fit(
         shepard(values, scaling.positions),

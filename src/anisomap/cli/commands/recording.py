@@ -128,8 +128,6 @@ class TuningOptions:
         Bins per sensor for entropies.
     n_neighbours
         Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
-    even_spacing
-        Declare that neighbouring sensors are evenly spaced; recorded as a note on the map.
     tolerance
         Stop scaling when an iteration lowers the stress by less than this share.
     max_iterations
@@ -139,7 +137,6 @@ class TuningOptions:
     regularisation: float = DEFAULT_MU
     entropy_bins: int = DEFAULT_BINS
     n_neighbours: int | None = None
-    even_spacing: bool = False
     tolerance: float = TOLERANCE
     max_iterations: int = MAX_ITERATIONS
 
@@ -151,7 +148,6 @@ class TuningOptions:
             regularisation=self.regularisation,
             entropy_bins=self.entropy_bins,
             n_neighbours=self.n_neighbours,
-            even_spacing=self.even_spacing,
             smacof=SmacofOptions(self.tolerance, self.max_iterations),
         )
 
@@ -236,7 +232,7 @@ def map_recording(
     from anisomap import route
     from anisomap.cli import outputs
     from anisomap.cli.commands import dissimilarities as objects
-    from anisomap.method.named import METHODS, check_even_spacing, find_method
+    from anisomap.method.named import METHODS, find_method
 
     if min_quality and not verdict:
         raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
@@ -261,7 +257,6 @@ def map_recording(
     if table is None:
         # Unknown methods and options are refused before the recording is read.
         find_method(by)
-        check_even_spacing(by, chosen, readings=True)
     reference = None if truth is None else outputs.read_reference(truth)
     scored = outputs.Truth(PERMUTATIONS if permutations is None else permutations, seed, reference)
     if table is not None:
@@ -292,7 +287,7 @@ def map_recording(
     )
     remaining = [one for one in mended if not one.mendable] if repair else None
     examined = route.examine(runs, remaining, progress=progress)
-    outputs.doubt_orientation(examined.summary, judged=verdict and bool(METHODS[by].refinements))
+    outputs.doubt_orientation(examined.summary, judged=verdict and METHODS[by].refine is not None)
     names = examined.recording.names
     left_out = route.split_names(exclude, names)
     dropped = route.split_names(drop, names, examined.recording.metadata)

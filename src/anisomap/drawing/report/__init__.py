@@ -23,7 +23,7 @@ from anisomap.files.paths import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth, TouchCoverage
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
-from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty, steps_of
+from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty
 
 TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}
 
@@ -107,8 +107,6 @@ def _method_sentences(sensor_map: SensorMap) -> list[str]:
         told.append(f"{sensor_map.method}: {METHODS[sensor_map.method].summary}")
     if sensor_map.similarity in SIMILARITIES:
         told.append(f"similarity of readings: {SIMILARITIES[sensor_map.similarity].summary}")
-    if steps := steps_of(sensor_map):
-        told.append(f"steps, with the share of the map that each gave: {join_items(steps)}")
     return [f"{text[:1].upper()}{text[1:]}." for text in told]
 
 

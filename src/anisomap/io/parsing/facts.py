@@ -14,7 +14,7 @@ import numpy as np
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.source import quote
 from anisomap.recording import Scalar
-from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
+from anisomap.sensor_map import DEFAULT_FRAME, DEFAULT_KIND, SensorMap
 from anisomap.usability import ACCURACY, UNKNOWN, Verdict
 
 
@@ -121,8 +121,8 @@ def _parse_value(text: str) -> Scalar:
     return value if isinstance(value, (str, int, float, bool)) else text
 
 
-_FLAGS = ("uneven", "mirrored", "handed", "anchored")
-_FIELDS = (*_FLAGS, "frame")
+_FLAGS = ("distorted", "mirrored", "handed", "anchored")
+_FIELDS = (*_FLAGS, "frame", "kind")
 
 _ESCAPE = "~"
 """Precedes a key of the provenance that is also the name of a field."""
@@ -133,6 +133,8 @@ def properties_of(sensor_map: SensorMap) -> dict[str, Any]:
     flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
     if sensor_map.frame != DEFAULT_FRAME:
         flags["frame"] = sensor_map.frame
+    if sensor_map.kind != DEFAULT_KIND:
+        flags["kind"] = sensor_map.kind
     provenance = {
         f"{_ESCAPE}{key}" if key.lstrip(_ESCAPE) in _FIELDS else key: to_python_scalar(value)
         for key, value in sensor_map.provenance.items()
@@ -159,6 +161,8 @@ def read_properties(stored: Mapping[str, Any]) -> dict[str, Any]:
     }
     if "frame" in provenance:
         facts["frame"] = str(provenance["frame"])
+    if "kind" in provenance:
+        facts["kind"] = str(provenance["kind"])
     if "precomputed" not in provenance:
         facts["similarity"] = str(provenance.get("similarity", ""))
     iterations = provenance.get("iterations")

@@ -106,11 +106,15 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
 
     Notes
     -----
-    ``M = A^(-1/2) (1 + 5 s^2 / A^2)`` with ``A = (S (Q + S / 10))^(1/2)``, regularised by its
-    smallest positive element. Q are the partial correlations of ``S + I`` (a ridge), which are
+    ``M = A^(-1/2) (1 + 5 w s^2 / A^2)`` with ``A = (S (w Q + (1.1 - w) S))^(1/2)``, regularised by
+    its smallest positive element. Q are the partial correlations of ``S + I`` (a ridge), which are
     high only between neighbours. The second factor lengthens pairs with correlations within the
     noise, so that shortest paths do not prefer coincidental correlations. Each variance is at
     least the median variance, since those of rarely touched sensors are underestimated.
+
+    Partial correlations add the noise of all correlations up, and noise alone leaves no link
+    that is surely direct. Both therefore have the weight ``w = 1 - (1 - p)^2``, where p is the
+    share of the variance of the correlations that is not sampling noise.
     """
     values = as_symmetric(similarity, "similarity")
     variance = as_symmetric(noise, "noise")
@@ -118,24 +122,39 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
         raise InputError(
             f"the noise has shape {variance.shape}; it must be {values.shape}, as the similarity"
         )
+    least = typical_variance(variance)
+    weight = 1 - (1 - _reliability(values, least)) ** 2
     direct = partial_correlation(values)
     np.fill_diagonal(values, 0)
     values[values < NUMERICAL_ZERO] = 0
     smallest = np.inf
     for rows in row_blocks(len(values)):
-        mixed = np.maximum(direct[rows], 0) + _INDIRECT_SHARE * values[rows]
+        mixed = weight * np.maximum(direct[rows], 0)
+        mixed += (1 - weight + _INDIRECT_SHARE) * values[rows]
         direct[rows] = np.sqrt(values[rows] * mixed)
         smallest = min(smallest, direct[rows].min(where=direct[rows] > 0, initial=np.inf))
     if not np.isfinite(smallest):
         return np.where(np.eye(len(values), dtype=bool), 0.0, np.inf)
-    least = typical_variance(variance)
     dissimilarity = values
     for rows in row_blocks(len(values)):
         regularised = direct[rows] + smallest
-        stretch = 1 + _NOISE_FACTOR * np.maximum(variance[rows], least) / regularised**2
+        stretch = 1 + weight * _NOISE_FACTOR * np.maximum(variance[rows], least) / regularised**2
         dissimilarity[rows] = stretch / np.sqrt(regularised)
     np.fill_diagonal(dissimilarity, 0)
     return dissimilarity
+
+
+def _reliability(similarity: Reals, noise: float) -> float:
+    """Return the share of the variance of similarities over pairs that is not sampling noise."""
+    n_sensors = len(similarity)
+    n_pairs = n_sensors * (n_sensors - 1)
+    if n_pairs == 0:
+        return 1.0
+    diagonal = np.diag(similarity).astype(np.float64)
+    mean = (similarity.sum(dtype=np.float64) - diagonal.sum()) / n_pairs
+    squares = float(np.vdot(similarity, similarity)) - float(diagonal @ diagonal)
+    spread = squares / n_pairs - mean**2
+    return float(np.clip(1 - noise / spread, 0, 1)) if spread > 0 else 0.0
 
 
 def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -191,11 +192,14 @@ def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[n
 
 
 _MIN_BRIDGE = 1.2
-"""Minimum strength of a link between components, relative to the strongest unrelated link.
+"""Minimum strength of a link between groups, relative to the strongest unrelated link.
 
 On skins of 500 frames and more, the weakest link that was needed was at least 1.22 times as
 strong; the strongest between skins touched independently mostly .8 to 1.2 times.
 """
+
+_MISSED = 1.645  # standard deviations; a link that is stronger by them is missed in 5 % of cases
+_WEAK_LINKS = 0.1  # share of the links of a group that may be weaker than what is expected of it
 
 _MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
 _MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unrelated one; by hand
@@ -214,20 +218,12 @@ contacts then cover so much of the skin that a few steps connect any two sensors
 
 
 def remove_insignificant_links(
-    dissimilarity: Reals,
-    similarity: ArrayLike,
-    variance: ArrayLike,
-    *,
-    split_unrelated: bool = True,
+    dissimilarity: Reals, similarity: ArrayLike, variance: ArrayLike, component: NDArray[np.intp]
 ) -> Reals:
     """Make dissimilarities infinite between components and along insignificant links.
 
-    dissimilarity (N, N), similarity (N, N), variance (N, N) -> (N, N).
+    dissimilarity (N, N), similarity (N, N), variance (N, N), component (N,) -> (N, N).
     """
-    n_sensors = len(dissimilarity)
-    component = np.zeros(n_sensors, dtype=np.intp)
-    if split_unrelated:
-        component = significant_components(similarity, variance)
     if component.any():
         dissimilarity[np.not_equal.outer(component, component)] = np.inf
     correlation, noise = np.asarray(similarity), np.asarray(variance)
@@ -239,28 +235,71 @@ def remove_insignificant_links(
     return dissimilarity
 
 
-def significant_components(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.intp]:
-    """Label the components connected by statistically significant links.
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Groups of N sensors; arrays of labels of shape (N,), 0 is the largest.
 
-    similarity (N, N), variance (N, N) -> (N,).
+    linked: Sensors that statistically significant links connect.
+    related: Unions of such groups that are not shown to be unrelated.
+    """
 
-    Components grow along the strongest links, as in single linkage. The strength of a link is
+    linked: NDArray[np.intp]
+    related: NDArray[np.intp]
+
+    @property
+    def hidden(self) -> NDArray[np.intp]:
+        """Sensors whose links to most others of their `related` group are hidden by noise."""
+        found = np.zeros(len(self.linked), dtype=bool)
+        for label in range(self.related.max(initial=-1) + 1):
+            inside = np.flatnonzero(self.related == label)
+            main = np.bincount(self.linked[inside]).argmax()
+            found[inside] = self.linked[inside] != main
+        return np.flatnonzero(found)
+
+
+def group_sensors(similarity: ArrayLike, variance: ArrayLike) -> Groups:
+    """Group sensors by statistically significant links, and by what these show.
+
+    similarity (N, N), variance (N, N).
+
+    Groups grow along the strongest links, as in single linkage. The strength of a link is
     ``artanh r`` (Fisher 1921, Metron 1: 3-32) in standard deviations of unrelated sensors. The
-    strongest of m independent links between these is about ``sqrt(2 log m)``, and a component of n
+    strongest of m independent links between these is about ``sqrt(2 log m)``, and a group of n
     sensors has m = n (N - n) links to the others. Links are significant from 1.2 times this on.
+
+    Two groups without a significant link between them are shown to be unrelated if one as strong as
+    nine in ten of those that hold either group together would have been found, with a probability
+    of 95 %. Where noise hides links, they are not. A single sensor is held to the strength of the
+    largest group.
     """
     links = standardised_correlation(similarity, variance, by_z=True)
     n_sensors = len(links)
     if n_sensors < 2:
-        return np.zeros(n_sensors, dtype=np.intp)
-    component, sizes = np.arange(n_sensors), np.ones(n_sensors, dtype=np.intp)
+        return Groups(*np.zeros((2, n_sensors), dtype=np.intp))
+    group, sizes = np.arange(n_sensors), np.ones(n_sensors, dtype=np.intp)
+    held: list[list[float]] = [[] for _ in range(n_sensors)]
     for i, j in _strongest_first(links):
-        one, other = component[i], component[j]
-        smaller = int(min(sizes[one], sizes[other]))
-        if links[i, j] >= _MIN_BRIDGE * _expected_maximum(smaller * (n_sensors - smaller)):
-            component[component == other] = one
+        one, other = group[i], group[j]
+        if links[i, j] >= _least_bridge(int(min(sizes[one], sizes[other])), n_sensors):
+            group[group == other] = one
             sizes[one] += sizes[other]
-    return labels_by_size(component)
+            held[one] += [*held[other], float(links[i, j])]
+    linked = labels_by_size(group)
+    if not linked.any():
+        return Groups(linked, linked)
+    first = np.unique(linked, return_index=True)[1]
+    sizes = sizes[group[first]]
+    weakest = [np.quantile(held[g], _WEAK_LINKS) if held[g] else 0.0 for g in group[first]]
+    strength = np.where(sizes > 1, weakest, weakest[0])
+    least = np.array([_least_bridge(size, n_sensors) for size in sizes.tolist()])
+    shown = np.minimum.outer(strength, strength) >= np.minimum.outer(least, least) + _MISSED
+    joined = connected_components(~shown, directed=False)[1]
+    return Groups(linked, labels_by_size(joined[linked]))
+
+
+def _least_bridge(size: int, n_sensors: int) -> float:
+    """Return the strength from which links between a group and the others are significant."""
+    return _MIN_BRIDGE * _expected_maximum(size * (n_sensors - size))
 
 
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:

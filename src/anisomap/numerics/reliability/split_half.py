@@ -11,10 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import squareform
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.similarity.correlation import moments, scale_extremes
-from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
+from anisomap.numerics.similarity.correlation import (
+    moments,
+    resampled_correlation,
+    scale_extremes,
+)
+from anisomap.numerics.similarity.rest import Rest, ranks_of_depths
 
 N_BLOCKS = 20
 """Number of blocks of consecutive frames that form the two halves; chosen by hand."""
@@ -111,14 +115,30 @@ class Blend:
 
     similarity, variance (N, N): See `blended_correlation`; variance for unrelated sensors.
     weight: Weight of Pearson's r, in [0, 1].
-    ranks (T, N): Ranks of depths beyond rest.
+    readings, ranks (T, N): Ranks are of depths beyond rest.
     """
 
     similarity: Reals
     variance: Reals
     weight: float
-    rest: Rest
+    readings: NDArray[Any]
     ranks: Reals
+
+    @classmethod
+    def of(cls, readings: ArrayLike, rest: Rest | None = None, *, centred: bool = False) -> Blend:
+        """Blend the correlations of readings, (T, N), whose rest may be known.
+
+        centred: Whether a common signal was subtracted, after which sensors do not rest alike.
+        The variance is ``(w sd(r) + (1 - w) sd(rho))^2``: the errors of r and rho are nearly
+        proportional.
+        """
+        values = np.asarray(readings)
+        ranks = ranks_of_depths(values, rest, single=True, alike=not centred)
+        both = (correlation_and_reliability(one) for one in (values, ranks))
+        similarity, weight = _blended(*both)
+        deviation = weight * np.sqrt(sampling_variance(values))
+        deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
+        return cls(similarity, np.square(deviation, out=deviation), weight, values, ranks)
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
         """Return the blend of some of the sensors, given as a mask of shape (N,)."""
@@ -127,24 +147,18 @@ class Blend:
             self,
             similarity=self.similarity[inside],
             variance=self.variance[inside],
-            rest=self.rest.select(sensors),
+            readings=self.readings[:, sensors],
             ranks=self.ranks[:, sensors],
         )
 
-
-def blend(readings: ArrayLike, rest: Rest | None = None) -> Blend:
-    """Compute `blended_correlation` and its sampling variance, with what they are computed from.
-
-    readings (T, N). The variance is ``(w sd(r) + (1 - w) sd(rho))^2``: the errors of r and rho are
-    nearly proportional.
-    """
-    values = np.asarray(readings)
-    rest = estimate_rest(values) if rest is None else rest
-    ranks = ranks_of_depths(values, rest, single=True)
-    similarity, weight = _blended(*(correlation_and_reliability(one) for one in (values, ranks)))
-    deviation = weight * np.sqrt(sampling_variance(values))
-    deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
-    return Blend(similarity, np.square(deviation, out=deviation), weight, rest, ranks)
+    def resampled(self, edges: NDArray[np.intp], weights: Floats) -> NDArray[np.floating]:
+        """Return the correlations over weighted blocks of frames. weights (R, B) -> (R, N, N)."""
+        found = resampled_correlation(self.readings, edges, weights)
+        found *= self.weight
+        rho = resampled_correlation(self.ranks, edges, weights)
+        rho *= 1 - self.weight
+        found += rho
+        return found
 
 
 def _blended(linear: tuple[Reals, float], by_rank: tuple[Reals, float]) -> tuple[Reals, float]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,19 +30,29 @@ class Rest:
     """Rest of each of N sensors, in units of the readings; arrays of shape (N,).
 
     value: Most frequent reading; the median of continuous readings.
-    side: 1 where contact raises the reading, -1 where it lowers it.
-    threshold: Largest deviation from rest that is attributed to noise.
+    lean: 1 where the mean reading is above rest, -1 where it is below.
+    noise: Largest deviation from rest to the other side.
     known: Whether there is a rest: see `estimate_rest`.
     """
 
     value: Floats
-    side: Floats
-    threshold: Floats
+    lean: Floats
+    noise: Floats
     known: NDArray[np.bool_]
+
+    @cached_property
+    def side(self) -> Floats:
+        """1 where contact raises the reading, -1 where it lowers it, shape (N,)."""
+        return np.where(self.known, self.lean, 1.0)
+
+    @cached_property
+    def threshold(self) -> Floats:
+        """Largest deviation from rest that is attributed to noise, shape (N,)."""
+        return np.where(self.known, self.noise, 0.0)
 
     def select(self, sensors: NDArray[Any]) -> Rest:
         """Return the rest of some sensors, given as a mask or as indices."""
-        chosen = (self.value, self.side, self.threshold, self.known)
+        chosen = (self.value, self.lean, self.noise, self.known)
         return Rest(*(one[sensors] for one in chosen))
 
     def depth(self, readings: ArrayLike) -> Floats:
@@ -149,8 +160,8 @@ def find_levels(readings: NDArray[Any]) -> Levels:
             found.append(_of_ordered(rows))
         else:
             found.append(_of_many(rows, np.sort(rows[:, frames], axis=1)))
-    value, side, threshold, known, frequent, distinct = np.concatenate(found, axis=1)
-    rest = Rest(value=value, side=side, threshold=threshold, known=known > 0)
+    value, lean, noise, known, frequent, distinct = np.concatenate(found, axis=1)
+    rest = Rest(value=value, lean=lean, noise=noise, known=known > 0)
     return Levels(rest, frequent > 0, distinct.astype(np.intp))
 
 
@@ -223,8 +234,7 @@ def _of_deviations(value: Floats, total: Floats, downwards: Floats, upwards: Flo
     falls = total < 0
     noise, contact = np.where(falls, (upwards, downwards), (downwards, upwards))
     known = contact >= _MIN_CONTACT_RATIO * noise
-    side = np.where(falls & known, -1.0, 1.0)
-    return np.stack([value, side, np.where(known, noise, 0), known])
+    return np.stack([value, np.where(falls, -1.0, 1.0), noise, known])
 
 
 def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> Floats:
@@ -293,11 +303,16 @@ def _least_frequent(n_frames: int) -> float:
 
 
 def ranks_of_depths(
-    readings: ArrayLike, rest: Rest | None = None, *, single: bool = False
+    readings: ArrayLike, rest: Rest | None = None, *, single: bool = False, alike: bool = True
 ) -> NDArray[Any]:
     """Rank the readings of each sensor by their depth beyond rest; all at rest share a rank.
 
     readings (T, N) -> (T, N), of float32 if `single` and the frames are few enough.
+
+    If `alike`, a rest counts for all sensors if most have one, and for none otherwise: near the
+    noise at which rest is no longer recognised, ranks of some sensors would be of deep contacts
+    alone, and those of others of noise, too, and the map would show that difference. The ranks
+    increase with the reading, so that they have the sign of Pearson's r.
     """
     values = np.asarray(readings)
     rest = estimate_rest(values) if rest is None else rest
@@ -305,13 +320,18 @@ def ranks_of_depths(
     ranks = np.empty(values.shape[::-1], dtype)
     if values.dtype.char not in "fd":
         values = values.astype(np.float64)
+    if alike and 2 * np.count_nonzero(rest.known) < rest.known.size:
+        for row, column in zip(ranks, columns(values), strict=True):
+            row[:] = mean_ranks(column)
+        return ranks.T
+    if alike:
+        rest = replace(rest, known=np.ones_like(rest.known))
     own = zip(ranks, columns(values), rest.bounds(values.dtype), rest.side > 0, strict=True)
     for row, column, bound, raises in own:
         active = np.flatnonzero(column >= bound if raises else column <= bound)
         n_resting = column.size - active.size
-        row.fill((n_resting + 1) / 2)
-        found = mean_ranks(column[active])
-        row[active] = n_resting + (found if raises else active.size + 1 - found)
+        row.fill((n_resting + 1) / 2 + (0 if raises else active.size))
+        row[active] = (n_resting if raises else 0) + mean_ranks(column[active])
     return ranks.T
 
 
@@ -320,8 +340,8 @@ def rest_from_counts(
 ) -> Rest:
     """Estimate the rest of each sensor from the counts of its values."""
     found = [_rest_of(values.astype(np.float64), counts) for values, counts in values_and_counts]
-    value, side, threshold, known = np.array(found).T
-    return Rest(value=value, side=side, threshold=threshold, known=known > 0)
+    value, lean, noise, known = np.array(found).T
+    return Rest(value=value, lean=lean, noise=noise, known=known > 0)
 
 
 def quantile_from_counts(values: Floats, counts: NDArray[np.integer[Any]], level: float) -> float:
@@ -340,7 +360,7 @@ def quantile_from_counts(values: Floats, counts: NDArray[np.integer[Any]], level
 
 
 def _rest_of(values: Floats, counts: NDArray[np.integer[Any]]) -> tuple[float, float, float, bool]:
-    """Return the rest value, the side of contact, the threshold, and whether there is a rest."""
+    """Return the rest value, the side of the mean, the noise, and whether there is a rest."""
     n_frames = int(counts.sum())
     rests = counts.max() >= _least_frequent(n_frames)
     value = values[counts.argmax()] if rests else quantile_from_counts(values, counts, 0.5)
@@ -349,6 +369,4 @@ def _rest_of(values: Floats, counts: NDArray[np.integer[Any]]) -> tuple[float, f
     quiet, touched = beyond <= 0, beyond >= 0
     noise = quantile_from_counts(-beyond[quiet], counts[quiet], _NOISE_QUANTILE)
     contact = quantile_from_counts(beyond[touched], counts[touched], _NOISE_QUANTILE)
-    if not rests and contact < _MIN_CONTACT_RATIO * noise:
-        return float(value), 1.0, 0.0, False
-    return float(value), side, noise, True
+    return float(value), side, noise, rests or contact >= _MIN_CONTACT_RATIO * noise

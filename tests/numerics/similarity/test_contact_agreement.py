@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from sklearn.metrics import cohen_kappa_score
 
-from anisomap.numerics.contacts.contact_agreement import (
+from anisomap.numerics.similarity.contact_agreement import (
     MIN_CONTACTS,
     contact_agreement,
     distinct_contacts,

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.graph.neighbour_graphs import neighbour_graph
 from anisomap.numerics.precision import Floats, Reals, mirror
 from anisomap.numerics.similarity.correlation import pearson
 
@@ -46,9 +47,10 @@ def _contacts_and_frames(
     values: NDArray[np.generic],
 ) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """Return distinct contacts, and the first frame of each."""
-    active = values > values.min(axis=0)
-    if 2 * np.count_nonzero(active) > active.size:
-        active = values < values.max(axis=0)
+    # All sensors rest while nothing touches the skin. Only without such frames does the majority
+    # decide: contacts may cover most of the skin.
+    sides = values > values.min(axis=0), values < values.max(axis=0)
+    active = max(sides, key=lambda on: (np.count_nonzero(~on.any(axis=1)), -np.count_nonzero(on)))
     frames = np.flatnonzero(np.count_nonzero(active, axis=1) > 1)
     together = active[frames]
     if not len(together):
@@ -67,7 +69,12 @@ def shows_single_contacts(readings: ArrayLike) -> bool:
     contacts = distinct_contacts(readings)
     if len(contacts) < MIN_CONTACTS:
         return False
-    linked = neighbour_graph(pearson(contacts.astype(np.float32)), _N_NEIGHBOURS)
+    correlation = pearson(contacts.astype(np.float32))
+    np.fill_diagonal(correlation, -np.inf)
+    nearest = np.argsort(-correlation, axis=1, kind="stable")[:, :_N_NEIGHBOURS]
+    linked = np.zeros(correlation.shape, dtype=bool)
+    np.put_along_axis(linked, nearest, values=True, axis=1)
+    linked |= linked.T
     sampled = contacts[np.linspace(0, len(contacts) - 1, _SAMPLED_CONTACTS).astype(int)]
     return float(_is_connected(sampled, linked).mean()) >= MIN_SINGLE
 
@@ -82,6 +89,48 @@ def _is_connected(active: NDArray[np.bool_], linked: NDArray[np.bool_]) -> NDArr
         if np.array_equal(grown, reached):
             return np.asarray((reached == active).all(axis=1))
         reached = grown
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Distinct contacts of N sensors, and the first frame of each.
+
+    active (C, N), frames (C,)
+    """
+
+    active: NDArray[np.bool_]
+    frames: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, readings: ArrayLike) -> Contacts:
+        """Find the distinct contacts of readings, (T, N)."""
+        return cls(*_contacts_and_frames(np.asarray(readings)))
+
+    def select(self, sensors: NDArray[np.bool_]) -> Contacts:
+        """Return the contacts of some sensors, given as a mask of shape (N,)."""
+        return Contacts(self.active[:, sensors], self.frames)
+
+    def agreement(self) -> Reals:
+        """Return `contact_agreement` of every pair of sensors, (N, N)."""
+        whole = np.array([0, self.frames.max(initial=0) + 1])
+        return np.asarray(self.resampled(whole, np.ones((1, 1)))[0])
+
+    def resampled(self, edges: NDArray[np.intp], weights: Floats) -> Floats:
+        """Return the agreement over weighted blocks of frames. weights (R, B) -> (R, N, N)."""
+        block = np.searchsorted(edges, self.frames, side="right") - 1
+        n_sensors = self.active.shape[1]
+        together, total = np.zeros((len(weights), n_sensors, n_sensors)), np.zeros(len(weights))
+        for i in np.unique(block):
+            inside = self.active[block == i]
+            for begin in range(0, len(inside), _CONTACTS_AT_ONCE):
+                products, weight = _weighted_products(inside[begin : begin + _CONTACTS_AT_ONCE])
+                total += weights[:, i] * weight
+                together += weights[:, i, None, None] * products
+        found = np.empty_like(together)
+        for i, sums in enumerate(together):
+            mirror(sums)
+            found[i] = _agreement(sums, float(total[i]))
+        return found
 
 
 def contact_agreement(readings: ArrayLike) -> Reals:
@@ -110,74 +159,27 @@ def contact_agreement(readings: ArrayLike) -> Reals:
     however long it lasts; a contact of m sensors has weight 1 / m; and frames with a single active
     sensor, which are evidence of no pair, do not count.
     """
-    return _agreement(*weighted_contacts(readings))
-
-
-def weighted_contacts(readings: ArrayLike) -> tuple[Floats, float]:
-    """Sum the weights of the distinct contacts in which both sensors of each pair are active.
-
-    readings (T, N) -> together (N, N), total.
-    """
-    contacts = distinct_contacts(readings)
-    n_sensors = contacts.shape[1]
-    together = np.zeros((n_sensors, n_sensors))
-    total = 0.0
-    for begin in range(0, len(contacts), _CONTACTS_AT_ONCE):
-        products, weight = _weighted_products(contacts[begin : begin + _CONTACTS_AT_ONCE])
-        together += products
-        total += weight
-    mirror(together)
-    return together, total
+    return Contacts.of(readings).agreement()
 
 
 def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[Floats, float]:
     """Sum the weights of contacts with both sensors of each pair, and of all. contacts (C, N)."""
-    scaled = contacts.astype(np.float64)
-    weights = 1 / scaled.sum(axis=1)
-    scaled *= np.sqrt(weights)[:, None]
-    return scaled.T @ scaled, float(weights.sum())
+    active = contacts.astype(np.float64)
+    size = active.sum(axis=1)
+    weights = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    active *= np.sqrt(weights)[:, None]
+    return active.T @ active, float(weights.sum())
 
 
 def _agreement(together: Floats, total: float) -> Reals:
-    """Compute the agreement from the sums of `weighted_contacts`."""
-    active = np.broadcast_to(np.diag(together)[:, None], together.shape)
-    return agreement_of_sums(together, active, np.broadcast_to(total, together.shape))
-
-
-def agreement_of_sums(together: Floats, active: Floats, total: Floats) -> Reals:
-    """Compute the agreement of every pair from sums over contacts; see `contact_agreement`.
-
-    together (N, N), active (N, N), total (N, N) -> (N, N).
-    """
-    weight = np.maximum(total, np.finfo(np.float64).tiny)
-    first, second = active / weight, active.T / weight
-    by_chance = first * second
-    disagreement = first + second - 2 * by_chance
-    agreement = 2 * (together / weight - by_chance)
+    """Compute the agreement of every pair from sums of weights of contacts. together (N, N)."""
+    together = together / max(total, np.finfo(np.float64).tiny)
+    active = np.diag(together)
+    by_chance = np.outer(active, active)
+    disagreement = np.add.outer(active, active) - 2 * by_chance
+    agreement = 2 * (together - by_chance)
     np.divide(agreement, disagreement, out=agreement, where=disagreement > 0)
     agreement[disagreement <= 0] = 0.0
     np.clip(agreement, -1, 1, out=agreement)
     np.fill_diagonal(agreement, 1.0)
     return agreement
-
-
-def resampled_contact_agreement(
-    readings: ArrayLike, edges: NDArray[np.intp], weights: Floats
-) -> Floats:
-    """Compute `contact_agreement` of weighted blocks of frames.
-
-    readings (T, N), weights (R, B) -> (R, N, N).
-    """
-    contacts, frames = _contacts_and_frames(np.asarray(readings))
-    block = np.searchsorted(edges, frames, side="right") - 1
-    n_sensors = contacts.shape[1]
-    together, total = np.zeros((len(weights), n_sensors, n_sensors)), np.zeros(len(weights))
-    for i in np.unique(block):
-        products, weight = _weighted_products(contacts[block == i])
-        total += weights[:, i] * weight
-        together += weights[:, i, None, None] * products
-    found = np.empty_like(together)
-    for i, sums in enumerate(together):
-        mirror(sums)
-        found[i] = _agreement(sums, float(total[i]))
-    return found

@@ -1,0 +1,122 @@
+"""The refinement of a map: the covariogram's map, averaged with one of path lengths.
+
+The covariogram's map assumes that one function of distance explains all correlations. Where it
+leaves some of them unexplained, path lengths have a share in the map.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import pdist, squareform
+
+from anisomap.method.evidence import Evidence
+from anisomap.method.options import MethodOptions
+from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
+from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
+from anisomap.numerics.similarity.correlation import pearson
+
+logger = logging.getLogger(__name__)
+
+MIN_SENSORS = 8
+"""Sensors of a refined map: fewer have hardly more pairs than coordinates."""
+
+DIFFERENT = 0.04
+"""Share of the variance of the correlations that distances on a map leave unexplained, from which
+contacts differ from place to place: at least .045 where they did, and at most .02 elsewhere.
+"""
+
+_PATHS_UNEXPLAINED = 0.05
+"""Unexplained share that the errors of path lengths themselves, from noise and bends, amount to;
+.02 to .1 give about equal maps (``python -m benchmarks.accuracy.steps``).
+"""
+
+_NEAR_MINIMUM = SmacofOptions(tolerance=1e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A refined map of n sensors.
+
+    positions (n, k): In the unit of the covariogram.
+    fit: The covariogram and its positions.
+    unexplained: Share of the variance of the correlations that `fit` does not explain.
+    path_weight: Weight of path lengths in the positions, in [0, 1].
+    """
+
+    positions: Reals
+    fit: Covariogram
+    unexplained: float
+    path_weight: float
+
+    @property
+    def distorted(self) -> bool:
+        """Whether contacts differ from place to place, which distorts lengths alike in all maps."""
+        return self.unexplained > DIFFERENT
+
+
+def refine(
+    evidence: Evidence,
+    metric: Reals,
+    positions: Reals,
+    options: MethodOptions,
+    near: Covariogram | None = None,
+) -> Refinement | None:
+    """Refine positions, (n, k), by all correlations; None if there are too few sensors.
+
+    metric (n, n). near: A fit to nearly the same evidence, from which the search starts.
+    """
+    if len(positions) < MIN_SENSORS:
+        return None
+    fit = fit_covariogram(
+        evidence.similarity,
+        positions,
+        metric,
+        noise=evidence.noise,
+        known=evidence.known,
+        options=options.covariogram,
+        near=near,
+    )
+    logger.debug("covariogram with exponent %.2f, %d steps", fit.exponent, fit.iterations)
+    share = evidence.unexplained(fit.positions)
+    if share <= 0:
+        return Refinement(fit.positions, fit, share, 0.0)
+    proposed = _by_paths(evidence, fit.positions)
+    # The variance of each map is taken to be proportional to the share that it leaves unexplained,
+    # to which paths add their own; a mean weighted by precisions has the smallest variance.
+    precision = share / (max(share, evidence.unexplained(proposed)) + _PATHS_UNEXPLAINED)
+    weight = precision / (1 + precision)
+    mean = (1 - weight) * fit.positions + weight * proposed
+    return Refinement(mean, fit, share, weight)
+
+
+def _by_paths(evidence: Evidence, positions: Reals) -> Reals:
+    """Scale path lengths from near a map, in its frame. positions (n, k) -> (n, k).
+
+    The covariogram compresses regions of wide contacts. Paths follow bends, but assume nothing
+    about distant regions.
+    """
+    paths = _normalised_paths(evidence.similarity)
+    if evidence.readings is not None:
+        paths = (paths + _normalised_paths(pearson(evidence.ranks))) / 2
+    dimensions = positions.shape[1]
+    distances = squareform(pdist(positions))
+    lengths = distances.sum() / (len(paths) * (len(paths) - 1)) * paths
+    # Started from the scaling of the mean of both, which folds neither.
+    given = scaled = np.asarray(positions, dtype=np.float64)
+    for target in ((distances + lengths) / 2, lengths):
+        found = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR_MINIMUM)
+        scaled = found.positions
+    return fit_similarity(scaled, given).apply(scaled)
+
+
+def _normalised_paths(similarity: Reals) -> Reals:
+    """Return path lengths with a mean of 1, shape (n, n)."""
+    lengths = local_path_lengths(similarity)
+    n_sensors = len(lengths)
+    return np.asarray(lengths * (n_sensors * (n_sensors - 1) / lengths.sum()))

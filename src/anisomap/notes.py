@@ -1,0 +1,158 @@
+"""What is said of a map: notes are kinds with values, and are worded here alone.
+
+Decisions test the kind of a note, never its text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from anisomap.base.wording import join_items, noun_and_items
+
+
+class Note(str):
+    """A caveat, which is the sentence that says it.
+
+    Parameters
+    ----------
+    kind : str
+        A key of `WORDINGS`.
+    **values
+        What the wording of this kind states.
+    """
+
+    kind: str
+    values: Mapping[str, Any]
+
+    def __new__(cls, kind: str, **values: Any) -> Note:
+        """Word a note."""
+        note = super().__new__(cls, WORDINGS[kind](**values))
+        note.kind, note.values = kind, MappingProxyType(values)
+        return note
+
+    def __reduce__(self) -> tuple[Callable[..., Note], tuple[str, dict[str, Any]]]:
+        """Pickle the kind and the values."""
+        return _note, (self.kind, dict(self.values))
+
+
+def _note(kind: str, values: Mapping[str, Any]) -> Note:
+    return Note(kind, **values)
+
+
+def kind_of(note: str) -> str:
+    """Return the kind of a note; empty for one that was read from a file."""
+    return note.kind if isinstance(note, Note) else ""
+
+
+def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
+    mostly = "most of the skin is not mapped: " if 2 * sizes[0] < sum(sizes) else ""
+    return (
+        f"{mostly}the sensors form {len(sizes)} separate components with unknown positions "
+        f"relative to one another; sizes: {join_items(sizes)}; outside the largest: "
+        f"{join_items(outside)}"
+    )
+
+
+def _hidden_links(sensors: Sequence[str], total: int) -> str:
+    are, their = ("is", "its") if len(sensors) == 1 else ("are", "their")
+    return (
+        f"noise hides how {len(sensors)} of {total} sensors {are} related to the others, so "
+        f"{their} positions are uncertain; record longer: {join_items(sensors)}"
+    )
+
+
+def _unknown_pairs(count: int, sensors: Sequence[str]) -> str:
+    return (
+        f"{count} pair{'s' * (count != 1)} of sensors were never recorded together; their "
+        f"distances follow from other pairs only: {noun_and_items('sensor', sensors)}"
+    )
+
+
+def _looks_flat(objects: bool = False) -> str:
+    if objects:
+        return "a third dimension explains no more than chance: 2 dimensions suffice (-d 2)"
+    return (
+        "this looks flat: a third dimension explains no more than chance; unless the skin is bent "
+        "like a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
+    )
+
+
+def _unclear_dimensions(objects: bool = False) -> str:
+    if objects:
+        return "the dissimilarities do not show the number of dimensions: choose it (-d 2)"
+    return (
+        "the readings do not show whether the skin is flat, so the map has 3 dimensions: for a "
+        "flat skin, choose 2 (-d 2)"
+    )
+
+
+def _line(objects: bool = False) -> str:
+    what = "objects" if objects else "sensors"
+    return f"the {what} appear to lie along a line: to map them along it, choose 1 dimension (-d 1)"
+
+
+def _two_dimensions(objects: bool = False) -> str:
+    bent = "; a skin that is bent like a sheet of paper is mapped as if rolled out"
+    return f"a third dimension explains no more than chance{'' if objects else bent}"
+
+
+def _three_dimensions(objects: bool = False) -> str:
+    what = "dissimilarities" if objects else "readings"
+    return f"two dimensions do not explain the {what}"
+
+
+WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
+    {
+        "components": _components,
+        "hidden-links": _hidden_links,
+        "unknown-pairs": _unknown_pairs,
+        "not-converged": lambda: "scaling stopped before it converged: allow more iterations",
+        "not-refined": lambda method: (
+            f"the positions are not refined: for this, {method} needs the similarity"
+        ),
+        "different-contacts": lambda share: (
+            f"contacts differ from place to place ({share:.0%} of the variance of the correlations "
+            "does not follow from distance), so lengths are less certain than neighbours"
+        ),
+        "looks-flat": _looks_flat,
+        "unclear-dimensions": _unclear_dimensions,
+        "line": _line,
+        "two-dimensions": _two_dimensions,
+        "three-dimensions": _three_dimensions,
+        "apart": lambda apart, placed: (
+            f"the positions of {apart} of {placed} sensors relative to the others are unknown: "
+            "touch the skin where they join"
+        ),
+        "unlinked": lambda count, total: (
+            f"{count} of {total} sensors have no correlation with the others that exceeds noise: "
+            "record longer"
+        ),
+        "chance": lambda size, much: (
+            f"maps of resampled recordings differ by {size:.2f} spacings"
+            + (": record longer, and touch all of the skin" if much else "")
+        ),
+        "second-map": lambda size, much: (
+            f"a second map, assuming even spacing, disagrees by {size:.2f} spacings"
+            + (": contacts may be elongated or differ in size from place to place" if much else "")
+        ),
+        "not-examined": lambda: "the map was not examined",
+        "other-readings": lambda: "a verdict needs the readings that the map was made from",
+        "no-verdict": lambda method, default: f"maps by {method} have no verdict: use {default}",
+        "no-common-sensors": lambda least: (
+            f"the recordings have fewer than {least} sensors in common: map one of them"
+        ),
+        "few-sensors": lambda count, least: (
+            f"only {count} sensor{'s are' if count != 1 else ' is'} related, and a verdict needs "
+            f"{least}: touch more of the skin"
+        ),
+        "many-sensors": lambda most: (
+            f"resampling more than {most:,} sensors takes too much memory: map parts of the skin"
+        ),
+        "few-frames": lambda count, least: (
+            f"the recording has {count} frames, and a verdict needs {least}: record longer"
+        ),
+    }
+)
+"""The sentence of each kind of note, from its values."""

@@ -1,1 +1,0 @@
-"""Refinement of maps by path lengths on a graph of neighbours."""
