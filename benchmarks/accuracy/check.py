@@ -1,88 +1,82 @@
-"""Power and false alarms of `anisomap.check_layout`, on recordings with seeded faults.
+"""How much recording `anisomap.check_layout` needs: real layouts of triangles with seeded faults.
 
-The layout of each recording is first checked as it is, and corrected by what was found, which is
-printed. Then faults of every kind are seeded at 1, 5 and 10 % of the sensors, one kind at a time,
-and the result is scored: faults found (more than half of their wrong sensors accused), faults
-placed (4 of 5 of their wrong sensors within half a spacing of the right places; 1.5 spacings for
-moved patches, which have no place of their own to be assigned to), and right sensors accused.
-Sensors that are not tested are neither.
-Everything is repeated with the first half of the frames. Faults are drawn from seeds that were not
-used for tuning (1 to 300 were).
+The layout of each recording is checked as it is, with all frames, and corrected by what was found,
+which is printed. Then modules of the corrected layout are turned, mirrored, exchanged in pairs, or
+moved to a free place (a tenth of the modules, at least one), or six neighbours are mirrored in
+their places; each fault is checked against windows of an eighth of the frames to all. Counted are
+wrong modules that are named (half of their wrong sensors are accused, or more), wrong modules that
+are corrected (to half a spacing), and right modules of which any sensor is accused.
 
-Usage: ``python -m benchmarks.accuracy.check RECORDING... -o docs/results/check.csv --table
-docs/check-table.md``. Scores of other recordings in the CSV file are kept; without a recording,
-only the table is written.
+Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
+docs/results/check.csv --table docs/check-table.md``. Scores of other recordings in the CSV file are
+kept; without a recording, only the table is written.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 import anisomap
-from anisomap.layout import LayoutCheck, check_layout, module_members
-from anisomap.layout.checking import NOT_TESTED
-from anisomap.numerics.layout.chance import reading_statistics
-from anisomap.numerics.layout.congruence import congruent, symmetries
-from anisomap.numerics.layout.evidence import neighbour_spacing
+from anisomap.layout import LayoutCheck, check_layout, find_modules, reading_statistics
+from anisomap.layout.modules import Mounting
+from anisomap.placement import Modules
 from benchmarks.harness import frame, keyed_table, options, quietly, read_rows, write_rows
 
-FIRST_SEED = 1001
-SHARES = (0.01, 0.05, 0.1)
-MIN_SWAPPED = 3.0  # spacings
-MIN_RUN = 8  # sensors of a shifted cable
-MIN_PATCH = 4
-MOVED = (4.0, 10.0)  # spacings
+FIRST_SEED = 2001
+SHARES = (1.0, 0.5, 0.25, 0.125)
+WRONG = 0.1  # of the modules
+PATCH = 6  # modules that are mirrored together
+SIZE = 12  # channels of a module
+UNACCUSED = ("ok", "not tested", "dead")  # dead sensors are not at wrong places
 Points = NDArray[np.float64]
-Groups = list[NDArray[np.intp]]
-
-
-@dataclass(frozen=True, eq=False)
-class Skin:
-    """Right positions, and the modules on them."""
-
-    positions: Points
-    spacing: float
-    members: Groups
+Placed = dict[int, Points]
+"""Stated places of wrong modules."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """Score of one check."""
+    """Score of one check.
+
+    contacts: Median number of contacts of a sensor.
+    """
 
     recording: str
-    n_frames: int
-    kind: str
+    layout: str
     share: float
+    n_frames: int
+    contacts: int
+    kind: str
     seed: int
-    faults: int
-    found: int
-    placed: int
-    wrong_sensors: int
-    right_sensors: int
-    right_accused: int
+    wrong: int
+    named: int
+    corrected: int
+    right: int
+    accused: int
+    verdict: str
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Check all recordings, write the scores and print a summary."""
-    parser = options(__doc__, "check.csv", seeds=5, recordings=False)
-    parser.add_argument("recordings", type=Path, nargs="*", help="NPZ files with positions")
-    parser.add_argument("--kinds", nargs="+", choices=(*LAYOUT_FAULTS, *READING_FAULTS))
+    parser = options(__doc__, "check.csv", seeds=3, recordings=False)
+    parser.add_argument("pairs", nargs="*", help="recordings and their layouts, A.npz=B.csv")
+    parser.add_argument("--template", type=Path, help="file of the pads of a module")
     parser.add_argument("--table", type=Path, help="file for a summary in Markdown")
     chosen = parser.parse_args(arguments)
-    kinds = chosen.kinds or (*LAYOUT_FAULTS, *READING_FAULTS)
-    renewed = {path.stem for path in chosen.recordings}
-    results = [r for r in read_rows(chosen.output, Result) if r.recording not in renewed]
+    pairs = [tuple(map(Path, pair.split("="))) for pair in chosen.pairs]
+    renewed = {(recording.stem, layout.stem) for recording, layout in pairs}
+    results = [
+        r for r in read_rows(chosen.output, Result) if (r.recording, r.layout) not in renewed
+    ]
+    seeds = range(FIRST_SEED, FIRST_SEED + chosen.seeds)
     with quietly():
-        for path in chosen.recordings:
-            for result in checks(path, kinds, range(FIRST_SEED, FIRST_SEED + chosen.seeds)):
+        for recording, layout in pairs:
+            for result in checks(recording, layout, anisomap.read_map(chosen.template), seeds):
                 results.append(result)
                 write_rows(chosen.output, results)
     text = "\n".join(table(results))
@@ -91,227 +85,136 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
 
 
-def checks(path: Path, kinds: Sequence[str], seeds: range) -> Iterator[Result]:
-    """Score checks of one recording: all frames and half of them, every kind, share and seed."""
+def checks(
+    path: Path, layout_path: Path, template: anisomap.SensorMap, seeds: range
+) -> Iterator[Result]:
+    """Score checks of one recording against its layout: all windows, faults and seeds."""
     whole = anisomap.read(path)
-    layout = anisomap.SensorMap(np.asarray(whole.positions), names=whole.names, units=whole.units)
-    corrected = None
-    for n_frames in (whole.n_frames, whole.n_frames // 2):
-        recording = replace(whole, readings=whole.readings[:n_frames], times=None)
-        # The correlations, most of the work, are the same for every stated layout.
-        statistics = reading_statistics(recording.readings, np.random.default_rng(0))
-        untouched = check_layout(layout, recording, statistics=statistics)
-        print(f"{path.stem}, {n_frames} frames, untouched: {untouched}")
-        for finding in untouched.findings:
-            print(f"  {finding.kind}: {finding.explanation}")
-        corrected = corrected or untouched.corrected
-        positions = corrected.positions
-        skin = Skin(positions, neighbour_spacing(positions), module_members(corrected))
-        for kind in kinds:
-            for share in SHARES:
-                rows = []
-                for seed in seeds if kind in LAYOUT_FAULTS else seeds[:1]:
-                    rng = np.random.default_rng(seed)
-                    if kind in LAYOUT_FAULTS:
-                        stated, groups = LAYOUT_FAULTS[kind](skin, share, rng)
-                        found = check_layout(
-                            replace(corrected, positions=stated), recording, statistics=statistics
-                        )
-                        counts = score_places(found, skin, groups, kind)
-                    else:
-                        spoilt, groups = READING_FAULTS[kind](recording, share, rng)
-                        found = check_layout(corrected, spoilt)
-                        counts = score_sensors(found, groups)
-                    rows.append(Result(path.stem, n_frames, kind, share, seed, *counts))
-                    yield rows[-1]
-                print(" ", *cells(frame(rows)).values(), flush=True)
+    stated = anisomap.read_map(layout_path)
+    modules = find_modules(stated, SIZE).with_template(template)
+    untouched = check_layout(stated, whole, modules=modules)
+    print(f"{path.stem} against {layout_path.stem}: {untouched}")
+    for finding in untouched.findings:
+        print(f"  {finding.kind}: {finding.explanation}")
+    right = untouched.corrected
+    for share in SHARES:
+        length = round(share * whole.n_frames)
+        for seed in seeds if share < 1 else seeds[:1]:
+            rng = np.random.default_rng(seed)
+            first = int(rng.integers(0, whole.n_frames - length + 1))
+            frames = slice(first, first + length)
+            part = replace(whole, readings=whole.readings[frames], times=None)
+            # The correlations, most of the work, are the same for every stated layout.
+            statistics = reading_statistics(part.readings, np.random.default_rng(0))
+            contacts = int(np.median(part.signals.contacts))
+            for kind, fault in FAULTS.items():
+                placed = fault(right, modules, rng)
+                spoilt = right.positions.copy()
+                for m, places in placed.items():
+                    spoilt[modules.members(m)] = places
+                found = check_layout(
+                    replace(right, positions=spoilt), part, modules=modules, statistics=statistics
+                )
+                counts = score(found, right.positions, modules, set(placed))
+                yield Result(
+                    path.stem, layout_path.stem, share, length, contacts, kind, seed, *counts,
+                    found.verdict,
+                )  # fmt: skip
+        print(f"  {length} frames done", flush=True)
 
 
-def score_places(
-    found: LayoutCheck, skin: Skin, groups: Groups, kind: str
-) -> tuple[int, int, int, int, int, int]:
-    """Count faults, those found and placed, and wrong and right sensors; and accused right ones."""
-    tested = np.array(found.status) != NOT_TESTED
-    wrong = (found.layout.positions != skin.positions).any(axis=1) & tested
-    tolerance = (1.5 if kind == "moved" else 0.5) * skin.spacing
-    right = np.linalg.norm(found.corrected.positions - skin.positions, axis=1) <= tolerance
-    faults = [group[wrong[group]] for group in groups if wrong[group].any()]
-    accused = [bool(found.accused[group].mean() > 0.5) for group in faults]
-    placed = [bool(right[group].mean() >= 0.8) for group in faults]
-    return (
-        len(faults),
-        sum(accused),
-        sum(placed),
-        int(wrong.sum()),
-        *_of_right(found, tested & ~wrong),
-    )
-
-
-def score_sensors(found: LayoutCheck, groups: Groups) -> tuple[int, int, int, int, int, int]:
-    """Count faulty sensors, those found (each is one fault), and accused right ones.
-
-    Of a sensor and its copy, either may be accused.
-    """
-    accused = [bool(found.accused[group].any()) for group in groups]
-    right = np.ones(len(found.accused), dtype=bool)
-    right[np.concatenate(groups)] = False
-    n_found = sum(accused)
-    return len(groups), n_found, n_found, len(groups), *_of_right(found, right)
-
-
-def _of_right(found: LayoutCheck, right: NDArray[np.bool_]) -> tuple[int, int]:
-    return int(right.sum()), int((found.accused & right).sum())
-
-
-def cycle(
-    skin: Skin, share: float, rng: np.random.Generator, most: int = 5
-) -> tuple[Points, Groups]:
-    """Permute 3 to `most` sensors that are 3 spacings apart and more; 2 exchanges pairs."""
-    stated = skin.positions.copy()
-    distances = cdist(stated, stated) / skin.spacing
-    free = np.ones(len(stated), dtype=bool)
-    groups: Groups = []
-    wanted = max(2, round(share * len(stated)))
-    while sum(map(len, groups)) < wanted:
-        chosen = [int(rng.choice(np.flatnonzero(free)))]
-        length = int(rng.integers(3, most + 1)) if most > 2 else 2
-        while len(chosen) < length:
-            far = free & (distances[chosen] >= MIN_SWAPPED).all(axis=0)
-            chosen.append(int(rng.choice(np.flatnonzero(far))))
-        group = np.array(chosen)
-        stated[group] = skin.positions[np.roll(group, 1)]
-        free[group] = False
-        groups.append(group)
-    return stated, groups
-
-
-def shifted(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Give each of a run of consecutive sensors the place of the next, or of the previous."""
-    n_sensors = len(skin.positions)
-    length = max(MIN_RUN, round(share * n_sensors))
-    start = int(rng.integers(0, n_sensors - length + 1))
-    run = np.arange(start, start + length)
-    stated = skin.positions.copy()
-    stated[run] = skin.positions[np.roll(run, int(rng.choice((-1, 1))))]
-    return stated, [run]
+def score(
+    found: LayoutCheck, right: Points, modules: Modules, wrong: set[int]
+) -> tuple[int, int, int, int, int]:
+    """Count wrong modules, those named and corrected; and right modules, and those accused."""
+    named = corrected = accused = 0
+    for m in range(modules.n_modules):
+        members = modules.members(m)
+        if m not in wrong:
+            accused += any(found.status[i] not in UNACCUSED for i in members)
+            continue
+        off = np.linalg.norm(found.layout.positions[members] - right[members], axis=1)
+        changed = members[off > found.spacing / 100]
+        named += bool(found.accused[changed].mean() >= 0.5)
+        left = np.linalg.norm(found.corrected.positions[members] - right[members], axis=1)
+        corrected += bool(np.median(left) <= found.spacing / 2)
+    return len(wrong), named, corrected, modules.n_modules - len(wrong), accused
 
 
 def turned(
-    skin: Skin, share: float, rng: np.random.Generator, *, reflected: bool = False
-) -> tuple[Points, Groups]:
-    """Rotate modules on their own places, or reflect them."""
-    stated = skin.positions.copy()
-    groups: Groups = []
-    for k in rng.permutation(len(skin.members)):
-        inside = skin.members[k]
-        images = [s.order for s in symmetries(stated[inside]) if s.reflected == reflected]
-        if images:
-            stated[inside] = skin.positions[inside][images[int(rng.integers(len(images)))]]
-            groups.append(inside)
-        if sum(map(len, groups)) >= share * len(stated):
-            break
-    return stated, groups
+    layout: anisomap.SensorMap,
+    modules: Modules,
+    rng: np.random.Generator,
+    *,
+    reflected: bool = False,
+    patch: int = 0,
+) -> Placed:
+    """Turn or mirror modules in their places: some at random, or neighbours."""
+    mounting = Mounting.of(modules, layout.positions, layout.units)
+    count = patch or max(1, round(WRONG * mounting.n_modules))
+    chosen = rng.permutation(mounting.n_modules)[:count]
+    if patch:
+        away = np.linalg.norm(mounting.middles - mounting.middles[chosen[0]], axis=1)
+        chosen = np.argsort(away)[:count]
+    turns = [o for o, one in enumerate(mounting.orientations) if o and one.reflected == reflected]
+    return {int(m): mounting.places(int(m), int(m), int(rng.choice(turns))) for m in chosen}
 
 
-def exchanged(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Exchange pairs of modules of one shape, each rotated at random."""
-    stated = skin.positions.copy()
-    groups: Groups = []
-    left = [skin.members[k] for k in rng.permutation(len(skin.members))]
-    while left and sum(map(len, groups)) < share * len(stated):
-        one = left.pop()
-        shape = skin.positions[one]
-        alike = [k for k, other in enumerate(left) if congruent(shape, skin.positions[other])]
-        if not alike:
-            continue
-        other = left.pop(alike[0])
-        for sensors, slot in ((one, other), (other, one)):
-            places = skin.positions[slot]
-            turns = [s.order for s in symmetries(places) if not s.reflected]
-            orders = [np.arange(len(slot)), *turns]
-            stated[sensors] = places[orders[int(rng.integers(len(orders)))]]
-            groups.append(sensors)
-    return stated, groups
+def exchanged(layout: anisomap.SensorMap, modules: Modules, rng: np.random.Generator) -> Placed:
+    """Exchange pairs of modules, each turned at random."""
+    mounting = Mounting.of(modules, layout.positions, layout.units)
+    count = 2 * max(1, round(WRONG * mounting.n_modules / 2))
+    chosen = rng.permutation(mounting.n_modules)[:count].tolist()
+    turns = [o for o, one in enumerate(mounting.orientations) if not one.reflected]
+    pairs = zip(chosen, [chosen[i ^ 1] for i in range(count)], strict=True)
+    return {m: mounting.places(m, slot, int(rng.choice(turns))) for m, slot in pairs}
 
 
-def moved(skin: Skin, share: float, rng: np.random.Generator) -> tuple[Points, Groups]:
-    """Translate a patch of neighbouring sensors by 4 to 10 spacings, in any direction."""
-    n_sensors, dimensions = skin.positions.shape
-    count = max(MIN_PATCH, round(share * n_sensors))
-    centre = skin.positions[int(rng.integers(n_sensors))]
-    patch = np.argsort(np.linalg.norm(skin.positions - centre, axis=1))[:count]
-    direction = rng.normal(size=dimensions)
-    length = rng.uniform(*MOVED) * skin.spacing
-    stated = skin.positions.copy()
-    stated[patch] += length * direction / np.linalg.norm(direction)
-    return stated, [patch]
+def moved(layout: anisomap.SensorMap, modules: Modules, rng: np.random.Generator) -> Placed:
+    """Move a module to a free place that is not beside its own."""
+    mounting = Mounting.of(modules, layout.positions, layout.units)
+    mounting = mounting.with_free_slots(layout.positions)
+    m = int(rng.integers(mounting.n_modules))
+    away = np.linalg.norm(mounting.middles - mounting.middles[m], axis=1)
+    far = np.flatnonzero(away > 8 * mounting.pitch)
+    slots = far[far >= mounting.n_modules]
+    return {m: mounting.places(m, int(rng.choice(slots)), 0)} if slots.size else {}
 
 
-def dead(
-    recording: anisomap.Recording, share: float, rng: np.random.Generator
-) -> tuple[anisomap.Recording, Groups]:
-    """Set sensors to a constant."""
-    sensors = _some(recording.n_sensors, share, rng)
-    readings = np.array(recording.readings)
-    readings[:, sensors] = 0
-    return replace(recording, readings=readings), [np.array([i]) for i in sensors]
-
-
-def doubled(
-    recording: anisomap.Recording, share: float, rng: np.random.Generator
-) -> tuple[anisomap.Recording, Groups]:
-    """Replace the readings of sensors by those of others."""
-    sensors = _some(recording.n_sensors, share, rng)
-    sources = rng.choice(np.setdiff1d(np.arange(recording.n_sensors), sensors), len(sensors), False)
-    readings = np.array(recording.readings)
-    readings[:, sensors] = recording.readings[:, sources]
-    pairs = zip(sensors.tolist(), sources.tolist(), strict=True)
-    return replace(recording, readings=readings), [np.array(pair) for pair in pairs]
-
-
-def _some(n_sensors: int, share: float, rng: np.random.Generator) -> NDArray[np.intp]:
-    return rng.choice(n_sensors, max(1, round(share * n_sensors)), replace=False)
-
-
-LAYOUT_FAULTS: dict[str, Callable[[Skin, float, np.random.Generator], tuple[Points, Groups]]] = {
-    "swapped": partial(cycle, most=2),
-    "cycle": cycle,
-    "shifted": shifted,
+FAULTS: dict[str, Callable[[anisomap.SensorMap, Modules, np.random.Generator], Placed]] = {
+    "none": lambda layout, modules, rng: {},
     "turned": turned,
-    "mirrored": partial(turned, reflected=True),
+    "mirrored": lambda layout, modules, rng: turned(layout, modules, rng, reflected=True),
+    "patch mirrored": lambda layout, modules, rng: turned(
+        layout, modules, rng, reflected=True, patch=PATCH
+    ),
     "exchanged": exchanged,
     "moved": moved,
 }
-READING_FAULTS: dict[
-    str,
-    Callable[[anisomap.Recording, float, np.random.Generator], tuple[anisomap.Recording, Groups]],
-] = {"dead": dead, "doubled": doubled}
 
 
 def table(results: Sequence[Result]) -> list[str]:
-    """Return a table in Markdown: one row per recording, number of frames and kind."""
-    order = [*LAYOUT_FAULTS, *READING_FAULTS]
-    groups = frame(results).groupby(["recording", "n_frames", "kind"])
-    ordered = sorted(groups, key=lambda one: (one[0][0], -one[0][1], order.index(one[0][2])))
-    lines = (
-        {"recording": name, "frames": f"{n_frames:,}", **cells(rows)}
-        for (name, n_frames, _), rows in ordered
-    )
-    return [*keyed_table(lines)]
+    """Return a table in Markdown: one row per layout and number of frames."""
+    groups = frame(results).groupby(["recording", "layout", "n_frames"])
+    ordered = sorted(groups, key=lambda one: (one[0][0], one[0][1], -one[0][2]))
+    return [*keyed_table(_cells(rows) for _, rows in ordered)]
 
 
-def cells(rows: Any) -> dict[str, object]:
-    """Return the cells of some results, a data frame, taken together."""
-    low, high = rows.share.min(), rows.share.max()
-    faults = rows.faults.sum()
-    accused = rows.right_accused.sum() / max(1, rows.right_sensors.sum())
-    return {
-        "fault": rows.kind.iloc[0],
-        "share": f"{low:.0%}" if low == high else f"{low:.0%} to {high:.0%}",
-        "faults": faults,
-        **{name: f"{rows[name].sum() / max(1, faults):.1%}" for name in ("found", "placed")},
-        "right sensors accused": f"{accused:.2%}",
+def _cells(rows: Any) -> dict[str, object]:
+    by_kind = dict(iter(rows.groupby("kind")))
+    cells: dict[str, object] = {
+        "recording": rows.recording.iloc[0],
+        "layout": rows.layout.iloc[0],
+        "frames": f"{rows.n_frames.iloc[0]:,}",
+        "contacts": int(rows.contacts.median()),
     }
+    for kind in FAULTS:
+        if kind in by_kind and by_kind[kind].wrong.sum():
+            cells[kind] = f"{by_kind[kind].named.sum()} of {by_kind[kind].wrong.sum()}"
+        elif kind != "none":
+            cells[kind] = "-"
+    right, accused = rows.right.sum(), rows.accused.sum()
+    return {**cells, "right ones accused": f"{accused} of {right}"}
 
 
 if __name__ == "__main__":

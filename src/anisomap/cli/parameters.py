@@ -161,6 +161,64 @@ class PlacingOptions:
 DEFAULT_PLACING = PlacingOptions()
 
 
+@Parameter(name="*", group=Group("Modules", sort_key=3))
+@dataclass(frozen=True)
+class ModuleOptions:
+    """Rigid modules.
+
+    Parameters
+    ----------
+    module_layout
+        File with the positions of the pads on a module, with units: x [mm], y [mm].
+    module_size
+        Numbers per module, pads that do not exist included: sensors are divided by the numbers at
+        the end of their names.
+    first_pad
+        Number of the first pad of one module. Default: 0 or 1, whichever gives fewer modules.
+    module_table
+        File with the columns sensor, module and optionally pad, instead of --module-size.
+    """
+
+    module_layout: Path | None = None
+    module_size: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
+    first_pad: Annotated[int | None, Parameter(validator=Number(gte=0)), expert] = None
+    module_table: Path | None = None
+
+    @property
+    def files(self) -> list[Path | None]:
+        """Files that are read."""
+        return [self.module_layout, self.module_table]
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is known of modules."""
+        return bool(self.module_layout or self.divided)
+
+    @property
+    def divided(self) -> bool:
+        """Whether it is known which sensors are on which module."""
+        if self.module_table and self.module_size:
+            raise InputError("give the modules by --module-table or by --module-size, not by both")
+        return bool(self.module_table or self.module_size)
+
+    def listed(self, names: Sequence[str]) -> placement.Modules | None:
+        """Read the table of modules, or divide sensors from the first pad on, if given."""
+        if self.module_table is not None:
+            return io.read_modules(self.module_table, names)
+        if self.module_size is None or self.first_pad is None:
+            return None
+        return placement.modules_by_size(names, self.module_size, self.first_pad)
+
+    def with_layout(self, modules: placement.Modules) -> placement.Modules:
+        """Add the positions of the pads, if they are given."""
+        if self.module_layout is None:
+            return modules
+        return modules.with_template(io.read_map(self.module_layout))
+
+
+DEFAULT_MODULES = ModuleOptions()
+
+
 _SMALLEST, _LARGEST = 1e-4, 0.5  # metres; no skin has smaller or larger spacings
 
 

@@ -1,6 +1,14 @@
 """Checks of stated sensor positions against the readings of a recording."""
 
 from anisomap.layout.checking import KINDS, LayoutCheck, LayoutFinding, check_layout
-from anisomap.layout.explanation import module_members
+from anisomap.layout.modules import find_modules
+from anisomap.layout.readings import reading_statistics
 
-__all__ = ["KINDS", "LayoutCheck", "LayoutFinding", "check_layout", "module_members"]
+__all__ = [
+    "KINDS",
+    "LayoutCheck",
+    "LayoutFinding",
+    "check_layout",
+    "find_modules",
+    "reading_statistics",
+]

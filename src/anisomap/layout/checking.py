@@ -18,19 +18,17 @@ from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.layout.explanation import explain, module_members
+from anisomap.layout.chance import agreement, own_agreement
+from anisomap.layout.evidence import REACH, Evidence, Move, fit_falloff, neighbour_spacing
+from anisomap.layout.explanation import Explained, explain, explain_modules
+from anisomap.layout.joint import Change
+from anisomap.layout.judging import Judge
+from anisomap.layout.modules import Mounting, find_modules
+from anisomap.layout.readings import ReadingStatistics, reading_statistics
+from anisomap.layout.search import Search
+from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, better_order
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.layout.chance import (
-    ReadingStatistics,
-    agreement,
-    agreement_as_a_whole,
-    own_agreement,
-    reading_statistics,
-)
-from anisomap.numerics.layout.evidence import REACH, Move, neighbour_spacing
-from anisomap.numerics.layout.moves import ModuleShapes
-from anisomap.numerics.layout.search import Search
-from anisomap.placement.modules import NO_MODULE, Modules
+from anisomap.placement.modules import Modules
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
 
@@ -45,6 +43,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
         "turned": "a module that is rotated on its own places",
         "mirrored": "a module that is a mirror image of what the layout states",
         "exchanged": "modules that have each other's places",
+        "reversed": "all sensors in the reverse order",
         "shifted": "a run of consecutive sensors that each have the place of the next",
         "swapped": "two sensors that have each other's places",
         "cycle": "three and more sensors that each have the place of another of them",
@@ -75,14 +74,17 @@ class LayoutFinding:
     displacement : float
         Median distance between the stated and the proposed places, in units of the layout; NaN if
         no place is proposed.
-    agreement_stated, agreement_proposed : float
-        Mean similarity of the sensors to those around their stated and their proposed places; NaN
-        if there are none.
+    agreement_stated, agreement_proposed, agreement_second : float
+        Mean similarity of the sensors to those around their stated, their proposed, and their
+        second best places; NaN if there are none, or no second best ones.
     chance : float
         Largest gain of agreement by a free choice of places after circular shifts in time; NaN
         if no place is proposed.
     gain : float
         Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
+    z : float
+        `gain` in standard errors, from ten parts of the recording that are each left out once;
+        NaN if no place is proposed.
     """
 
     kind: str
@@ -91,8 +93,10 @@ class LayoutFinding:
     displacement: float = float("nan")
     agreement_stated: float = float("nan")
     agreement_proposed: float = float("nan")
+    agreement_second: float = float("nan")
     chance: float = float("nan")
     gain: float = float("nan")
+    z: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -212,6 +216,7 @@ _MAX_P = 0.01  # of a layout that explains the readings better than shuffled one
 _HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors are shuffled
 _MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
 _MIN_TESTED = 0.5  # share of the sensors of a finding, or of all, that must be tested
+_SAME = 0.01  # spacings; differences of places by rounding
 
 
 def check_layout(
@@ -234,12 +239,13 @@ def check_layout(
         At least 40 frames, without missing readings (see `Recording.complete`).
     modules : Modules or int, optional
         Modules of the layout, or the number of channels of each; by default, modules are found as
-        rigid repeats: see `anisomap.layout.module_members`.
+        rigid repeats: see `anisomap.layout.find_modules`. With a template, modules are fitted to
+        the stated positions whatever their shape there; else those of one shape are.
     n_shifts : int
         Number of circular shifts of the null distribution; at least 1.
     statistics : ReadingStatistics, optional
         Of all sensors of the recording, from
-        `anisomap.numerics.layout.chance.reading_statistics`, to check several layouts against
+        `anisomap.layout.chance.reading_statistics`, to check several layouts against
         one recording, in place of `n_shifts` shifts of it. Computed by default.
     rng : numpy.random.Generator or int, optional
         Draws the circular shifts. 0 by default.
@@ -276,9 +282,8 @@ def check_layout(
     rows, columns, notes = _matched(stated, joined)
     positions = stated.positions[rows]
     check_distances(positions, "the layout")
-    members = module_members(stated, modules)
-    spacing = neighbour_spacing(positions)
-    if not spacing > 0:
+    found = find_modules(stated, modules)
+    if not neighbour_spacing(positions) > 0:
         raise InputError("most sensors of the layout have the same position; there is no distance")
     generator = np.random.default_rng(0 if rng is None else rng)
     logger.info("comparing readings with positions")
@@ -291,8 +296,7 @@ def check_layout(
             joined.signals.contacts[columns],
             constant=~joined.varying()[columns],
             copies=[one.sensors for one in copied_groups(part)],
-            spacing=spacing,
-            members=members,
+            modules=found,
             statistics=known.select(columns),
             rng=generator,
             notes=notes,
@@ -308,7 +312,6 @@ class _Checked:
     contacts: Of each sensor.
     constant: Whether each is.
     copies: Groups of sensors that read one wire.
-    members: Rows of the layout that each module has.
     """
 
     layout: SensorMap
@@ -316,8 +319,7 @@ class _Checked:
     contacts: NDArray[np.intp]
     constant: NDArray[np.bool_]
     copies: Sequence[Sequence[int]]
-    spacing: float
-    members: Sequence[NDArray[np.intp]]
+    modules: Modules
     statistics: ReadingStatistics
     rng: np.random.Generator
     notes: tuple[str, ...]
@@ -325,16 +327,14 @@ class _Checked:
     def __post_init__(self) -> None:
         self.positions = self.layout.positions[self.rows]
         self.names = [self.layout.names[i] for i in self.rows]
-        column = np.full(self.layout.n_sensors, -1)
-        column[self.rows] = np.arange(len(self.rows))
-        self.label = np.full(self.layout.n_sensors, NO_MODULE)
-        for k, inside in enumerate(self.members):
-            self.label[inside] = k
-        present = [column[inside][column[inside] >= 0] for inside in self.members]
-        self.modules = ModuleShapes.of([one for one in present if len(one)], self.positions)
+        mounting = Mounting.of(self.modules.select(self.rows), self.positions, self.layout.units)
+        # Layouts of curved bodies bend modules, which are rigid.
+        self.unbent = mounting.fitted(self.positions)
+        self.mounting = mounting.with_free_slots(self.unbent)
+        self.spacing = neighbour_spacing(self.unbent)
         self.usable = self.statistics.tested & (self.contacts >= MIN_CONTACTS)
         self.findings: list[LayoutFinding] = []
-        near: Any = KDTree(self.positions).query_ball_point(self.positions, REACH * self.spacing)
+        near: Any = KDTree(self.unbent).query_ball_point(self.unbent, REACH * self.spacing)
         self.neighbours = [[j for j in found if j != i] for i, found in enumerate(near)]
 
     def result(self) -> LayoutCheck:
@@ -346,32 +346,71 @@ class _Checked:
                 f"only {np.count_nonzero(self.usable)} of {len(self.rows)} sensors are related to "
                 f"others beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
             )
-        search = Search(self.statistics, self.positions, self.usable, self.spacing, self.modules)
-        self.agreement = own_agreement(search.evidence)
-        self.p, self.explained = agreement_as_a_whole(search.evidence, self.rng)
-        if self.p > _MAX_P or self.explained < _HALF_WRONG:
+        inside = self.statistics.similarity[np.ix_(self.usable, self.usable)]
+        falloff = fit_falloff(inside, self.unbent[self.usable], self.spacing)
+        evidence = Evidence(self.statistics.similarity, self.unbent, self.usable, falloff)
+        self.told = bool(np.mean(self.usable) >= _MIN_TESTED)
+        self.agreement = own_agreement(evidence)
+        self.p, self.explained = agreement_as_a_whole(evidence, self.rng)
+        judge = Judge(self.statistics, evidence)
+        order = better_order(evidence, judge, self.explained)
+        if order is not None:
+            return self._in_another_order(order)
+        search = Search(evidence, self.mounting, judge)
+        p, explained = agreement_as_a_whole(search.run_modules(), self.rng)
+        if p > _MAX_P or explained < _HALF_WRONG:
             return self._as_a_whole()
-        search.run()
+        search.run_sensors()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
-        if not self.findings and self.explained < _MANY_WRONG:
+        if any(finding.kind != "dead" for finding in self.findings):
+            return self._summary(proposed, NOT_CONSISTENT)
+        if not self.told or self.explained < _MANY_WRONG:
             return self._as_a_whole()
-        return self._summary(proposed, NOT_CONSISTENT if self.findings else CONSISTENT)
+        return self._summary(proposed, CONSISTENT)
 
     def _as_a_whole(self) -> LayoutCheck:
         """Judge a layout that explains too little for accusations of single sensors."""
-        told = np.mean(self.usable) >= _MIN_TESTED
-        self.findings = []
-        self.usable[:] = False
+        self.findings = [finding for finding in self.findings if finding.kind == "dead"]
+        tested = int(self.usable.sum())
         text = (
             f"about {1 - max(0.0, self.explained) ** 0.5:.0%} of the sensors are not where the "
             "layout states, too many to name: check that the layout belongs to this skin, and "
             "the order of its sensors"
-            if told
-            else "the recording says too little about the sensors: touch them more, and more evenly"
+            if self.told
+            else f"the recording says too little: it tests {tested} of {len(self.rows)} sensors; "
+            "touch them more, and more evenly"
         )
+        self.usable = np.zeros_like(self.usable)
         self.notes = (text, *self.notes)
-        return self._summary(self.positions, CONTRADICTED if told else UNKNOWN)
+        return self._summary(self.positions, CONTRADICTED if self.told else UNKNOWN)
+
+    def _in_another_order(self, order: ScanOrder) -> LayoutCheck:
+        """Report that the sensors are in another order than the layout states."""
+        places = self.positions[order.order]
+        distance = np.linalg.norm(places - self.positions, axis=1)
+        changed = np.flatnonzero(distance > 0)
+        step = abs(order.step)
+        text = (
+            f"the order of all {len(distance)} sensors is shifted by "
+            f"{'one sensor' if step == 1 else f'{step} sensors'}: each has the place of the one "
+            f"{'after' if order.step > 0 else 'before'} it"
+            if step
+            else f"all {len(distance)} sensors are in the reverse order"
+        )
+        if step > 1:
+            text = text.replace("the one after it", f"the {step}th after it")
+            text = text.replace("the one before it", f"the {step}th before it")
+        finding = LayoutFinding(
+            "shifted" if step else "reversed",
+            changed,
+            text,
+            displacement=float(np.median(distance[changed])),
+            agreement_stated=_mean(self.agreement),
+        )
+        self.findings.append(finding)
+        self.notes += ("check the corrected layout again: this finding hides smaller ones",)
+        return self._summary(places, NOT_CONSISTENT)
 
     def _find_dead(self) -> None:
         """Find constant sensors that should have been touched, as their neighbours were.
@@ -410,46 +449,92 @@ class _Checked:
 
     def _explain(self, search: Search) -> NDArray[np.float64]:
         """Explain the new places, keep what the final evidence supports, and return the places."""
-        evidence = search.evidence
-        proposed = evidence.positions.copy()
+        proposed = search.evidence.positions.copy()
+        for kind, text, changes in explain_modules(
+            search.changes, self.mounting, self.names, self.usable
+        ):
+            self._add_modules(kind, text, changes, search.evidence)
         explained = explain(
-            self.positions,
+            search.arranged.positions,
             proposed,
-            self.modules,
             spacing=self.spacing,
             rigid=search.rigid,
             names=self.names,
         )
         for group in explained:
-            sensors = group.sensors
-            move = Move(sensors, proposed[sensors])
-            before = evidence.moved(Move(sensors, self.positions[sensors]))
-            verdict = search.judge(before, move, group.alternatives, rigid=group.kind == "moved")
-            stated, there = (
-                _mean(agreement(before, sensors, places[sensors]))
-                for places in (self.positions, proposed)
-            )
-            distance = np.linalg.norm(move.places - self.positions[sensors], axis=1)
-            changed = distance > 0
-            # A few tested sensors do not accuse many others.
-            told = np.mean(self.usable[sensors[changed]]) >= _MIN_TESTED
-            if not (told and verdict.holds and there > stated):
-                proposed[sensors] = self.positions[sensors]
-                continue
-            untested = [self.names[i] for i in sensors[changed] if not self.usable[i]]
-            caveat = f" ({join_items(untested, _MAX_NAMED)} not tested)" if untested else ""
-            finding = LayoutFinding(
-                group.kind,
-                sensors[changed],
-                group.text + caveat,
-                displacement=float(np.median(distance[changed])),
-                agreement_stated=stated,
-                agreement_proposed=there,
-                chance=verdict.chance,
-                gain=verdict.gain,
-            )
-            self.findings.append(finding)
-        return proposed
+            self._add_sensors(group, search, proposed)
+        return self._as_stated(proposed)
+
+    def _add_modules(
+        self, kind: str, text: str, changes: Sequence[Change], evidence: Evidence
+    ) -> None:
+        agreements = []
+        for change in changes:
+            sensors = change.move.sensors
+            before = evidence.moved(Move(sensors, change.stated))
+            tried = (change.stated, change.move.places, change.second.places)
+            agreements.append([_mean(agreement(before, sensors, places)) for places in tried])
+        stated, there, second = np.mean(agreements, axis=0).tolist()
+        sensors = np.concatenate([change.move.sensors for change in changes])
+        distance = np.linalg.norm(
+            np.concatenate([change.move.places - change.stated for change in changes]), axis=1
+        )
+        # The middle of a module that is turned stays.
+        changed = distance > _SAME * self.spacing
+        finding = LayoutFinding(
+            kind,
+            sensors[changed],
+            text,
+            displacement=float(np.median(distance[changed])),
+            agreement_stated=stated,
+            agreement_proposed=there,
+            agreement_second=second,
+            chance=max(change.verdict.chance for change in changes),
+            gain=sum(change.verdict.gain for change in changes),
+            z=min(change.verdict.z for change in changes),
+        )
+        self.findings.append(finding)
+
+    def _add_sensors(self, group: Explained, search: Search, proposed: NDArray[np.float64]) -> None:
+        """Add a finding on sensors that no module explains, or undo their move."""
+        before_all, sensors = search.arranged.positions, group.sensors
+        move = Move(sensors, proposed[sensors])
+        before = search.evidence.moved(Move(sensors, before_all[sensors]))
+        verdict = search.weigh(before, move, group.alternatives, rigid=group.kind == "moved")
+        stated, there = (
+            _mean(agreement(before, sensors, places[sensors])) for places in (before_all, proposed)
+        )
+        distance = np.linalg.norm(move.places - before_all[sensors], axis=1)
+        changed = distance > 0
+        # A few tested sensors do not accuse many others.
+        told = np.mean(self.usable[sensors[changed]]) >= _MIN_TESTED
+        if not (told and verdict.holds and there > stated):
+            proposed[sensors] = before_all[sensors]
+            return
+        untested = [self.names[i] for i in sensors[changed] if not self.usable[i]]
+        caveat = f" ({join_items(untested, _MAX_NAMED)} not tested)" if untested else ""
+        finding = LayoutFinding(
+            group.kind,
+            sensors[changed],
+            group.text + caveat,
+            displacement=float(np.median(distance[changed])),
+            agreement_stated=stated,
+            agreement_proposed=there,
+            chance=verdict.chance,
+            gain=verdict.gain,
+            z=verdict.z,
+        )
+        self.findings.append(finding)
+
+    def _as_stated(self, proposed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return proposed places, with stated ones where nothing changed or another sensor was."""
+        apart, owner = map(np.asarray, KDTree(self.positions).query(proposed))
+        found = proposed.copy()
+        taken = apart <= _SAME * self.spacing
+        found[taken] = self.positions[owner[taken]]
+        same = np.asarray((proposed == self.unbent).all(axis=1))
+        found[same] = self.positions[same]
+        return found
 
     def _summary(self, proposed: NDArray[np.float64], verdict: str) -> LayoutCheck:
         n_sensors = self.layout.n_sensors
@@ -472,14 +557,13 @@ class _Checked:
         values = np.full(n_sensors, np.nan)
         values[self.rows] = np.where(self.usable, self.agreement, np.nan)
         values.setflags(write=False)
-        self.label.setflags(write=False)
         return LayoutCheck(
             self.layout,
             at_positions(self.layout, positions),
             tuple(status),
             tuple(replace(f, sensors=self.rows[f.sensors]) for f in findings),
             values,
-            self.label,
+            self.modules.index,
             self.spacing,
             self.p,
             self.explained,

@@ -1,88 +1,22 @@
-"""Modules of a layout, and faults that explain why sensors have other places."""
+"""Faults that explain why modules and sensors have other places, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from anisomap.base.wording import join_items
-from anisomap.errors import InputError
-from anisomap.numerics.layout.congruence import blocks_of_size, rigid_repeats
-from anisomap.numerics.layout.evidence import Move
-from anisomap.numerics.layout.moves import ModuleShapes, shifted_moves, turned_moves
-from anisomap.placement.modules import NO_MODULE, Modules, trailing_numbers
-from anisomap.sensor_map import SensorMap
-
-_MIN_SIZE = 3
-_MAX_GAPS = 100  # channels per sensor
-
-
-def module_members(
-    layout: SensorMap, modules: Modules | int | None = None
-) -> list[NDArray[np.intp]]:
-    """List the sensors of each module of a layout.
-
-    Parameters
-    ----------
-    layout : SensorMap
-    modules : Modules or int, optional
-        Modules of the sensors of the layout, or the number of channels of each module, those
-        without a sensor included. By default, they are found: blocks of consecutive channels
-        whose shapes repeat.
-
-    Returns
-    -------
-    list of ndarray of int
-        Rows of the layout; empty if there are no modules. Sensors are in the order of the pads.
-
-    Raises
-    ------
-    InputError
-        If the modules are of other sensors, or the size is not 3 to half the number of sensors.
-
-    Notes
-    -----
-    Channels are the numbers at the end of the names (``taxel97``) if these are different, else the
-    order of the sensors. The first channel of a module is chosen such that the shapes of most
-    modules are the same.
-    """
-    if isinstance(modules, Modules):
-        if len(modules.index) != layout.n_sensors:
-            raise InputError(
-                f"modules of {len(modules.index)} sensors do not fit a layout of "
-                f"{layout.n_sensors} sensors"
-            )
-        members = [modules.members(k) for k in range(modules.n_modules)]
-        return [inside[layout.placed[inside]] for inside in members if len(inside)]
-    placed = np.flatnonzero(layout.placed)
-    positions = layout.positions[placed]
-    numbers = _channels(layout, placed)
-    if modules is None:
-        labels = rigid_repeats(positions, numbers)
-    else:
-        if not _MIN_SIZE <= modules <= max(_MIN_SIZE, len(placed) // 2):
-            raise InputError(
-                f"the size of modules must be {_MIN_SIZE} to half the number of sensors "
-                f"({len(placed) // 2}), got {modules}"
-            )
-        labels = blocks_of_size(positions, numbers, modules)[0]
-    found = [placed[labels == k] for k in np.unique(labels[labels != NO_MODULE])]
-    return [inside[np.argsort(_channels(layout, inside), kind="stable")] for inside in found]
-
-
-def _channels(layout: SensorMap, sensors: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the number of each of some sensors."""
-    found = trailing_numbers(layout.names)
-    if None in found or len(set(found)) < len(found):
-        return sensors
-    numbers = np.array(found, dtype=np.intp)
-    # Serial numbers far apart are no channels.
-    return numbers[sensors] if np.ptp(numbers) < _MAX_GAPS * len(numbers) else sensors
-
+from anisomap.layout.evidence import Move
+from anisomap.layout.joint import Change
+from anisomap.layout.modules import Mounting
+from anisomap.layout.sensors import shifted_moves
 
 _SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
 _MIN_RUN = 4  # sensors; fewer are swaps and cycles
@@ -97,7 +31,7 @@ class Explained:
 
     kind: A key of `anisomap.layout.KINDS`.
     sensors: Those that take part, some perhaps with the place that is stated.
-    alternatives: See `anisomap.numerics.layout.evidence.Proposal`.
+    alternatives: See `anisomap.layout.evidence.Proposal`.
     """
 
     kind: str
@@ -109,7 +43,6 @@ class Explained:
 def explain(
     stated: NDArray[np.float64],
     proposed: NDArray[np.float64],
-    modules: ModuleShapes,
     *,
     spacing: float,
     rigid: Sequence[NDArray[np.intp]],
@@ -121,10 +54,79 @@ def explain(
     """
     target = _targets(stated, proposed, spacing)
     left = target != np.arange(len(stated))
-    found = _of_modules(target, left, modules, names, stated)
-    found += _shifted_runs(target, left, stated)
+    found = _shifted_runs(target, left, stated)
     found += _cycles(target, left, names)
     return found + _moved(target, left, rigid, names)
+
+
+def explain_modules(
+    changes: Sequence[Change], mounting: Mounting, names: Sequence[str], usable: NDArray[np.bool_]
+) -> list[tuple[str, str, list[Change]]]:
+    """Explain changes of modules, those of one patch together: kind, text, and changes."""
+    found = []
+    for kind, angle, group in _alike(changes, mounting):
+        modules = [m for change in group for m in change.modules]
+        listed = [_span(mounting.members[m], names) for m in modules]
+        tested = sum(int(usable[mounting.members[m]].sum()) for m in modules)
+        of_all = sum(len(mounting.members[m]) for m in modules)
+        count = f" ({tested} of {of_all} pads tested)" if tested < of_all else ""
+        if kind in ("turned", "mirrored"):
+            text = _in_place(kind, angle, group, listed)
+        elif kind == "exchanged":
+            text = (
+                f"modules {listed[0]} and {listed[1]} have each other's places"
+                if len(listed) == 2
+                else f"modules {join_items(listed, _MAX_NAMED)} each have the place of the next"
+            )
+        elif len(modules) == 1:
+            slot = group[0].slots[0]
+            text = f"module {listed[0]} belongs to " + (
+                f"the place of module {_span(mounting.members[slot], names)}"
+                if slot < mounting.n_modules
+                else "a place beside the others, where no module is"
+            )
+        else:
+            text = f"modules {join_items(listed, _MAX_NAMED)} belong to other places"
+        found.append((kind, text + count, group))
+    return found
+
+
+def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, float, list[Change]]]:
+    """Divide changes by kind and angle, and by the patches of adjacent modules that share them."""
+    by_kind: dict[tuple[str, float], list[Change]] = {}
+    found = []
+    for change in changes:
+        if set(change.slots) == set(change.modules) == set(change.modules[:1]):
+            orientation = mounting.orientations[change.turns[0]]
+            frame = mounting.frames[change.modules[0]]
+            hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 0.0
+            angle = hand * orientation.angle if hand else abs(orientation.angle)
+            kind = "mirrored" if orientation.reflected else "turned"
+            by_kind.setdefault((kind, float(round(angle))), []).append(change)
+        else:
+            closed = set(change.slots) == set(change.modules)
+            found.append(("exchanged" if closed else "moved", 0.0, [change]))
+    for (kind, angle), group in by_kind.items():
+        modules = [change.modules[0] for change in group]
+        graph: Any = csr_array(mounting.adjacent[np.ix_(modules, modules)])
+        label = connected_components(graph, directed=False)[1]
+        found += [
+            (kind, angle, [group[i] for i in np.flatnonzero(label == k).tolist()])
+            for k in range(int(label.max()) + 1)
+        ]
+    return found
+
+
+def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence[str]) -> str:
+    if len(group) > 1:
+        modules = f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} of one patch are"
+        if kind == "mirrored":
+            return f"{modules} mirrored in their places"
+        return f"{modules} turned by {abs(angle):.0f} degrees in their places"
+    if kind == "mirrored":
+        return f"module {listed[0]} is a mirror image of what is stated"
+    move, before = group[0].move, group[0].stated
+    return f"module {listed[0]} is turned by " + turn_in_words(before, move.places, abs(angle))
 
 
 def _targets(
@@ -135,49 +137,6 @@ def _targets(
     found = np.where(distance <= _SAME * spacing, owner, -1)
     unchanged = (stated == proposed).all(axis=1)
     return np.where(unchanged, np.arange(len(stated)), found)
-
-
-def _of_modules(
-    target: NDArray[np.intp],
-    left: NDArray[np.bool_],
-    modules: ModuleShapes,
-    names: Sequence[str],
-    stated: NDArray[np.float64],
-) -> list[Explained]:
-    slot = {}
-    for k, members in enumerate(modules.members):
-        for m in (k, *np.flatnonzero(modules.alike[k]).tolist()):
-            if left[members].any() and set(target[members]) == set(modules.members[m]):
-                slot[k] = m
-                break
-    found = []
-    for k, m in slot.items():
-        if k == m:
-            members = modules.members[k]
-            order = [members.tolist().index(t) for t in target[members]]
-            for image in modules.symmetries[k]:
-                if np.array_equal(image.order, order):
-                    text = (
-                        f"module {_span(members, names)} is a mirror image of what is stated"
-                        if image.reflected
-                        else f"module {_span(members, names)} is turned by "
-                        + turn_in_words(stated[members], stated[target[members]], image.angle)
-                    )
-                    kind = "mirrored" if image.reflected else "turned"
-                    turns = turned_moves(stated, members, modules.symmetries[k])
-                    found.append(Explained(kind, members, text, turns))
-                    left[members] = False
-    for cycle in _closed({k: m for k, m in slot.items() if k != m}):
-        sensors = np.concatenate([modules.members[k] for k in cycle])
-        spans = [_span(modules.members[k], names) for k in cycle]
-        text = (
-            f"modules {spans[0]} and {spans[1]} have each other's places"
-            if len(cycle) == 2
-            else f"modules {', '.join(spans)} each have the place of the next"
-        )
-        found.append(Explained("exchanged", np.sort(sensors), text))
-        left[sensors] = False
-    return found
 
 
 def turn_in_words(before: NDArray[np.float64], after: NDArray[np.float64], angle: float) -> str:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 import anisomap
 from anisomap import drawing, io, placement
@@ -167,10 +166,7 @@ def check(
     *,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
     picture: options.Picture = None,
-    module_table: Annotated[Path | None, Parameter(group=options.method_group)] = None,
-    module_size: Annotated[
-        int | None, Parameter(group=options.method_group, validator=Number(gte=3))
-    ] = None,
+    rigid: options.ModuleOptions = options.DEFAULT_MODULES,
     time_shifts: Annotated[options.Count, options.expert] = N_SHIFTS,
     seed: options.Seed = 0,
     missing: options.Missing = "error",
@@ -179,40 +175,39 @@ def check(
 ) -> int:
     """Check sensor positions against a recording: whose readings contradict their positions.
 
-    Finds swapped sensors, shifted cables, turned, mirrored and exchanged modules, moved patches,
-    and doubled and dead sensors. Sensors without evidence in the recording are not tested. The
-    exit code is 0 if nothing is found, 1 if readings contradict positions, those of single sensors
-    or of the layout as a whole, and 2 if the recording says too little.
+    Finds turned, mirrored, exchanged and moved modules, shifted and reversed orders of sensors,
+    swapped and moved sensors, and doubled and dead ones. Sensors without evidence in the recording
+    are not tested. Without options of modules, blocks of consecutive sensors whose shapes repeat
+    are modules; with --module-layout, modules are fitted to their places whatever their shape
+    there. The exit code is 0 if no position is contradicted, 1 if readings contradict positions,
+    those of single sensors or of the layout as a whole, and 2 if the recording says too little.
 
     Parameters
     ----------
     output
         File for the corrected positions, in any map format.
-    module_table
-        Table of the modules: columns sensor, module and optionally pad. By default, modules are
-        found as blocks of consecutive sensors whose shapes repeat.
-    module_size
-        Channels per module, those without a sensor included: 12 for the triangles of the iCub. The
-        numbers at the end of sensor names count.
     time_shifts
         Number of random circular shifts in time that show what chance explains.
     """
     from anisomap import route
     from anisomap.cli.outputs import Outputs
+    from anisomap.layout import find_modules
 
-    if module_table and module_size:
-        raise InputError("give the modules by --module-table or by --module-size, not by both")
+    if rigid.module_layout is not None and not rigid.divided:
+        raise InputError("--module-layout needs --module-size or --module-table")
     outputs = Outputs(
         maps=[output] if output else [],
         picture=picture,
-        inputs=[layout_file, recording_file, module_table, *reading.inputs],
+        inputs=[layout_file, recording_file, *rigid.files, *reading.inputs],
     )
     how = reading.checked()
     try:
         layout = io.read_map(layout_file)
         scaled = f"scale it first: anisomap convert {layout_file} scaled.csv --spacing 6.5mm"
         options.DEFAULT_PLACING.check(outputs.maps, layout.units, hint=scaled)
-        chosen = io.read_modules(module_table, layout.names) if module_table else module_size
+        chosen: placement.Modules | int | None = rigid.listed(layout.names) or rigid.module_size
+        if rigid.module_layout is not None:
+            chosen = rigid.with_layout(find_modules(layout, chosen))
         (recording,) = route.read_runs([recording_file], how, missing, progress=progress)
         with progress("checking the layout"):
             found = anisomap.check_layout(
@@ -269,6 +264,7 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
             f"off by ({unit})": ("displacement", lambda length: number(factor * length, 3)),
             "agreement": ("agreement_stated", lambda share: number(share, 2)),
             "corrected": ("agreement_proposed", lambda share: number(share, 2)),
+            "second best": ("agreement_second", lambda share: number(share, 2)),
             "chance gains": ("chance", lambda gain: number(gain, 2)),
         }
         printer.rows("Findings", columns, records[:MAX_SHOWN])
@@ -302,7 +298,10 @@ def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
         }
         for i in finding.sensors.tolist()
     ]
-    measured = "kind explanation displacement agreement_stated agreement_proposed chance gain"
+    measured = (
+        "kind explanation displacement agreement_stated agreement_proposed agreement_second "
+        "chance gain z"
+    )
     return attributes(finding, measured) | {"sensors": sensors}
 
 

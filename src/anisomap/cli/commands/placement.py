@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Group, Parameter
-from cyclopts.validators import Number
 
 import anisomap
 from anisomap import drawing, io, placement
@@ -57,54 +56,21 @@ class AnchorOptions:
         return placement.anchors_at(given, normals) if given else None
 
 
-@Parameter(name="*", group=Group("Modules", sort_key=3))
-@dataclass(frozen=True)
-class ModuleOptions:
-    """Rigid modules.
-
-    Parameters
-    ----------
-    module_layout
-        File with the positions of the pads on a module, with units: x [mm], y [mm].
-    module_size
-        Numbers per module, pads that do not exist included: sensors are divided by the numbers at
-        the end of their names.
-    first_pad
-        Number of the first pad of one module. Default: 0 or 1, whichever gives fewer modules.
-    module_table
-        File with the columns sensor, module and optionally pad, instead of --module-size.
-    """
-
-    module_layout: Path | None = None
-    module_size: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
-    first_pad: Annotated[int | None, Parameter(validator=Number(gte=0)), options.expert] = None
-    module_table: Path | None = None
-
-    @property
-    def files(self) -> list[Path | None]:
-        """Files that are read."""
-        return [self.module_layout, self.module_table]
-
-    def read(self, sensor_map: anisomap.SensorMap) -> placement.Modules | None:
-        """Read the modules; None if there are none."""
-        if not self.given:
-            return None
-        if self.module_layout is None or (self.module_table is None) == (self.module_size is None):
-            raise InputError(
-                "modules need the positions of their pads, --module-layout FILE, and either "
-                "--module-table FILE or --module-size"
-            )
-        if self.module_table is not None:
-            divided = io.read_modules(self.module_table, sensor_map.names)
-        else:
-            size = self.module_size or 0
-            divided = placement.modules_by_size(sensor_map.names, size, self.first_pad)
-        return divided.with_template(io.read_map(self.module_layout))
-
-    @property
-    def given(self) -> bool:
-        """Whether anything is known of modules."""
-        return bool(self.module_layout or self.module_table or self.module_size)
+def _modules(
+    rigid: options.ModuleOptions, sensor_map: anisomap.SensorMap
+) -> placement.Modules | None:
+    if not rigid.given:
+        return None
+    if rigid.module_layout is None or not rigid.divided:
+        raise InputError(
+            "modules need the positions of their pads, --module-layout FILE, and either "
+            "--module-table FILE or --module-size"
+        )
+    size = rigid.module_size or 0
+    divided = rigid.listed(sensor_map.names) or placement.modules_by_size(
+        sensor_map.names, size, rigid.first_pad
+    )
+    return rigid.with_layout(divided)
 
 
 def place_map(
@@ -115,7 +81,7 @@ def place_map(
     picture: options.Picture = None,
     frame: Annotated[str, options.expert] = "",
     known: AnchorOptions = AnchorOptions(),
-    rigid: ModuleOptions = ModuleOptions(),
+    rigid: options.ModuleOptions = options.DEFAULT_MODULES,
     mesh: Path | None = None,
     mesh_units: Annotated[str, options.expert] = "m",
     spacing: str = "",
@@ -166,7 +132,7 @@ def place_map(
     found = placement.place(
         sensor_map,
         anchors,
-        modules=rigid.read(sensor_map),
+        modules=_modules(rigid, sensor_map),
         mesh=surface,
         spacing=placement.parse_length(spacing) if spacing else None,
         handedness=handedness or "",

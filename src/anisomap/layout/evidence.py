@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.spatial.distance import cdist, pdist
 
@@ -154,6 +154,12 @@ class Evidence:
         """Return the same with other similarities."""
         return replace(self, similarity=similarity)
 
+    def refitted(self) -> Evidence:
+        """Return the same with the falloff of the current positions."""
+        inside = self.similarity[np.ix_(self.usable, self.usable)]
+        falloff = fit_falloff(inside, self.positions[self.usable], self.falloff.spacing)
+        return replace(self, falloff=falloff)
+
     def moved(self, move: Move) -> Evidence:
         """Return the same with some sensors at other positions."""
         positions = self.positions.copy()
@@ -222,42 +228,3 @@ MIN_GAIN = 15.0
 On the right layouts of icub_torso and nao_torso no swap gains more than 5; every one of 300 seeded
 swaps of 3 spacings and more gained 35 and more (seed 1).
 """
-
-
-class PlaceFits:
-    """Log-likelihoods of single sensors at the places of others."""
-
-    def __init__(self, evidence: Evidence) -> None:
-        self._evidence = evidence
-        self._distances = cdist(evidence.positions, evidence.positions)
-        self._total = evidence.likelihood.sum(axis=1)
-
-    def places_near(self, sensor: int) -> NDArray[np.intp]:
-        """Return the sensors whose places are near those most similar to a sensor."""
-        evidence = self._evidence
-        near = (self._distances[evidence.similar(sensor)] <= evidence.reach).any(axis=0)
-        return np.flatnonzero(near & (self._distances[sensor] > 0))
-
-    def gains(self, sensors: ArrayLike, others: ArrayLike) -> NDArray[np.float64]:
-        """Return the gains of sensors at the places of others, which are left out: pairs, or one.
-
-        sensors, others (m,) or a number -> (m,).
-        """
-        evidence = self._evidence
-        sensors, others = np.broadcast_arrays(sensors, others)
-        bins = evidence.bins[others]
-        after = evidence.falloff.log_likelihood(evidence.similarity[sensors], bins)
-        known = evidence.known[sensors]
-        known[np.arange(len(others)), others] = False
-        before = self._total[sensors] - evidence.likelihood[sensors, others]
-        return np.asarray(np.where(known, after, 0.0).sum(axis=1) - before)
-
-    def best_gains(self, min_distance: float = 0.0) -> NDArray[np.float64]:
-        """Return the largest gain of each sensor at the place of another, shape (n,)."""
-        best = np.full(len(self._distances), -np.inf)
-        for i in np.flatnonzero(self._evidence.usable).tolist():
-            places = self.places_near(i)
-            places = places[self._distances[i, places] >= min_distance]
-            if places.size:
-                best[i] = self.gains(i, places).max()
-        return best

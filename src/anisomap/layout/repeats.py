@@ -1,16 +1,10 @@
-"""Symmetries of a group of sensors, and groups of the same shape."""
+"""Modules found as blocks of consecutive sensors of the same shape."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
-
-from anisomap.numerics.neighbours import nearest_distances
 
 TOLERANCE = 0.25
 """Largest error of places that count as equal, as a share of the spacing in a group.
@@ -18,7 +12,6 @@ TOLERANCE = 0.25
 Chosen by hand: layouts of curved bodies bend their modules by up to a tenth of the spacing.
 """
 
-_MAX_FOLD = 8  # largest order of a rotation that is tried
 _MAX_MODULE = 64  # channels
 _MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
 _CLEARLY_MORE = 0.1  # a multiple of the true size has a share that is hardly larger
@@ -28,86 +21,37 @@ _N_NEXT = 3  # following channels of which distances are compared
 _MIN_PADS = 5  # fewer places are congruent too often by chance
 
 
-@dataclass(frozen=True, eq=False)
-class Symmetry:
-    """A rotation or reflection that maps a group of places onto itself.
+def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> tuple[int, int]:
+    """Find modules, blocks of consecutive sensors whose shapes repeat: size and first number.
 
-    angle: Of a rotation, in degrees, in (0, 180]; 0 for a reflection.
-    order: Sensor i takes the place ``order[i]``.
+    positions (N, k). The size is 0 if no shapes repeat.
     """
-
-    reflected: bool
-    angle: float
-    order: NDArray[np.intp]
-
-
-def symmetries(points: NDArray[np.float64]) -> tuple[Symmetry, ...]:
-    """Find the rotations and reflections that map a nearly flat group of places onto itself.
-
-    points (m, 2).
-    """
-    n_points = len(points)
-    if n_points < 3:
-        return ()
-    centred = points - points.mean(axis=0)
-    basis = np.linalg.svd(centred, full_matrices=False)[2][:2]
-    flat = centred @ basis.T
-    allowed = TOLERANCE * float(np.median(nearest_distances(flat)))
-    angles = [2 * math.pi * k / n for n in range(2, _MAX_FOLD + 1) for k in range(1, n)]
-    known, found = {tuple(range(n_points))}, []
-    radius = np.linalg.norm(flat, axis=1)
-    outer = int(radius.argmax())
-    alike = np.flatnonzero(np.abs(radius - radius[outer]) <= allowed)
-    direction = np.arctan2(flat[:, 1], flat[:, 0])
-    turns = [(False, angle) for angle in sorted(set(angles))]
-    # A reflection maps an outermost place to one that is as far out.
-    turns += [(True, float(direction[outer] + direction[i])) for i in alike]
-    for reflected, angle in turns:
-        cos, sin = math.cos(angle), math.sin(angle)
-        side = -1 if reflected else 1
-        image = flat @ np.array([[cos, sin], [-side * sin, side * cos]])
-        distances = cdist(image, flat)
-        order = linear_sum_assignment(distances**2)[1]
-        if distances[np.arange(n_points), order].max() <= allowed:
-            if tuple(order.tolist()) not in known:
-                degrees = 0.0 if reflected else math.degrees(min(angle, 2 * math.pi - angle))
-                found.append(Symmetry(reflected, degrees, order))
-            known.add(tuple(order.tolist()))
-    return tuple(found)
-
-
-def congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
-    """Return whether two groups of places have the same distances, in their given orders."""
-    if len(first) != len(second) or len(first) < 2:
-        return False
-    return _congruent(cdist(first, first), cdist(second, second))
-
-
-def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Find modules: blocks of consecutive sensors whose shapes repeat. positions (N, k)."""
-    best, best_share = np.full(len(positions), -1), _MIN_REPEATED
+    best, best_share = (0, 0), _MIN_REPEATED
     sizes = np.arange(_MIN_PADS, min(_MAX_MODULE, len(positions) // 2) + 1)
     periodic = np.array([_share_periodic(positions, numbers, size) for size in sizes.tolist()])
     likely = np.argsort(-periodic, kind="stable")[:_MAX_SIZES]
     for size in sorted(sizes[likely[periodic[likely] >= _MIN_REPEATED]].tolist()):
-        labels, share = blocks_of_size(positions, numbers, size)
+        first, share = blocks_of_size(positions, numbers, size)
         if share > best_share + _CLEARLY_MORE:
-            best, best_share = labels, share
+            best, best_share = (size, first), share
     return best
 
 
 def blocks_of_size(
     positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int
-) -> tuple[NDArray[np.intp], float]:
-    """Divide sensors into blocks of `size` consecutive numbers, such that most are congruent."""
-    best, best_share = np.zeros(len(positions), dtype=np.intp), -1.0
+) -> tuple[int, float]:
+    """Divide sensors into blocks of `size` consecutive numbers: first number, and share alike.
+
+    Most are congruent, or, if bending makes all unequal, they are as few as possible.
+    """
     distances = cdist(positions, positions)
-    for offset in range(size):
-        labels = np.unique((numbers - offset) // size, return_inverse=True)[1]
-        share = _share_congruent(distances, (numbers - offset) % size, labels)
-        if share > best_share + 1e-9:
-            best, best_share = labels, share
-    return best, best_share
+    found = []
+    for first in range(size):
+        labels = np.unique((numbers - first) // size, return_inverse=True)[1]
+        share = _share_congruent(distances, (numbers - first) % size, labels)
+        found.append((-round(share, 9), int(labels.max()), first))
+    share, _, first = min(found)
+    return first, -share
 
 
 def _share_periodic(positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int) -> float:

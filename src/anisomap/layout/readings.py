@@ -1,0 +1,147 @@
+"""Similarities of readings, their uncertainty, and how large they are by chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.base.defaults import N_SHIFTS
+from anisomap.errors import InputError
+from anisomap.numerics.precision import Reals
+from anisomap.numerics.signals import count_contacts, unit_rows
+from anisomap.numerics.similarity.correlation import scale_extremes
+from anisomap.numerics.similarity.rest import ranks_of_depths
+
+MIN_FRAMES = 40
+"""Minimum number of frames."""
+
+N_PARTS = 10
+"""Parts of a recording of which each is left out once, for the uncertainty of similarities."""
+
+_ROUNDS = 3  # blocks of each part at least, so that all parts have touched the whole skin
+_LONG = 5.0  # mean contacts that a block lasts: neighbouring blocks should not share contacts
+_MIN_SHIFT = 0.05  # of the recording: shorter shifts leave contacts correlated; chosen by hand
+_N_BEST = 3  # most similar sensors that show that a sensor says something; chosen by hand
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingStatistics:
+    """Similarities of n sensors, their uncertainty, and how similar they are by chance.
+
+    similarity (n, n): Correlation of the ranks of the depths beyond rest.
+    parts (g, n, n): The same without one of g parts of the frames each (jackknife).
+    shifted (s, n, n): The same after s circular shifts of sensor i, the row, against all others.
+    tested (n,): Sensors whose similarity to the 3 most similar sensors exceeds that after every
+        shift.
+    """
+
+    similarity: Reals
+    parts: Reals
+    shifted: Reals
+    tested: NDArray[np.bool_]
+
+    def select(self, sensors: NDArray[np.intp]) -> ReadingStatistics:
+        """Return the statistics of some sensors, given as indices, in that order."""
+        if np.array_equal(sensors, np.arange(len(self.tested))):
+            return self
+        inside = np.ix_(sensors, sensors)
+        return ReadingStatistics(
+            self.similarity[inside],
+            np.stack([part[inside] for part in self.parts]),
+            np.stack([one[inside] for one in self.shifted]),
+            self.tested[sensors],
+        )
+
+
+def reading_statistics(
+    readings: ArrayLike, rng: np.random.Generator, *, n_shifts: int = N_SHIFTS
+) -> ReadingStatistics:
+    """Compute the similarities of all pairs of sensors, their uncertainty and null distribution.
+
+    Parameters
+    ----------
+    readings : array_like of shape (T, n)
+        Finite readings.
+    rng : numpy.random.Generator
+        Draws the shifts.
+    n_shifts : int
+        At least 1.
+
+    Returns
+    -------
+    ReadingStatistics
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 40 frames.
+    """
+    values = scale_extremes(readings)
+    n_frames = len(values)
+    if n_frames < MIN_FRAMES:
+        raise InputError(f"a check needs at least {MIN_FRAMES} frames, got {n_frames}")
+    ranks = ranks_of_depths(values)
+    rows = unit_rows(ranks)
+    part = _part_of_frames(ranks)
+    products = np.stack([rows[:, part == g] @ rows[:, part == g].T for g in range(N_PARTS)])
+    whole = products.sum(axis=0)
+    parts = np.stack(
+        [
+            _without(
+                whole - product, rows[:, part == g].sum(axis=1), int(np.count_nonzero(part != g))
+            )
+            for g, product in enumerate(products)
+        ]
+    )
+    similarity = _symmetric(whole)
+    least = max(1, int(_MIN_SHIFT * n_frames))
+    lags = rng.integers(least, n_frames - least, size=n_shifts, endpoint=True)
+    shifted = np.stack([_shifted_product(rows.T, int(lag)) for lag in lags])
+    strength = _strength(similarity)
+    chance = np.stack([_strength(one) for one in shifted])
+    tested = (strength > chance.max(axis=0)) & (strength > 0)
+    return ReadingStatistics(similarity, parts, shifted, tested)
+
+
+def _part_of_frames(ranks: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Deal blocks of frames that are longer than contacts to the parts in turn, shape (T,)."""
+    n_frames = len(ranks)
+    active = ranks > ranks.min(axis=0)
+    n_contacts = max(1, int(count_contacts(active).sum()))
+    length = round(_LONG * np.count_nonzero(active) / n_contacts)
+    length = int(np.clip(length, 1, max(1, n_frames // (_ROUNDS * N_PARTS))))
+    return np.arange(n_frames) // length % N_PARTS
+
+
+def _without(
+    product: NDArray[np.float32], left_out: NDArray[np.float32], n_frames: int
+) -> NDArray[np.float32]:
+    """Return correlations from products of centred rows, without the frames of a part.
+
+    left_out (n,): Sums of the rows over these frames.
+    """
+    centred = product - np.outer(left_out, left_out) / n_frames
+    norms = np.sqrt(np.maximum(np.diag(centred), 0))
+    inverse = np.divide(1, norms, out=np.zeros_like(norms), where=norms > 1e-3)
+    return _symmetric(centred * np.outer(inverse, inverse))
+
+
+def _symmetric(product: NDArray[np.float32]) -> NDArray[np.float32]:
+    mean = (product + product.T) / 2
+    return np.clip(mean, -1, 1)
+
+
+def _shifted_product(values: NDArray[np.float32], lag: int) -> NDArray[np.float32]:
+    """Correlate each sensor, shifted circularly by `lag` frames, with all others."""
+    return np.asarray(values[:-lag].T @ values[lag:] + values[-lag:].T @ values[:lag])
+
+
+def _strength(similarity: Reals) -> NDArray[np.float32]:
+    """Return the mean similarity of each sensor to its most similar others."""
+    others = np.array(similarity)
+    np.fill_diagonal(others, -1)
+    n_best = min(_N_BEST, len(others) - 1)
+    best = np.partition(others, len(others) - n_best, axis=1)[:, len(others) - n_best :]
+    return np.asarray(best.mean(axis=1))

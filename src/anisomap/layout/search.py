@@ -1,0 +1,112 @@
+"""Search for the changes of places that explain the readings better than the stated places."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
+from anisomap.layout.joint import Change, JointSearch
+from anisomap.layout.judging import Judge, Verdict
+from anisomap.layout.modules import Mounting
+from anisomap.layout.patches import (
+    is_possible,
+    patch_moves,
+    single_moves,
+    without_smaller_patches,
+)
+from anisomap.layout.sensors import cable_shifts, cycles, half_swaps, swaps
+
+_MAX_ROUNDS = 12
+_LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
+
+Proposer: TypeAlias = Callable[[Evidence], list[Proposal]]
+
+PERMUTING: tuple[Proposer, ...] = (cable_shifts, cycles, swaps)
+"""All functions that propose permutations of places."""
+
+SEARCHES: tuple[tuple[Proposer, ...], ...] = (
+    (*PERMUTING, patch_moves),
+    (half_swaps,),
+    (single_moves,),
+)
+"""Functions that propose moves; those of one sensor are each used once no other move is left.
+
+Most sensors that fit another place have changed places with others that say where they belong.
+"""
+_OF_PATCHES = (patch_moves, single_moves)  # searches that do not permute places
+
+
+class Search:
+    """Greedy search: modules first, all together; then moves of others, in order of their gain.
+
+    evidence: With modules unbent at their stated places; after a search, with all changes.
+    arranged: After the search of modules.
+    changes: Of modules.
+    rigid: Groups of sensors that were moved to places where no sensor is.
+    """
+
+    def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
+        self._mounting, self.judge = mounting, judge
+        self.arranged = self.evidence = evidence
+        self.rigid: list[NDArray[np.intp]] = []
+        self.changes: list[Change] = []
+        self._explained: set[int] = set()
+
+    def run_modules(self) -> Evidence:
+        """Change modules, and return the evidence then."""
+        self.evidence, self.changes = JointSearch(self.evidence, self._mounting, self.judge).run()
+        for change in self.changes:
+            self._explained.update(change.move.sensors.tolist())
+        self.arranged = self.evidence
+        return self.evidence
+
+    def run_sensors(self) -> None:
+        """Move patches, runs of channels, and single sensors that no module explains."""
+        for _ in range(_MAX_ROUNDS):
+            if not any(map(self._round, SEARCHES)):
+                break
+            self.evidence = self.evidence.refitted()
+
+    def _round(self, searches: Sequence[Proposer]) -> bool:
+        proposals = [
+            (proposal, search)
+            for search in searches
+            for proposal in search(self.evidence)
+            if proposal.gain >= MIN_GAIN
+        ]
+        proposals.sort(key=lambda pair: -pair[0].gain)
+        changed: set[int] = set()
+        for proposal, search in proposals:
+            sensors = proposal.move.sensors.tolist()
+            if changed.intersection(sensors) or self._explained.intersection(sensors):
+                continue
+            if self.evidence.gain(proposal.move) < _LEFT * proposal.gain:
+                continue
+            # Without the readings of both, a swap is no stronger evidence than a free place.
+            rigid = search not in PERMUTING
+            if rigid and not is_possible(self.evidence, proposal.move):
+                continue
+            verdict = self.weigh(self.evidence, proposal.move, proposal.alternatives, rigid=rigid)
+            if verdict.holds:
+                self.evidence = self.evidence.moved(proposal.move)
+                changed.update(sensors)
+                if search in _OF_PATCHES:
+                    self.rigid.append(proposal.move.sensors)
+        return bool(changed)
+
+    def weigh(
+        self,
+        evidence: Evidence,
+        move: Move,
+        alternatives: Sequence[Move] = (),
+        *,
+        rigid: bool = False,
+    ) -> Verdict:
+        """Weigh the evidence for a move: see `Judge.weigh`."""
+        if rigid:
+            evidence = without_smaller_patches(evidence, move)
+        return self.judge.weigh(evidence, move, alternatives, rigid=rigid)

@@ -1,0 +1,153 @@
+"""Agreement of a layout as a whole with the readings, its order of sensors, and its symmetry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anisomap.layout.chance import neighbour_weights
+from anisomap.layout.evidence import Evidence, Move
+from anisomap.layout.judging import Judge
+
+N_PERMUTATIONS = 199
+"""Number of shuffled layouts that a layout is compared with."""
+
+_MAX_STEP = 24  # sensors by which a whole order is shifted
+_MIN_BETTER = 0.1  # of the possible agreement: what a right order must add; chosen by hand
+_SAME = 0.25  # spacings between places that count as the same
+_MAX_IMAGES = 400  # rotations and reflections of a layout that are tried
+
+
+def agreement_as_a_whole(
+    evidence: Evidence, rng: np.random.Generator, *, n_permutations: int = N_PERMUTATIONS
+) -> tuple[float, float]:
+    """Return how well a layout explains the similarities as a whole: its p, and its share.
+
+    p: Of a layout whose sensors are shuffled.
+    share: Agreement beyond that of shuffled layouts, over that of each sensor with the others that
+        it resembles most, as many as it has neighbours. If a share s of the sensors is shuffled, it
+        is (1 - s)^2 of that of the right layout, since both sensors of a pair must be right.
+    """
+    usable = np.flatnonzero(evidence.usable)
+    weights: Any = neighbour_weights(evidence)[usable][:, usable]
+    similarity = np.array(evidence.similarity[np.ix_(usable, usable)], dtype=np.float64)
+    np.fill_diagonal(similarity, 0)
+    first, second = weights.nonzero()
+    if not first.size:
+        return 1.0, 0.0
+    values = weights[first, second]
+
+    def total(order: NDArray[np.intp]) -> float:
+        return float(values @ similarity[order[first], order[second]])
+
+    stated = total(np.arange(usable.size))
+    shuffled = np.array([total(rng.permutation(usable.size)) for _ in range(n_permutations)])
+    p = (1 + np.count_nonzero(shuffled >= stated)) / (1 + n_permutations)
+    by_sensor = np.lexsort((-values, first))
+    rank = np.arange(first.size) - np.searchsorted(first[by_sensor], first[by_sensor])
+    highest = -np.sort(-similarity, axis=1)
+    best = float(values[by_sensor] @ highest[first[by_sensor], rank])
+    expected = float(shuffled.mean())
+    return p, (stated - expected) / max(best - expected, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanOrder:
+    """Another order of all sensors.
+
+    step: Each sensor has the place of the one that many later; 0 if the order is reversed.
+    order (n,): Sensor i has the place ``order[i]``.
+    """
+
+    step: int
+    order: NDArray[np.intp]
+
+
+def better_order(evidence: Evidence, judge: Judge, explained: float) -> ScanOrder | None:
+    """Find the order of all sensors that explains the readings better than the stated one.
+
+    explained: Agreement as a whole of the stated order.
+    """
+    n_sensors = len(evidence.positions)
+    everyone = np.arange(n_sensors)
+    weights: Any = neighbour_weights(evidence)
+    first, second = weights.nonzero()
+    values = weights[first, second]
+    orders = [ScanOrder(0, everyone[::-1].copy())]
+    steps = range(1, min(_MAX_STEP, n_sensors // 3) + 1)
+    orders += [ScanOrder(sign * s, np.roll(everyone, -sign * s)) for s in steps for sign in (1, -1)]
+
+    def fit(order: NDArray[np.intp]) -> float:
+        """Sum the similarities of the sensors around each other in some order."""
+        at = np.argsort(order)  # the sensor at each place
+        known = evidence.usable[at[first]] & evidence.usable[at[second]]
+        return float(values @ (evidence.similarity[at[first], at[second]] * known))
+
+    stated = fit(everyone)
+    best = max(orders, key=lambda one: fit(one.order))
+    # Agreement of the stated order is `explained` of what is possible, or less.
+    if fit(best.order) * explained < (explained + _MIN_BETTER) * stated:
+        return None
+    move = Move(everyone, evidence.positions[best.order])
+    # The falloff of a wrong order hardly falls.
+    evidence = evidence.moved(move).refitted()
+    back = Move(everyone, evidence.positions[np.argsort(best.order)])
+    holds = judge.certainly_gains(evidence.moved(back), move)
+    return best if holds else None
+
+
+def own_images(positions: NDArray[np.float64], spacing: float) -> int:
+    """Count the rotations and reflections, beside the identity, that map a layout onto itself.
+
+    positions (n, k), k 2 or 3. Readings cannot tell such layouts apart.
+    """
+    centred = positions - positions.mean(axis=0)
+    radius = np.linalg.norm(centred, axis=1)
+    tree, allowed = KDTree(centred), _SAME * spacing
+    a = int(radius.argmax())
+    dimensions = positions.shape[1]
+    # In space, a second sensor, across from the first, fixes an image but for its hand.
+    off = np.linalg.norm(np.cross(centred, centred[a]), axis=1) if dimensions == 3 else radius
+    b = int(off.argmax()) if dimensions == 3 else a
+    pairs = [
+        (i, j)
+        for i in np.flatnonzero(np.abs(radius - radius[a]) <= allowed).tolist()
+        for j in (
+            np.flatnonzero(
+                (np.abs(radius - radius[b]) <= allowed)
+                & (
+                    np.abs(
+                        np.linalg.norm(centred - centred[i], axis=1)
+                        - np.linalg.norm(centred[b] - centred[a])
+                    )
+                    <= allowed
+                )
+            ).tolist()
+            if dimensions == 3
+            else [i]
+        )
+    ]
+    stated = _frame(centred[a], centred[b])
+    found = set()
+    for i, j in pairs[:_MAX_IMAGES]:
+        for hand in (1.0, -1.0):
+            frame = _frame(centred[i], centred[j])
+            frame[-1] *= hand
+            distance, order = map(np.asarray, tree.query(centred @ stated.T @ frame))
+            if distance.max() <= allowed and len(set(order.tolist())) == len(order):
+                found.add(order.tobytes())
+    return len(found - {np.arange(len(positions)).tobytes()})
+
+
+def _frame(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return orthonormal rows: along the first vector, and in the plane of both."""
+    one = first / max(float(np.linalg.norm(first)), 1e-12)
+    if len(first) == 2:
+        return np.array([one, [-one[1], one[0]]])
+    across = second - (second @ one) * one
+    across = across / max(float(np.linalg.norm(across)), 1e-12)
+    return np.array([one, across, np.cross(one, across)])

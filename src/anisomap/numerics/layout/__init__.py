@@ -1,1 +1,0 @@
-"""Agreement of the similarities of sensors with stated positions, and what would improve it."""
