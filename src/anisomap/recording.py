@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import html_table, noun_and_items
-from anisomap.errors import InputError
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.levelling import offsets, steps_of_rest
 from anisomap.numerics.precision import MAX_SQUARED
 from anisomap.numerics.signals import Signals
 
@@ -174,6 +176,29 @@ class Recording(Immutable):
             lowest = np.where(missing, np.inf, self.readings).min(axis=0)
             highest = np.where(missing, -np.inf, self.readings).max(axis=0)
         return np.asarray(highest > lowest)
+
+    @cached_property
+    def levelled(self) -> Recording:
+        """The recording with one level at rest: if it steps, the frames behind are shifted.
+
+        Warns if most sensors step, as where sessions with zeros of their own were put together.
+        """
+        steps = steps_of_rest(self.readings)
+        if not steps:
+            return self
+        warnings.warn(
+            f"the level at rest of most sensors steps at {noun_and_items('frame', steps)}; the "
+            "readings are taken relative to the level of each part",
+            AnisomapWarning,
+            stacklevel=2,
+        )
+        every = np.arange(self.n_sensors)
+        parts = np.split(self.readings, steps)
+        shifts = offsets(parts, [every] * len(parts))
+        shifted = [
+            part if by is None else part - by for part, by in zip(parts, shifts, strict=True)
+        ]
+        return replace(self, readings=np.concatenate(shifted))
 
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
         """Look sensors up by name or index.
@@ -412,7 +437,6 @@ def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
 
 
 _MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand
-_MAX_RUNS = 62  # membership of a sensor in runs is one bit of an int64
 
 
 def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Recording, ...]:
@@ -421,12 +445,12 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
     recording (T, N).
     """
     if isinstance(recording, Recording):
-        return (recording,)
+        return (recording.levelled,)
     if isinstance(recording, Sequence) and any(isinstance(run, Recording) for run in recording):
         runs = tuple(recording)
         if not all(isinstance(run, Recording) for run in runs):
             raise InputError("a sequence of runs must consist of Recording objects only")
-        return runs if sensors_differ(runs) else (join_runs(runs),)
+        return level_runs(runs) if sensors_differ(runs) else (join_runs(runs),)
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
     try:
@@ -439,7 +463,7 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
             f"sequence of Recording; got {type(recording).__name__}"
             + (f" of shape {readings.shape}" if isinstance(recording, np.ndarray) else "")
         )
-    return (Recording(recording),)  # type: ignore[arg-type]  # array_like
+    return (Recording(recording).levelled,)  # type: ignore[arg-type]  # array_like
 
 
 def join_runs(runs: Sequence[Recording]) -> Recording:
@@ -454,7 +478,8 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
     -------
     Recording
         All sensors, in order of appearance. Readings of sensors that a run lacks are NaN. It has
-        no times, and a rate only if the runs agree on it.
+        no times, and a rate only if the runs agree on it. Runs that rest at other levels than the
+        first are shifted to its level, with a warning.
 
     Raises
     ------
@@ -464,8 +489,8 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
     if not runs:
         raise InputError("no recording was given")
     if len(runs) == 1:
-        return runs[0]
-    _check_matching(runs)
+        return runs[0].levelled
+    runs = level_runs(runs)
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     column = {name: i for i, name in enumerate(names)}
     dtype = np.result_type(*(run.readings.dtype for run in runs))
@@ -490,6 +515,33 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
     )
 
 
+def level_runs(runs: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Shift recordings of one skin that rest at other levels than the first one to its level."""
+    if len(runs) < 2:
+        return tuple(run.levelled for run in runs)
+    _check_matching(runs)
+    runs = [run.levelled for run in runs]
+    number: dict[str, int] = {}
+    sensors = [
+        np.array([number.setdefault(name, len(number)) for name in run.names]) for run in runs
+    ]
+    shifts = offsets([run.readings for run in runs], sensors)
+    shifted = [i for i, shift in enumerate(shifts) if shift is not None]
+    if not shifted:
+        return tuple(runs)
+    listed = noun_and_items("recording", [runs[i].source or str(i + 1) for i in shifted])
+    warnings.warn(
+        f"the sensors rest at other levels in the {listed} than in the first one; the readings are "
+        "taken relative to the level of each recording",
+        AnisomapWarning,
+        stacklevel=3,
+    )
+    return tuple(
+        run if shift is None else replace(run, readings=run.readings - shift)
+        for run, shift in zip(runs, shifts, strict=True)
+    )
+
+
 def sensors_differ(runs: Sequence[Recording]) -> bool:
     """Return whether some runs lack sensors that others have."""
     return len({frozenset(run.names) for run in runs}) > 1
@@ -509,8 +561,6 @@ def select_sensors(runs: Sequence[Recording], names: Sequence[str]) -> list[Reco
 
 
 def _check_matching(runs: Sequence[Recording]) -> None:
-    if len(runs) > _MAX_RUNS:
-        raise InputError(f"at most {_MAX_RUNS} recordings can be joined, got {len(runs)}")
     unnamed = [run for run in runs if run.names == default_names(run.n_sensors)]
     sizes = {run.n_sensors for run in unnamed}
     if len(sizes) > 1:

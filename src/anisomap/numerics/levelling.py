@@ -1,0 +1,148 @@
+"""Levels at rest that differ between recordings of one skin, or step within one.
+
+A session has its own zero: pooled as they are, sensors whose zeros differ look related. Levels are
+compared with the noise at rest of both sides, and changed only where most sensors differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.numerics.precision import Floats
+from anisomap.numerics.similarity.rest import Rest, find_levels
+
+MIN_FRAMES = 50
+"""Frames that tell the level at rest of a recording; of fewer, sensors may be touched in most."""
+
+# Chosen by hand: a contact moves fewer sensors, and all to one side of rest.
+_MOST, _EACH_SIDE = 0.5, 0.1  # of the sensors
+_N_COMPARED = 200  # frames at each end, to see whether there is a step
+_WINDOW = 25  # frames
+_NOISE = 6.0  # standard deviations that a level must differ by
+_AT_REST = 0.5  # of the frames between steps
+# Frames that may be at the level of the other side of a step, by chance and by contacts.
+_BEYOND, _TOUCHED = 0.02, 0.3
+
+
+def offsets(
+    parts: Sequence[NDArray[np.floating]], sensors: Sequence[NDArray[np.intp]]
+) -> list[Floats | None]:
+    """Return by how much the rest of each part is above that of the first with the same sensor.
+
+    parts: Readings, (T, n), of the sensors with the given numbers. None for a part that is too
+    short, or of which less than half of the sensors differ by more than noise.
+    """
+    n_all = 1 + max(int(own.max(initial=-1)) for own in sensors)
+    level, noise = np.full((2, n_all), np.nan)
+    found: list[Floats | None] = []
+    for readings, own in zip(parts, sensors, strict=True):
+        found.append(None)
+        if len(readings) < MIN_FRAMES:
+            continue
+        rest = _rest(readings)
+        shared = np.isfinite(level[own])
+        apart = np.abs(rest.value - level[own]) > rest.threshold + noise[own]
+        if shared.any() and (apart & rest.known)[shared].mean() > _MOST:
+            shift = np.where(shared, rest.value - level[own], 0)
+            found[-1] = shift
+        new = own[~shared]
+        level[new], noise[new] = rest.value[~shared], rest.threshold[~shared]
+    return found
+
+
+def _rest(readings: NDArray[np.floating]) -> Rest:
+    known = np.isfinite(readings)
+    if not known.all():
+        empty = ~known.any(axis=0)
+        usual = np.nanmedian(np.where(known, readings, np.nan)[:, ~empty], axis=0)
+        fill = np.zeros(readings.shape[1])
+        fill[~empty] = usual
+        readings = np.where(known, readings, fill).astype(readings.dtype)
+    return find_levels(readings).rest
+
+
+def steps_of_rest(readings: NDArray[np.floating]) -> list[int]:
+    """Return the frames from which most sensors rest at another level than before; most have none.
+
+    Levels step to both sides, and each level is left for contacts only: a hold ends at a level that
+    was there before.
+    """
+    n_frames = len(readings)
+    if n_frames < 2 * MIN_FRAMES or readings.shape[1] < 1 / _EACH_SIDE:
+        return []
+    n = min(_N_COMPARED, n_frames // 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        ends = (_level(readings[:n]), _level(readings[-n:]))
+        if not _apart(*ends):
+            return []
+        n_windows = n_frames // _WINDOW
+        windows = readings[: n_windows * _WINDOW].reshape(n_windows, _WINDOW, -1)
+        medians = np.median(windows, axis=1).astype(np.float64)
+        moved = np.abs(np.diff(medians, axis=0)) > _NOISE * np.maximum(ends[0][1], ends[1][1])
+        candidates = 1 + np.flatnonzero(moved.mean(axis=1) > _MOST / 2)
+        return _confirmed(readings, candidates)
+
+
+def _confirmed(readings: NDArray[np.floating], candidates: NDArray[np.intp]) -> list[int]:
+    found, start = list[int](), 0
+    for window in candidates.tolist():
+        around = slice(max(start, (window - 4) * _WINDOW), (window + 4) * _WINDOW)
+        frame = around.start + _largest_step(readings[around])
+        if frame - start < MIN_FRAMES or len(readings) - frame < MIN_FRAMES:
+            continue
+        if _is_step(readings[start:frame], readings[frame:]):
+            found.append(frame)
+            start = frame
+    return found
+
+
+def _largest_step(readings: NDArray[np.floating]) -> int:
+    """Return the frame that divides frames at the first level from those at the last."""
+    values = readings.astype(np.float64)
+    low, high = (
+        np.median(part, axis=0) for part in (values[: 2 * _WINDOW], values[-2 * _WINDOW :])
+    )
+    moved = low != high
+    values, low, high = values[:, moved], low[moved], high[moved]
+    nearer = (np.abs(values - low) - np.abs(values - high)) / np.abs(high - low)
+    return int(np.argmin(np.cumsum(nearer.sum(axis=1)))) + 1
+
+
+def _level(readings: NDArray[np.floating]) -> tuple[Floats, Floats]:
+    """Return the median of each sensor, and the standard deviation of its noise."""
+    steps = np.abs(np.diff(readings.astype(np.float64), axis=0))
+    return np.median(readings, axis=0).astype(np.float64), np.median(steps, axis=0) / 0.954
+
+
+def _apart(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> bool:
+    """Return whether most sensors differ by more than noise, some to either side."""
+    step, noise = after[0] - before[0], np.maximum(before[1], after[1])
+    up, down = (float(np.mean(sign * step > _NOISE * noise)) for sign in (1, -1))
+    return up + down > _MOST and min(up, down) > _EACH_SIDE
+
+
+def _is_step(before: NDArray[np.floating], after: NDArray[np.floating]) -> bool:
+    """Return whether two parts rest at levels of their own."""
+    after = after[: 4 * MIN_FRAMES]  # up to the next step, perhaps
+    levels = _level(before), _level(after)
+    if not _apart(*levels):
+        return False
+    (low, noise), (high, _) = levels
+    step, noise = high - low, np.maximum(noise, levels[1][1])
+    moved = np.abs(step) > _NOISE * noise
+    middle, sign = (low + high) / 2, np.sign(step)
+    # A contact moves readings to one side; the other side of a level is not visited.
+    visits = (
+        (sign * (before - middle) > 0).mean(axis=0),
+        (sign * (after - middle) < 0).mean(axis=0),
+    )
+    free = (np.minimum(*visits) <= _BEYOND) & (np.maximum(*visits) <= _TOUCHED)
+    rests = [
+        (np.abs(part - level[0]) <= _NOISE * np.maximum(noise, np.abs(step) / 20)).mean(axis=0)
+        for part, level in zip((before, after), levels, strict=True)
+    ]
+    resting = np.minimum(*rests) >= _AT_REST
+    return bool((free & resting)[moved].mean() > _MOST)
