@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import html_table, noun_and_items
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.intake import take, times_of
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.levelling import offsets, steps_of_rest
 from anisomap.numerics.precision import MAX_SQUARED
@@ -39,11 +41,13 @@ class Recording(Immutable):
     ----------
     readings : array_like of shape (T, N)
         One row per frame, one column per sensor. Real numbers; NaN and infinities mark missing
-        readings (see `complete`). Stored as float32 if that is lossless, else as float64.
+        readings (see `complete`). Stored as float32 if that is lossless, else as float64. Frames
+        may be matrices: the longest axis is time. Objects of pandas, xarray and mne give names and
+        times, too.
     names : sequence of str, optional
-        Unique names, one per sensor; by default the columns of a DataFrame, or ``s0, s1, ...``.
+        Unique names, one per sensor; by default those of the object, or ``s0, s1, ...``.
     times : array_like of shape (T,), optional
-        Seconds, strictly increasing.
+        Seconds, or dates with a time; strictly increasing.
     rate_hz : float, optional
         Frames per second; computed from `times` if these are given.
     positions : array_like of shape (N, 2) or (N, 3), optional
@@ -79,18 +83,21 @@ class Recording(Immutable):
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        columns = column_names(self.readings)
-        readings = _as_readings(self.readings)
+        taken = take(self.readings)
+        readings = taken.readings
         n_frames, n_sensors = readings.shape
-        names = tuple(map(str, self.names)) or columns or default_names(n_sensors)
+        names = tuple(map(str, self.names)) or taken.names or default_names(n_sensors)
         check_names(names, n_sensors)
-        times, rate_hz = self.times, self.rate_hz
+        times = taken.times if self.times is None else self.times
+        rate_hz = taken.rate_hz if self.rate_hz is None else self.rate_hz
         if times is not None:
-            times = np.array(times, dtype=np.float64)
-            _check_times(times, n_frames)
+            times = times_of(times, n_frames)
             rate_hz = float(1 / np.median(np.diff(times))) if n_frames > 1 else rate_hz
-        if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
-            raise InputError(f"rate_hz must be a positive number, got {rate_hz}")
+        if rate_hz is not None and not (
+            isinstance(rate_hz, int | float | np.number) and 0 < rate_hz < np.inf
+        ):
+            raise InputError(f"rate_hz must be a positive number, got {rate_hz!r}")
+        _check_facts(self)
         truth = {
             "positions": ((n_sensors, 2), (n_sensors, 3)),
             "normals": ((n_sensors, 3),),
@@ -105,6 +112,8 @@ class Recording(Immutable):
             if array.shape not in truth[name]:
                 shapes = " or ".join(map(str, truth[name]))
                 raise InputError(f"{name} must be of shape {shapes}, got {array.shape}")
+            if name != "surface_distances" and np.isinf(array).any():
+                raise InputError(f"{name} must be finite, or NaN where they are unknown")
         self.set_fields(readings=readings, names=names, times=times, rate_hz=rate_hz, **known)
 
     def __repr__(self) -> str:
@@ -301,6 +310,18 @@ class Recording(Immutable):
         )
 
 
+def _check_facts(recording: Recording) -> None:
+    """Check the texts and metadata, which every file format can store."""
+    for name in ("units", "source"):
+        if not isinstance(getattr(recording, name), str):
+            raise InputError(f"{name} must be text, got {getattr(recording, name)!r}")
+    for key, value in recording.metadata.items():
+        if not isinstance(key, str) or not isinstance(value, Scalar | np.generic):
+            raise InputError(
+                f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
+            )
+
+
 def in_range(recording: Recording) -> tuple[Recording, float]:
     """Scale readings by a power of 2 if their squares overflow or underflow; return it as well.
 
@@ -338,7 +359,10 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
 def find_sensors(
     names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
 ) -> NDArray[np.intp]:
-    """Look sensors up by name or index; see `Recording.indices`. kind: What an error calls them."""
+    """Look sensors up by name, index, range (``c0-c35``) or pattern (``*_z``); sorted and unique.
+
+    kind: What an error calls them.
+    """
     if isinstance(sensors, str | int):
         sensors = [sensors]
     by_name = {name: i for i, name in enumerate(names)}
@@ -349,12 +373,30 @@ def find_sensors(
             found.add(by_name[text])
         elif text.isdecimal() and int(text) < len(names):
             found.add(int(text))
+        elif several := _several(names, by_name, text):
+            found.update(several)
         else:
             raise InputError(
                 f"there is no {kind} {text!r}; names are {names[0]} ... {names[-1]}, indices 0 to "
                 f"{len(names) - 1}"
             )
     return np.array(sorted(found), dtype=np.intp)
+
+
+def _several(names: Sequence[str], by_name: Mapping[str, int], text: str) -> list[int]:
+    """Return the sensors of a pattern with ``*`` or ``?``, or from one to another in order."""
+    if "*" in text or "?" in text:
+        pattern = re.escape(text).replace(r"\*", ".*").replace(r"\?", ".")
+        return [i for i, name in enumerate(names) if re.fullmatch(pattern, name, re.DOTALL)]
+    for match in re.finditer("-", text):
+        ends = text[: match.start()].strip(), text[match.end() :].strip()
+        if all(end in by_name for end in ends):
+            first, last = sorted(by_name[end] for end in ends)
+            return [*range(first, last + 1)]
+        if all(end.isdecimal() and int(end) < len(names) for end in ends):
+            first, last = sorted(map(int, ends))
+            return [*range(first, last + 1)]
+    return []
 
 
 def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
@@ -366,16 +408,27 @@ def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
 def match_sensors(
     names: Sequence[str], among: Sequence[str], what: str
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Match sensors by name, or by order if no name is shared; return indices, and a note then."""
+    """Match sensors by name, or by order if a side has no names; return indices, and a note then.
+
+    A side without names has the default ones, or numbers.
+    """
     found = match_names(names, among)
     if (found >= 0).any():
         return found, ()
+    sides = " and ".join(f"{side[0]} ... {side[-1]}" for side in (names, among))
+    if not (_unnamed(names) or _unnamed(among)):
+        raise InputError(f"{what} share no sensor name ({sides}); use the same names")
     if len(names) != len(among):
         raise InputError(
             f"{what} share no sensor name, and {len(names)} sensors cannot be matched with "
             f"{len(among)} by order; use the same names"
         )
-    return np.arange(len(names)), (f"{what} share no sensor name: matched by order",)
+    return np.arange(len(names)), (f"{what} share no sensor name ({sides}): matched by order",)
+
+
+def _unnamed(names: Sequence[str]) -> bool:
+    counted = (tuple(map(str, range(start, start + len(names)))) for start in (0, 1))
+    return tuple(names) in (default_names(len(names)), *counted)
 
 
 def sensor_mask(
@@ -385,55 +438,6 @@ def sensor_mask(
     mask = np.zeros(len(names), dtype=bool)
     mask[find_sensors(names, sensors, kind)] = True
     return mask
-
-
-def _as_readings(values: ArrayLike) -> NDArray[np.floating]:
-    if hasattr(values, "positions"):  # its coordinates would be read as three sensors
-        raise InputError(f"a recording is required here, got a map ({type(values).__name__})")
-    values = _unmasked(values)
-    try:
-        array = np.asarray(values)
-    except ValueError:
-        raise InputError(
-            "readings must be of shape (T, N) (frames x sensors), got rows of different lengths"
-        ) from None
-    if array.dtype.kind not in "biuf":
-        raise InputError(f"readings must be real numbers, got {array.dtype}")
-    if array.ndim != 2:
-        raise InputError(
-            f"readings must be of shape (T, N) (frames x sensors), got shape {array.shape}"
-        )
-    if 0 in array.shape:
-        raise InputError(f"readings must not be empty, got shape {array.shape}")
-    fits_float32 = array.dtype in (np.float16, np.float32) or (
-        array.dtype.kind in "biu" and array.dtype.itemsize <= 2
-    )
-    dtype = np.float32 if fits_float32 else np.float64
-    if array.dtype == dtype and array.base is None and not array.flags.writeable:
-        return array  # already immutable: do not copy a large recording
-    return np.array(array, dtype=dtype)
-
-
-def _unmasked(values: Any) -> Any:
-    """Replace the masked values of a masked array by NaN."""
-    if not np.ma.is_masked(values) or values.dtype.kind not in "biuf":
-        return values
-    dtype = np.result_type(values.dtype, np.float16)
-    return values.astype(dtype).filled(np.nan)
-
-
-def _check_times(times: NDArray[np.float64], n_frames: int) -> None:
-    if times.shape != (n_frames,):
-        raise InputError(f"times must be of shape ({n_frames},), got {times.shape}")
-    if not np.isfinite(times).all():
-        raise InputError(f"the time of frame {int(np.argmin(np.isfinite(times)))} is not finite")
-    steps = np.diff(times)
-    if (steps <= 0).any():
-        frame = int(np.argmax(steps <= 0)) + 1
-        raise InputError(
-            f"times must increase, but frame {frame} ({times[frame]:g} s) "
-            f"is not after frame {frame - 1} ({times[frame - 1]:g} s)"
-        )
 
 
 _MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand
@@ -453,16 +457,6 @@ def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Rec
         return level_runs(runs) if sensors_differ(runs) else (join_runs(runs),)
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
-    try:
-        readings = np.asarray(_unmasked(recording))
-    except ValueError:
-        readings = np.empty(())
-    if readings.ndim != 2:
-        raise InputError(
-            "a recording must be a Recording, an array of shape (T, N) (frames x sensors), or a "
-            f"sequence of Recording; got {type(recording).__name__}"
-            + (f" of shape {readings.shape}" if isinstance(recording, np.ndarray) else "")
-        )
     return (Recording(recording).levelled,)  # type: ignore[arg-type]  # array_like
 
 

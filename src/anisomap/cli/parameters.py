@@ -78,6 +78,12 @@ class ReadingOptions:
         silent.
     bin_width
         Width of the bins in which events are counted, such as 1s or 50ms.
+    axis
+        What is read of taxels with three axes: z, norm (the length from rest), x, y, or all for
+        each axis as a sensor.
+    keep
+        Columns that are sensors: names, indices, ranges (c0-c35) or patterns ('*_z'), separated by
+        commas; may be repeated. Default: all that are not recognised as something else.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
@@ -86,6 +92,8 @@ class ReadingOptions:
     preset: str = ""
     positions: Path | None = None
     bin_width: Annotated[str, expert] = ""
+    axis: Literal["z", "norm", "x", "y", "all"] = "z"
+    keep: list[str] = field(default_factory=list)
 
     @property
     def inputs(self) -> list[Path]:
@@ -97,7 +105,14 @@ class ReadingOptions:
         grid = _rows_and_columns(self.grid) if self.grid else None
         bin_s = _seconds(self.bin_width) if self.bin_width else None
         return io.ReadOptions(
-            self.select, grid, tuple(self.msg), self.preset, self.positions, bin_s
+            self.select,
+            grid,
+            tuple(self.msg),
+            self.preset,
+            self.positions,
+            bin_s,
+            self.axis,
+            tuple(part.strip() for text in self.keep for part in text.split(",")),
         )
 
 
@@ -324,8 +339,8 @@ Drop: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
         group=method_group,
-        help="Sensors to leave out of the map: names or indices, separated by commas; may be "
-        "repeated.",
+        help="Sensors to leave out of the map: names, indices, ranges (c0-c35) or patterns, "
+        "separated by commas; may be repeated.",
     ),
 ]
 MapDimensions: TypeAlias = Annotated[

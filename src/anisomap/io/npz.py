@@ -23,12 +23,14 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.axes import Frames, frames_of
 from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError, error_reason
 from anisomap.files.budget import DEFLATE_RATIO, Budget, bytes_kept
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
+from anisomap.io.parsing.source import warn
 from anisomap.io.recordings.events import NOUNS, Events, noun_of, stream_events
 from anisomap.io.stream import (
     Block,
@@ -260,16 +262,21 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
             return
         archive.require("readings", "recording")
         shape = archive.shape("readings")
-        if len(shape) != 2:
-            problem = f"must be frames x sensors (T, N), got {len(shape)} dimensions"
-            raise FileError(f"{path}: readings {problem}")
         if 0 in shape:
             raise FileError(f"{path}: readings are empty (shape {shape})")
+        frames = _frames_of(path, shape, "readings")
+        names = archive.texts("names") or frames.names
+        if len(shape) == 2:
+            blocks = archive.blocks("readings", _times(archive, shape[0]))
+        else:
+            rows = np.moveaxis(archive.required("readings", NUMBERS), frames.time, 0)
+            rows = rows.reshape(-1, frames.n_sensors)
+            blocks = iter([Block(rows, 1.0, _times(archive, len(rows)))])
         yield Stream(
             path,
-            shape[1],
-            archive.blocks("readings", _times(archive, shape[0])),
-            names=archive.texts("names"),
+            frames.n_sensors,
+            blocks,
+            names=names,
             rate_hz=archive.number("rate_hz"),
             positions=archive.array("positions"),
             normals=archive.array("normals"),
@@ -326,9 +333,10 @@ def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
         shape, fortran_order, dtype = read_header(stream, "the array")
         if dtype.kind not in NUMBERS:
             raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
-        if len(shape) != 2 or min(shape) < 1:
-            raise FileError(f"{path}: the array must be frames x sensors (T, N), got shape {shape}")
-        n_frames, n_sensors = shape
+        if 0 in shape:
+            raise FileError(f"{path}: the array is empty (shape {shape})")
+        frames = _frames_of(path, shape, "the array")
+        n_frames, n_sensors = shape[frames.time], frames.n_sensors
         needed = n_frames * n_sensors * dtype.itemsize
         held = os.fstat(stream.fileno()).st_size - stream.tell()
         if needed > held:
@@ -336,6 +344,16 @@ def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
                 f"{path} is cut short: its array needs {needed} bytes, but {held} follow the header"
             )
         first = stream.tell()
+        if len(shape) > 2 and (fortran_order or frames.time):
+            Budget(path).check(needed, "the array")
+            values = _values(path, stream, dtype, n_frames * n_sensors)
+            whole = values.reshape(shape, order="F" if fortran_order else "C")
+            rows = np.moveaxis(whole, frames.time, 0).reshape(n_frames, n_sensors)
+            once = iter([Block(rows, 1.0)])
+            yield Stream(
+                path, n_sensors, once, names=frames.names, source=path.name, raw_columns=True
+            )
+            return
 
         def read(start: int, stop: int) -> NDArray[Any]:
             if not fortran_order:
@@ -350,7 +368,20 @@ def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
         # In Fortran order, a block takes one read per sensor, so blocks are larger.
         frame_bytes = n_sensors * dtype.itemsize >> (2 if fortran_order else 0)
         blocks = salvage(read_in_blocks(read, n_frames, max(frame_bytes, 1)), path)
-        yield Stream(path, n_sensors, blocks, source=path.name)
+        yield Stream(
+            path, n_sensors, blocks, names=frames.names, source=path.name, raw_columns=True
+        )
+
+
+def _frames_of(path: Path, shape: tuple[int, ...], what: str) -> Frames:
+    """Return how an array holds frames; more than two axes are said."""
+    frames = frames_of(shape)
+    if frames is None:
+        expected = "be frames x sensors (T, N), or have time, its longest axis, first or last"
+        raise FileError(f"{path}: {what} must {expected}, got shape {shape}")
+    if len(shape) > 2:
+        warn(path, f"{what} has {len(shape)} axes: {frames.said}")
+    return frames
 
 
 def _values(path: Path, stream: IO[bytes], dtype: np.dtype[Any], count: int) -> NDArray[Any]:

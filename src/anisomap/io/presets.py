@@ -7,7 +7,7 @@ line in `PRESETS`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TypeAlias
@@ -15,9 +15,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import InputError
+from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.names import cells_of
 from anisomap.io.parsing.source import warn
+from anisomap.io.stream import BLOCK_FRAMES, Block, Stream, rechunk
 from anisomap.recording import Recording, default_names
 
 UNITS = "spacings"
@@ -55,6 +56,44 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
         positions=grid_positions(rows, columns)[cells],
         units=UNITS,
         names=grid_names(rows, columns) if unnamed else recording.names,
+    )
+
+
+def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
+    """Join the rows of frames that are stored one after the other, if the columns are those."""
+    if grid is None or grid[0] == 1 or stream.n_sensors != grid[1]:
+        return stream
+    rows, columns = grid
+    warn(stream.path, f"each {rows} rows of {columns} numbers are a frame")
+
+    def blocks() -> Iterator[Block]:
+        for block in rechunk(stream.blocks, rows * max(1, BLOCK_FRAMES // rows)):
+            n_frames, left = divmod(len(block.readings), rows)
+            if left:
+                raise FileError(
+                    f"{stream.path}: its rows are no multiple of {rows}, the rows of a frame"
+                )
+            yield replace(
+                block.part(0, None),
+                readings=block.readings.reshape(n_frames, rows * columns),
+                **{
+                    name: clock[::rows]
+                    for name in ("times", "receive_times")
+                    if (clock := getattr(block, name)) is not None
+                },
+            )
+
+    rate = None if stream.rate_hz is None else stream.rate_hz / rows
+    return replace(
+        stream,
+        n_sensors=rows * columns,
+        blocks=blocks(),
+        names=grid_names(rows, columns),
+        rate_hz=rate,
+        positions=None,
+        normals=None,
+        surface_distances=None,
+        locate=None,
     )
 
 

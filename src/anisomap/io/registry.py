@@ -20,12 +20,13 @@ from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 from anisomap.io import npz
+from anisomap.io.columns import sensors_of
 from anisomap.io.isolation import contents_isolated, open_isolated
 from anisomap.io.maps import point_files, robot_models, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names
 from anisomap.io.parsing.source import file_errors, read_head
-from anisomap.io.presets import apply_preset, with_grid
+from anisomap.io.presets import apply_preset, in_grid, with_grid
 from anisomap.io.recordings import (
     arrow,
     bag_files,
@@ -384,6 +385,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
             if options.bin_s is not None and not stream.silent_are_zero:
                 raise FileError(f"{described} holds readings, not events; leave out --bin-width")
             stream = replace(stream, names=distinct_names(file, stream.names))
+            stream = in_grid(sensors_of(stream, options), options.grid)
             if options.positions is not None and not options.preset:
                 stream = _with_positions(stream, options.positions)
 

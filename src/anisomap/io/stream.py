@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.columns import AXES
 from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.io.parsing.source import batches, warn, warn_of_loss
@@ -152,6 +153,12 @@ class ReadOptions:
         the numbers at the ends of the names.
     bin_s : float, optional
         Width in seconds of the bins in which events are counted; for recordings of events only.
+    axis : {"z", "norm", "x", "y", "all"}
+        What is read of taxels with three axes: one of them, the length of the vector from rest, or
+        each axis as a sensor.
+    keep : tuple of str
+        Columns that are sensors: names, indices, ranges (``c0-c35``) or patterns (``*_z``). By
+        default, all that are not recognised as something else.
 
     Raises
     ------
@@ -165,6 +172,8 @@ class ReadOptions:
     preset: str = ""
     positions: Path | None = None
     bin_s: float | None = None
+    axis: str = "z"
+    keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.grid is not None and not (
@@ -175,6 +184,8 @@ class ReadOptions:
             raise InputError(
                 f"grid must be two whole numbers of at least 1, rows and columns, got {self.grid!r}"
             )
+        if self.axis not in AXES:
+            raise InputError(f"axis must be one of {', '.join(AXES)}, got {self.axis!r}")
         if self.bin_s is not None and not 0 < self.bin_s < np.inf:
             raise InputError(f"bin_s must be a positive number of seconds, got {self.bin_s}")
 
@@ -230,6 +241,8 @@ class Stream:
         Maps a frame index to its place in the file, such as ``"line 12"``.
     silent_are_zero : bool
         Whether the file lists events, so that a sensor it does not mention was never active.
+    raw_columns : bool
+        Whether columns may be something else than sensors, or axes of sensors.
     """
 
     path: Path
@@ -246,6 +259,7 @@ class Stream:
     from_zero: bool = False
     locate: Callable[[int], str] | None = None
     silent_are_zero: bool = False
+    raw_columns: bool = False
 
 
 FRAMES_SAMPLED = "frames_sampled_every"

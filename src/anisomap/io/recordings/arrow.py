@@ -207,6 +207,7 @@ def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
         len(kept),
         blocks(),
         names=tuple(kept),
+        raw_columns=True,
         source=source.path.name,
         metadata={"format": "Arrow"},
     )

@@ -140,6 +140,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
         from_zero=roles.time in table.clocks,
+        raw_columns=not known,
         locate=None if known else functools.partial(line_of, table),
         **facts,
     )

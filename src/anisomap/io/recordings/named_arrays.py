@@ -24,10 +24,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from anisomap.base.clocks import is_time, units_per_second
+from anisomap.base.axes import frames_of
+from anisomap.base.clocks import clock_of, is_time
 from anisomap.errors import FileError, import_extra
 from anisomap.files.budget import Budget, bytes_kept
-from anisomap.io.parsing.source import quote, read_head
+from anisomap.io.parsing.source import quote, read_head, warn
 from anisomap.io.recordings.contact_lists import stream_contacts
 from anisomap.io.recordings.events import stream_trains
 from anisomap.io.stream import (
@@ -208,7 +209,8 @@ def _stream_of(
         return replace(stream, source=f"{path.name}:{chosen.name}")
     choose(path, [chosen], "", "dataset")  # raises FileError for one that cannot be a recording
     dataset = next(each for each in datasets if each.name == chosen.name)
-    near = [each for each in datasets if each.group == dataset.group and each is not dataset]
+    dataset, names = _frames_first(path, dataset)
+    near = [each for each in datasets if each.group == dataset.group and each.name != dataset.name]
     n_frames, n_sensors = dataset.shape[0], math.prod(dataset.shape[1:])
     least = bytes_kept(np.dtype(np.float32))
     Budget(path).check_readings(n_frames, n_sensors, least, "its table of readings")
@@ -222,12 +224,31 @@ def _stream_of(
             times=_times(path, near, n_frames),
             multiple=dataset.frames_at_once,
         ),
-        names=_names(near, n_sensors) or _indices(dataset.shape[1:]),
+        names=_names(near, n_sensors) or names,
         rate_hz=_rate(near),
         positions=_positions(near, n_sensors),
         source=f"{path.name}:{chosen.name}",
         metadata=metadata,
+        raw_columns=True,
     )
+
+
+def _frames_first(path: Path, dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+    """Return a dataset with time as its first axis, and names of its readings."""
+    frames = frames_of(dataset.shape)
+    if frames is None or len(dataset.shape) == 2:
+        return dataset, ()
+    warn(path, f"{dataset.name} has {len(dataset.shape)} axes: {frames.said}")
+    if frames.time == 0:
+        return dataset, frames.names
+    n_frames = dataset.shape[-1]
+
+    @functools.cache
+    def whole() -> NDArray[Any]:
+        return np.ascontiguousarray(np.moveaxis(dataset.whole(), -1, 0))
+
+    moved = replace(dataset, shape=(n_frames, *frames.shape), frames_at_once=1)
+    return replace(moved, read=lambda start, stop: whole()[start:stop]), frames.names
 
 
 def _stream_of_lists(
@@ -256,6 +277,8 @@ def _usable(dataset: Dataset) -> bool:
     shape = dataset.shape
     if dataset.kind not in _NUMBERS or len(shape) < 2 or shape[0] == 1 or 0 in shape:
         return False
+    if frames_of(shape) is None:
+        return False
     # MATLAB stores a vector as a matrix.
     is_clock = len(shape) == 2 and 1 in shape and is_time(dataset.key)
     return not is_clock and dataset.key not in _POSITIONS
@@ -266,7 +289,10 @@ def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.flo
     key, values = _numbers(near, clocks, n_frames)
     if values is None:
         return None
-    return increasing_times(values / units_per_second(key, values), path)
+    clock = clock_of(key, values)
+    if clock.doubt:
+        warn(path, f"{key}: {clock.doubt}")
+    return increasing_times(values / clock.per_second, path)
 
 
 def _names(near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
@@ -277,11 +303,6 @@ def _names(near: Sequence[Dataset], n_sensors: int) -> tuple[str, ...]:
         if values and all(isinstance(value, str | bytes) for value in values):
             return tuple(v.decode() if isinstance(v, bytes) else v for v in values)
     return ()
-
-
-def _indices(frame: tuple[int, ...]) -> tuple[str, ...]:
-    """Name the readings of frames that are matrices by their indices."""
-    return tuple(".".join(map(str, i)) for i in np.ndindex(*frame)) if len(frame) > 1 else ()
 
 
 def _positions(near: Sequence[Dataset], n_sensors: int) -> NDArray[np.float64] | None:

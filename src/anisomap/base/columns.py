@@ -1,0 +1,171 @@
+"""Columns of a recording: what their names and values say they are.
+
+Units leave names (``T00 [kPa]`` is ``T00``). Taxels with three axes are at least four names that
+are each there with x, y and z, such as ``c0_x``, ``c0.By``, ``Fz_c0``. Columns of labels, inertial
+units, temperatures, counters and sums of all others are no sensors, unless most columns are alike.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.base.axes import MIN_TAXELS, XYZ
+from anisomap.base.clocks import words_of
+
+Axis: TypeAlias = Literal["z", "norm", "x", "y", "all"]
+"""What is read of taxels with three axes: one of them, their length, or each as a sensor."""
+
+AXES: tuple[Axis, ...] = ("z", "norm", "x", "y", "all")
+_SUFFIXED = re.compile(r"(.*?)([ _.\-/\\:\[(]*)([BFMHbfmh]?)([xyzXYZ])[\])]?")
+_PREFIXED = re.compile(r"([BFMHbfmh]?)([xyzXYZ])([ _.\-/\\:\[(]*)(.*?\d.*?)[\])]?")
+_INERTIAL = re.compile(r"acc|gyr|imu|quat|euler|orient|lin", re.IGNORECASE)
+_MAGNETIC = re.compile(r"mag", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Taxels:
+    """Taxels with three axes among N columns.
+
+    columns: For each name, those of x, y and z.
+    incomplete: Columns of taxels that lack an axis.
+    """
+
+    columns: dict[str, tuple[int, int, int]]
+    incomplete: tuple[int, ...] = ()
+
+
+def find_taxels(names: Sequence[str]) -> Taxels | None:
+    """Find taxels with three axes by the names of their columns; None if there are fewer than 4."""
+    for pattern in (_SUFFIXED, _PREFIXED):
+        found: dict[tuple[str, ...], dict[str, int]] = {}
+        for i, name in enumerate(names):
+            match = pattern.fullmatch(name.strip())
+            if not match:
+                continue
+            if pattern is _SUFFIXED:
+                stem, mark, quantity, axis = match.groups()
+            else:
+                quantity, axis, mark, stem = match.groups()
+            apart = mark or quantity or stem[-1:].isdigit() or axis.isupper()
+            if stem and apart and not _INERTIAL.match(stem):
+                found.setdefault((stem, mark, quantity, axis.lower()[:0]), {})[axis.lower()] = i
+        whole = {key: places for key, places in found.items() if len(places) == len(XYZ)}
+        if any(map(_INERTIAL.match, names)):
+            whole = {key: places for key, places in whole.items() if not _MAGNETIC.match(key[0])}
+        stems = [stem for stem, *_ in whole]
+        if len(whole) >= MIN_TAXELS and len(set(stems)) == len(stems):
+            names_of = stems if not all(map(str.isdigit, stems)) else [f"taxel{s}" for s in stems]
+            columns = [(p["x"], p["y"], p["z"]) for p in whole.values()]
+            others = {(mark, quantity) for _, mark, quantity, _ in whole}
+            parts = [p for k, p in found.items() if k not in whole and (k[1], k[2]) in others]
+            incomplete = sorted(i for p in parts for i in p.values())
+            return Taxels(dict(zip(names_of, columns, strict=True)), tuple(incomplete))
+    return None
+
+
+_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\d\[\]()][^\[\]()]{0,15})\s*[\])]")
+_UNITS = re.compile(
+    r"(?:[kMGmunp\u00b5\u03bc]?(?:Pa|N|V|A|F|T|g|bar|Ohm|\u03a9|Hz)|psi|mmHg|%|\u00b0?[CF]|LSB|G)"
+    r"(?:/\w+[\d\u00b2]?)?|a\.?u\.?|counts?|raw|adc|digits?|bits?|units?|norm\w*|deg\w*|k?Pa.*",
+    re.IGNORECASE,
+)
+
+
+def without_units(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names without units in brackets, unless they tell columns apart."""
+    matches = [_UNIT.fullmatch(name) for name in names]
+    short = [
+        match[1] if match and _UNITS.fullmatch(match[2].strip()) else name
+        for name, match in zip(names, matches, strict=True)
+    ]
+    return tuple(short) if len(set(short)) == len(set(names)) else tuple(names)
+
+
+_LABELS = (
+    "label labels class classes target subject participant person patient trial session condition "
+    "gesture activity category episode repetition rep fold split annotation marker trigger prefix"
+)
+_OTHERS = {
+    **dict.fromkeys(_LABELS.split(), "a label"),
+    **dict.fromkeys(
+        ["imu", "quat", "quaternion", "euler", "roll", "pitch", "yaw", "heading"],
+        "an inertial unit",
+    ),
+    **dict.fromkeys(["temp", "temperature", "temperatur", "humidity"], "a temperature or humidity"),
+    **dict.fromkeys(["battery", "batt", "vbat", "rssi"], "a state of the read-out"),
+    **dict.fromkeys(["seq", "sequence", "counter", "packet"], "a counter"),
+    **dict.fromkeys(["sum", "total", "checksum", "crc"], "a sum or checksum"),
+    **dict.fromkeys(["cop", "copx", "copy"], "a centre of pressure"),
+}
+_MOTION = re.compile(r"(?:acc|accel\w*|gyr|gyro\w*|mag|magnetometer)[xyz]?", re.IGNORECASE)
+_MAX_SHARE, _MIN_SENSORS = 0.5, 3
+_MIN_ROWS, _MAX_LEVELS, _MAX_SWITCHES = 20, 10, 0.1
+
+
+def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, str]:
+    """Find columns that are no sensors, and what they are: by name, or by their values.
+
+    table (t, n_columns): First rows. Names are empty if there is no header.
+    """
+    named = dict[int, str]()
+    for i, name in enumerate(names):
+        words = words_of(name)
+        motion = bool(words) and _MOTION.fullmatch(words[0]) is not None
+        what = "an inertial unit" if motion else _OTHERS.get(words[0]) if words else None
+        if what:
+            named[i] = what
+    kinds = Counter(named.values())  # mag0 ... mag35 are sensors
+    found = {i: what for i, what in named.items() if kinds[what] <= _MAX_SHARE * len(names)}
+    found |= _by_values(names, table, found)
+    n_sensors = table.shape[1] - len(found)
+    return found if n_sensors >= _MIN_SENSORS else {}
+
+
+def _by_values(
+    names: Sequence[str], table: NDArray[np.floating], known: dict[int, str]
+) -> dict[int, str]:
+    """Find sums of all others, and columns of an odd name that are counters or few levels."""
+    rest = [i for i in range(table.shape[1]) if i not in known]
+    values = table[:, rest].astype(np.float64)
+    if len(values) < _MIN_ROWS or len(rest) <= _MIN_SENSORS or not np.isfinite(values).all():
+        return {}
+    found = {}
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = values.sum(axis=1, keepdims=True)
+        whole = bool((values == np.floor(values)).all())
+        sums = np.abs(total - 2 * values) <= (0 if whole else 1e-6) * np.abs(total)
+        varying = values.max(axis=0) > values.min(axis=0)
+        for k in np.flatnonzero(sums.all(axis=0) & varying).tolist():
+            found[rest[k]] = "the sum of all others"
+        if whole and not found and values.max() < 256 and values.min() >= 0:
+            modulo = ((total - 2 * values) % 256 == 0).all(axis=0) & varying
+            found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}
+    for k, i in enumerate(rest):
+        if i not in found and names and _is_odd(names, i) and (what := _kind(values[:, k])):
+            found[i] = what
+    return found if len(found) <= _MAX_SHARE * len(rest) else {}
+
+
+def _is_odd(names: Sequence[str], i: int) -> bool:
+    """Return whether most names are numbered alike, and this one is not."""
+    forms = [re.sub(r"\d+", "#", name) for name in names]
+    usual, count = Counter(forms).most_common(1)[0]
+    return "#" in usual and count > _MAX_SHARE * len(forms) and forms[i] != usual
+
+
+def _kind(values: NDArray[Any]) -> str:
+    """Return what a column of whole numbers is that counts, or changes between few levels."""
+    if not (values == np.floor(values)).all():
+        return ""
+    steps = np.diff(values)
+    if np.mean(steps == 1) > 1 - _MAX_SWITCHES:
+        return "a counter"
+    few = len(np.unique(values)) <= _MAX_LEVELS
+    return "a label" if few and np.mean(steps != 0) < _MAX_SWITCHES else ""

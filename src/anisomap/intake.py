@@ -1,0 +1,199 @@
+"""What is taken from objects of other libraries: readings, names, times and a rate.
+
+pandas: columns are sensors, but for a column of times; an index of dates gives times. xarray: the
+names of the dimensions and their coordinates give time and names. mne: the channels of a raw
+recording, without triggers and channels marked as bad.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anisomap.base.axes import frames_of
+from anisomap.base.clocks import is_time, seconds
+from anisomap.base.columns import find_others, find_taxels, without_units
+from anisomap.base.wording import join_items
+from anisomap.errors import AnisomapWarning, InputError
+
+_CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """Readings, (T, N), with names, times in seconds and a rate if the object tells them."""
+
+    readings: NDArray[np.floating]
+    names: tuple[str, ...] = ()
+    times: NDArray[np.float64] | None = None
+    rate_hz: float | None = None
+
+
+def take(values: Any) -> Taken:
+    """Take what an object tells of a recording; other objects are converted to arrays."""
+    if hasattr(values, "positions"):  # its coordinates would be read as three sensors
+        raise InputError(f"a recording is required here, got a map ({type(values).__name__})")
+    if hasattr(values, "get_data") and hasattr(values, "ch_names"):
+        return _of_mne(values)
+    if hasattr(values, "dims") and hasattr(values, "coords"):
+        return _of_xarray(values)
+    if hasattr(values, "columns") and hasattr(values, "iloc"):
+        return _of_frame(values)
+    return _of_array(as_array(values))
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """Convert to an array of real numbers, masked values to NaN."""
+    if np.ma.is_masked(values) and values.dtype.kind in "biuf":
+        values = values.astype(np.result_type(values.dtype, np.float16)).filled(np.nan)
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InputError(
+            "readings must be of shape (T, N) (frames x sensors), got rows of different lengths"
+        ) from None
+    if array.dtype.kind not in "biuf":
+        raise InputError(f"readings must be real numbers, got {array.dtype}")
+    return array
+
+
+def _of_array(array: NDArray[Any]) -> Taken:
+    """Take frames from an array; of more than two axes, the longest is time."""
+    if array.ndim == 2:
+        return Taken(_floats(array))
+    frames = frames_of(array.shape) if array.ndim > 2 else None
+    if frames is None:
+        expected = "(T, N) (frames x sensors), or have time, its longest axis, first or last"
+        raise InputError(f"readings must be of shape {expected}; got shape {array.shape}")
+    _say(f"readings of shape {array.shape}: {frames.said}")
+    rows = np.moveaxis(array, frames.time, 0).reshape(-1, frames.n_sensors)
+    return _sensors(rows, frames.names)
+
+
+def _sensors(readings: NDArray[Any], names: Sequence[str]) -> Taken:
+    """Leave out columns that are no sensors, and take z of taxels with three axes."""
+    names = without_units(names)
+    others = find_others(names, readings[:1000])
+    if others:
+        listed = join_items([f"{names[i]} ({what})" for i, what in others.items()])
+        _say(f"these columns are taken for no sensors and left out: {listed}")
+    kept = [i for i in range(readings.shape[1]) if i not in others]
+    names = tuple(names[i] for i in kept)
+    taxels = find_taxels(names)
+    if taxels is not None:
+        _say(f"{len(taxels.columns)} taxels with three axes: z is taken; give one column each")
+        kept, names = [kept[z] for _, _, z in taxels.columns.values()], tuple(taxels.columns)
+    whole = len(kept) == readings.shape[1]
+    return Taken(_floats(readings if whole else readings[:, kept]), names)
+
+
+def _of_frame(frame: Any) -> Taken:
+    names = [str(name) for name in frame.columns]
+    clock = next((i for i, name in enumerate(names) if is_time(name, i)), None)
+    times, doubt = None, ""
+    index = np.asarray(frame.index)
+    if clock is not None:
+        times, doubt = seconds(frame.iloc[:, clock], names[clock])
+    elif index.dtype.kind in "mM":
+        times, doubt = seconds(index)
+    elif is_time(str(getattr(frame.index, "name", None) or "")):
+        times, doubt = seconds(index, str(frame.index.name))
+    if doubt:
+        _say(f"{'index' if clock is None else 'column ' + names[clock]}: {doubt}")
+    columns = [i for i in range(len(names)) if i != clock]
+    taken = _sensors(as_array(frame.iloc[:, columns]), [names[i] for i in columns])
+    return Taken(taken.readings, taken.names, times)
+
+
+def _of_xarray(array: Any) -> Taken:
+    dims = [str(dim) for dim in array.dims]
+    clock = next((i for i, dim in enumerate(dims) if is_time(dim) or dim == "frame"), None)
+    if clock is None or len(dims) == 1:
+        return _of_array(as_array(array.values))
+    if clock != 0:
+        others = ", ".join(repr(dim) for i, dim in enumerate(dims) if i != clock)
+        raise InputError(
+            f"the dimensions are {tuple(dims)}, but time must be first: use "
+            f".transpose({dims[clock]!r}, {others})"
+        )
+    times, doubt = None, ""
+    if dims[0] in array.coords:
+        times, doubt = seconds(np.asarray(array.coords[dims[0]]), dims[0])
+    if doubt:
+        _say(doubt)
+    values = as_array(array.values)
+    labels = [
+        [str(label) for label in np.asarray(array.coords[dim])] if dim in array.coords else None
+        for dim in dims[1:]
+    ]
+    if len(dims) == 2:
+        taken = _sensors(values, labels[0] or ())
+    else:
+        frames = frames_of((max(values.shape) + 1, *values.shape[1:]))
+        taken = _sensors(values.reshape(len(values), -1), frames.names if frames else ())
+    return Taken(taken.readings, taken.names, times)
+
+
+def _of_mne(raw: Any) -> Taken:
+    kinds, bad = raw.get_channel_types(), set(raw.info["bads"])
+    counts = Counter(kind for kind in kinds if kind in _CHANNELS)
+    if len(counts) != 1:
+        raise InputError(
+            f"the recording has channels of {join_items(list(counts)) or 'no sensor'}; choose one "
+            "type, as in raw.copy().pick('eeg')"
+        )
+    kind = next(iter(counts))
+    picked = [
+        i
+        for i, (name, its) in enumerate(zip(raw.ch_names, kinds, strict=True))
+        if its == kind and name not in bad
+    ]
+    if bad:
+        _say(f"channels marked as bad are left out: {join_items(sorted(bad))}")
+    readings = np.ascontiguousarray(raw.get_data(picks=picked, verbose="ERROR").T)
+    names = tuple(raw.ch_names[i] for i in picked)
+    return Taken(readings, names, rate_hz=float(raw.info["sfreq"]))
+
+
+def _floats(array: NDArray[Any]) -> NDArray[np.floating]:
+    """Return readings that cannot be changed, as float32 if that is exact for their type."""
+    if 0 in array.shape:
+        raise InputError(f"readings must not be empty, got shape {array.shape}")
+    fits_float32 = array.dtype in (np.float16, np.float32) or (
+        array.dtype.kind in "biu" and array.dtype.itemsize <= 2
+    )
+    dtype = np.float32 if fits_float32 else np.float64
+    if array.dtype == dtype and array.base is None and not array.flags.writeable:
+        return array  # already immutable: do not copy a large recording
+    return np.array(array, dtype=dtype)
+
+
+def times_of(times: ArrayLike, n_frames: int) -> NDArray[np.float64]:
+    """Return times in seconds, (T,), that increase; dates count from the first."""
+    try:
+        values, _ = seconds(times)
+    except (TypeError, ValueError):
+        raise InputError("times must be seconds, or dates with a time") from None
+    values = np.array(values)
+    if values.shape != (n_frames,):
+        raise InputError(f"times must be of shape ({n_frames},), got {values.shape}")
+    if not np.isfinite(values).all():
+        raise InputError(f"the time of frame {int(np.argmin(np.isfinite(values)))} is not finite")
+    steps = np.diff(values)
+    if (steps <= 0).any():
+        frame = int(np.argmax(steps <= 0)) + 1
+        raise InputError(
+            f"times must increase, but frame {frame} ({values[frame]:g} s) "
+            f"is not after frame {frame - 1} ({values[frame - 1]:g} s)"
+        )
+    return values
+
+
+def _say(text: str) -> None:
+    warnings.warn(text, AnisomapWarning, stacklevel=6)

@@ -1,0 +1,133 @@
+"""Which columns of a file are sensors, and what is read of taxels with three axes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.base.columns import find_others, find_taxels, without_units
+from anisomap.base.wording import join_items
+from anisomap.errors import FileError
+from anisomap.io.parsing.source import quote_if_needed, warn
+from anisomap.io.stream import Block, ReadOptions, Stream
+from anisomap.recording import default_names, find_sensors
+
+_ROWS = 1000  # that tell what columns are
+_FEW = 3
+
+
+def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
+    """Leave out the columns that are no sensors, and take an axis of taxels with three, both said.
+
+    Only `options.keep` decides if it is given.
+    """
+    if not (stream.raw_columns or options.keep):
+        return stream
+    names = without_units(stream.names)
+    stream = replace(stream, names=names)
+    if options.keep:
+        own = names or default_names(stream.n_sensors)
+        stream = _selected(stream, find_sensors(own, options.keep, "column"))
+        names = stream.names
+    elif options.preset or (options.grid and not names):
+        return stream
+    else:
+        first, stream = _peeked(stream)
+        if others := find_others(names, first):
+            _say_others(stream.path, names, others)
+            kept = [i for i in range(stream.n_sensors) if i not in others]
+            stream = _selected(stream, np.array(kept, dtype=np.intp))
+            names = stream.names
+    return stream if options.axis == "all" else _one_axis(stream, options.axis)
+
+
+def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
+    """Return the first rows, and the stream of all."""
+    held, n_rows = list[Block](), 0
+    for block in stream.blocks:
+        held.append(block)
+        n_rows += len(block.readings)
+        if n_rows >= _ROWS:
+            break
+    rows = [block.readings for block in held] or [np.empty((0, stream.n_sensors))]
+    blocks = itertools.chain(held, stream.blocks)
+    return np.concatenate(rows)[:_ROWS], replace(stream, blocks=blocks)
+
+
+def _say_others(path: Path, names: tuple[str, ...], others: dict[int, str]) -> None:
+    kinds: dict[str, list[str]] = {}
+    for i, what in others.items():
+        label = quote_if_needed(names[i]) if names else f"column {i + 1}"
+        kinds.setdefault(what, []).append(label)
+    said = "; ".join(f"{join_items(labels, _FEW)}: {what}" for what, labels in kinds.items())
+    warn(path, f"left out as no sensors: {said}. Give --keep to choose the sensors yourself")
+
+
+def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
+    """Keep some columns."""
+    if np.array_equal(kept, np.arange(stream.n_sensors)):
+        return stream
+    names = stream.names or default_names(stream.n_sensors)
+    return _converted(stream, tuple(names[i] for i in kept), kept, lambda rows: rows[:, kept])
+
+
+def _one_axis(stream: Stream, axis: str) -> Stream:
+    """Take an axis, or the length, of taxels with three; columns that are none of them stay."""
+    taxels = find_taxels(stream.names)
+    if taxels is None:
+        return stream
+    places = np.array([*taxels.columns.values()])
+    used = {*places.ravel().tolist(), *taxels.incomplete}
+    others = [i for i in range(stream.n_sensors) if i not in used]
+    what = "the length from rest" if axis == "norm" else axis
+    problem = f"{len(places)} taxels with three axes: {what} is read"
+    if taxels.incomplete:
+        labels = join_items([stream.names[i] for i in taxels.incomplete], _FEW)
+        problem += f", and left out is what lacks an axis ({labels})"
+    warn(stream.path, f"{problem}; choose with --axis z, norm, x, y, or all for each by itself")
+    names = (*taxels.columns, *(stream.names[i] for i in others))
+    if len(set(names)) < len(names):
+        raise FileError(
+            f"{stream.path}: taxels with three axes have the names of other columns; give --keep"
+        )
+    if axis == "norm":
+        first, stream = _peeked(stream)
+        with np.errstate(invalid="ignore"):
+            rest = np.median(first.astype(np.float64), axis=0)
+
+        def length(rows: NDArray[Any]) -> NDArray[Any]:
+            squares = (rows - rest)[:, places] ** 2
+            return np.hstack([np.sqrt(squares.sum(axis=2)), rows[:, others]])
+
+        return _converted(stream, names, [*places[:, 2], *others], length)
+    kept = np.array([*places[:, "xyz".index(axis)], *others], dtype=np.intp)
+    return _converted(stream, names, kept, lambda rows: rows[:, kept])
+
+
+def _converted(
+    stream: Stream,
+    names: tuple[str, ...],
+    kept: Any,
+    convert: Callable[[NDArray[Any]], NDArray[Any]],
+) -> Stream:
+    def blocks() -> Iterator[Block]:
+        for block in stream.blocks:
+            yield replace(block, readings=convert(block.readings))
+
+    chosen = np.asarray(kept, dtype=np.intp)
+    positions, normals, distances = stream.positions, stream.normals, stream.surface_distances
+    return replace(
+        stream,
+        n_sensors=len(names),
+        blocks=blocks(),
+        names=names,
+        positions=None if positions is None else positions[chosen],
+        normals=None if normals is None else normals[chosen],
+        surface_distances=None if distances is None else distances[np.ix_(chosen, chosen)],
+    )
