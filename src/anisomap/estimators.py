@@ -395,6 +395,9 @@ class Anisomap(BaseEstimator):
                 "with metric='precomputed'"
             )
         if precomputed:
+            largest = np.abs(values).max(where=np.isfinite(values), initial=0)
+            rounding = _ROUNDING * largest
+            values = np.where(np.abs(values) <= rounding, 0, values)
             check_non_negative(values, "Anisomap")
             unknown = np.isnan(values) | np.isnan(values.T)
             dissimilarity = np.where(unknown, np.inf, values)
@@ -471,6 +474,7 @@ class Anisomap(BaseEstimator):
         return tags
 
 
+_ROUNDING = 1e-9  # of 1 - r and the like, relative to the largest dissimilarity
 _OF_MDS = {
     "metric_mds": "method here: 'mds' or 'anisomap' for True, 'ordinal' for False",
     "normalized_stress": "always on here: stress_ is normalised",

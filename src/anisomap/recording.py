@@ -423,7 +423,7 @@ def match_sensors(
             f"{what} share no sensor name, and {len(names)} sensors cannot be matched with "
             f"{len(among)} by order; use the same names"
         )
-    return np.arange(len(names)), (f"{what} share no sensor name ({sides}): matched by order",)
+    return np.arange(len(names)), (f"{what} share no sensor name: matched by order",)
 
 
 def _unnamed(names: Sequence[str]) -> bool:

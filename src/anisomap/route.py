@@ -128,6 +128,7 @@ def _read_sampled(
         while n_all > every * max_readings:
             every *= 2
         runs = [io.thin(run, every // k) for run, k in zip(runs, own, strict=True)]
+    io.check_no_frames(paths, runs, how)
     for note in _sampling_note(runs):
         warnings.warn(note, AnisomapWarning, stacklevel=3)
     return runs

@@ -1,5 +1,6 @@
 """Binary files: HDF5, MATLAB, Parquet, Arrow, archives of events, and images."""
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import scipy
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
+from anisomap.recording import Recording
 from example_files import save_pages
 
 h5py = pytest.importorskip("h5py")
@@ -67,10 +69,47 @@ def test_several_datasets_are_listed_and_one_is_selected(h5) -> None:
             io.read(path, options=select(name))
 
 
-def test_further_dimensions_are_flattened(h5) -> None:
-    found = io.read(h5(film=READINGS.reshape(300, 2, 3)))
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("suffix", ["h5", "mat", "npy", "npz"])
+def test_frames_of_rows_and_columns(tmp_path: Path, suffix: str, last: bool) -> None:
+    """The longest axis is time, and cells are named by both others."""
+    film = READINGS.reshape(300, 3, 2)
+    film, path = np.moveaxis(film, 0, 2) if last else film, tmp_path / f"film.{suffix}"
+    if suffix == "h5":
+        with h5py.File(path, "w") as file:
+            file["film"] = film
+    elif suffix == "mat":
+        scipy.io.savemat(path, {"film": film})
+    elif suffix == "npy":
+        np.save(path, film)
+    else:
+        np.savez(path, readings=film)
+    said = rf"has 3 axes: the {'last' if last else 'first'} axis is time, and a frame is 3 x 2"
+    with pytest.warns(AnisomapWarning, match=said):
+        found = io.read(path)
     np.testing.assert_array_equal(found.readings, READINGS)
-    assert found.names == ("0.0", "0.1", "0.2", "1.0", "1.1", "1.2")
+    assert found.names == ("r0c0", "r0c1", "r1c0", "r1c1", "r2c0", "r2c1")
+    with pytest.warns(AnisomapWarning, match="axis is time"):
+        np.testing.assert_array_equal(Recording(film).readings, READINGS)
+
+
+@pytest.mark.parametrize("axis", ["z", "norm", "y", "all"])
+def test_a_last_axis_of_three(tmp_path: Path, axis: str) -> None:
+    taxels = np.random.default_rng(0).normal(size=(300, 3, 2, 3))
+    np.save(tmp_path / "taxels.npy", taxels)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = io.read(tmp_path / "taxels.npy", options=io.ReadOptions(axis=axis))
+    rest = np.median(taxels, axis=0)
+    expected = {
+        "z": taxels[..., 2],
+        "y": taxels[..., 1],
+        "norm": np.linalg.norm(taxels - rest, axis=3),
+        "all": taxels,
+    }
+    np.testing.assert_allclose(found.readings, expected[axis].reshape(300, -1))
+    assert found.names[-1] == ("r2c1_z" if axis == "all" else "r2c1")
+    assert any("three axes" in str(each.message) for each in said) == (axis != "all")
 
 
 def test_variable_length_names_are_read(h5) -> None:

@@ -85,8 +85,8 @@ def test_times_that_do_not_increase(saved) -> None:
 
 WRONG_RECORDINGS = [
     ({"data": READINGS, "labels": [1]}, "'readings' is missing (arrays: data, labels)"),
-    ({"readings": np.arange(3.0)}, "1 dimensions"),
-    ({"readings": np.zeros((2, 3, 4))}, "3 dimensions"),
+    ({"readings": np.arange(3.0)}, "first or last, got shape (3,)"),
+    ({"readings": np.zeros((2, 4, 3))}, "time, its longest axis, first or last"),
     ({"readings": np.zeros((0, 3))}, "readings are empty"),
     ({"readings": READINGS * 1j}, "complex128; it must be numbers"),
     ({"readings": READINGS.astype(str)}, "it must be numbers"),
@@ -235,7 +235,7 @@ def test_reading_positions_skips_the_readings(tmp_path: Path) -> None:
 def test_wrong_single_arrays(tmp_path: Path) -> None:
     path = tmp_path / "skin.npy"
     for array, message in (
-        (np.arange(3.0), r"\(T, N\), got shape \(3,\)"),
+        (np.arange(3.0), r"\(T, N\), .*got shape \(3,\)"),
         (np.zeros((0, 3)), r"got shape \(0, 3\)"),
         (np.array([["a"]]), "must hold numbers"),
         (np.zeros((2, 2), complex), "must hold numbers"),

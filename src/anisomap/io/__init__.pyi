@@ -9,8 +9,10 @@ from .presets import numbering as numbering
 from .registry import FORMATS as FORMATS
 from .registry import Format as Format
 from .registry import attach_positions as attach_positions
+from .registry import check_no_frames as check_no_frames
 from .registry import check_writable as check_writable
 from .registry import contents as contents
+from .registry import files_of as files_of
 from .registry import needs_scale as needs_scale
 from .registry import open_stream as open_stream
 from .registry import read as read

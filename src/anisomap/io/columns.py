@@ -18,7 +18,7 @@ from anisomap.io.parsing.source import quote_if_needed, warn
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.recording import default_names, find_sensors
 
-_ROWS = 1000  # that tell what columns are
+_ROWS, _LEAST_ROWS, _CELLS = 1000, 20, 1 << 17  # that tell what columns are
 _FEW = 3
 
 
@@ -49,15 +49,14 @@ def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
 
 def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
     """Return the first rows, and the stream of all."""
-    held, n_rows = list[Block](), 0
+    held, wanted = list[Block](), max(_LEAST_ROWS, min(_ROWS, _CELLS // stream.n_sensors))
     for block in stream.blocks:
         held.append(block)
-        n_rows += len(block.readings)
-        if n_rows >= _ROWS:
+        if sum(len(each.readings) for each in held) >= wanted:
             break
-    rows = [block.readings for block in held] or [np.empty((0, stream.n_sensors))]
+    rows = [block.readings[:wanted] for block in held] or [np.empty((0, stream.n_sensors))]
     blocks = itertools.chain(held, stream.blocks)
-    return np.concatenate(rows)[:_ROWS], replace(stream, blocks=blocks)
+    return np.concatenate(rows)[:wanted], replace(stream, blocks=blocks)
 
 
 def _say_others(path: Path, names: tuple[str, ...], others: dict[int, str]) -> None:

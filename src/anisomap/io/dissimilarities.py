@@ -2,8 +2,10 @@
 
 A matrix has one row per object. Names may stand in the first row, in the first column or in both.
 One triangle suffices, with or without the diagonal: the other cells are empty or left out. A list
-has three columns: two names and a value. Empty cells, ``NA`` and ``NaN`` are unknown pairs. Other
-formats than text hold the matrix as the readings of a recording.
+has three columns: two names and a value. Words for missing values are unknown pairs. PHYLIP's files
+begin with the number of objects. A vector in the order of ``scipy.spatial.distance.pdist`` holds
+the pairs above the diagonal. Other formats than text hold the matrix as the readings of a
+recording.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from anisomap.recording import default_names, match_sensors
 
 Rows = list[list[str]]
 
-_UNKNOWN = ("na", "n/a", ".", "-")  # as R, spreadsheets and statistics programs write them
+_ALIKE = 0.5  # r of cells across the diagonal, of nearly symmetric matrices
 _LEAST = 4  # objects of a matrix that is recognised; smaller ones look like many tables
 _DOUBT = (
     "give --dissimilarities if it holds the dissimilarities of objects, or --no-dissimilarities if "
@@ -80,6 +82,7 @@ def read_dissimilarities(path: str | os.PathLike[str]) -> Dissimilarities:
     """
     file = Path(path)
     values, names = _read_pairs(file)
+    values[np.abs(values) <= _ROUNDING * np.nanmax(np.abs(values), initial=0)] = 0
     diagonal = np.diag(values)
     if (diagonal != 0).any() and not np.isnan(diagonal).all():
         i = int(np.flatnonzero(diagonal != 0)[0])
@@ -137,16 +140,26 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AnisomapWarning)
-            values, _ = _read_pairs(path, lists=False)
+            values, names = _read_values(path, lists=False)
     except InputError:
+        return None
+    if values.shape != (len(names),) * 2 or len(names) < _LEAST:
         return None
     own = np.diag(values)[~np.isnan(np.diag(values))]
     others = values[~np.eye(len(values), dtype=bool)]
-    if len(values) < _LEAST or np.isnan(others).all() or (own != own[:1]).any():
+    tolerance = _ROUNDING * np.abs(values).max(where=np.isfinite(values), initial=0)
+    if np.isnan(others).all() or (np.abs(own - own[:1]) > tolerance).any():
         return None
-    if not own.any() and not (others <= 0).any():
-        return read_dissimilarities(path)
-    raise InputError(_doubt(path, len(values)))
+    positive = not (np.abs(own) > tolerance).any() and not (others <= 0).any()
+    cell = _asymmetry(values)
+    if cell is None and not positive:
+        raise InputError(_doubt(path, len(values)))
+    if cell is not None and positive and _resembles_transpose(values):
+        raise InputError(
+            f"{path} has a diagonal of 0 and is nearly symmetric: {_cells(values, names, *cell)}. "
+            f"Correct it, and {_DOUBT} of {len(values)} frames"
+        )
+    return None if cell else read_dissimilarities(path)
 
 
 def doubt_of(path: Path, readings: NDArray[np.generic]) -> str:
@@ -209,26 +222,82 @@ def _may_be_square(file: Path, rows: Rows, n_lines: int) -> bool:
     return False
 
 
-def _read_pairs(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def _read_pairs(file: Path) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Return values, (N, N), symmetric and NaN where unknown, and the names of the objects."""
+    return _symmetric(file, *_read_values(file))
+
+
+def _read_values(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return values, (N, N), and the names of the objects."""
     with file_errors(file):
         if not delimited_text.recognises(file, read_head(file)):
+            if (vector := _stored_vector(file)) is not None:
+                return _from_vector(file, vector)
             recording = read(file)
-            return _symmetric(file, recording.readings.astype(float), recording.names)
+            return recording.readings.astype(float), recording.names
         lines = read_lines(file)
         rows = _rows(lines)
         if not rows:
             raise FileError(f"{file} is empty")
         Budget(file).check(8 * len(rows) ** 2, "its matrix")
         pairs = _pairs_of(rows) if lists else []
-        values, names = _from_list(file, pairs) if pairs else _from_table(file, rows)
-        return _symmetric(file, values, distinct_names(file, names))
+        if pairs:
+            values, names = _from_list(file, pairs)
+        elif lists and (1 in (len(rows), max(map(len, rows)))) and len(rows) * len(rows[0]) > 1:
+            cells = [_number(cell) for row in rows for cell in row]
+            values, names = _from_vector(file, np.array(cells, dtype=np.float64))
+        else:
+            values, names = _from_table(file, _of_phylip(lines) or rows)
+        return values, distinct_names(file, names)
+
+
+def _stored_vector(file: Path) -> NDArray[np.float64] | None:
+    """Return the array of an NPY file if it has a single axis."""
+    if not read_head(file).startswith(npz.ARRAY_MAGIC):
+        return None
+    with open_regular(file) as stream:
+        header = npz.read_header(stream, "the array")
+        if len(header.shape) != 1 or header.dtype.kind not in "biuf":
+            return None
+        Budget(file).check(header.shape[0] * header.dtype.itemsize, "the array")
+        content = stream.read(header.shape[0] * header.dtype.itemsize)
+        return np.frombuffer(content, header.dtype).astype(np.float64)
+
+
+def _from_vector(
+    file: Path, vector: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return a matrix from the pairs above its diagonal, row by row."""
+    n = (1 + math.isqrt(1 + 8 * len(vector))) // 2
+    if n * (n - 1) // 2 != len(vector):
+        raise FileError(
+            f"{file} has {len(vector)} numbers, which are not the pairs of N objects, N (N - 1) / 2"
+        )
+    Budget(file).check(8 * n**2, "its matrix")
+    values = np.zeros((n, n))
+    values[np.triu_indices(n, 1)] = vector
+    return values + values.T, default_names(n)
+
+
+def _of_phylip(lines: Sequence[str]) -> Rows:
+    """Return the rows of a square or lower triangle of PHYLIP, which begins with its size."""
+    words = [line.split() for line in lines if line.strip()]
+    if not words or len(words[0]) != 1 or not words[0][0].isdecimal() or len(words[0][0]) > 6:
+        return []
+    n, found = int(words[0][0]), list(itertools.chain.from_iterable(words[1:]))
+    if len(found) == n * (n + 1):
+        return [found[i : i + n + 1] for i in range(0, len(found), n + 1)]
+    if len(found) != n + n * (n - 1) // 2:
+        return []
+    rows, start = Rows(), 0
+    for i in range(n):
+        rows.append([*found[start : start + i + 1], "0"])
+        start += i + 1
+    return rows
 
 
 def _number(cell: str) -> float | None:
     """Convert a cell, which may have a decimal comma: NaN if it is unknown, None if it is text."""
-    if cell.lower() in _UNKNOWN:
-        return math.nan
     return parse_number(cell, None) if is_number(cell, None) else None
 
 
@@ -319,12 +388,35 @@ def _symmetric(
             "names; dissimilarities are a square matrix"
         )
     values = np.where(np.isinf(values), np.nan, values)
-    apart = np.abs(values - values.T) > _ROUNDING * np.nanmax(np.abs(values), initial=0)
-    if apart.any():
-        i, j = np.argwhere(apart)[0]
-        raise FileError(
-            f"{file} is not symmetric: {names[i]} to {names[j]} is {values[i, j]:g}, but "
-            f"{names[j]} to {names[i]} is {values[j, i]:g}; average both first"
-        )
+    if (cell := _asymmetry(values)) is not None:
+        cells = _cells(values, names, *cell)
+        raise FileError(f"{file} is not symmetric: {cells}; average both first")
     filled = np.where(np.isnan(values), values.T, values)
     return (filled + filled.T) / 2, names
+
+
+def _asymmetry(values: NDArray[np.float64]) -> tuple[int, int] | None:
+    """Return the first cell that differs from the one across the diagonal by more than rounding."""
+    values = np.where(np.isinf(values), np.nan, values)
+    apart = np.abs(values - values.T) > _ROUNDING * np.nanmax(np.abs(values), initial=0)
+    if not apart.any():
+        return None
+    i, j = np.argwhere(apart)[0].tolist()
+    return i, j
+
+
+def _cells(values: NDArray[np.float64], names: Sequence[str], i: int, j: int) -> str:
+    return (
+        f"{names[i]} to {names[j]} is {values[i, j]:g}, but {names[j]} to {names[i]} is "
+        f"{values[j, i]:g}"
+    )
+
+
+def _resembles_transpose(values: NDArray[np.float64]) -> bool:
+    """Return whether cells correlate with those across the diagonal."""
+    rows, columns = np.triu_indices(len(values), 1)
+    pairs = np.array([values[rows, columns], values[columns, rows]])
+    pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+    if pairs.shape[1] < 2 or not (np.ptp(pairs, axis=1) > 0).all():
+        return False
+    return bool(np.corrcoef(pairs)[0, 1] > _ALIKE)

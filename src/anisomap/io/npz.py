@@ -334,7 +334,7 @@ def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
         if dtype.kind not in NUMBERS:
             raise FileError(f"{path}: the array must hold numbers, got dtype {dtype}")
         if 0 in shape:
-            raise FileError(f"{path}: the array is empty (shape {shape})")
+            raise FileError(f"{path}: the array is empty, got shape {shape}")
         frames = _frames_of(path, shape, "the array")
         n_frames, n_sensors = shape[frames.time], frames.n_sensors
         needed = n_frames * n_sensors * dtype.itemsize

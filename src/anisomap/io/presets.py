@@ -64,7 +64,8 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
     if grid is None or grid[0] == 1 or stream.n_sensors != grid[1]:
         return stream
     rows, columns = grid
-    warn(stream.path, f"each {rows} rows of {columns} numbers are a frame")
+    if stream.names and cells_of(stream.names, rows, columns) not in (None, [*range(columns)]):
+        return stream  # the columns are some of the cells
 
     def blocks() -> Iterator[Block]:
         for block in rechunk(stream.blocks, rows * max(1, BLOCK_FRAMES // rows)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import as_text, join_items
-from anisomap.errors import FileError, InputError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 from anisomap.io import npz
@@ -24,7 +25,7 @@ from anisomap.io.columns import sensors_of
 from anisomap.io.isolation import contents_isolated, open_isolated
 from anisomap.io.maps import point_files, robot_models, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
-from anisomap.io.parsing.names import distinct_names, match_names
+from anisomap.io.parsing.names import distinct_names, match_names, natural_key
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, in_grid, with_grid
 from anisomap.io.recordings import (
@@ -48,7 +49,7 @@ from anisomap.io.stream import (
     rechunk,
     refuse_selection,
 )
-from anisomap.recording import Recording, default_names
+from anisomap.recording import Recording, default_names, join_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
@@ -88,6 +89,7 @@ class Format:
 
 
 _MAX_LISTED = 3
+_MIN_FRAMES, _MAX_ROWS = 4, 64  # files that may be a frame each, and rows of one
 
 # MATLAB comes before HDF5, because version 7.3 files are HDF5. Delimited text is last, because it
 # accepts any text.
@@ -98,6 +100,8 @@ FORMATS = (
            magics=npz.MAGICS),
     Format("npy", (".npy",), "NumPy array, frames x sensors", None, npz.open_array,
            magics=(npz.ARRAY_MAGIC,)),
+    Format("probeinterface", (), "probes of probeinterface (JSON)", text_files.is_probe,
+           read_map=text_files.read_probe),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", text_files.is_calibration,
            read_map=text_files.read_calibration),
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
@@ -199,11 +203,32 @@ def read(
         If the end of the file is damaged; the frames before the damage are returned.
     """
     options = options or ReadOptions()
+    files = files_of(path)
+    if files != (Path(path),):
+        with _said_once():
+            runs = [read(file, options=options, max_readings=max_readings) for file in files]
+        check_no_frames(files, runs, options)
+        return replace(join_runs(runs), source=as_text(Path(path).name))
     with _open(Path(path), options) as stream, file_errors(stream.path):
         recording = assemble(stream, progress, max_readings)
         found = apply_preset(with_grid(recording, options.grid), options.preset)
         # A preset renames the sensors, so their positions are known after it.
         return attach_positions(found, options.positions) if options.preset else found
+
+
+@contextmanager
+def _said_once() -> Iterator[None]:
+    """Give the same warning about several files once, with the first of them."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    said: dict[str, list[str]] = {}
+    for each in caught:
+        file, _, text = str(each.message).partition(": ")
+        said.setdefault(text, []).append(file)
+    for text, files in said.items():
+        others = f" (also of {len(files) - 1} other files)" if len(files) > 1 else ""
+        warnings.warn(f"{files[0]}: {text}{others}", AnisomapWarning, stacklevel=4)
 
 
 @contextmanager
@@ -302,6 +327,34 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
         if found.component.min() < UNPLACED or found.component.max() >= found.n_sensors:
             raise FileError(f"{file}: components must be numbered from 0, with -1 for unplaced")
         return found
+
+
+def check_no_frames(files: Sequence[Path], runs: Sequence[Recording], options: ReadOptions) -> None:
+    """Refuse many small tables without names, which may be a frame each.
+
+    Parameters
+    ----------
+    files : sequence of pathlib.Path
+    runs : sequence of Recording
+        What they hold.
+    options : ReadOptions
+
+    Raises
+    ------
+    FileError
+        If it is not clear whether the files are frames or runs.
+    """
+    shapes = {run.readings.shape for run in runs}
+    unnamed = all(run.names == default_names(run.n_sensors) for run in runs)
+    if len(runs) < _MIN_FRAMES or len(shapes) != 1 or not unnamed or options.grid:
+        return
+    rows, columns = shapes.pop()
+    if 1 < rows <= max(2 * columns, _MAX_ROWS) and columns > 1:
+        raise FileError(
+            f"{files[0]} and {len(runs) - 1} others are tables of {rows} x {columns} without "
+            f"names: read each as a frame with --grid {rows}x{columns}, or name their columns if "
+            "they are runs of one skin"
+        )
 
 
 def attach_positions(recording: Recording, positions: Path | None) -> Recording:
@@ -425,7 +478,11 @@ def _recognise(file: Path) -> Format:
     if chosen := next(itertools.chain(own, by_content), None):
         return chosen
     if file.is_dir():
-        raise FileError(_folder_message(file))
+        names = join_items([path.name for path in files_of(file)], _MAX_LISTED)
+        raise FileError(
+            f"{file} is a folder; its files are several runs of one skin, or with --grid one frame "
+            f"each: {names}"
+        )
     by_suffix = (f for f in FORMATS if suffix in f.suffixes)
     if chosen := next(by_suffix, text_format if text_format.matches(file, start) else None):
         return chosen
@@ -434,17 +491,33 @@ def _recognise(file: Path) -> Format:
     )
 
 
-def _folder_message(folder: Path) -> str:
-    """Suggest giving the recordings in a folder as several runs."""
+def files_of(path: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """List the recordings in a folder that is no recording by itself, in the order of its numbers.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The path itself if it is a file, or a folder that holds a single recording.
+
+    Raises
+    ------
+    FileError
+        If a folder holds no recording.
+    """
+    folder = Path(path)
+    if not folder.is_dir() or any(f.matches(folder, b"") for f in FORMATS):
+        return (folder,)
     known = tuple(suffix for f in FORMATS if f.open_recording for suffix in f.suffixes)
-    paths = sorted(folder.iterdir())
-    files = [path for path in paths if path.name.lower().removesuffix(".gz").endswith(known)]
+    with file_errors(folder):
+        paths = sorted(folder.iterdir(), key=lambda each: natural_key(each.name))
+    files = [each for each in paths if each.name.lower().removesuffix(".gz").endswith(known)]
     if not files:
-        return f"{folder} is a folder without data.log, bag or images; give a file"
-    return (
-        f"{folder} is a folder; give its files instead to read them as several runs of one skin: "
-        f"{join_items([path.name for path in files], _MAX_LISTED)}"
-    )
+        raise FileError(f"{folder} is a folder without data.log, bag or images; give a file")
+    return tuple(files)
 
 
 def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:

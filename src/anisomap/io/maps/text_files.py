@@ -34,6 +34,7 @@ from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import file_errors, quote, read_json, read_lines
 from anisomap.io.parsing.tables import (
     LineError,
+    Record,
     empty_columns,
     field_error,
     find_delimiter,
@@ -49,6 +50,9 @@ _MAX_COLUMNS = 10_000  # covariances in 140 dimensions
 _NAMES = ("name", "sensor", "taxel", "label", "id")
 _ERROR, _NORMAL = "error", ("nx", "ny", "nz")
 _AXIS = re.compile(r"(x\d*|y|z)(?:[ _]*[\[(]?(mm|cm|m|um|\u00b5m|in|px|pixels?)[\])]?)?")
+# A line of a .hpts file: a kind of point, a name, and three coordinates in mm.
+_POINT_KINDS, _HPTS = ("cardinal", "hpi", "eeg", "extra", "ref"), 5
+_ELECTRODES = ("eeg", "ref")
 _SEVERAL = {"reason": "reasons", "note": "notes"}  # comments with a line for each of a property
 
 
@@ -66,7 +70,7 @@ def read_text(path: Path) -> SensorMap:
     rows = [(line, fields[: len(fields) - n_empty]) for line, fields in rows]
     first, fields = rows[0]
     axes, header, units = _find_columns(path, first, fields)
-    body = rows[1:] if header else rows
+    body = rows[1:] if header else _electrodes(rows)
     if not body:
         raise FileError(f"{path} holds only a header")
     for line, row in rows:
@@ -110,6 +114,14 @@ def read_text(path: Path) -> SensorMap:
     )
 
 
+def _electrodes(rows: list[Record]) -> list[Record]:
+    """Return the electrodes of a .hpts file, which also holds landmarks and the shape of a head."""
+    kinds = [fields[0].strip().lower() for _, fields in rows]
+    if kinds[0] not in _POINT_KINDS:
+        return rows
+    return [row for row, kind in zip(rows, kinds, strict=True) if kind in _ELECTRODES] or rows
+
+
 def _find_columns(
     path: Path, line: int, fields: Sequence[str]
 ) -> tuple[list[int], dict[str, int], str]:
@@ -123,6 +135,8 @@ def _find_columns(
         header = {word: i for i, word in reversed(list(enumerate(words)))}
         return [i for i, _ in found], header, found[0][1]
     start = 0 if is_number(fields[0], None) else 1
+    if words[0] in _POINT_KINDS and len(fields) == _HPTS and all(map(is_number, fields[2:])):
+        return [2, 3, 4], {}, "mm"  # .hpts
     if len(fields) - start in (2, 3) and all(is_number(f, None) for f in fields[start:]):
         return list(range(start, len(fields))), {}, ""
     raise LineError(
@@ -375,6 +389,40 @@ def _from_json(value: object) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
     raise ValueError(f"{value!r} is not a number")
+
+
+def is_probe(path: Path, head: bytes) -> bool:
+    """Recognise the file format of probeinterface by its key specification near its start."""
+    return is_json(path, head) and b'"probeinterface"' in head
+
+
+def read_probe(path: Path) -> SensorMap:
+    """Read the contacts of all probes of probeinterface, named by channel or by contact."""
+    document = read_json(path)
+    probes = document.get("probes") if isinstance(document, dict) else None
+    if not isinstance(probes, list) or not all(isinstance(probe, dict) for probe in probes):
+        raise FileError(f"{path} is JSON of probeinterface without a list of probes")
+    positions, names, units = list[list[Any]](), list[str](), set[str]()
+    for number, probe in enumerate(probes):
+        where = f"{path}, probe {number}"
+        listed = probe.get("contact_positions")
+        if not isinstance(listed, list) or not listed:
+            raise FileError(f"{where}: contact_positions must be a list of positions")
+        k = probe.get("ndim") if probe.get("ndim") in (2, 3) else 2
+        positions += [
+            _numbers(f"{where}, contact {i}", each, (k,)) for i, each in enumerate(listed)
+        ]
+        ids = probe.get("contact_ids") or probe.get("device_channel_indices") or range(len(listed))
+        if not isinstance(ids, list | range) or len(ids) != len(listed):
+            raise FileError(f"{where}: contact_ids must be a list of {len(listed)} names")
+        prefix = f"{number}." if len(probes) > 1 else ""
+        names += [f"{prefix}{each}" for each in ids]
+        units.add(str(probe.get("si_units", "um")))
+    if len({len(position) for position in positions}) != 1 or len(units) != 1:
+        raise FileError(f"{path}: all probes must have the same unit and number of dimensions")
+    return SensorMap(
+        np.array(positions, dtype=np.float64), names=distinct_names(path, names), units=units.pop()
+    )
 
 
 def is_calibration(path: Path, head: bytes) -> bool:

@@ -128,7 +128,7 @@ def _is_counter(column: NDArray[np.float64]) -> bool:
 
 
 def _counts_by_one(column: NDArray[np.float64]) -> bool:
-    return _is_whole(column) and bool((np.diff(column) == 1).all())
+    return _is_whole(column) and bool(np.mean(np.diff(column) == 1) >= _MIN_STEADY_FRACTION)
 
 
 def _is_whole(column: NDArray[np.float64]) -> bool:
@@ -204,3 +204,9 @@ def cells_of(names: Sequence[str], rows: int, columns: int) -> list[int] | None:
         cells = numbers_of(names) or [-1]
     fit = len(set(cells)) == len(cells) and min(cells) >= 0 and max(cells) < rows * columns
     return cells if fit else None
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Return a sort key that orders image2 before image10."""
+    parts = re.split(r"(\d{1,15})", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular
+from anisomap.io.parsing.names import natural_key
 from anisomap.io.parsing.source import TextLines, lines_of, open_text, quote, warn
 from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
@@ -258,13 +259,7 @@ def _stream_images(path: Path, count: int, read: Callable[[int], NDArray[Any]]) 
 
 def _images(folder: Path) -> list[Path]:
     found = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES]
-    return sorted(found, key=lambda path: _natural_key(path.name))
-
-
-def _natural_key(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that orders image2 before image10."""
-    parts = re.split(r"(\d+)", name)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+    return sorted(found, key=lambda path: natural_key(path.name))
 
 
 def _image(pillow: Any, path: Path) -> NDArray[Any]:

@@ -1,0 +1,257 @@
+"""Shapes of recordings that people have: columns that are no sensors, axes, sessions, folders."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.io import ReadOptions
+from anisomap.recording import Recording, as_runs, join_runs, match_sensors
+
+N_SENSORS, N_FRAMES = 12, 600
+RNG = np.random.default_rng(8)
+PRESSED = np.where(
+    RNG.random((N_FRAMES, N_SENSORS)) < 0.2, RNG.integers(20, 900, (N_FRAMES, N_SENSORS)), 0
+)
+NAMES = [f"c{k}" for k in range(N_SENSORS)]
+VECTORS = RNG.normal(size=(N_FRAMES, N_SENSORS, 3)).round(3)
+
+
+def text(names: list[str], rows: Any) -> str:
+    return "".join(",".join(map(str, row)) + "\n" for row in [names, *np.asarray(rows).tolist()])
+
+
+SPELLINGS = {
+    "c0_x": [f"c{k}_{a}" for k in range(N_SENSORS) for a in "xyz"],
+    "c0.Bx": [f"c{k}.B{a}" for k in range(N_SENSORS) for a in "xyz"],
+    "T00 X": [f"T{k:02d} {a}" for k in range(N_SENSORS) for a in "XYZ"],
+    "c0x": [f"c{k}{a}" for k in range(N_SENSORS) for a in "xyz"],
+    "c0[x]": [f"c{k}[{a}]" for k in range(N_SENSORS) for a in "xyz"],
+    "taxel 0/Fx [N]": [f"taxel {k}/F{a} [N]" for k in range(N_SENSORS) for a in "xyz"],
+    "x_c0": [f"{a}_c{k}" for k in range(N_SENSORS) for a in "xyz"],
+    "Fx_c0": [f"F{a}_c{k}" for k in range(N_SENSORS) for a in "xyz"],
+    "x0": [f"{a}{k}" for k in range(N_SENSORS) for a in "xyz"],
+    "mag0_x": [f"mag{k}_{a}" for k in range(N_SENSORS) for a in "xyz"],
+}
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+@pytest.mark.parametrize("in_blocks", [False, True])
+def test_taxels_with_three_axes(put, spelling: str, in_blocks: bool) -> None:
+    names, order = SPELLINGS[spelling], np.arange(3 * N_SENSORS)
+    if in_blocks:  # all x before all y
+        order = order.reshape(N_SENSORS, 3).T.ravel()
+    rows = VECTORS.reshape(N_FRAMES, -1)[:, order]
+    path = put("axes.csv", text([names[i] for i in order], rows))
+    for axis, expected in (("z", VECTORS[:, :, 2]), ("x", VECTORS[:, :, 0])):
+        with pytest.warns(AnisomapWarning, match=f"12 taxels with three axes: {axis} is read"):
+            found = io.read(path, options=ReadOptions(axis=axis))
+        np.testing.assert_array_equal(found.readings, expected)
+    assert io.read(path, options=ReadOptions(axis="all")).n_sensors == 3 * N_SENSORS
+
+
+@pytest.mark.parametrize("part", ["acc", "gyro", "imu"])
+def test_inertial_units_are_no_taxels(put, part: str) -> None:
+    names = [f"{part}{k}_{a}" for k in range(5) for a in "xyz"]
+    rows = np.column_stack([PRESSED, RNG.normal(size=(N_FRAMES, 15))])
+    path = put("imu.csv", text([*(f"s{k}" for k in range(N_SENSORS)), *names], rows))
+    found = io.read(path, options=ReadOptions(keep=("s0-s11", f"{part}*")))
+    assert found.n_sensors == N_SENSORS + 15
+
+
+BESIDE = {
+    "label": (RNG.integers(0, 3, N_FRAMES), "a label"),
+    "Class": (np.arange(N_FRAMES) // 100, "a label"),
+    "subject_id": (np.arange(N_FRAMES) // 200, "a label"),
+    "acc_x": (RNG.normal(size=N_FRAMES), "an inertial unit"),
+    "temperature": (24 + RNG.normal(size=N_FRAMES), "a temperature"),
+    "seq": (np.arange(N_FRAMES) % 256, "a counter"),
+    "n": (np.arange(N_FRAMES) % 256, "a counter"),
+    "phase": (np.arange(N_FRAMES) // 150, "a label"),
+    "F": (PRESSED.sum(axis=1), "the sum of all others"),
+}
+
+
+@pytest.mark.parametrize("name", BESIDE)
+@pytest.mark.parametrize("last", [False, True])
+def test_columns_that_are_no_sensors(put, name: str, last: bool) -> None:
+    values, what = BESIDE[name]
+    names = [*NAMES, name] if last else [name, *NAMES]
+    columns = (PRESSED, values) if last else (values, PRESSED)
+    path = put("run.csv", text(names, np.column_stack(columns).astype(object)))
+    if name == "seq" and not last:  # a first column of this name is a counter, without doubt
+        found = io.read(path)
+    else:
+        with pytest.warns(AnisomapWarning, match=rf"{name}: {what}.*--keep|{name}\) increases"):
+            found = io.read(path)
+    np.testing.assert_array_equal(found.readings, PRESSED)
+    assert found.names == tuple(NAMES)
+    kept = io.read(path, options=ReadOptions(keep=("c0-c5", "c1?", name)))
+    assert kept.names == tuple(n for n in names if n in (*NAMES[:6], "c10", "c11", name))
+
+
+@pytest.mark.parametrize(
+    "names", [["thumb", "index", "middle", "ring"], ["state0", "state1", "state2", "state3"]]
+)
+def test_sensors_stay_sensors(put, names: list[str]) -> None:
+    assert io.read(put("hand.csv", text(names, PRESSED[:, :4]))).names == tuple(names)
+
+
+@pytest.mark.parametrize("unit", ["[kPa]", "(N)", "[mV]", "(counts)", "[a.u.]"])
+def test_units_leave_names(put, unit: str) -> None:
+    found = io.read(put("run.csv", text([f"{name} {unit}" for name in NAMES], PRESSED)))
+    assert found.names == tuple(NAMES)
+    layout = put("layout.csv", "name,x,y\n" + "".join(f"c{k},{k},0\n" for k in range(12)))
+    placed = io.read(
+        put("run.csv", text([f"{name} {unit}" for name in NAMES], PRESSED)),
+        options=ReadOptions(positions=layout),
+    )
+    np.testing.assert_array_equal(placed.positions[:, 0], np.arange(12))
+
+
+def test_names_are_matched_by_order_only_where_a_side_has_none() -> None:
+    rows, notes = match_sensors(("s0", "s1", "s2"), ("a", "b", "c"), "layout and recording")
+    assert rows.tolist() == [0, 1, 2]
+    assert "by order" in notes[0]
+    with pytest.raises(InputError, match=r"share no sensor name \(u \.\.\. w and a \.\.\. c\)"):
+        match_sensors(("u", "v", "w"), ("a", "b", "c"), "layout and recording")
+
+
+def test_rows_of_a_grid(put) -> None:
+    frames = RNG.integers(0, 99, (50, 6, 4))
+    path = put(
+        "mat.txt", "\n".join(" ".join(map(str, row)) for row in frames.reshape(-1, 4).tolist())
+    )
+    found = io.read(path, options=ReadOptions(grid=(6, 4)))
+    np.testing.assert_array_equal(found.readings, frames.reshape(50, -1))
+    assert found.names[5] == "r1c1"
+    with pytest.raises(FileError, match="no multiple of 7"):
+        io.read(path, options=ReadOptions(grid=(7, 4)))
+
+
+def test_folders(tmp_path: Path) -> None:
+    for k in range(12):
+        np.savetxt(tmp_path / f"frame_{k}.csv", PRESSED[k].reshape(3, 4), "%d", ",")
+    with pytest.raises(FileError, match=r"tables of 3 x 4 without names: .*--grid 3x4"):
+        io.read(tmp_path)
+    found = io.read(tmp_path, options=ReadOptions(grid=(3, 4)))
+    np.testing.assert_array_equal(found.readings, PRESSED[:12])
+    for k in range(12):
+        (tmp_path / f"frame_{k}.csv").write_text(text(NAMES, PRESSED[20 * k : 20 * k + 20]))
+    np.testing.assert_array_equal(io.read(tmp_path).readings, PRESSED[:240])
+
+
+def sessions(n: int) -> tuple[np.ndarray, list[Recording]]:
+    noisy = PRESSED + RNG.normal(0, 3, PRESSED.shape)
+    zeros = np.vstack([np.zeros(N_SENSORS), RNG.uniform(-400, 400, (n - 1, N_SENSORS))])
+    parts = np.split(noisy, n)
+    return noisy, [
+        Recording(part + zero, names=NAMES, source=f"run {k}")
+        for k, (part, zero) in enumerate(zip(parts, zeros, strict=True))
+    ]
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_sessions_with_zeros_of_their_own(n: int) -> None:
+    noisy, runs = sessions(n)
+    with pytest.warns(AnisomapWarning, match="rest at other levels in the recording"):
+        joined = join_runs(runs)
+    np.testing.assert_allclose(joined.readings, noisy, atol=3)
+    with pytest.warns(AnisomapWarning, match="steps at frame"):
+        (whole,) = as_runs(np.vstack([run.readings for run in runs]))
+    np.testing.assert_allclose(whole.readings, noisy, atol=3)
+
+
+def test_one_zero_stays_as_it_is() -> None:
+    noisy, _ = sessions(2)
+    runs = [Recording(part, names=NAMES) for part in np.split(noisy, 3)]
+    np.testing.assert_array_equal(join_runs(runs).readings, noisy)
+    np.testing.assert_array_equal(as_runs(noisy)[0].readings, noisy)
+    many = [Recording(part, names=NAMES) for part in np.split(noisy, 120)]
+    np.testing.assert_array_equal(join_runs(many).readings, noisy)
+
+
+def test_a_hold_is_no_step_of_the_rest() -> None:
+    noisy, _ = sessions(2)
+    noisy[200:400, :8] += 300
+    np.testing.assert_array_equal(as_runs(noisy)[0].readings, noisy)
+
+
+TIMES = np.arange(N_FRAMES) / 50
+DATES = np.datetime64("2026-03-01T10:00", "ns") + (1e9 * TIMES).astype("timedelta64[ns]")
+
+
+@pytest.mark.parametrize(
+    "times", [TIMES, DATES, list(map(str, DATES.astype("M8[ms]"))), DATES.astype("M8[ms]").tolist()]
+)
+def test_times_of_objects(times: Any) -> None:
+    found = Recording(PRESSED, times=times)
+    np.testing.assert_allclose(found.times, TIMES, atol=2e-3)
+    assert found.rate_hz == pytest.approx(50)
+
+
+@pytest.mark.filterwarnings("ignore:.*taken as ms")
+@pytest.mark.parametrize("kind", ["time", "timestamp", "t [ms]", "dates", "index"])
+def test_data_frames(kind: str) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(PRESSED, columns=[f"{name} [kPa]" for name in NAMES])
+    if kind == "index":
+        frame.index = pandas.DatetimeIndex(DATES)
+    else:
+        name = "time" if kind == "dates" else kind
+        frame.insert(
+            0, name, DATES if kind == "dates" else TIMES if kind == "time" else 1000 * TIMES
+        )
+    found = Recording(frame)
+    np.testing.assert_array_equal(found.readings, PRESSED)
+    assert found.names == tuple(NAMES)
+    assert found.rate_hz == pytest.approx(50)
+
+
+class Labelled:
+    """The part of a DataArray of xarray that is used."""
+
+    def __init__(self, values: np.ndarray, dims: tuple[str, ...], **coords: Any) -> None:
+        self.values, self.dims, self.coords = values, dims, coords
+
+
+def test_labelled_arrays() -> None:
+    found = Recording(Labelled(PRESSED, ("time", "sensor"), time=DATES, sensor=NAMES))
+    np.testing.assert_array_equal(found.readings, PRESSED)
+    assert (found.names, found.rate_hz) == (tuple(NAMES), pytest.approx(50))
+    with pytest.raises(InputError, match=r"transpose\('time', 'sensor'\)"):
+        Recording(Labelled(PRESSED.T, ("sensor", "time")))
+    cells = Recording(Labelled(PRESSED.reshape(-1, 3, 4), ("time", "row", "column"), time=TIMES))
+    np.testing.assert_array_equal(cells.readings, PRESSED)
+    assert cells.names[5] == "r1c1"
+
+
+def test_raw_recordings_of_mne() -> None:
+    mne = pytest.importorskip("mne")
+    kinds = ["eeg"] * N_SENSORS + ["stim"]
+    info = mne.create_info([*NAMES, "STI"], 250.0, kinds)
+    raw = mne.io.RawArray(np.vstack([PRESSED.T, np.zeros(N_FRAMES)]), info, verbose="ERROR")
+    raw.info["bads"] = ["c3"]
+    with pytest.warns(AnisomapWarning, match="marked as bad are left out: c3"):
+        found = Recording(raw)
+    np.testing.assert_array_equal(found.readings, np.delete(PRESSED, 3, axis=1))
+    assert (found.names[3], found.rate_hz) == ("c4", 250)
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        ({"units": None}, "units must be text"),
+        ({"metadata": {1: 2}}, "metadata must be"),
+        ({"metadata": {"a": [1]}}, "metadata must be"),
+        ({"positions": [[np.inf, 0]] * N_SENSORS}, "must be finite"),
+        ({"rate_hz": "50"}, "rate_hz must be a positive number"),
+        ({"times": ["soon"] * N_FRAMES}, "times must be seconds, or dates"),
+    ],
+)
+def test_facts_that_no_file_could_store_are_refused(facts: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Recording(PRESSED, **facts)
