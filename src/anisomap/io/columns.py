@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -55,8 +54,14 @@ def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
         if sum(len(each.readings) for each in held) >= wanted:
             break
     rows = [block.readings[:wanted] for block in held] or [np.empty((0, stream.n_sensors))]
-    blocks = itertools.chain(held, stream.blocks)
-    return np.concatenate(rows)[:wanted], replace(stream, blocks=blocks)
+    found = np.concatenate(rows)[:wanted]
+
+    def blocks() -> Iterator[Block]:
+        while held:  # and no longer, since blocks take memory
+            yield held.pop(0)
+        yield from stream.blocks
+
+    return found, replace(stream, blocks=blocks())
 
 
 def _say_others(path: Path, names: tuple[str, ...], others: dict[int, str]) -> None:
