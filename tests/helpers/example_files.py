@@ -261,6 +261,16 @@ def _calibration(path: Path) -> None:
     path.write_text(json.dumps({"info": {"file_version": 2}, "skin": skin}, indent="\t"))
 
 
+def _probes(path: Path) -> None:
+    """Two probes, as probeinterface writes them."""
+    positions = np.nan_to_num(example_map().positions).tolist()
+    probes = [
+        {"ndim": 3, "si_units": "um", "contact_positions": part, "contact_ids": [*map(str, ids)]}
+        for part, ids in ((positions[:3], range(3)), (positions[3:], range(2)))
+    ]
+    path.write_text(json.dumps({"specification": "probeinterface", "probes": probes}))
+
+
 def _lists(path: Path) -> None:
     """All readings of a frame in one cell, beside a column that is no sensor."""
     rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
@@ -341,4 +351,5 @@ MAPS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "map.mjcf": ("mjcf", own_map),
     "map.icub.txt": ("icub", own_map),
     "handle.json": ("cyskin-calibration", _calibration),
+    "probes.json": ("probeinterface", _probes),
 }
