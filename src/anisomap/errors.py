@@ -56,7 +56,10 @@ class MissingExtraError(AnisomapError, ImportError):
 
     def __init__(self, purpose: str, extra: str) -> None:
         super().__init__(f"{purpose} needs an extra: pip install 'anisomap[{extra}]'")
-        self.extra = extra
+        self.purpose, self.extra = purpose, extra
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.purpose, self.extra)
 
 
 class AnisomapWarning(UserWarning):

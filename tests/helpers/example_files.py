@@ -87,6 +87,22 @@ def _gzipped(path: Path) -> None:
     path.write_bytes(gzip.compress(rows.encode(), mtime=0))
 
 
+def _stamp(frame: int) -> str:
+    return f"10:00:{frame // 50:02d}.{20 * (frame % 50):03d}"
+
+
+def _monitor(path: Path) -> None:
+    path.write_text(_lines(lambda i, v: f"{_stamp(i)} -> " + "\t".join(map(str, v))))
+
+
+def _labelled(path: Path) -> None:
+    path.write_text(_lines(lambda i, v: " ".join(f"S{k}:{x}" for k, x in enumerate(v))))
+
+
+def _rows_of_json(path: Path) -> None:
+    path.write_text(_lines(lambda i, v: json.dumps({"t": i / 50, "p": v})))
+
+
 def _one_stamp(path: Path) -> None:
     path.write_text(
         _lines(lambda i, v: f"{7 + i} {1.3e9 + i / 50:.6f} (" + " ".join(map(str, v)) + ")")
@@ -305,6 +321,10 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "skin.tsv": ("text", own_recording),
     "foreign.csv": ("text", _foreign),
     "blanks.txt.gz": ("text", _gzipped),
+    "monitor.txt": ("text", _monitor),
+    "printed.txt": ("text", lambda path: path.write_text(_lines(lambda i, v: str(v)))),
+    "labels.txt": ("text", _labelled),
+    "rows.jsonl": ("json-lines", _rows_of_json),
     "data.log": ("yarp", _two_stamps),
     "dumped.log": ("yarp", _one_stamp),
     "run.bag": ("ros", _bag),

@@ -21,6 +21,8 @@ TIMELESS = {
     "mat.asf": 50,
     "film.tif": None,
     "skin.npy": None,
+    "printed.txt": None,
+    "labels.txt": None,
     "touch.mat": None,
     "skin_raw.fif": 50,
 }

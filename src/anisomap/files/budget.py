@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -68,5 +68,10 @@ def bytes_kept(dtype: np.dtype[np.generic]) -> int:
 
 def size_on_disk(path: Path) -> int:
     """Return the size of a file, or of all files in a folder, in bytes."""
-    files: Iterator[Path] = path.rglob("*") if path.is_dir() else iter([path])
-    return sum(file.stat().st_size for file in files if file.is_file())
+    if not path.is_dir():
+        return path.stat().st_size if path.is_file() else 0
+    total = 0
+    for file in path.rglob("*"):
+        with suppress(OSError):  # files of a folder come and go
+            total += file.stat().st_size if file.is_file() else 0
+    return total

@@ -145,6 +145,7 @@ def find_dissimilarities(path: Path) -> Dissimilarities | None:
         return None
     if values.shape != (len(names),) * 2 or len(names) < _LEAST:
         return None
+    values = np.where(np.isinf(values), np.nan, values)
     own = np.diag(values)[~np.isnan(np.diag(values))]
     others = values[~np.eye(len(values), dtype=bool)]
     tolerance = _ROUNDING * np.abs(values).max(where=np.isfinite(values), initial=0)

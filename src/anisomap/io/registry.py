@@ -106,6 +106,8 @@ FORMATS = (
            read_map=text_files.read_calibration),
     Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
            contact_lists.is_json, contact_lists.open_json_list),
+    Format("json-lines", (), "one JSON object per frame", delimited_text.is_json_lines,
+           delimited_text.open_recording),
     Format("json", (".json",), "JSON", text_files.is_json,
            read_map=text_files.read_json_map, write_map=text_files.write_json,
            signature=text_files.SIGNATURE),

@@ -58,7 +58,7 @@ def _increase(times: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 def to_float32_if_exact(readings: NDArray[Any]) -> NDArray[Any]:
     """Convert readings to float32 if that is exact, which halves the memory of most recordings."""
-    with np.errstate(over="ignore"):
+    with np.errstate(all="ignore"):
         single = readings.astype(np.float32)
     return single if np.array_equal(single, readings, equal_nan=True) else readings
 

@@ -187,6 +187,8 @@ def _read_points(
             f"{path} is damaged: its header announces {count} {noun}, but it has {len(rows)}"
         )
     values = dict(zip(wanted.values(), np.array(rows).T, strict=True))
+    if any(np.isinf(values[axis]).any() for axis in _AXES):
+        raise FileError(f"{path}: x, y and z must be finite, or nan for a sensor without a place")
     known = dict(read_comments(remarks, "")[0])
     dimensions = 2 if known.get("dimensions") == 2 else len(_AXES)
     numbers = _integers(path, values.get("sensor", np.arange(count, dtype=np.float64)))
@@ -296,7 +298,12 @@ def _electrodes(
         positions = electrodes.positions * per_metre
     if not np.isfinite(positions).all():
         raise InputError(f"{what} cannot represent the positions, which are too large")
-    labels = distinct_names(path, ["_".join(name.split()) for name in electrodes.names])
+    # Readers of these files skip labels that are empty or begin with the mark of a comment.
+    plain = [
+        "_".join(name.split()).replace("#", "_", name.lstrip()[:1] == "#")
+        for name in electrodes.names
+    ]
+    labels = distinct_names(path, [label or f"unnamed{i}" for i, label in enumerate(plain)])
     return labels, ["\t".join(map(repr, row)) for row in positions.tolist()]
 
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from anisomap.base.wording import printable
 from anisomap.errors import AnisomapWarning, FileError, InputError, error_reason
 from anisomap.files.budget import Budget
 from anisomap.files.paths import open_regular
@@ -26,7 +27,7 @@ _MIN_REPORTED_LOSS = 0.005
 
 def warn(path: Path | str, problem: str) -> None:
     """Warn about a file, of which the map or recording is used all the same."""
-    warnings.warn(f"{path}: {problem}", AnisomapWarning, stacklevel=3)
+    warnings.warn(f"{path}: {printable(problem)}", AnisomapWarning, stacklevel=3)
 
 
 def warn_of_loss(path: Path, error: BaseException, found: str, fraction: float) -> None:

@@ -19,6 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.axes import XYZ
 from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.parsing.source import warn
@@ -38,6 +39,7 @@ _LABELS = ("name", "sensor_pos", "cellId", "cell_id")
 _CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}
 _DEPTHS = {"U": "u", "S": "i", "F": "f"}
 _WRAP = 1 << 16
+_TAXELS = "sensors.taxels"  # of XELA, with three axes each
 
 
 def values_at(message: Any, path: str) -> NDArray[Any]:
@@ -148,6 +150,21 @@ def _lengths(message: Any, path: str) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(sum(part**2 for part in parts)))
 
 
+def _vectors(message: Any, path: str) -> NDArray[Any]:
+    """Return x, y and z of each taxel, or one of them if the path says so."""
+    if path != _TAXELS:
+        return values_at(message, path)
+    return np.stack([values_at(message, f"{path}.{axis}") for axis in XYZ], axis=1).ravel()
+
+
+def _names_of_vectors(message: Any, path: str) -> tuple[str, ...]:
+    if path != _TAXELS:
+        return names_at(message, path)
+    count = values_at(message, f"{path}.x").size
+    names = names_at(message, f"{path}.x") or tuple(f"taxel{i}" for i in range(count))
+    return tuple(f"{name}_{axis}" for name in names for axis in XYZ)
+
+
 def _centres(message: Any) -> NDArray[np.float64] | None:
     parts = [np.asarray(getattr(message, f"centers_{axis}"), np.float64) for axis in "xyz"]
     return np.column_stack(parts) if len({part.size for part in parts}) == 1 else None
@@ -156,7 +173,7 @@ def _centres(message: Any) -> NDArray[np.float64] | None:
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "TactileState": Kind("sensors.values"),
-        "SensStream": Kind("sensors.taxels.z", wraps=True),
+        "SensStream": Kind(_TAXELS, _vectors, _names_of_vectors, wraps=True),
         "BiotacAll": Kind("tactiles.electrodes"),
         "SkinCellData": Kind("force", cell=True),
         "SkinCellDataArray": Kind("data.force"),
@@ -347,6 +364,7 @@ class _Topic:
                 "field": self.field,
             },
             from_zero=True,
+            raw_columns=self.field == _TAXELS,
         )
 
     def _messages(self) -> Iterator[tuple[Any, NDArray[Any], _Times]]:

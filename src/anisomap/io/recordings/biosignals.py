@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular, read_small
-from anisomap.io.parsing.source import is_gzipped, quote, read_head
+from anisomap.io.parsing.source import is_gzipped, open_binary, quote, read_head, warn
 from anisomap.io.stream import (
     Content,
     ReadOptions,
@@ -42,6 +42,7 @@ MAGICS = tuple(_MARKS)
 
 _NAMED = re.compile(r"^[ \t]*+(?:DataFile|MarkerFile)[ \t]*+=[ \t]*+(.*?)[ \t\r]*$", re.M | re.I)
 _MAX_HEADER = 1 << 20
+_EDF_HEADER = 256  # bytes, before those of the signals
 _N_LOC = 3  # of the numbers about the place of a channel, the first are its position
 
 
@@ -95,18 +96,42 @@ def _open(path: Path) -> Iterator[Any]:
             named.symlink_to(path.resolve())
         if kind == "brainvision":
             _check_named(path)
+        if kind in ("edf", "bdf"):
+            _warn_if_cut(path, 3 if kind == "bdf" else 2)
         read = getattr(io, f"read_raw_{kind}")
         with read(os.fspath(named), preload=False, verbose="ERROR") as raw:
             yield raw
+
+
+def _warn_if_cut(path: Path, n_bytes: int) -> None:
+    """Warn if the file is shorter than the records that its header announces."""
+    with open_binary(path) as stream:
+        head = stream.read(_EDF_HEADER)
+        fields = [head[start:stop].strip() for start, stop in ((184, 192), (236, 244), (252, 256))]
+        if not all(field.isdigit() for field in fields):  # -1 records are not known
+            return
+        n_header, n_records, n_signals = map(int, fields)
+        # Labels, transducers, units, ranges and filters of all signals come first.
+        counts = stream.read(n_signals * 256)[n_signals * 216 : n_signals * 224]
+        samples = [counts[8 * i : 8 * i + 8].strip() for i in range(n_signals)]
+        if not n_signals or not all(each.isdigit() for each in samples):
+            return
+        per_record = n_bytes * sum(map(int, samples))
+        if is_gzipped(path) or not per_record:
+            return
+        held = max(0, path.stat().st_size - n_header) // per_record
+    if held < n_records:
+        warn(path, f"it is cut short: its header announces {n_records} records, but it has {held}")
 
 
 def _check_named(path: Path) -> None:
     """Check that the header of a BrainVision recording names regular files beside it only."""
     text = read_small(path, _MAX_HEADER, "a header of BrainVision", encoding="latin-1")
     for name in _NAMED.findall(text):
-        if name != "$b" and Path(name.replace("\\", "/")).name != name:
-            raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
         file = path.parent / name.replace("$b", path.stem)
+        inside = name == "$b" or Path(name.replace("\\", "/")).name == name
+        if not inside or (name and file.resolve().parent != path.parent.resolve()):
+            raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
         if name and file.exists():
             check_regular(file)
 

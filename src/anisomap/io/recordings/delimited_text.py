@@ -32,6 +32,7 @@ from anisomap.files.budget import SENSOR_BYTES, Budget
 from anisomap.io.parsing.cells import guard_formula, parse_number, unguard_formula
 from anisomap.io.parsing.detection import find_table, is_list, listed
 from anisomap.io.parsing.facts import read_comments, write_comments
+from anisomap.io.parsing.lines import as_objects
 from anisomap.io.parsing.names import (
     ROWS_LOOKED_AT,
     Roles,
@@ -39,7 +40,7 @@ from anisomap.io.parsing.names import (
     roles_by_name,
     warn_of_guesses,
 )
-from anisomap.io.parsing.source import TextLines, quote, quote_if_needed, read_json, warn
+from anisomap.io.parsing.source import TextLines, lines_of, quote, quote_if_needed, read_json, warn
 from anisomap.io.parsing.tables import (
     LineError,
     Table,
@@ -88,6 +89,12 @@ _logger = logging.getLogger(__name__)
 def recognises(path: Path, head: bytes) -> bool:
     """Recognise any text; this format is tried last."""
     return bool(head) and b"\0" not in head
+
+
+def is_json_lines(path: Path, head: bytes) -> bool:
+    """Recognise two lines with an object of JSON each, which hold numbers."""
+    lines = [line for line in lines_of(head) if line.strip()][:2]
+    return len(lines) == 2 and as_objects(lines) is not None
 
 
 @contextmanager

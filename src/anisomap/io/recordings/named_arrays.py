@@ -55,6 +55,7 @@ _KINDS = {
 }
 _WITH_POINT = 4  # columns of x y z id
 _MIN_UNITS = 2
+_MAX_DEPTH = 64  # of groups
 _DIGIT = re.compile(r"\d")
 
 _NUMBERS, _REAL, _TEXT = "biuf", "iuf", "SUO"
@@ -386,7 +387,13 @@ def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
     h5py = import_extra("h5py", "reading HDF5", MAT_EXTRA if transposed else HDF5_EXTRA)
     with h5py.File(path, "r") as file:
         found = list[Any]()
-        file.visititems(lambda _, item: found.append(item))  # stops at anything but None
+
+        def collect(name: str, item: Any) -> None:
+            if name.count("/") > _MAX_DEPTH:  # names of deeper ones take quadratic time
+                raise FileError(f"{path}: groups are more than {_MAX_DEPTH} deep; it is damaged")
+            found.append(item)
+
+        file.visititems(collect)
         yield [
             _hdf5_dataset(each, transposed=transposed)
             for each in found
