@@ -37,8 +37,7 @@ BATCH = 500
 """Cases per process, so that leaks of libraries do not add up."""
 
 _BY_COMMAND, _IS_ODD, _IS_BOMB, _IS_SPLICED, _IS_WHOLE = 0.08, 0.15, 0.001, 0.03, 0.01
-_N_BOMBS = 2
-_N_USES = 4  # of each format, to reach all commands
+_N_BOMBS, _N_USES = 2, 4  # of each format; enough uses to reach all commands
 _CHECKS: Mapping[str, Any] = {
     "file": checks.check_file,
     "mesh": checks.check_mesh,
