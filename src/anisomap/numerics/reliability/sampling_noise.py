@@ -198,8 +198,8 @@ On skins of 500 frames and more, the weakest link that was needed was at least 1
 strong; the strongest between skins touched independently mostly .8 to 1.2 times.
 """
 
-_MISSED = 1.645  # standard deviations; a link that is stronger by them is missed in 5 % of cases
-_WEAK_LINKS = 0.1  # share of the links of a group that may be weaker than what is expected of it
+_MISSED = 3.1  # standard deviations; a link that is stronger by them is missed in .1 % of cases
+_WEAK_LINKS = 0.05  # share of the links of a group that may be weaker than what is expected of it
 
 _MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
 _MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unrelated one; by hand
@@ -268,9 +268,9 @@ def group_sensors(similarity: ArrayLike, variance: ArrayLike) -> Groups:
     sensors has m = n (N - n) links to the others. Links are significant from 1.2 times this on.
 
     Two groups without a significant link between them are shown to be unrelated if one as strong as
-    nine in ten of those that hold either group together would have been found, with a probability
-    of 95 %. Where noise hides links, they are not. A single sensor is held to the strength of the
-    largest group.
+    19 in 20 of those that hold either group together would have been found, with a probability of
+    99.9 %: there may be 50 gaps in a skin. Where noise hides links, they are not. No group is held
+    to more than the largest one, whose weak links are known best, and a single sensor to as much.
     """
     links = standardised_correlation(similarity, variance, by_z=True)
     n_sensors = len(links)
@@ -290,7 +290,7 @@ def group_sensors(similarity: ArrayLike, variance: ArrayLike) -> Groups:
     first = np.unique(linked, return_index=True)[1]
     sizes = sizes[group[first]]
     weakest = [np.quantile(held[g], _WEAK_LINKS) if held[g] else 0.0 for g in group[first]]
-    strength = np.where(sizes > 1, weakest, weakest[0])
+    strength = np.minimum(np.where(sizes > 1, weakest, np.inf), weakest[0])
     least = np.array([_least_bridge(size, n_sensors) for size in sizes.tolist()])
     shown = np.minimum.outer(strength, strength) >= np.minimum.outer(least, least) + _MISSED
     joined = connected_components(~shown, directed=False)[1]
