@@ -129,6 +129,13 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"{count} of {total} sensors have no correlation with the others that exceeds noise: "
             "record longer"
         ),
+        "halves-disagree": lambda agreement: (
+            f"halves of the recording show unlike similarities (their correlation is "
+            f"{agreement:.2f}): a few strong frames may make all of them; record more contacts"
+        ),
+        "rarely-touched": lambda count, total: (
+            f"{count} of {total} sensors had too few contacts for a position: touch all of the skin"
+        ),
         "chance": lambda size, much: (
             f"maps of resampled recordings differ by {size:.2f} spacings"
             + (": record longer, and touch all of the skin" if much else "")

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmarks.skins.independent import Case, make
+from benchmarks.skins.readout import NOISES, noise
 from golden.cases import FOLDER
 from hypothesis import given
 from hypothesis import strategies as st
@@ -312,3 +313,29 @@ def test_a_map_that_was_changed_is_not_judged_by_its_stages():
     moved = made.positions + np.random.default_rng(0).normal(size=made.positions.shape)
     changed = diagnose(replace(made, positions=moved), skin, stages=stages)
     assert changed.verdict.level == UNKNOWN
+
+
+@quiet
+@pytest.mark.parametrize("kind", NOISES)
+def test_noise_without_geometry_is_never_usable(kind):
+    for seed in range(4):
+        readings = noise(kind, n_sensors=16 + 4 * seed, seed=seed)
+        try:
+            made = reconstruct(readings, dimensions=2)
+        except InputError:
+            continue  # no two sensors are related
+        assert not diagnose(made, readings).verdict.is_at_least("usable for neighbours")
+
+
+def test_what_makes_neighbours_doubtful_excludes_maps_of_neighbours():
+    for doubtful in ({"agreement": 0.3}, {"rarely": 21}):
+        found = judge(evidence(**doubtful))
+        assert found.level == "not usable"
+        assert found.reasons[0] not in judge(evidence()).reasons
+    assert judge(evidence(agreement=0.9, rarely=19)).level == "usable"
+
+
+@given(ERRORS, ERRORS)
+def test_advice_fits_the_level(chance, difference):
+    found = judge(evidence(chance, difference))
+    assert found.level != "usable" or not any("record longer" in text for text in found.reasons)

@@ -18,6 +18,7 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
+from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
@@ -41,6 +42,7 @@ from anisomap.verdict.chance import (
     deviations_by_chance,
     error_in_spacings,
 )
+from anisomap.verdict.halves import agreement_of_halves
 from anisomap.verdict.judge import Measurements, judge
 from anisomap.verdict.second_map import differences_from_steps
 
@@ -166,6 +168,7 @@ def examine(
     sizes = sensor_map.component_sizes
     measured = Measurements(
         placed=int(np.count_nonzero(sensor_map.placed)),
+        rarely=_rarely_touched(sensor_map, runs),
         largest=sizes[0],
         faults=spoiling([one for one in faults if one.kind not in UNSEEN + FATAL]),
         unseen=spoiling([one for one in faults if one.kind in UNSEEN]),
@@ -203,12 +206,23 @@ def examine(
                 repeatability=repeatability,
                 difference=difference,
                 regional=regional_difference(differences, positions),
+                agreement=agreement_of_halves(part.evidence, generator),
             )
         error = expected_error(repeatability, difference).value
         if math.isfinite(error):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
     return measured, found
+
+
+def _rarely_touched(sensor_map: SensorMap, runs: Sequence[Recording]) -> int:
+    """Count the placed sensors with few contacts in each run."""
+    most = dict.fromkeys(sensor_map.names, 0)
+    for run in runs:
+        for name, count in zip(run.names, run.signals.contacts.tolist(), strict=True):
+            most[name] = max(most.get(name, 0), count)
+    placed = np.flatnonzero(sensor_map.placed)
+    return sum(most[sensor_map.names[i]] < MIN_CONTACTS for i in placed.tolist())
 
 
 def _judged(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from anisomap.notes import Note
 from anisomap.usability import Verdict
 from anisomap.verdict.accuracy import expected_error, neighbours_kept, region_error
+from anisomap.verdict.halves import MIN_AGREEMENT
 
 MAX_ERROR = 0.42
 """Expected error of a usable map, in spacings.
@@ -25,6 +26,9 @@ Of 221 wrong maps of ``make trust`` (seeds 3601 to 3630, and real skins), 10 % r
 MAX_CHANCE = 1.0
 """Repeatability, in spacings, beyond which sensors change places with neighbours by chance."""
 
+MAX_RARELY_TOUCHED = 1 / 2
+"""Share of the placed sensors with few contacts, above which a map says nothing of neighbours."""
+
 MIN_LARGEST, MIN_FRAGMENT = 0.9, 1 / 3
 """Shares of the placed sensors in the largest component of a usable map, and of a map at all."""
 
@@ -36,7 +40,9 @@ class Measurements:
     repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
     difference: RMS difference from a map of evenly spaced sensors, in spacings.
     regional: The same of regions, each aligned by itself.
+    agreement: Of two halves of the recording: see `agreement_of_halves`.
     placed: Number of sensors with positions.
+    rarely: Number of these with fewer contacts than their positions need.
     largest: Number of sensors in the largest component.
     linked: Number of these that significant correlations connect; all, if None.
     faults: Sentences on faults of the recording that the measurements show.
@@ -48,7 +54,9 @@ class Measurements:
     repeatability: float = math.nan
     difference: float = math.nan
     regional: float = math.nan
+    agreement: float = 1.0
     placed: int = 0
+    rarely: int = 0
     largest: int = 0
     linked: int | None = None
     faults: tuple[str, ...] = ()
@@ -59,7 +67,12 @@ class Measurements:
 
 def judge(measured: Measurements) -> Verdict:
     """Return the verdict that follows from what was measured."""
-    limits = [*measured.fatal, *measured.unseen]
+    ruined: list[str] = [*measured.fatal]
+    if measured.agreement < MIN_AGREEMENT:
+        ruined.append(Note("halves-disagree", agreement=measured.agreement))
+    if measured.rarely > MAX_RARELY_TOUCHED * measured.placed:
+        ruined.append(Note("rarely-touched", count=measured.rarely, total=measured.placed))
+    limits = [*ruined, *measured.unseen]
     if measured.largest < MIN_LARGEST * measured.placed:
         apart = measured.placed - measured.largest
         limits.append(Note("apart", apart=apart, placed=measured.placed))
@@ -78,7 +91,7 @@ def judge(measured: Measurements) -> Verdict:
         kept.value >= MIN_KEPT
         and measured.repeatability <= MAX_CHANCE
         and connected >= MIN_FRAGMENT * measured.placed
-        and not measured.fatal
+        and not ruined
     ):
         level = "usable for neighbours"
     else:
@@ -91,12 +104,12 @@ def judge(measured: Measurements) -> Verdict:
         *(region.value, region.low, region.high),
         *(kept.value, kept.low, kept.high),
         measured.repeatability,
-        reasons=(*limits, *_reasons(*sizes)),
+        reasons=(*limits, *_reasons(*sizes, advise=level != "usable")),
     )
 
 
-def _reasons(repeatability: float, difference: float) -> tuple[Note, ...]:
+def _reasons(repeatability: float, difference: float, *, advise: bool) -> tuple[Note, ...]:
     """Say what the measurements mean, that which adds more to the expected error first."""
-    chance = Note("chance", size=repeatability, much=repeatability > MAX_ERROR)
-    other = Note("second-map", size=difference, much=difference > 2 * MAX_ERROR)
+    chance = Note("chance", size=repeatability, much=advise and repeatability > MAX_ERROR)
+    other = Note("second-map", size=difference, much=advise and difference > 2 * MAX_ERROR)
     return (chance, other) if repeatability >= difference / 2 else (other, chance)
