@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from anisomap.base.clocks import parse_clock
@@ -25,6 +26,7 @@ _TIME = (
 )
 _DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
 _WORDS = r"[-+]?(?:nan|inf|infinity|null|none|n/a|na)(?![\w/])"
+_NUMBER, _CLOCK = r"([-+]?+\d++(?:\.\d*+)?+(?:[eE][-+]?\d++)?+)", r"([\d:./TZ+-]++)"
 _START = r"(?<![\w.:/])"
 
 
@@ -46,6 +48,8 @@ _APART = re.compile(r"[\s,;|:=>\[\](){}\"']")
 _ENDS_LABEL = re.compile(r"[\])}\"']*\s*(?::|=|->|=>|>)")
 _BRACKETS = re.compile(r"[\[\](){}]")
 _NAME_ENDS, _NAME_STARTS = " \t\r\n\"'([{", " \t\r\n\"')]}{"
+_COMMA = re.compile(r"\d,\d")
+_LOOKED_AT = 400  # lines
 _MIN_VALUES, _MIN_SHARE = 2, 0.5  # of the lines looked at, that fit
 PREFIX = "prefix"
 """Name of a number without a name before the values, such as ``17: 0, 12``."""
@@ -74,6 +78,20 @@ class Template:
     clocks: frozenset[int]
     example: str
 
+    @cached_property
+    def _fast(self) -> re.Pattern[str]:
+        """Match a line of numbers with points; other lines take several times as long."""
+        pattern, n_values = r"\s*+[\[(]*+", 0
+        for i, text in enumerate(self.texts):
+            marks = r"\s*+".join(map(re.escape, "".join(text.split())))
+            pattern += rf"\s*+{marks}\s*+" if marks else r"\s++" if text else r"\s*+"
+            if i in self.fixed:
+                pattern += re.escape(self.fixed[i])
+            elif i < len(self.texts) - 1:
+                pattern += _CLOCK if n_values in self.clocks else _NUMBER
+                n_values += 1
+        return re.compile(pattern + r"[\]),;\s]*+")
+
     @property
     def n_values(self) -> int:
         """Number of values in a line."""
@@ -81,6 +99,11 @@ class Template:
 
     def __call__(self, line: str) -> str:
         """Return the values of a line, separated by commas."""
+        if match := self._fast.fullmatch(line):
+            values = list(match.groups())
+            for i in self.clocks:
+                values[i] = _seconds(values[i])
+            return ",".join(values)
         texts, tokens = _split(line, self.decimal)
         fits = texts == self.texts and all(tokens[i] == word for i, word in self.fixed.items())
         if not fits:
@@ -127,13 +150,19 @@ def _raw_split(line: str, decimal: str) -> tuple[list[str], list[str]]:
 
 def find_template(lines: Sequence[str]) -> Template | None:
     """Find the template of lines with text between the numbers; None if most have another one."""
-    found = (_template(lines, decimal) for decimal in ".,")
-    plain, comma = ((each or (0.0, set(), None)) for each in found)
+    lines = lines[:_LOOKED_AT]
+    found = (_template(lines, decimal) for decimal in _decimals(lines))
+    plain, comma = ((each or (0.0, set(), None)) for each in [*found, None][:2])
     # Decimal commas leave a single separator where commas and others alternate.
     commas = comma[0] >= plain[0] and len(comma[1]) < len(plain[1])
     if commas and not any(_BRACKETS.search(text) for text in comma[1]):
         return comma[2]
     return plain[2]
+
+
+def _decimals(lines: Sequence[str]) -> str:
+    """Return the decimal marks to try."""
+    return ".," if any(map(_COMMA.search, lines)) else "."
 
 
 def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Template] | None:
