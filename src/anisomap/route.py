@@ -160,9 +160,10 @@ def split_names(
 ) -> list[str]:
     """Split a list of sensors at commas, unless a sensor name contains the comma.
 
-    Columns of text that the reader has skipped, according to the metadata, are left out.
+    Columns that the reader has left out, according to the metadata, are ignored.
     """
-    skipped = str((metadata or {}).get("text_columns", ""))
+    left_out = ("text_columns", "other_columns")
+    skipped = " ".join(str((metadata or {}).get(key, "")) for key in left_out)
     found = []
     for text in chosen or []:
         found += [text] if text in names else [part.strip() for part in text.split(",")]

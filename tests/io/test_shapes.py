@@ -83,8 +83,8 @@ def test_columns_that_are_no_sensors(put, name: str, last: bool) -> None:
     names = [*NAMES, name] if last else [name, *NAMES]
     columns = (PRESSED, values) if last else (values, PRESSED)
     path = put("run.csv", text(names, np.column_stack(columns).astype(object)))
-    if name in ("seq", "n") and not last:  # the first column is a counter
-        io.read(path)
+    if name in ("seq", "n"):  # frames are counted, with or without a warning
+        np.testing.assert_array_equal(io.read(path).readings, PRESSED)
         return
     with pytest.warns(AnisomapWarning, match=rf"{name}: {what}.*--keep"):
         found = io.read(path)
@@ -131,6 +131,35 @@ def test_rows_of_a_grid(put) -> None:
     assert found.names[5] == "r1c1"
     with pytest.raises(FileError, match="no multiple of 7"):
         io.read(path, options=ReadOptions(grid=(7, 4)))
+
+
+def test_frames_that_are_numbered_by_row(put) -> None:
+    rows = [[k // 3, *row] for k, row in enumerate(PRESSED.reshape(-1, 4).tolist())]
+    path = put("mat.csv", "".join(",".join(map(str, row)) + "\n" for row in rows))
+    with pytest.raises(FileError, match=r"numbers frames of 3 rows and 4 columns; give --grid 3x4"):
+        io.read(path)
+    found = io.read(path, options=ReadOptions(grid=(3, 4)))
+    np.testing.assert_array_equal(found.readings, PRESSED)
+
+
+def test_lists_of_readings_are_no_lists_of_contacts(put) -> None:
+    lines = (f'{{"sensors": {row}, "ts": {20 * i}}}\n' for i, row in enumerate(PRESSED.tolist()))
+    with pytest.warns(AnisomapWarning, match="taken as ms"):
+        found = io.read(put("log.jsonl", "".join(lines)))
+    np.testing.assert_array_equal(found.readings, PRESSED)
+    assert found.rate_hz == pytest.approx(50)
+
+
+@pytest.mark.filterwarnings("ignore:.*divide frames of")
+def test_blocks_that_may_be_recordings_ask_for_a_grid(put) -> None:
+    """Presses that were recorded one after the other, with an empty line in between."""
+    profile = np.sin(np.linspace(0.1, 3, 20))[:, None]
+    presses = [np.round(profile * RNG.uniform(0, 900, 8)).astype(int) for _ in range(30)]
+    blocks = ("".join(",".join(map(str, row)) + "\n" for row in p.tolist()) for p in presses)
+    path = put("presses.csv", "\n".join(blocks))
+    with pytest.raises(FileError, match="give --grid 20x8 if each block is a frame, or remove"):
+        io.read(path)
+    assert io.read(path, options=ReadOptions(grid=(20, 8))).n_frames == 30
 
 
 def test_folders(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _TIME_WORDS = {
-    *("time", "t", "timestamp", "stamp", "elapsed", "datetime", "date"),
+    *("time", "t", "timestamp", "ts", "stamp", "elapsed", "datetime", "date"),
     *("zeit", "zeitstempel", "uhrzeit", "laufzeit"),
     *("temps", "horodatage", "tiempo", "tempo", "tijd", "tijdstempel", "czas", "aika"),
     *("\u010das", "id\u0151", "zaman", "waktu", "\u0432\u0440\u0435\u043c\u044f"),
@@ -33,7 +33,7 @@ _PER_SECOND = {
     **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
     **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
 }
-NAMING_TIME = _TIME_WORDS - {"t", "date"}
+NAMING_TIME = _TIME_WORDS - {"t", "ts", "date"}
 """Words that name a time wherever they stand in a name."""
 # Units that can be a whole column name; the other units may also name sensors.
 _TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}

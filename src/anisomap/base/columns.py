@@ -102,6 +102,7 @@ _OTHERS = {
     **dict.fromkeys(["battery", "batt", "vbat", "rssi"], "a state of the read-out"),
     **dict.fromkeys(["seq", "sequence", "counter", "packet"], "a counter"),
     **dict.fromkeys(["sum", "total", "checksum", "crc"], "a sum or checksum"),
+    **dict.fromkeys(["mean", "average", "avg", "max", "min", "std"], "a statistic of others"),
     **dict.fromkeys(["cop", "copx", "copy"], "a centre of pressure"),
 }
 _MOTION = re.compile(r"(?:acc|accel\w*|gyr|gyro\w*|mag|magnetometer)[xyz]?", re.IGNORECASE)
@@ -142,8 +143,10 @@ def _by_values(
         whole = bool((values == np.floor(values)).all())
         sums = np.abs(total - 2 * values) <= (0 if whole else 1e-6) * np.abs(total)
         varying = values.max(axis=0) > values.min(axis=0)
-        for k in np.flatnonzero(sums.all(axis=0) & varying).tolist():
-            found[rest[k]] = "the sum of all others"
+        means = np.abs(total - len(rest) * values) <= 1e-6 * np.abs(total)
+        for what, fits in (("sum", sums), ("mean", means)):
+            for k in np.flatnonzero(fits.all(axis=0) & varying).tolist():
+                found[rest[k]] = f"the {what} of all others"
         if whole and not found and values.max() < 256 and values.min() >= 0:
             modulo = ((total - 2 * values) % 256 == 0).all(axis=0) & varying
             found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}

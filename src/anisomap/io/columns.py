@@ -41,8 +41,11 @@ def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
         if others := find_others(names, first):
             _say_others(stream.path, names, others)
             kept = [i for i in range(stream.n_sensors) if i not in others]
+            known = (
+                {} if not names else {"other_columns": ", ".join(f"({names[i]})" for i in others)}
+            )
             stream = _selected(stream, np.array(kept, dtype=np.intp))
-            names = stream.names
+            stream = replace(stream, metadata={**stream.metadata, **known})
     return stream if options.axis == "all" else _one_axis(stream, options.axis)
 
 

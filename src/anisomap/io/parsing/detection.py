@@ -12,7 +12,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from anisomap.io.parsing.cells import is_clock, is_label, is_missing, is_number
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.io.parsing.cells import is_clock, is_label, is_missing, is_number, parse_number
 from anisomap.io.parsing.lines import as_objects, find_template
 from anisomap.io.parsing.source import quote
 from anisomap.io.parsing.tables import (
@@ -37,6 +40,9 @@ _MIN_BLOCKS, _MIN_NESTED = 3, 2
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LISTED = 3
 _MAX_UNIT = 12  # characters
+# Change from line to line of a block, relative to that from block to block. Matrices have 2.3 where
+# frames follow each other and .5 where they do not; recordings of presses .25 (simulated).
+_CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 
@@ -348,6 +354,8 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
             n_rows, n_columns = height - n_titles, min(widths, default=0) - empty
             if len(widths) == 1 and numeric and n_columns > 1 and n_rows > 1:
                 first = next(i for i, line in enumerate(sample) if not is_apart(line))
+                cells = [[parse_number(c, delimiter) for c in row[:n_columns]] for row in rows]
+                blocks = np.array(cells).reshape(len(whole), n_rows, n_columns)
                 return Table(
                     path,
                     delimiter,
@@ -357,8 +365,22 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
                     clean=functools.partial(_clean, delimiter, 0) if delimiter != "," else None,
                     block=(n_rows, n_columns),
                     n_titles=n_titles,
+                    doubt="" if n_titles else _doubt_of(blocks),
                 )
     return None
+
+
+def _doubt_of(blocks: NDArray[np.float64]) -> str:
+    """Return what to ask if blocks, (t, rows, columns), may be recordings instead of frames."""
+    changes = [float(np.nanmean(np.abs(np.diff(blocks, axis=axis)))) for axis in (0, 1)]
+    if changes[1] >= _CONTINUOUS * changes[0]:
+        return ""
+    size = "{}x{}".format(*blocks.shape[1:])
+    return (
+        f"empty lines divide blocks of {size} numbers, whose lines resemble each other more than "
+        f"those of the next block: give --grid {size} if each block is a frame, or remove the "
+        f"empty lines if each line is a frame of {blocks.shape[2]} sensors"
+    )
 
 
 def _looks_like_header(

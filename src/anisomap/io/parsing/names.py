@@ -66,10 +66,10 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
         times += guessed
         known = {*times, *counters}
         first = next((i for i in range(len(header)) if i not in known), len(header))
-        odd = first < len(header) and _has_odd_name(header, first)
-        if odd and _rises(table[:, first]) and _is_steady(table[:, first]):
-            guessed.append(first)
-            (counters if _counts_by_one(table[:, first]) else times).append(first)
+        for i in {first, len(header) - 1} - {*known, len(header)}:
+            if _has_odd_name(header, i) and _rises(table[:, i]) and _is_steady(table[:, i]):
+                guessed.append(i)
+                (counters if _counts_by_one(table[:, i]) else times).append(i)
     clock = clock_of(header[times[0]], table[:, times[0]]) if times else Clock()
     return Roles(
         time=times[0] if times else None,
@@ -115,8 +115,9 @@ def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
 
 
 def _has_odd_name(header: Sequence[str], column: int) -> bool:
-    """Return whether later columns are numbered alike (``s0``, ``s1``), and this one is not."""
-    own, *others = (re.sub(r"\d+", "#", name) for name in header[column:])
+    """Return whether other columns are numbered alike (``s0``, ``s1``), and this one is not."""
+    alike = [re.sub(r"\d+", "#", name) for name in header]
+    own, others = alike[column], alike[column + 1 :] or alike[1:column]
     return len(others) > 1 and len(set(others)) == 1 and "#" in others[0] and own != others[0]
 
 

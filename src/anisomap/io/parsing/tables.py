@@ -111,6 +111,7 @@ class Table:
     nested: Whether brackets hold the lines of a frame together.
     numeric: The delimiter of cleaned lines.
     skipped: What was skipped above the first line.
+    doubt: What to ask if it is not clear how the file is meant.
     """
 
     path: Path
@@ -127,6 +128,7 @@ class Table:
     nested: bool = False
     numeric: str | None = ""
     skipped: str = ""
+    doubt: str = ""
 
     def is_skipped(self, line: str) -> bool:
         """Return whether a line holds no frame."""

@@ -13,7 +13,7 @@ import itertools
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -54,6 +54,7 @@ _BRACKETS = str.maketrans("[](){}", "      ")
 _ROWS_LOOKED_AT = 50
 # Chosen by hand: rows of at least three lengths are not a table with a damaged line.
 _MIN_BARE_ROWS, _MIN_LENGTHS = 4, 3
+_MIN_EQUAL = 5  # lists of equal length that are readings
 _SELECTED = re.compile(r"([^:]+):([^:]+)")
 
 _Contact: TypeAlias = tuple[tuple[str, str], float, list[str], float | None]
@@ -143,15 +144,20 @@ def _layout_of(head: bytes) -> _Layout | None:
         found = _rows(lines, layout.delimiter)[1:]
     except csv.Error:
         return None
-    # Ids are whole numbers, or words that are no numbers.
     fits = found and all(
         (layout.ragged or len(fields) <= len(layout.header))
         and len(fields) > max(layout.numbers)
         and is_number(fields[layout.moment])
-        and all(text.isdecimal() or not is_number(text) for text in layout.ids(fields))
+        and _are_ids(layout.ids(fields))
         for fields in found
     )
     return layout if fits else None
+
+
+def _are_ids(texts: Sequence[str]) -> bool:
+    """Return whether texts are whole numbers or words, each once; readings repeat."""
+    whole = all(text.isdecimal() or not is_number(text) for text in texts)
+    return whole and len(set(texts)) == len(texts)
 
 
 @contextmanager
@@ -280,7 +286,22 @@ def is_json(path: Path, head: bytes) -> bool:
         return False
     # A map is one object over several lines.
     alone = not listed and first[end:].lstrip(" \t\r")[:1] not in ("", "\n")
-    return not alone and isinstance(found, dict) and _find_columns(list(found)) is not None
+    columns = _find_columns(list(found)) if isinstance(found, dict) else None
+    if alone or columns is None:
+        return False
+    return listed or not _hold_readings(text, list(found)[columns[1]])
+
+
+def _hold_readings(text: str, key: str) -> bool:
+    """Return whether lists in lines of JSON are readings: numbers that repeat, or of one length."""
+    found = []
+    for line in text.splitlines()[:_ROWS_LOOKED_AT]:
+        with suppress(ValueError, RecursionError, TypeError, KeyError):
+            found.append(json.loads(line)[key])
+    lists = [each for each in found if isinstance(each, list) and len(each) > 1]
+    repeat = any(len(set(map(str, each))) < len(each) for each in lists)
+    equal = len(lists) == len(found) >= _MIN_EQUAL and len(set(map(len, lists))) == 1
+    return repeat or (equal and len(lists[0]) > _MIN_LENGTHS)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from anisomap.base.clocks import continued, is_date
+from anisomap.base.clocks import continued, is_date, words_of
 from anisomap.base.wording import join_items
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
@@ -82,7 +82,10 @@ _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
 _IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
 _WITH_COMMA = re.compile(r"(?<![\d.,])\d++,\d++(?![\d.,])")
-_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")
+_WITH_POINT = re.compile(r"(?<![\d.,])\d++\.\d++(?![\d.,])")
+_WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
+_THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
+_MIN_NUMBERED, _FRAMES = 3, {"", "frame", "frames", "sample", "index"}  # of several rows
 _logger = logging.getLogger(__name__)
 
 
@@ -123,13 +126,25 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
-    parse_name = unguard_formula if known else str.strip
-    names = tuple(map(parse_name, table.names))
+    if table.doubt and options.grid != table.block:
+        raise FileError(f"{path}: {table.doubt}")
     if not known:
         _say(table, sample)
+    yield _stream_table(table, known, metadata, options)
+
+
+def _stream_table(
+    table: Table, known: Mapping[str, Scalar], metadata: Mapping[str, Scalar], options: ReadOptions
+) -> Stream:
+    """Create a stream of the sensors of a table; `known` are entries of a file of anisomap."""
+    path = table.path
+    parse_name = unguard_formula if known else str.strip
+    names = tuple(map(parse_name, table.names))
     roles = Roles() if known else _detected_roles(table, names)
     if known.get("times") == _IN_FIRST_COLUMN:
         roles = Roles(time=0, non_sensors=(0,))
+    if not known:
+        roles = _without_frame_numbers(table, roles, options.grid)
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -139,7 +154,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         size = table.block
         facts = {"names": grid_names(*size), "positions": grid_positions(*size), "units": UNITS}
     rate_hz = known.get("rate_hz")
-    yield Stream(
+    return Stream(
         path,
         n_sensors,
         _blocks(table, roles),
@@ -361,8 +376,30 @@ def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
     return roles
 
 
+def _without_frame_numbers(table: Table, roles: Roles, grid: tuple[int, int] | None) -> Roles:
+    """Take a first column that numbers frames of several rows as a counter, or ask for a grid."""
+    first = first_rows(table, ROWS_LOOKED_AT)[:, 0]
+    starts = np.flatnonzero(np.diff(first) != 0) + 1
+    heights = np.diff(starts, prepend=0)
+    named = table.names and _FRAMES.isdisjoint(words_of(table.names[0]))
+    if named or 0 in roles.non_sensors or len(starts) < _MIN_NUMBERED or heights[0] < 2:
+        return roles
+    if (heights != heights[0]).any() or (np.diff(first)[starts - 1] != 1).any():
+        return roles
+    size = int(heights[0]), table.n_columns - len(roles.non_sensors) - 1
+    if grid == size:
+        return dataclasses.replace(roles, non_sensors=tuple(sorted({0, *roles.non_sensors})))
+    problem = f"column 1 numbers frames of {size[0]} rows and {size[1]} columns"
+    raise FileError(f"{table.path}: {problem}; give --grid {size[0]}x{size[1]}")
+
+
 def _warn_of_commas(path: Path, sample: list[str]) -> None:
     """Warn if all numbers with a comma could also have thousands separators."""
+    points = [match for line in sample for match in _WITH_POINT.findall(line)]
+    whole = any(_WHOLE.search(line) for line in sample[1:])
+    if points and whole and all(_THOUSANDS.fullmatch(number) for number in points):
+        problem = f"points are read as decimal points ({points[0]})"
+        warn(path, f"{problem}; remove thousands separators from the file")
     found = [match for line in sample for match in _WITH_COMMA.findall(line)]
     if found and all(_THOUSANDS.fullmatch(number) for number in found):
         shown = f"{found[0]} as {found[0].replace(',', '.')}"
