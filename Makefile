@@ -12,7 +12,7 @@ PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 .DEFAULT_GOAL := help
 # Without byte code on disk, every process that a test starts compiles the package again: .4 s.
 unexport PYTHONDONTWRITEBYTECODE
-.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality noise faults trust dimension fuzz tables docs size clean
+.PHONY: help demo paper numbers test test-all test-random test-profiles coverage golden golden-accept check format bench quality noise faults trust dimension fuzz tables docs release size clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 15
@@ -80,15 +80,15 @@ noise: $(READY)  ## map skins under growing white noise, in noise/ (ARGS="--seed
 	$(BIN)/python -m benchmarks.accuracy.noise -o noise $(ARGS)
 
 tables: $(READY)  ## update the tables of accuracy in README, paper and docs from the results of make quality, faults and trust
-	cp quality/*-table.md docs/
+	cp quality/*-table.md docs/development/
 	cp quality/quality.png docs/_static/
 	cp quality/quality.csv $(wildcard quality/limits.csv) docs/results/
-	$(BIN)/python -m benchmarks.numbers quality docs/results README.md paper/paper.md
-	if [ -d faults ]; then cp faults/faults-table.md docs/; cp faults/faults.csv docs/results/; fi
-	if [ -d dimension ]; then cp dimension/dimension-table.md docs/; cp dimension/dimension.csv docs/results/; fi
-	if [ -d noise ]; then cp noise/noise-table.md docs/; fi
-	if [ -d bench ]; then cp bench/bench-table.md docs/; fi
-	if [ -d trust ]; then cp trust/trust-table.md docs/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
+	$(BIN)/python -m benchmarks.numbers quality docs/results README.md paper/paper.md docs/explanation/accuracy.md
+	if [ -d faults ]; then cp faults/faults-table.md docs/development/; cp faults/faults.csv docs/results/; fi
+	if [ -d dimension ]; then cp dimension/dimension-table.md docs/development/; cp dimension/dimension.csv docs/results/; fi
+	if [ -d noise ]; then cp noise/noise-table.md docs/development/; fi
+	if [ -d bench ]; then cp bench/bench-table.md docs/development/; fi
+	if [ -d trust ]; then cp trust/trust-table.md docs/development/; cp trust/trust.png docs/_static/; cp trust/trust.csv docs/results/; fi
 
 faults: $(READY)  ## measure which damages of recordings are found and mended, in faults/ (RECORDINGS=folder)
 	$(BIN)/python -m benchmarks.verdicts.faults -o faults $(if $(RECORDINGS),--recordings $(RECORDINGS)) $(ARGS)
@@ -105,8 +105,11 @@ fuzz: $(READY)  ## read 100,000 damaged files of all formats, in fuzz/ (ARGS="--
 docs: $(READY)  ## build the documentation, in docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
 
+release: $(READY)  ## build wheel and sdist, check them in an empty environment, and write the notes, in dist/
+	$(BIN)/python .ci/release.py $(ARGS)
+
 size: $(READY)  ## count lines, functions and modules, and those that a map passes
-	@$(BIN)/python -m benchmarks.size -o docs/size-table.md
+	@$(BIN)/python -m benchmarks.size -o docs/development/size-table.md
 
 clean:  ## remove the output of all targets
 	rm -rf .venv .venv-lowest-versions demo bench fuzz quality noise faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

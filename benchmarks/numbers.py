@@ -6,6 +6,7 @@ A document marks where columns of a table go::
     ...
     <!-- end of numbers -->
 
+``figure-3 [plane-bombardment, patch]`` takes these rows only, by their first column, in this order.
 The following command copies the tables that the documents name from the folder of results to the
 folder of tables, and replaces the lines between the markers. Tables that the results lack keep
 their last version in the folder of tables::
@@ -27,7 +28,8 @@ from anisomap.files.paths import atomic_write
 from benchmarks.harness import markdown_table
 
 _MARKED = re.compile(
-    r"(?P<opening><!-- numbers: (?P<table>[\w-]+)(?:: (?P<columns>[^\n]*?))? -->\n)"
+    r"(?P<opening><!-- numbers: (?P<table>[\w-]+)(?: \[(?P<rows>[^]\n]*)\])?"
+    r"(?:: (?P<columns>[^\n]*?))? -->\n)"
     r".*?(?P<closing><!-- end of numbers -->)",
     re.DOTALL,
 )
@@ -43,15 +45,17 @@ def fill(text: str, tables: Path) -> str:
     return _MARKED.sub(
         lambda match: (
             match["opening"]
-            + to_markdown(tables / f"{match['table']}.csv", _split(match["columns"]))
+            + to_markdown(
+                tables / f"{match['table']}.csv", _split(match["columns"]), _split(match["rows"])
+            )
             + match["closing"]
         ),
         text,
     )
 
 
-def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
-    """Convert columns of a CSV file, all by default, to a Markdown table."""
+def to_markdown(path: Path, columns: Sequence[str] = (), keys: Sequence[str] = ()) -> str:
+    """Convert columns and rows of a CSV file, all by default, to a Markdown table."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
             header, *rows = csv.reader(file)
@@ -61,6 +65,11 @@ def to_markdown(path: Path, columns: Sequence[str] = ()) -> str:
     for name in chosen:
         if name not in header:
             raise FileError(f"{path} has no column {name!r}; its columns are {', '.join(header)}")
+    named = {row[0]: row for row in rows}
+    for key in keys:
+        if key not in named:
+            raise FileError(f"{path} has no row {key!r}; its rows are {', '.join(named)}")
+    rows = [named[key] for key in keys] if keys else rows
     indices = [header.index(name) for name in chosen]
     cells = ([_rounded(row[i]) for i in indices] for row in rows)
     return "".join(f"{line}\n" for line in markdown_table(chosen, cells))

@@ -27,7 +27,7 @@ release = __version__
 
 extensions = ["cyclopts.sphinx_ext", "myst_parser", "numpydoc", "sphinx.ext.autodoc"]
 source_suffix = {".md": "markdown", ".ipynb": "markdown"}
-exclude_patterns = ["_build", "*-table.md"]  # tables are included by other pages
+exclude_patterns = ["_build", "development/*-table.md"]  # tables are included by other pages
 myst_enable_extensions = ["deflist", "dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
 

@@ -1,4 +1,8 @@
-"""Run the code blocks of the documentation, each page as one program."""
+"""Run the code blocks of the documentation, each page as one program in an empty folder.
+
+Commands run as well, but for those in blocks of the kind ``console``, which need a robot, a network
+or a file that nobody has. Blocks of the kind ``py`` are only shown.
+"""
 
 import pytest
 from sybil import Sybil
@@ -6,28 +10,12 @@ from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
 
 from documents import collector, run_commands
 
-# Pages whose commands run, too: they make the files that they use.
-_RUNNABLE = [
-    "getting-started.md",
-    "how-to/check-a-layout.md",
-    "how-to/compare-two-maps.md",
-    "how-to/contacts-and-spikes.md",
-    "how-to/map-a-skin.md",
-    "how-to/place-a-map.md",
-    "how-to/score-a-map.md",
-    "reference/formats.md",
-    "robots/*.md",
-]
-commands = Sybil(
+pages = Sybil(
     [PythonCodeBlockParser(), CodeBlockParser("sh", run_commands)],
-    patterns=_RUNNABLE,
-)
-others = Sybil(
-    [PythonCodeBlockParser()],
     patterns=["*.md"],
-    excludes=_RUNNABLE,
+    excludes=["development/*.md"],
 )
-pytest_collect_file = collector(commands, others)
+pytest_collect_file = collector(pages)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

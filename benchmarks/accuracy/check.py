@@ -8,8 +8,8 @@ wrong modules that are named (half of their wrong sensors are accused, or more),
 are corrected (to half a spacing), and right modules of which any sensor is accused.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
-docs/results/check.csv --table docs/check-table.md``. Scores of other recordings in the CSV file are
-kept; without a recording, only the table is written.
+docs/results/check.csv --table docs/development/check-table.md``. Scores of other recordings in the
+CSV file are kept; without a recording, only the table is written.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Times of the stages of exact maps on a GPU, of the second of two runs, and on the processor.
 
-``python -m benchmarks.speed.device -o FOLDER`` prints the table of ``docs/device-table.md`` and
-writes it to the folder. ``--library numpy`` tries the benchmark without a GPU.
+``python -m benchmarks.speed.device -o FOLDER`` prints the table of
+``docs/development/device-table.md`` and writes it to the folder. ``--library numpy`` tries the
+benchmark without a GPU.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from anisomap.paper import accuracy, bodies, claims
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "anisomap"
-ARCHITECTURE = (ROOT / "docs/explanation/architecture.md").read_text("utf-8")
+ARCHITECTURE = (ROOT / "docs/development/architecture.md").read_text("utf-8")
 TROUBLESHOOTING = (ROOT / "docs/how-to/troubleshooting.md").read_text("utf-8")
 
 

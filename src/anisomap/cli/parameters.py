@@ -82,7 +82,7 @@ class ReadingOptions:
         What is read of taxels with three axes: z, norm (the length from rest), x, y, or all for
         each axis as a sensor.
     keep
-        Columns that are sensors: names, indices, ranges (c0-c35) or patterns ('*_z'), separated by
+        Columns that are sensors: names, indices, ranges (c0-c35) or patterns ('c*_z'), separated by
         commas; may be repeated. Default: all that are not recognised as something else.
     """
 

@@ -204,7 +204,7 @@ _ROUNDING = 1e-15  # relative, of an eigenvalue that is 0, as in numpy.linalg.pi
 class CovariogramOptions:
     """Parameters of the covariogram fit, tuned on simulated skins, seeds 101 to 103.
 
-    ``docs/explanation/covariogram.md`` gives the error without each part.
+    ``docs/development/accuracy.md`` gives the error without each step of the method.
 
     Parameters
     ----------
