@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.names import cells_of
+from anisomap.io.parsing.names import cells_of, numbers_of
 from anisomap.io.parsing.source import warn
 from anisomap.io.stream import BLOCK_FRAMES, Block, Stream, rechunk
 from anisomap.recording import Recording, default_names
@@ -64,8 +64,9 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
     if grid is None or grid[0] == 1 or stream.n_sensors != grid[1]:
         return stream
     rows, columns = grid
-    if stream.names and cells_of(stream.names, rows, columns) not in (None, [*range(columns)]):
-        return stream  # the columns are some of the cells
+    counted = ([*range(columns)], [*range(1, columns + 1)])
+    if stream.names and numbers_of(stream.names) not in counted:
+        return stream  # the names of the columns give cells, or none
 
     def blocks() -> Iterator[Block]:
         for block in rechunk(stream.blocks, rows * max(1, BLOCK_FRAMES // rows)):
