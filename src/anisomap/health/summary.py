@@ -9,6 +9,7 @@ import numpy as np
 
 from anisomap.base.wording import join_items, number, percent
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
+from anisomap.numerics.signals import some_sensors
 from anisomap.recording import Recording
 from anisomap.sensor_map import FEW_CONTACTS, SILENT, is_faulty
 
@@ -17,6 +18,7 @@ MIN_FRAMES = 500
 
 
 _CLEAR_R = 0.6  # median of the highest correlations, above which none is due to chance; by hand
+_N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
     "never varied, so they are dead or were never touched; touch them": (SILENT,),
@@ -120,7 +122,8 @@ def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str
     if not best.size or np.median(best) >= _CLEAR_R:
         return []
     readings = recording.complete("interpolate").readings[:, varying]
-    share = exceeded_by_chance(readings, np.arange(best.size), best).mean()
+    some = some_sensors(best.size, _N_SHIFTED)
+    share = exceeded_by_chance(readings, some, best).mean()
     if share <= 0.5:
         return []
     return [

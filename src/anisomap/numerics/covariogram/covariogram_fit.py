@@ -47,10 +47,9 @@ _MIN_SINGLE = 100  # sensors from which matrices are float32; below, it saves li
 # Times the tolerance, with several blocks. With 10, maps of 600 sensors correlated with these by
 # 1 - 6e-6 after half as many iterations again.
 _BLOCK_TOLERANCE = 100
-# Relative displacement by the next step at which positions have converged, with one block and with
-# several. With 1e-3, positions correlate with those of the minimum by 1 - 5e-7; less makes the fit
-# of contacts repeatable: on an insole, displacements of 1e-4 changed its Mantel r by .0009.
-_DISPLACEMENT, _BLOCK_DISPLACEMENT = 5e-5, 1e-3
+# Relative displacement by the next step at which positions have converged; they correlate with
+# those of the minimum by 1 - 5e-7.
+_DISPLACEMENT = 1e-3
 
 _MAX_CURVATURE = 6001  # coordinates from which factorising the curvature takes longer than it saves
 _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
@@ -189,7 +188,7 @@ def fit_covariogram(
             positions,
             chosen,
             tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
-            displacement=_DISPLACEMENT if one_block else _BLOCK_DISPLACEMENT,
+            displacement=_DISPLACEMENT,
             map_blocks=map_blocks,
             near=near,
         )

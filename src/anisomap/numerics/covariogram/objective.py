@@ -217,7 +217,7 @@ class CovariogramOptions:
         variance; above 0.
     tolerance : float
         Relative decrease of the objective below which the fit stops, if the next step would also
-        move positions by less than 5e-5; 100 times as large with several blocks, and 1e-3.
+        move positions by less than 1e-3; 100 times as large with several blocks.
     max_iterations : int
         Maximum number of L-BFGS iterations.
     block : int
@@ -234,7 +234,7 @@ class CovariogramOptions:
     prior_weight: float = 1.0
     repulsion: float = 0.1
     ridge: float = 1.0
-    tolerance: float = 1e-7
+    tolerance: float = 1e-6
     max_iterations: int = 300
     block: int = 500
 
