@@ -33,7 +33,6 @@ SHARES = (1.0, 0.5, 0.25, 0.125)
 WRONG = 0.1  # of the modules
 PATCH = 6  # modules that are mirrored together
 SIZE = 12  # channels of a module
-UNACCUSED = ("ok", "not tested", "dead")  # dead sensors are not at wrong places
 Points = NDArray[np.float64]
 Placed = dict[int, Points]
 """Stated places of wrong modules."""
@@ -131,7 +130,7 @@ def score(
     for m in range(modules.n_modules):
         members = modules.members(m)
         if m not in wrong:
-            accused += any(found.status[i] not in UNACCUSED for i in members)
+            accused += bool(found.accused[members].any())
             continue
         off = np.linalg.norm(found.layout.positions[members] - right[members], axis=1)
         changed = members[off > found.spacing / 100]

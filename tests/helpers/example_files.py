@@ -287,6 +287,14 @@ def _probes(path: Path) -> None:
     path.write_text(json.dumps({"specification": "probeinterface", "probes": probes}))
 
 
+def _display(path: Path) -> None:
+    """Two triangles of a board, the second as seen from behind, and a comment."""
+    path.write_text(
+        "robotPart left_arm\n\n[SENSORS]\n# x y th gain mirror\n"
+        "triangle_10pad\t17\t12\t37\t-180\t4\t0\t\ntriangle_10pad 3 40.5 9 30 4 1\n"
+    )
+
+
 def _lists(path: Path) -> None:
     """All readings of a frame in one cell, beside a column that is no sensor."""
     rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
@@ -372,4 +380,5 @@ MAPS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "map.icub.txt": ("icub", own_map),
     "handle.json": ("cyskin-calibration", _calibration),
     "probes.json": ("probeinterface", _probes),
+    "arm.ini": ("icub-display", _display),
 }

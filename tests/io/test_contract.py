@@ -35,6 +35,10 @@ def test_every_format_has_an_example() -> None:
     assert maps == {f.name for f in io.FORMATS if f.read_map}
 
 
+ONLY_TRIANGLES = ("icub-display",)
+"""Formats that hold no other maps."""
+
+
 def test_names_and_suffixes_of_formats_are_unique() -> None:
     names = [form.name for form in io.FORMATS]
     suffixes = [suffix for form in io.FORMATS for suffix in form.suffixes]
@@ -92,7 +96,7 @@ def test_equal_input_gives_equal_bytes(
         (scaled if form.in_metres else thing, suffix)
         for form in io.FORMATS
         for thing, writer in ((sensor_map, form.write_map), (recording, form.write_recording))
-        if writer
+        if writer and form.name not in ONLY_TRIANGLES
         for suffix in form.suffixes
     ]
     before = []

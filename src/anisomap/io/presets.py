@@ -19,6 +19,7 @@ from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.names import cells_of, numbers_of
 from anisomap.io.parsing.source import warn
 from anisomap.io.stream import BLOCK_FRAMES, Block, Stream, rechunk
+from anisomap.placement.modules import channel_name
 from anisomap.recording import Recording, default_names
 
 UNITS = "spacings"
@@ -173,7 +174,7 @@ def icub(recording: Recording) -> dict[int, str]:
     varying = recording.varying().reshape(-1, _TRIANGLE)
     present = np.asarray(varying.any(axis=1))
     return {
-        index: f"b{index // _BOARD}.t{index % _BOARD // _TRIANGLE}.k{index % _TRIANGLE}"
+        index: channel_name(index)
         for index in range(recording.n_sensors)
         if present[index // _TRIANGLE] and index % _TRIANGLE not in _THERMAL
     }

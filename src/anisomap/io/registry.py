@@ -23,7 +23,7 @@ from anisomap.files.paths import atomic_write, check_distinct, check_target, tog
 from anisomap.io import npz
 from anisomap.io.columns import sensors_of
 from anisomap.io.isolation import contents_isolated, open_isolated
-from anisomap.io.maps import point_files, robot_models, text_files
+from anisomap.io.maps import point_files, robot_models, skin_displays, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names, natural_key
 from anisomap.io.parsing.source import file_errors, read_head
@@ -125,6 +125,9 @@ FORMATS = (
            robot_models.has_root("launch"), write_map=robot_models.write_launch, in_metres=True),
     Format("icub", (".icub.txt",), "iCub file of taxel positions", point_files.is_icub,
            read_map=point_files.read_icub, write_map=point_files.write_icub, in_metres=True),
+    Format("icub-display", (".ini",), "iCub display of a skin: flat triangles (skinGui)",
+           skin_displays.is_display, read_map=skin_displays.read_display,
+           write_map=skin_displays.write_display, in_metres=True),
     Format("yarp", (), "YARP data.log, its folder or session", robot_logs.is_yarp,
            robot_logs.open_yarp, contents=robot_logs.contents),
     Format("cyskin", (), "CySkin recording (text)", robot_logs.is_cyskin,

@@ -20,15 +20,15 @@ from anisomap.health.recording_faults.copies import copied_groups
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.chance import agreement, own_agreement
 from anisomap.layout.evidence import REACH, Evidence, Move, fit_falloff, neighbour_spacing
-from anisomap.layout.explanation import Explained, explain, explain_modules
+from anisomap.layout.explanation import Explained, explain, explain_modules, span
 from anisomap.layout.joint import Change
 from anisomap.layout.judging import Judge
 from anisomap.layout.modules import Mounting, find_modules
 from anisomap.layout.readings import ReadingStatistics, reading_statistics
 from anisomap.layout.search import Search
-from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, better_order
+from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.placement.modules import Modules
+from anisomap.placement.modules import Modules, match_by_number
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
 
@@ -36,6 +36,7 @@ OK = "ok"
 """Status of a tested sensor that reads as its place says."""
 
 NOT_TESTED = "not tested"
+DEAD = "dead"
 """Status of a sensor without evidence in the recording, or without a stated position."""
 
 KINDS: Mapping[str, str] = MappingProxyType(
@@ -162,8 +163,8 @@ class LayoutCheck:
 
     @property
     def accused(self) -> NDArray[np.bool_]:
-        """Mask of the sensors in findings, shape (N,)."""
-        return np.array([status not in (OK, NOT_TESTED) for status in self.status], dtype=bool)
+        """Mask of the sensors in findings on places and wires, not of dead ones, shape (N,)."""
+        return np.array([status not in (OK, NOT_TESTED, DEAD) for status in self.status], bool)
 
     def names(self, finding: LayoutFinding) -> tuple[str, ...]:
         """Return the names of the sensors of a finding."""
@@ -216,6 +217,7 @@ _MAX_P = 0.01  # of a layout that explains the readings better than shuffled one
 _HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors are shuffled
 _MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
 _MIN_TESTED = 0.5  # share of the sensors of a finding, or of all, that must be tested
+_PAIRED = 0.2  # share of the sensors that repeat others, for contacts that come in pairs
 _SAME = 0.01  # spacings; differences of places by rounding
 
 
@@ -340,7 +342,7 @@ class _Checked:
     def result(self) -> LayoutCheck:
         """Carry out all steps."""
         self._find_dead()
-        self._find_doubled()
+        paired = self._find_doubled()
         if np.count_nonzero(self.usable) < MIN_SENSORS:
             raise InputError(
                 f"only {np.count_nonzero(self.usable)} of {len(self.rows)} sensors are related to "
@@ -353,56 +355,85 @@ class _Checked:
         self.agreement = own_agreement(evidence)
         self.p, self.explained = agreement_as_a_whole(evidence, self.rng)
         judge = Judge(self.statistics, evidence)
-        order = better_order(evidence, judge, self.explained)
-        if order is not None:
-            return self._in_another_order(order)
+        found = self._check_order(evidence, judge, paired=paired)
+        if found is not None:
+            return found
         search = Search(evidence, self.mounting, judge)
-        p, explained = agreement_as_a_whole(search.run_modules(), self.rng)
-        if p > _MAX_P or explained < _HALF_WRONG:
+        arranged = search.run_modules()
+        if not self._fits(arranged, _HALF_WRONG):
             return self._as_a_whole()
+        # With modules as they were stated, a symmetric layout is no image of itself.
+        rival = best_rival(arranged, judge)
+        if rival is not None and not rival.worse:
+            return self._as_a_whole(f"hardly tells the stated order from {rival.order.text}")
         search.run_sensors()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
-        if any(finding.kind != "dead" for finding in self.findings):
+        if any(finding.kind != DEAD for finding in self.findings):
             return self._summary(proposed, NOT_CONSISTENT)
         if not self.told or self.explained < _MANY_WRONG:
             return self._as_a_whole()
+        self._tell_limits(search)
         return self._summary(proposed, CONSISTENT)
 
-    def _as_a_whole(self) -> LayoutCheck:
-        """Judge a layout that explains too little for accusations of single sensors."""
-        self.findings = [finding for finding in self.findings if finding.kind == "dead"]
+    def _tell_limits(self, search: Search) -> None:
+        """Note what the readings cannot tell of a consistent layout."""
+        unsure = [span(self.mounting.members[m], self.names) for m in search.unsure]
+        if unsure:
+            count = f"{len(unsure)} modules" if len(unsure) > 1 else "one module"
+            self.notes += (
+                f"the recording says too little about the orientation of {count}: "
+                f"{join_items(unsure, _MAX_NAMED)}",
+            )
+        n_images = own_images(self.positions, self.spacing)
+        if n_images:
+            self.notes += (
+                f"consistent up to the symmetry of the layout: {n_images} rotations or reflections "
+                "map it onto itself, and readings cannot tell one from another",
+            )
+
+    def _check_order(self, evidence: Evidence, judge: Judge, *, paired: bool) -> LayoutCheck | None:
+        """Judge the order of all sensors; None if it is worth to look at them one by one."""
+        if paired:
+            return self._as_a_whole("touches the skin at two places at a time, in pairs")
+        rival = best_rival(evidence, judge)
+        if rival is not None and rival.better and self._fits(rival.evidence, _MANY_WRONG):
+            return self._in_another_order(rival.order)
+        return None
+
+    def _fits(self, evidence: Evidence, least: float) -> bool:
+        """Return whether places explain so much that not many of them can be wrong."""
+        p, explained = agreement_as_a_whole(evidence, self.rng)
+        return p <= _MAX_P and explained >= least
+
+    def _as_a_whole(self, lacking: str = "") -> LayoutCheck:
+        """Judge a layout that explains too little for accusations of single sensors.
+
+        lacking: What the recording says too little of.
+        """
+        told = self.told and not lacking
+        self.findings = [finding for finding in self.findings if finding.kind == DEAD]
         tested = int(self.usable.sum())
         text = (
             f"about {1 - max(0.0, self.explained) ** 0.5:.0%} of the sensors are not where the "
             "layout states, too many to name: check that the layout belongs to this skin, and "
             "the order of its sensors"
-            if self.told
-            else f"the recording says too little: it tests {tested} of {len(self.rows)} sensors; "
-            "touch them more, and more evenly"
+            if told
+            else f"the recording {lacking or f'tests {tested} of {len(self.rows)} sensors only'}; "
+            "touch all sensors more, evenly, and one place at a time"
         )
         self.usable = np.zeros_like(self.usable)
         self.notes = (text, *self.notes)
-        return self._summary(self.positions, CONTRADICTED if self.told else UNKNOWN)
+        return self._summary(self.positions, CONTRADICTED if told else UNKNOWN)
 
     def _in_another_order(self, order: ScanOrder) -> LayoutCheck:
         """Report that the sensors are in another order than the layout states."""
         places = self.positions[order.order]
         distance = np.linalg.norm(places - self.positions, axis=1)
         changed = np.flatnonzero(distance > 0)
-        step = abs(order.step)
-        text = (
-            f"the order of all {len(distance)} sensors is shifted by "
-            f"{'one sensor' if step == 1 else f'{step} sensors'}: each has the place of the one "
-            f"{'after' if order.step > 0 else 'before'} it"
-            if step
-            else f"all {len(distance)} sensors are in the reverse order"
-        )
-        if step > 1:
-            text = text.replace("the one after it", f"the {step}th after it")
-            text = text.replace("the one before it", f"the {step}th before it")
+        text = f"all {len(distance)} sensors are in {order.text}"
         finding = LayoutFinding(
-            "shifted" if step else "reversed",
+            "shifted" if order.step else "reversed",
             changed,
             text,
             displacement=float(np.median(distance[changed])),
@@ -430,10 +461,15 @@ class _Checked:
                 f"{self.names[i]} is constant, although its neighbours were touched "
                 f"{around[i]:.0f} times"
             )
-            self.findings.append(LayoutFinding("dead", np.array([i]), text))
+            self.findings.append(LayoutFinding(DEAD, np.array([i]), text))
 
-    def _find_doubled(self) -> None:
-        """Report those sensors of one wire that fit their places less than another."""
+    def _find_doubled(self) -> bool:
+        """Report those sensors of one wire that fit their places less than another.
+
+        Return whether contacts come in pairs: then many sensors repeat others, and those around
+        them repeat those around the others.
+        """
+        pairs = []
         for group in self.copies:
             fits = {}
             for i in group:
@@ -442,10 +478,19 @@ class _Checked:
                     similar = self.statistics.similarity[i, near]
                     fits[i] = float(similar.mean()) if near else -1.0
             source, *others = sorted(fits, key=lambda i: -fits[i]) or [-1]
-            for copy in others:
-                text = f"{self.names[copy]} repeats the readings of {self.names[source]}"
-                self.findings.append(LayoutFinding("doubled", np.array([copy]), text))
-                self.usable[copy] = False
+            pairs += [(copy, source) for copy in others]
+        partner = dict(pairs) | {source: copy for copy, source in pairs}
+        beside = [
+            any(partner.get(k) in self.neighbours[source] for k in self.neighbours[copy])
+            for copy, source in pairs
+        ]
+        if sum(beside) >= _PAIRED * np.count_nonzero(self.usable):
+            return True
+        for copy, source in pairs:
+            text = f"{self.names[copy]} repeats the readings of {self.names[source]}"
+            self.findings.append(LayoutFinding("doubled", np.array([copy]), text))
+            self.usable[copy] = False
+        return False
 
     def _explain(self, search: Search) -> NDArray[np.float64]:
         """Explain the new places, keep what the final evidence supports, and return the places."""
@@ -585,7 +630,16 @@ def _matched(
     layout: SensorMap, recording: Recording
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
     """Return rows of the layout, the columns of the same sensors, and notes."""
-    columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
+    by_number = None
+    if not (match_names(layout.names, recording.names) >= 0).any():
+        by_number = match_by_number(layout.names, recording.names)
+    if by_number is None:
+        columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
+    else:
+        columns, _ = by_number
+        first = int(np.flatnonzero(columns >= 0)[0])
+        pair = f"{layout.names[first]} is {recording.names[columns[first]]}"
+        notes = (f"layout and recording share no sensor name: matched by number, {pair}",)
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:
         listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)

@@ -66,7 +66,7 @@ def explain_modules(
     found = []
     for kind, angle, group in _alike(changes, mounting):
         modules = [m for change in group for m in change.modules]
-        listed = [_span(mounting.members[m], names) for m in modules]
+        listed = [span(mounting.members[m], names) for m in modules]
         tested = sum(int(usable[mounting.members[m]].sum()) for m in modules)
         of_all = sum(len(mounting.members[m]) for m in modules)
         count = f" ({tested} of {of_all} pads tested)" if tested < of_all else ""
@@ -81,7 +81,7 @@ def explain_modules(
         elif len(modules) == 1:
             slot = group[0].slots[0]
             text = f"module {listed[0]} belongs to " + (
-                f"the place of module {_span(mounting.members[slot], names)}"
+                f"the place of module {span(mounting.members[slot], names)}"
                 if slot < mounting.n_modules
                 else "a place beside the others, where no module is"
             )
@@ -248,5 +248,6 @@ def _closed(edges: dict[int, int]) -> list[list[int]]:
     return found
 
 
-def _span(members: NDArray[np.intp], names: Sequence[str]) -> str:
+def span(members: NDArray[np.intp], names: Sequence[str]) -> str:
+    """Name a module by its first and last sensors."""
     return f"{names[members[0]]} to {names[members[-1]]}"

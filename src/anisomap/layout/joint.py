@@ -81,6 +81,21 @@ class JointSearch:
                 break
         return self._changes()
 
+    def unsure(self) -> list[int]:
+        """Return the modules that fit another orientation nearly as well."""
+        evidence = self._arranged()
+        found = []
+        for m, inside in enumerate(self._members):
+            moves = [
+                Move(inside, places)
+                for turn, places in enumerate(self._images(m, self._slot[m]))
+                if turn != self._turn[m]
+            ]
+            least = min((-evidence.gain(move) for move in moves), default=np.inf)
+            if least < MIN_GAIN:
+                found.append(m)
+        return found
+
     def _arranged(self) -> Evidence:
         """Return the evidence with all modules at their present places."""
         positions = self._stated.positions.copy()

@@ -18,7 +18,7 @@ from anisomap.layout.repeats import blocks_of_size, rigid_repeats
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement.frames import METRES
-from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules, trailing_numbers
+from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules, channel_numbers
 from anisomap.sensor_map import SensorMap
 
 _MIN_SIZE = 3
@@ -90,7 +90,7 @@ def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Mod
 
 def _channels(layout: SensorMap) -> NDArray[np.intp]:
     """Return the number of each sensor."""
-    found = trailing_numbers(layout.names)
+    found = channel_numbers(layout.names)
     known = [n for n, placed in zip(found, layout.placed.tolist(), strict=True) if placed]
     order = np.arange(layout.n_sensors)
     if None in known or len(set(known)) < len(known):

@@ -46,6 +46,7 @@ class Search:
     evidence: With modules unbent at their stated places; after a search, with all changes.
     arranged: After the search of modules.
     changes: Of modules.
+    unsure: Modules whose orientation the readings hardly tell.
     rigid: Groups of sensors that were moved to places where no sensor is.
     """
 
@@ -54,11 +55,14 @@ class Search:
         self.arranged = self.evidence = evidence
         self.rigid: list[NDArray[np.intp]] = []
         self.changes: list[Change] = []
+        self.unsure: list[int] = []
         self._explained: set[int] = set()
 
     def run_modules(self) -> Evidence:
         """Change modules, and return the evidence then."""
-        self.evidence, self.changes = JointSearch(self.evidence, self._mounting, self.judge).run()
+        joint = JointSearch(self.evidence, self._mounting, self.judge)
+        self.evidence, self.changes = joint.run()
+        self.unsure = joint.unsure()
         for change in self.changes:
             self._explained.update(change.move.sensors.tolist())
         self.arranged = self.evidence

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist
 
 from anisomap.layout.chance import neighbour_weights
 from anisomap.layout.evidence import Evidence, Move
-from anisomap.layout.judging import Judge
+from anisomap.layout.judging import MIN_GROUP_GAIN, Judge
 
 N_PERMUTATIONS = 199
 """Number of shuffled layouts that a layout is compared with."""
 
 _MAX_STEP = 24  # sensors by which a whole order is shifted
-_MIN_BETTER = 0.1  # of the possible agreement: what a right order must add; chosen by hand
+_N_RIVALS = 5  # orders that are compared exactly
 _SAME = 0.25  # spacings between places that count as the same
 _MAX_IMAGES = 400  # rotations and reflections of a layout that are tried
 
@@ -66,12 +67,32 @@ class ScanOrder:
     step: int
     order: NDArray[np.intp]
 
+    @property
+    def text(self) -> str:
+        """The order in words."""
+        if not self.step:
+            return "the reverse order"
+        count = "one place" if abs(self.step) == 1 else f"{abs(self.step)} places"
+        return f"an order that is shifted by {count} {'on' if self.step > 0 else 'back'}"
 
-def better_order(evidence: Evidence, judge: Judge, explained: float) -> ScanOrder | None:
-    """Find the order of all sensors that explains the readings better than the stated one.
 
-    explained: Agreement as a whole of the stated order.
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """The order of all sensors, other than the stated one, that fits the readings best.
+
+    better: Whether it explains the readings beyond doubt better than the stated one, and others.
+    worse: Whether it explains them clearly worse.
+    evidence: In this order.
     """
+
+    order: ScanOrder
+    better: bool
+    worse: bool
+    evidence: Evidence
+
+
+def best_rival(evidence: Evidence, judge: Judge) -> Rival | None:
+    """Find the shifted or reversed order of all sensors that fits best, unless all are alike."""
     n_sensors = len(evidence.positions)
     everyone = np.arange(n_sensors)
     weights: Any = neighbour_weights(evidence)
@@ -87,17 +108,26 @@ def better_order(evidence: Evidence, judge: Judge, explained: float) -> ScanOrde
         known = evidence.usable[at[first]] & evidence.usable[at[second]]
         return float(values @ (evidence.similarity[at[first], at[second]] * known))
 
-    stated = fit(everyone)
-    best = max(orders, key=lambda one: fit(one.order))
-    # Agreement of the stated order is `explained` of what is possible, or less.
-    if fit(best.order) * explained < (explained + _MIN_BETTER) * stated:
+    moves = []
+    for one in sorted(orders, key=lambda one: -fit(one.order)):
+        places = evidence.positions[one.order]
+        # Rotations and reflections of the layout are no rivals.
+        if not np.allclose(pdist(places), pdist(evidence.positions), atol=_SAME * evidence.reach):
+            moves.append((Move(everyone, places), one))
+        if len(moves) == _N_RIVALS:
+            break
+    if not moves:
         return None
-    move = Move(everyone, evidence.positions[best.order])
     # The falloff of a wrong order hardly falls.
-    evidence = evidence.moved(move).refitted()
-    back = Move(everyone, evidence.positions[np.argsort(best.order)])
-    holds = judge.certainly_gains(evidence.moved(back), move)
-    return best if holds else None
+    falloff = evidence.moved(moves[0][0]).refitted().falloff
+    gains = [replace(evidence, falloff=falloff).gain(move) for move, _ in moves]
+    move, best = moves[int(np.argmax(gains))]
+    *_, second = sorted([0.0, *gains])[:-1]
+    there = evidence.moved(move).refitted()
+    back = there.moved(Move(everyone, evidence.positions))
+    distinct = max(gains) - second >= MIN_GROUP_GAIN
+    better = distinct and judge.certainly_gains(back, move)
+    return Rival(best, better, evidence.gain(move) < -MIN_GROUP_GAIN, there)
 
 
 def own_images(positions: NDArray[np.float64], spacing: float) -> int:

@@ -1,0 +1,201 @@
+"""Modules of layouts: injected faults are found, in bent layouts too, and on a real robot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import anisomap
+from anisomap import Recording, SensorMap, check_layout
+from anisomap.layout import find_modules, reading_statistics
+from anisomap.layout.modules import Mounting
+from anisomap.placement import modules_by_size
+from skins import lattice, rubbed, triangles
+
+PADS = triangles(columns=1, rows=1)[:10]
+TEMPLATE = SensorMap(PADS, names=[f"P{i}" for i in range(10)], units="mm")
+TRUTH = triangles(columns=3, rows=2)
+NAMES = tuple(f"taxel{i}" for i in range(len(TRUTH)))
+MODULES = modules_by_size(NAMES, 10, first=0).with_template(TEMPLATE)
+RIGHT = SensorMap(TRUTH, names=NAMES, units="mm")
+MOUNTING = Mounting.of(MODULES, TRUTH, "mm")
+MIRRORED = [o for o, one in enumerate(MOUNTING.orientations) if one.reflected]
+TURNED = [o for o, one in enumerate(MOUNTING.orientations) if o and not one.reflected]
+
+
+@pytest.fixture(scope="module")
+def statistics():
+    return reading_statistics(RECORDING.readings, np.random.default_rng(0))
+
+
+RECORDING = Recording(rubbed(TRUTH, 2500, seed=430), names=NAMES)
+
+
+def with_orientations(turns):
+    """Return the layout with modules in other orientations at their places."""
+    stated = TRUTH.copy()
+    for m, turn in turns.items():
+        stated[MOUNTING.members[m]] = MOUNTING.places(m, m, turn)
+    return replace(RIGHT, positions=stated)
+
+
+def named(found):
+    """Return the modules of which sensors are accused."""
+    return {int(m) for m in found.module[found.accused]}
+
+
+@given(data=st.data())
+@settings(max_examples=8)
+def test_modules_in_any_orientations_are_named_and_restored(data, statistics):
+    count = data.draw(st.integers(0, MOUNTING.n_modules))
+    chosen = data.draw(st.permutations(range(MOUNTING.n_modules)))[:count]
+    turns = {m: data.draw(st.integers(1, 5)) for m in chosen}
+    found = check_layout(
+        with_orientations(turns), RECORDING, modules=MODULES, statistics=statistics
+    )
+    assert named(found) == set(turns)
+    assert found.consistent == (not turns)
+    np.testing.assert_allclose(found.corrected.positions, TRUTH, atol=1e-9)
+
+
+def test_a_mirrored_patch_is_one_finding(statistics):
+    turns = dict.fromkeys(range(4), MIRRORED[0])
+    found = check_layout(
+        with_orientations(turns), RECORDING, modules=MODULES, statistics=statistics
+    )
+    (finding,) = found.findings
+    assert finding.kind == "mirrored"
+    assert finding.explanation.startswith("the 4 modules taxel0 to taxel9, taxel10 to taxel19")
+    assert finding.explanation.endswith("of one patch are mirrored in their places")
+    assert finding.agreement_proposed > max(finding.agreement_stated, finding.agreement_second)
+    assert finding.z > 3
+
+
+def test_a_turn_by_the_symmetry_of_a_layout_is_not_found(statistics):
+    """Distances between all places stay as they are."""
+    angle = np.deg2rad(77)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    for matrix in (turn, turn @ np.diag([1, -1])):
+        layout = replace(RIGHT, positions=TRUTH @ matrix.T + [5, -3])
+        assert check_layout(layout, RECORDING, modules=MODULES, statistics=statistics).consistent
+
+
+@pytest.mark.parametrize("turn", [0, *TURNED, MIRRORED[0]])
+def test_modules_of_bent_layouts_are_turned_by_the_template(turn, statistics):
+    """A layout on a cylinder, whose places are off by a quarter of a spacing besides."""
+    radius = 7.0
+    rng = np.random.default_rng(431)
+    flat = with_orientations({5: turn}).positions
+    x, y = flat.T
+    bent = np.column_stack([radius * np.sin(x / radius), y, radius * np.cos(x / radius)])
+    bent += rng.normal(0, 0.25 / 3**0.5, bent.shape)
+    layout = SensorMap(bent, names=NAMES, units="mm")
+    found = check_layout(layout, RECORDING, modules=MODULES, statistics=statistics)
+    assert named(found) == ({5} if turn else set())
+    again = check_layout(found.corrected, RECORDING, modules=MODULES, statistics=statistics)
+    assert again.consistent
+
+
+def test_dead_and_missing_pads_do_not_hide_a_turned_module():
+    gone = [52, 57]
+    readings = np.array(RECORDING.readings)
+    readings[:, 55] = 0
+    layout = with_orientations({5: TURNED[0]})
+    kept = np.delete(np.arange(len(TRUTH)), gone)
+    recording = Recording(readings, names=NAMES)
+    found = check_layout(layout.select(kept), recording, modules=MODULES.select(kept))
+    kinds = {finding.kind: finding for finding in found.findings}
+    assert set(kinds) == {"turned", "dead"}
+    assert kinds["turned"].explanation.endswith("(7 of 8 pads tested)")
+    fixed = check_layout(found.corrected, recording, modules=MODULES.select(kept))
+    assert fixed.consistent
+    assert [finding.kind for finding in fixed.findings] == ["dead"]
+
+
+@pytest.mark.parametrize(("step", "kind"), [(0, "reversed"), (1, "shifted"), (-3, "shifted")])
+def test_a_whole_order_is_named(step, kind, statistics):
+    everyone = np.arange(len(TRUTH))
+    order = np.roll(everyone, -step) if step else everyone[::-1]
+    layout = replace(RIGHT, positions=TRUTH[np.argsort(order)])
+    found = check_layout(layout, RECORDING, modules=MODULES, statistics=statistics)
+    assert [finding.kind for finding in found.findings] == [kind]
+    np.testing.assert_array_equal(found.corrected.positions, TRUTH)
+
+
+def test_the_symmetry_of_a_layout_is_told_and_few_frames_say_nothing():
+    grid = np.array([(x, y) for y in range(8) for x in range(12)], dtype=float)
+    readings = rubbed(grid, 1500, seed=7)
+    for stated in (grid, grid[::-1]):
+        found = check_layout(stated, Recording(readings))
+        assert found.consistent
+        assert "up to the symmetry of the layout: 3 rotations" in found.notes[-1]
+    for order in (np.arange(96), np.roll(np.arange(96), 3), np.arange(96)[::-1]):
+        assert check_layout(grid[order], Recording(readings[:300])).verdict != "consistent"
+
+
+def test_contacts_in_pairs_accuse_nobody():
+    """A hand that touches itself: each place always together with the same other one."""
+    half = lattice(5, 6)
+    readings = rubbed(half, 2500, seed=1)
+    found = check_layout(
+        np.vstack([half, half * [-1, 1] - [8, 0]]), Recording(np.tile(readings, 2))
+    )
+    assert found.verdict == "unknown"
+    assert not found.findings
+    assert "at two places at a time, in pairs" in found.notes[0]
+
+
+ROBOT = {
+    "icub_torso": {"torso_flat": {"taxel3073", "taxel3121"}, "torso_torso": {"taxel3313"}},
+    "icub_torso_A": {"torso_flat": {"taxel3073", "taxel3121"}, "torso_torso": {"taxel3313"}},
+    "icub_right_forearm": {
+        "forearm_flat": {"taxel1537"},
+        "forearm_forearm_mesh": {"taxel1537"},
+        "forearm_forearm_nomesh": {"taxel1537"},
+    },
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOT)
+def test_wrong_triangles_of_a_real_robot_are_named_and_no_other(name, recordings_folder):
+    """`docs/robots/icub.md` lists what confirms each of them."""
+    robot = recordings_folder.parent / "robot"
+    if not robot.is_dir():
+        pytest.skip("the layouts of the robot are not here")
+    path = robot / f"{name}.npz"
+    recording = anisomap.read(path if path.exists() else recordings_folder / f"{name}.npz")
+    statistics = reading_statistics(recording.readings, np.random.default_rng(0))
+    for layout, wrong in ROBOT[name].items():
+        stated = anisomap.read_map(robot / f"{layout}.csv")
+        modules = find_modules(stated, 12).with_template(anisomap.read_map(robot / "triangle.csv"))
+        found = check_layout(stated, recording, modules=modules, statistics=statistics)
+        on_places = [finding for finding in found.findings if finding.kind != "dead"]
+        assert {finding.kind for finding in on_places} == {"turned"}
+        assert {found.names(finding)[0] for finding in on_places} == wrong
+        again = check_layout(found.corrected, recording, modules=modules, statistics=statistics)
+        assert again.consistent
+
+
+@pytest.mark.slow
+def test_the_display_of_a_real_robot_is_corrected_as_its_later_revision(recordings_folder):
+    robot = recordings_folder.parent / "robot"
+    if not robot.is_dir():
+        pytest.skip("the layouts of the robot are not here")
+    recording = anisomap.read(robot / "icub_right_forearm.npz")
+    stated = anisomap.read_map(robot / "right_forearm.ini")
+    later = anisomap.read_map(robot / "right_forearm_V2.ini")
+    template = anisomap.read_map(robot / "triangle.csv")
+    found = check_layout(
+        stated, recording, modules=find_modules(stated, 12).with_template(template)
+    )
+    assert "matched by number, b0.t0.k0 is taxel1537" in found.notes[0]
+    first, ours = later.select(np.arange(10)), found.corrected.select(np.arange(10))
+    assert ours.names == first.names
+    np.testing.assert_allclose(
+        ours.positions - ours.positions.mean(axis=0),
+        first.positions - first.positions.mean(axis=0),
+        atol=1e-2,
+    )
