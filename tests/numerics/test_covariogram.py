@@ -308,7 +308,7 @@ def test_the_minimum_is_that_of_a_long_search(seed):
     blocks = exact_blocks(points, 60, prior=1.0, repulsion=0.1)
     start = points + rng.normal(0, 0.1, points.shape)
     options = CovariogramOptions()
-    found = minimise(blocks, start, options, tolerance=options.tolerance, displacement=1e-3)
+    found = minimise(blocks, start, options, tolerance=1e-8, displacement=1e-3)
     assert found.converged
 
     def plain(parameters):
