@@ -23,9 +23,6 @@ from benchmarks.verdicts.trust import closeness, read_outcomes
 
 Floats: TypeAlias = NDArray[np.float64]
 
-_UNSAYABLE = ("copied", "shorted")
-"""Damages that the evidence does not show, but that are found by themselves."""
-
 _HUBER = 0.7  # differences of logarithms from which outcomes count linearly
 _LARGEST, _ENDS = 20.0, (0.02, 0.98)
 
@@ -41,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def usable(outcomes: Any) -> Any:
-    """Keep outcomes with known map and evidence, within the range of the measurements."""
+    """Keep outcomes of known errors, unless something else speaks against the map."""
     known = np.isfinite(outcomes[["error", "r", "difference", "regional"]]).all(axis=1)
-    kept = outcomes[known & ~outcomes.damage.str.startswith(_UNSAYABLE)]
+    kept = outcomes[known & (outcomes.excluded == 0)]
     measured = ["repeatability", "difference", "regional"]
     return kept.assign(**{name: kept[name].clip(0.01, _LARGEST) for name in measured})
 

@@ -41,12 +41,14 @@ COLUMNS = (
     "source", "name", "group", "kind", "damage", "level", "expected", "r", "error", "kept",
     "reasons", "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
     "repeatability", "difference", "regional", "region", "inside", "placed",
+    "extent", "agreement", "excluded",
     *(name for name in ACCURACY if name != "repeatability"),
 )  # fmt: skip
 """Columns of the results, one row for each recording: verdict, truth, evidence, and what follows.
 
 source: Seed or file; group, kind: See `Case`; expected: Error in spacings; r, error, kept: Mantel
-r, RMS error in spacings, and share of neighbours kept.
+r, RMS error in spacings, and share of neighbours kept; excluded: Whether something else than the
+expected error speaks against the map.
 """
 
 REFUSED = "refused"
@@ -164,6 +166,9 @@ def judged(case: Case, source: str = "") -> Outcome:
         "regional": evidence.regional,
         "region": region_error(made, truth),
         "inside": share_inside(made, covariances, truth),
+        "extent": evidence.extent,
+        "agreement": evidence.agreement,
+        "excluded": int(bool(evidence.ruining or evidence.unseen)),
         "placed": float(np.mean(made.component == 0)),
         **{name: getattr(verdict, name) for name in ACCURACY},
     }

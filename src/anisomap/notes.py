@@ -136,6 +136,10 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "rarely-touched": lambda count, total: (
             f"{count} of {total} sensors had too few contacts for a position: touch all of the skin"
         ),
+        "small-body": lambda extent: (
+            f"the sensors are only {extent:.1f} spacings from their centre (RMS), so that errors "
+            "of this size change the shape"
+        ),
         "chance": lambda size, much: (
             f"maps of resampled recordings differ by {size:.2f} spacings"
             + (": record longer, and touch all of the skin" if much else "")

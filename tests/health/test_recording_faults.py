@@ -673,3 +673,24 @@ def test_statements_about_a_sensor_do_not_contradict_each_other(fault):
         assert len(sentences) <= (sensor.status != "ok")
     assert all(is_faulty(sensor.status) for sensor in confirmed_faults(health))
     assert repair(recording).findings == find_faults(recording)
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
+def test_wires_that_are_exchanged_between_days_are_named_and_veto():
+    positions = np.random.default_rng(3).permutation(lattice(7, 8))
+    names = [f"t{i}" for i in range(56)]
+    one, other = (
+        Recording(rubbed(positions, 1200, seed=seed, reach=1.5), names=names) for seed in (3, 4)
+    )
+    assert find_faults([one, other]) == ()
+    wires = np.arange(one.n_sensors)
+    wires[[5, 31]] = wires[[31, 5]]
+    days = [one, Recording(other.readings[:, wires], names=names)]
+    (finding,) = find_faults(days)
+    assert (finding.kind, finding.sensors) == ("changed", ("t5", "t31"))
+    verdict = anisomap.diagnose(anisomap.reconstruct(days, dimensions=2), days).verdict
+    assert verdict.level == "not usable"
+    assert "t5, t31" in verdict.reasons[0]
+    missing = [one, other.select(np.arange(55))]
+    judged = anisomap.diagnose(anisomap.reconstruct(missing, dimensions=2), missing).verdict
+    assert judged.level == "usable"

@@ -35,18 +35,18 @@ class Estimate:
     high: float
 
 
-BY_CHANCE, BY_DIFFERENCE = 0.6, 0.6
+BY_CHANCE, BY_DIFFERENCE = 0.42, 0.42
 """Expected error per RMS difference of resamples, and per difference from the map of steps."""
 
-ERROR_INTERVAL = (0.37, 2.9)
+ERROR_INTERVAL = (0.5, 2.5)
 """5 % and 95 % quantiles of true errors, relative to the expected ones."""
 
-REGION_BY_CHANCE, REGION_BY_DIFFERENCE, REGION_INTERVAL = 0.35, 0.73, (0.42, 2.1)
+REGION_BY_CHANCE, REGION_BY_DIFFERENCE, REGION_INTERVAL = 0.42, 0.6, (0.5, 3.0)
 """Error of regions per RMS difference of resamples, and per difference of regions of the two maps;
 and its interval, relative to it.
 """
 
-NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.05, -1.43, (-1.4, 1.4)
+NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.05, -1.16, (-1.5, 1.5)
 """Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(e)``, with the error e of
 regions, and their interval.
 """
@@ -93,6 +93,11 @@ def rms_in_spacings(differences: NDArray[np.float64], positions: NDArray[np.floa
     spacing = median_spacing(positions)
     rms = math.sqrt(float(np.square(differences).sum(axis=1).mean()))
     return rms / spacing if spacing > 0 else math.inf
+
+
+def extent_in_spacings(positions: NDArray[np.float64]) -> float:
+    """Return the RMS distance of the sensors of a map, (n, k), from their centre, in spacings."""
+    return rms_in_spacings(positions - positions.mean(axis=0), positions)
 
 
 def regional_difference(differences: NDArray[np.float64], positions: NDArray[np.float64]) -> float:

@@ -29,6 +29,7 @@ from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 from anisomap.verdict.accuracy import (
     expected_error,
+    extent_in_spacings,
     regional_difference,
     rms_in_spacings,
     with_systematic_errors,
@@ -50,10 +51,10 @@ logger = logging.getLogger(__name__)
 
 _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
 
-FATAL = ("one-period",)
+FATAL = ("one-period", "changed")
 """Faults after which similar readings do not mean that sensors are near."""
 
-UNSEEN = ("copies", "changed", "separate-regions")
+UNSEEN = ("copies", "separate-regions")
 """Faults that misplace sensors in all maps alike, so that the estimated error does not show them.
 
 Of 2,100 maps in five tables of ``make trust``, 13 with copies were wrong although their estimate
@@ -206,6 +207,7 @@ def examine(
                 repeatability=repeatability,
                 difference=difference,
                 regional=regional_difference(differences, positions),
+                extent=extent_in_spacings(positions),
                 agreement=agreement_of_halves(part.evidence, generator),
             )
         error = expected_error(repeatability, difference).value

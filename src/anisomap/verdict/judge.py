@@ -10,11 +10,11 @@ from anisomap.usability import Verdict
 from anisomap.verdict.accuracy import expected_error, neighbours_kept, region_error
 from anisomap.verdict.halves import MIN_AGREEMENT
 
-MAX_ERROR = 0.42
-"""Expected error of a usable map, in spacings.
+MAX_ERROR, MAX_RELATIVE = 1.0, 0.1
+"""Upper end of the interval of the error of a usable map, in spacings, and its expected error
+relative to the extent of the map.
 
-Of 437 maps of the calibration, two in three good ones (r at least .97 and an error below .5) are
-below it, and fewer than one in a hundred wrong ones (r below .9 or an error above 1).
+On a body of few spacings, an error of half a spacing already bends the shape.
 """
 
 MIN_KEPT = 5 / 6
@@ -33,6 +33,9 @@ MIN_LARGEST, MIN_FRAGMENT = 0.9, 1 / 3
 """Shares of the placed sensors in the largest component of a usable map, and of a map at all."""
 
 
+_MUCH = 0.4  # spacings by which maps of resamples differ, from which advice follows; by hand
+
+
 @dataclass(frozen=True)
 class Measurements:
     """What is known about the errors of a map.
@@ -40,6 +43,7 @@ class Measurements:
     repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
     difference: RMS difference from a map of evenly spaced sensors, in spacings.
     regional: The same of regions, each aligned by itself.
+    extent: RMS distance of the sensors from their centre, in spacings.
     agreement: Of two halves of the recording: see `agreement_of_halves`.
     placed: Number of sensors with positions.
     rarely: Number of these with fewer contacts than their positions need.
@@ -54,6 +58,7 @@ class Measurements:
     repeatability: float = math.nan
     difference: float = math.nan
     regional: float = math.nan
+    extent: float = math.inf
     agreement: float = 1.0
     placed: int = 0
     rarely: int = 0
@@ -64,14 +69,20 @@ class Measurements:
     fatal: tuple[str, ...] = ()
     unknown: str = ""
 
+    @property
+    def ruining(self) -> tuple[str, ...]:
+        """Sentences on what leaves nothing of a map usable."""
+        found = [*self.fatal]
+        if self.agreement < MIN_AGREEMENT:
+            found.append(Note("halves-disagree", agreement=self.agreement))
+        if self.rarely > MAX_RARELY_TOUCHED * self.placed:
+            found.append(Note("rarely-touched", count=self.rarely, total=self.placed))
+        return tuple(found)
+
 
 def judge(measured: Measurements) -> Verdict:
     """Return the verdict that follows from what was measured."""
-    ruined: list[str] = [*measured.fatal]
-    if measured.agreement < MIN_AGREEMENT:
-        ruined.append(Note("halves-disagree", agreement=measured.agreement))
-    if measured.rarely > MAX_RARELY_TOUCHED * measured.placed:
-        ruined.append(Note("rarely-touched", count=measured.rarely, total=measured.placed))
+    ruined = measured.ruining
     limits = [*ruined, *measured.unseen]
     if measured.largest < MIN_LARGEST * measured.placed:
         apart = measured.placed - measured.largest
@@ -85,7 +96,8 @@ def judge(measured: Measurements) -> Verdict:
     error = expected_error(*sizes)
     region = region_error(measured.repeatability, measured.regional, error.value)
     kept = neighbours_kept(region.value)
-    if error.value < MAX_ERROR and not limits:
+    small = error.high < MAX_ERROR and error.value >= MAX_RELATIVE * measured.extent
+    if error.high < MAX_ERROR and not small and not limits:
         level = "usable"
     elif (
         kept.value >= MIN_KEPT
@@ -96,6 +108,8 @@ def judge(measured: Measurements) -> Verdict:
         level = "usable for neighbours"
     else:
         level = "not usable"
+    if small:
+        limits.append(Note("small-body", extent=measured.extent))
     if level != "usable":
         limits += measured.faults
     return Verdict(
@@ -110,6 +124,6 @@ def judge(measured: Measurements) -> Verdict:
 
 def _reasons(repeatability: float, difference: float, *, advise: bool) -> tuple[Note, ...]:
     """Say what the measurements mean, that which adds more to the expected error first."""
-    chance = Note("chance", size=repeatability, much=advise and repeatability > MAX_ERROR)
-    other = Note("second-map", size=difference, much=advise and difference > 2 * MAX_ERROR)
+    chance = Note("chance", size=repeatability, much=advise and repeatability > _MUCH)
+    other = Note("second-map", size=difference, much=advise and difference > 2 * _MUCH)
     return (chance, other) if repeatability >= difference / 2 else (other, chance)

@@ -14,13 +14,10 @@ from anisomap.health.recording_faults import Found, agree_more
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.reliability.sampling_noise import (
-    BLOCK_FACTOR,
-    FALSE_ALARMS,
-    correlation_time,
-)
+from anisomap.numerics.reliability.sampling_noise import FALSE_ALARMS
 from anisomap.numerics.signals import (
     MAX_FRAMES,
+    Signals,
     count_contacts,
     normal_maximum,
     some_sensors,
@@ -197,112 +194,118 @@ def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) ->
 
 
 _N_BLOCKS = 16  # of a recording, an even number; it may change after every second one
+_MIN_BLOCK = 40  # frames; of 25, two of 127 recordings without a change are accused
 _MAX_COMPARED = 16_384  # of which ranks are correlated
-_MIN_CONTACTS = 3  # of a sensor in each quarter that is compared, for a correlation
+_MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
 _MIN_SENSORS = 8  # that have these contacts
-_N_PARTNERS = 4  # most similar sensors: the neighbours on a square lattice
-_MIN_KEPT = 2 / 3  # of their similarity: two of four neighbours are left if edges are joined
+_MIN_REPEATED = 0.7  # median agreement of parts that chance divides: else sensors resemble nothing
+_MIN_KEPT, _LOST = 2 / 3, 1 / 2  # of this agreement: below, sensors count, and are named
 _MAX_REACH = 2.0  # ratio of the numbers of similar sensors: folding a skin doubles it at most
-# Orders of the blocks, and those that a change need not exceed, since they may divide it alike: 1 %
-# of recordings without a change are accused.
-_N_PERMUTATIONS, _MAX_EXCEEDED = 199, 1
+_N_TYPICAL, _N_PERMUTATIONS = 9, 199  # orders of blocks: of the typical agreement, and of the test
+# By which the loss exceeds that of all orders, since places are not touched in random order; and
+# the least one, of half a sensor.
+_MARGIN, _LEAST_LOSS = 1.25, 0.3
 
 
 def find_change(recording: Recording) -> Iterator[Found]:
     """Find sensors that resemble other sensors from some frame on.
 
-    Wires were exchanged, or the body took another posture. A recording is divided into two parts,
-    and each part into two quarters of every second block. A sensor changed if the sensors that it
-    resembles most in one part keep less of their similarity in the other part than in the other
-    quarter of the same part, which shows how much noise alone takes. The loss, summed over sensors
-    at the division where it is greatest, must exceed that of 198 of 199 random orders of the
-    blocks. Recordings are not judged if sensors resemble many more others in one part: contacts
-    were larger.
+    Wires were exchanged, or the body took another posture. Blocks of a recording are divided into
+    an earlier and a later part. A sensor loses as much as the agreement of its similarities to all
+    others in both parts falls short of two thirds of that in parts of blocks in random order. The
+    loss, summed over sensors, must clearly exceed that of each of 199 random orders. Depths are
+    counted from the rest of each eighth of the recording, since wires differ in their rest.
+    Recordings are not judged if sensors resemble many more others in one part: contacts were
+    larger.
     """
-    n_frames = recording.n_frames
-    if n_frames < 50 * _N_BLOCKS:
+    if recording.n_frames < _MIN_BLOCK * _N_BLOCKS:
         return
     chosen = some_sensors(recording.n_sensors)
-    step = -(-n_frames // _MAX_COMPARED)
-    rest = recording.signals.rest.select(chosen)
-    ranks = ranks_of_depths(recording.readings[::step][:, chosen], rest, single=True)
-    if len(ranks) < _N_BLOCKS * BLOCK_FACTOR * correlation_time(ranks):
-        return
-    # A column of ones turns products into sums and counts as well.
-    values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])
-    moments = np.array([block.T @ block for block in np.array_split(values, _N_BLOCKS)])
-    parts = np.array_split(recording.signals.touched, _N_BLOCKS)
-    contacts = np.array([count_contacts(part[:, chosen]) for part in parts])
-    lost, correlations = zip(*_divisions(moments, contacts, np.arange(_N_BLOCKS)), strict=True)
-    division = int(np.argmax([one.sum() for one in lost]))
-    changed, size = np.flatnonzero(lost[division]), lost[division].sum()
-    if changed.size < 2 or _ratio_of_reach(correlations[division]) > _MAX_REACH:
-        return
-    rng, exceeded = np.random.default_rng(0), 0
-    for _ in range(_N_PERMUTATIONS):
-        order = rng.permutation(_N_BLOCKS)
-        exceeded += any(one.sum() >= size for one, _ in _divisions(moments, contacts, order))
-        if exceeded > _MAX_EXCEEDED:
-            return
-    frame = 2 * (division + 1) * n_frames // _N_BLOCKS
-    where = {"frame": frame, "n_frames": n_frames}
-    yield Found(chosen[changed], changed.size / chosen.size, where)
+    step = -(-recording.n_frames // _MAX_COMPARED)
+    moments, contacts = _of_blocks(recording.readings[::step][:, chosen])
+    rng = np.random.default_rng(0)
+    best: tuple[float, int, NDArray[np.intp]] | None = None
+    for division in range(2, _N_BLOCKS - 1, 2):
+        sums = np.array([part.sum(axis=0) for part in np.split(contacts, [division])])
+        judged = np.flatnonzero(sums.min(axis=0) >= _MIN_CONTACTS)
+        if judged.size < _MIN_SENSORS:
+            continue
+        kept = np.append(judged, chosen.size)
+        blocks = moments[:, kept][:, :, kept]
+        orders = (rng.permutation(blocks) for _ in range(_N_PERMUTATIONS))
+        typical = np.median([_agreement(next(orders), division) for _ in range(_N_TYPICAL)], axis=0)
+        found = _agreement(blocks, division)
+        loss = _loss(found, typical)
+        lost = judged[found < _LOST * typical]
+        if lost.size < 2:  # no sensor has all others about it exchanged: another posture
+            lost = judged[found < _MIN_KEPT * typical]
+        if _ratio_of_reach(blocks, division) > _MAX_REACH:
+            continue
+        if np.median(typical) < _MIN_REPEATED or loss < _LEAST_LOSS or lost.size < 2:
+            continue
+        if best is not None and loss <= best[0] * judged.size:
+            continue
+        if all(loss > _MARGIN * _loss(_agreement(one, division), typical) for one in orders):
+            best = loss / judged.size, division, lost
+    if best is not None:
+        _, division, lost = best
+        frame = division * recording.n_frames // _N_BLOCKS
+        where = {"frame": frame, "n_frames": recording.n_frames}
+        yield Found(chosen[lost], lost.size / chosen.size, where)
 
 
-def _divisions(
-    moments: NDArray[np.floating], contacts: NDArray[np.intp], order: NDArray[np.intp]
-) -> Iterator[tuple[NDArray[np.float64], list[NDArray[np.float64]]]]:
-    """Yield what each sensor loses at each division, and the correlations of the four quarters.
+def _of_blocks(readings: NDArray[Any]) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+    """Return sums of products of ranks, (blocks, n + 1, n + 1), and contacts, (blocks, n).
 
-    moments (blocks, n + 1, n + 1), contacts (blocks, n), and the order of the blocks.
+    readings (T, n). A column of ones turns products into sums and counts as well.
     """
-    whole, products = (np.zeros((2, *moments.shape[1:])) for _ in range(2))
-    for place, block in enumerate(order):
-        whole[place % 2] += moments[block]
-    counts = np.cumsum(contacts[order.reshape(-1, 2)], axis=0)
-    for k, blocks in enumerate(order[:-2].reshape(-1, 2)):
-        products += moments[blocks]
-        least = np.concatenate([counts[k], counts[-1] - counts[k]]).min(axis=0)
-        judged = np.flatnonzero(least >= _MIN_CONTACTS)
-        lost, r = np.zeros(least.size), []
-        if judged.size >= _MIN_SENSORS:
-            r = [_correlation(one, judged) for one in (*products, *(whole - products))]
-            kept = _kept(r)
-            within = np.minimum(kept[0, 1], kept[2, 3])
-            across = kept[:2, 2:].mean(axis=(0, 1))
-            lost[judged] = np.maximum(_MIN_KEPT * within - across, 0)
-        yield lost, r
+    moments, contacts = [], []
+    for piece in np.array_split(readings, _N_BLOCKS // 2):
+        signals = Signals(piece)
+        ranks = ranks_of_depths(piece, signals.rest, single=True)
+        values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])
+        moments += [block.T @ block for block in np.array_split(values, 2)]
+        contacts += [count_contacts(block) for block in np.array_split(signals.touched, 2)]
+    return np.array(moments), np.array(contacts)
 
 
-def _ratio_of_reach(correlations: list[NDArray[np.float64]]) -> float:
-    """Return the ratio of the numbers of similar sensors in two parts, of two quarters each."""
-    sums = [np.maximum(correlations[i] + correlations[i + 1], 0) for i in (0, 2)]
-    similar = [np.median((one**2).sum(axis=1)) for one in sums]
+def _agreement(blocks: NDArray[np.floating], division: int) -> NDArray[np.float64]:
+    """Correlate the similarities of each sensor before and after a division, (n,)."""
+    before, after = (_own(one) for one in _parts(blocks, division))
+    return np.asarray(np.einsum("ij,ij->i", before, after))
+
+
+def _ratio_of_reach(blocks: NDArray[np.floating], division: int) -> float:
+    """Return the ratio of the numbers of sensors that one resembles in two parts."""
+    similar = [np.median((np.maximum(r, 0) ** 2).sum(axis=1)) for r in _parts(blocks, division)]
     return float(max(similar) / max(min(similar), 1e-12))
 
 
-def _correlation(moments: NDArray[np.float64], judged: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Correlate sensors with others, given sums of products; -1 with themselves."""
-    sums, count = moments[-1, judged], moments[-1, -1]
-    found = moments[judged][:, judged]
-    found -= np.outer(sums, sums / count)
+def _loss(agreement: NDArray[np.float64], typical: NDArray[np.float64]) -> float:
+    return float(np.maximum(_MIN_KEPT * typical - agreement, 0).sum())
+
+
+def _parts(
+    blocks: NDArray[np.floating], division: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Correlate sensors before and after a division, (n, n); 0 with themselves."""
+    before, after = (part.sum(axis=0) for part in np.split(blocks, [division]))
+    return _correlation(before), _correlation(after)
+
+
+def _correlation(moments: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Correlate sensors, given sums of products; 0 with themselves."""
+    sums, count = moments[-1, :-1].astype(np.float64), float(moments[-1, -1])
+    found = moments[:-1, :-1] - np.outer(sums, sums / count)
     scale = 1 / np.sqrt(np.maximum(np.diag(found), 1e-9 * count))
     found *= scale[:, None]
     found *= scale
-    np.clip(found, -1, 1, out=found)
-    np.fill_diagonal(found, -1)
-    return found
+    np.fill_diagonal(found, 0)
+    return np.asarray(found)
 
 
-def _kept(correlations: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the share of their similarity that the most similar sensors of each keep, at least.
-
-    Of each pair of the Q correlations, (n, n) each -> (Q, Q, n).
-    """
-    kept, rows = [], np.arange(len(correlations[0]))[:, None]
-    for one in correlations:
-        partners = np.argpartition(-one, _N_PARTNERS, axis=1)[:, :_N_PARTNERS]
-        most = one[rows, partners].sum(axis=1)
-        left = [r[rows, partners].sum(axis=1) for r in correlations]
-        kept.append(np.where(most > 0, left / np.maximum(most, 1e-12), 0))
-    return np.asarray(np.clip(np.minimum(kept, np.swapaxes(kept, 0, 1)), 0, 1))
+def _own(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Centre and normalise the row of each sensor, (n, n)."""
+    found = correlation - correlation.sum(axis=1, keepdims=True) / (len(correlation) - 1)
+    np.fill_diagonal(found, 0)
+    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12))
