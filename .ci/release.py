@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen.output.mkdir(parents=True, exist_ok=True)
     if any(chosen.output.iterdir()):
         raise SystemExit(f"{chosen.output} is not empty: remove what an earlier release left")
-    sdist, wheel = build(ROOT, chosen.output)
+    wheel, sdist = sorted(build(ROOT, chosen.output), key=lambda path: path.suffix != ".whl")
     check_sdist(sdist, wheel)
     if not chosen.no_install:
         check_wheel(wheel, version)

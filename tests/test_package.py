@@ -17,6 +17,7 @@ from packaging.version import Version
 import anisomap
 from anisomap import datasets
 from anisomap.cli.commands.simulation import demo
+from anisomap.errors import install_command
 from skins import flat_skin
 
 ROOT = Path(__file__).parents[1]
@@ -119,9 +120,32 @@ def test_the_core_does_without_the_extras(installed, tmp_path):
     assert done.stderr.count("pip install 'anisomap[report]'") == 2
 
 
+@pytest.mark.parametrize(
+    ("source", "wanted"),
+    [
+        (None, "'anisomap[report]'"),
+        ({"url": "file:///a%20b/skin", "dir_info": {"editable": True}}, "-e '/a b/skin[report]'"),
+        ({"url": "file:///a/skin", "dir_info": {}}, "'/a/skin[report]'"),
+        ({"url": "file:///a/anisomap.whl", "archive_info": {}}, "'/a/anisomap.whl[report]'"),
+        (
+            {"url": "https://a.example/skin", "vcs_info": {"vcs": "git", "commit_id": "1"}},
+            "'anisomap[report] @ git+https://a.example/skin'",
+        ),
+    ],
+)
+def test_an_extra_is_installed_from_where_the_package_was(source, wanted, tmp_path, monkeypatch):
+    folder = tmp_path / "anisomap-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: anisomap\nVersion: 1.0\n")
+    if source:
+        (folder / "direct_url.json").write_text(json.dumps(source))
+    monkeypatch.syspath_prepend(tmp_path)
+    assert install_command("report") == f"pip install {wanted}"
+
+
 def test_the_demo_names_all_extras_it_needs(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(anisomap.AnisomapError, match=r"anisomap\[report,simulation\]"):
+    with pytest.raises(anisomap.AnisomapError, match=r"\[report,simulation\]"):
         demo(output_dir=tmp_path / "demo")
     assert not (tmp_path / "demo").exists()
 

@@ -55,7 +55,7 @@ class MissingExtraError(AnisomapError, ImportError):
     """
 
     def __init__(self, purpose: str, extra: str) -> None:
-        super().__init__(f"{purpose} needs an extra: pip install 'anisomap[{extra}]'")
+        super().__init__(f"{purpose} needs an extra: {install_command(extra)}")
         self.purpose, self.extra = purpose, extra
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -70,6 +70,33 @@ def error_reason(error: BaseException) -> str:
     """Return the message of an exception on one line, shortened to printable characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return printable(shortened(text, _MAX_REASON))
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra from where the package was installed.
+
+    The installer leaves the source beside the package, unless it was an index:
+    https://packaging.python.org/en/latest/specifications/direct-url.
+    """
+    import json  # noqa: PLC0415
+    import shlex  # noqa: PLC0415
+    from importlib.metadata import PackageNotFoundError, distribution  # noqa: PLC0415
+    from urllib.parse import unquote, urlsplit  # noqa: PLC0415
+
+    try:
+        source = json.loads(distribution("anisomap").read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        source = {}
+    url, wanted = source.get("url", ""), f"anisomap[{extra}]"
+    editable = source.get("dir_info", {}).get("editable", False)
+    if url.startswith("file:"):
+        path = unquote(urlsplit(url).path)
+        drive = path[2:3] == ":"  # of Windows, as in /C:/skin
+        wanted = f"{path[1:] if drive else path}[{extra}]"
+    elif url:
+        system = source.get("vcs_info", {}).get("vcs", "")
+        wanted += f" @ {system}+{url}" if system else f" @ {url}"
+    return f"pip install {'-e ' if editable else ''}{shlex.quote(wanted)}"
 
 
 def import_extra(module: str, purpose: str, extra: str) -> Any:

@@ -14,6 +14,7 @@ import pytest
 
 import anisomap
 from anisomap.cli.app import app
+from anisomap.errors import install_command
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
 from anisomap.placement import median_spacing
@@ -103,7 +104,7 @@ def test_without_umap_the_table_says_how_to_install_it(run, monkeypatch, tmp_pat
     anisomap.write(flat_skin(n_frames=120), tmp_path / "skin.npz")
     found = run("compare", "skin.npz", "-o", "t.md")
     for said in (found.out, (tmp_path / "t.md").read_text()):
-        assert "umap-on-r: not installed: pip install 'anisomap[umap]'" in said
+        assert f"umap-on-r: not installed: {install_command('umap')}" in said
     header, _, row, *_ = (tmp_path / "t.md").read_text().splitlines()
     column = header.split("|").index(" umap-on-r ")
     assert row.split("|")[column].strip() == "-"

@@ -15,6 +15,7 @@ import pytest
 
 from anisomap import io
 from anisomap.cli.app import run
+from anisomap.errors import install_command
 from anisomap.paper import EXPERIMENTS, Settings, reproduce, results, runner
 from anisomap.paper.cases import patch_run
 from live_processes import LONGEST_S
@@ -190,6 +191,6 @@ def test_missing_extras_are_reported_in_one_sentence(tmp_path, monkeypatch, caps
     monkeypatch.setattr(runner, "find_spec", lambda _: None)
     assert run(["paper", "-o", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "error: reproducing the paper needs an extra: pip install 'anisomap[paper]'"
+        f"error: reproducing the paper needs an extra: {install_command('paper')}"
     ]
     assert not (tmp_path / "out").exists()

@@ -9,7 +9,7 @@ import pytest
 
 import anisomap
 from anisomap._version import __version__
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import AnisomapWarning, InputError, install_command
 from anisomap.simulation import (
     BODIES,
     SCENARIOS,
@@ -168,4 +168,4 @@ except ImportError as error:
     print(error)
 """
     said = subprocess.check_output([sys.executable, "-c", code], text=True)
-    assert "pip install 'anisomap[simulation]'" in said
+    assert install_command("simulation") in said

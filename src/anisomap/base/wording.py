@@ -72,6 +72,11 @@ def noun_and_items(noun: str, items: Sequence[object]) -> str:
     return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, 5)}"
 
 
+def counted(count: int, noun: str) -> str:
+    """Precede a noun with a count, in the plural unless it is 1: ``3 sensors``."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 def html_table(title: str, rows: Mapping[str, object]) -> str:
     """Format facts as an HTML table, for notebooks; all text is escaped."""
     body = "".join(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
 from anisomap.base.immutable import Immutable
-from anisomap.errors import AnisomapWarning, InputError, MissingExtraError
+from anisomap.errors import AnisomapWarning, InputError, MissingExtraError, install_command
 from anisomap.evaluation import score
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.evaluation.rivals import RIVALS, Method, check_methods, map_by_rival, name_of
@@ -199,8 +199,7 @@ def _made(recording: Recording, method: Method, dimensions: int, seed: int) -> M
         else:
             sensor_map = map_by_rival(recording, method, dimensions, seed=seed)
     except MissingExtraError:
-        install = f"pip install 'anisomap[{RIVALS[name].extra}]'"
-        return MethodScore(name, reason=f"not installed: {install}")
+        return MethodScore(name, reason=f"not installed: {install_command(RIVALS[name].extra)}")
     except InputError as error:
         return MethodScore(name, reason=str(error))
     n_placed, n_sensors = int(np.count_nonzero(sensor_map.component == 0)), recording.n_sensors

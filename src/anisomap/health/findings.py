@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from anisomap.base.wording import join_items, noun_and_items
+from anisomap.base.wording import counted, join_items, noun_and_items
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,15 @@ class _Words(NamedTuple):
 
 
 def _of_all(finding: Finding) -> str:
-    return f"{len(finding.sensors)} of {finding.values['n_sensors']} sensors"
+    return f"{len(finding.sensors)} of {counted(finding.values['n_sensors'], 'sensor')}"
+
+
+def _count(finding: Finding) -> str:
+    return counted(len(finding.sensors), "sensor")
+
+
+def _verb(finding: Finding, one: str = "is", several: str = "are") -> str:
+    return one if len(finding.sensors) == 1 else several
 
 
 def _copies(finding: Finding) -> str:
@@ -103,10 +111,10 @@ def _left_out(finding: Finding) -> str:
 
 def _hum(finding: Finding) -> str:
     period, rate = finding.values["period"], finding.values["rate_hz"]
+    hertz = "" if rate is None else f" ({rate / period:.3g} Hz)"
     return (
-        f"{len(finding.sensors)} sensors hum with a period of {period:.4g} frames"
-        f"{'' if rate is None else f' ({rate / period:.3g} Hz)'}, {finding.size:.0%} of the "
-        "standard deviation of a sensor"
+        f"a hum with a period of {period:.4g} frames{hertz} makes up {finding.size:.0%} of the "
+        f"standard deviation of {_count(finding)}"
     )
 
 
@@ -119,13 +127,14 @@ def _lags(finding: Finding) -> str:
 def _regions(finding: Finding) -> str:
     (one, other), frame = finding.values["sizes"], finding.values["frame"]
     return (
-        f"two regions of {one} and {other} sensors were touched one after the other, the second "
-        f"from frame {frame} on, and {finding.size:.0f} sensors with both"
+        f"two regions of {one} and {counted(other, 'sensor')} were touched one after the other, "
+        f"the second from frame {frame} on; {counted(round(finding.size), 'sensor')} "
+        f"{'was' if round(finding.size) == 1 else 'were'} touched together with both"
     )
 
 
-_ALIKE = "they look alike wherever they are"
-_NOISE = "{} share noise, {:.0%} of the standard deviation of a sensor"
+_ALIKE = "it makes distant sensors look similar"
+_NOISE = "noise that {} makes up {:.0%} of their standard deviation"
 
 _WORDS: Mapping[str, _Words] = MappingProxyType(
     {
@@ -141,7 +150,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "glitches": _Words(
             "readings",
             lambda f: (
-                f"{f.size:.0f} readings of {len(f.sensors)} sensors are far beyond all others"
+                f"{counted(round(f.size), 'reading')} of {_count(f)} "
+                f"{'is' if round(f.size) == 1 else 'are'} far beyond all others"
             ),
             "they outweigh all contacts of these sensors",
         ),
@@ -154,44 +164,45 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "one-period": _Words(
             "share of the variance",
             lambda f: (
-                f"{f.size:.0%} of the variance of the readings is a sine of "
+                f"{f.size:.0%} of the variance of the readings is a sine with a period of "
                 f"{f.values['period']:.4g} frames"
             ),
-            "similarity depends on phase alone; there is nothing to map",
+            "such readings do not show which sensors are near",
         ),
         "common-noise": _Words(
             "share of the standard deviation",
-            lambda f: _NOISE.format("all sensors", f.size),
+            lambda f: _NOISE.format("all sensors share", f.size),
             _ALIKE,
         ),
         "board-noise": _Words(
             "share of the standard deviation",
-            lambda f: _NOISE.format(f"a group of {len(f.sensors)} sensors", f.size),
+            lambda f: _NOISE.format(f"a group of {_count(f)} shares", f.size),
             _ALIKE,
             lambda _: "the common signal was estimated in each frame and subtracted",
         ),
         "spikes": _Words(
             "share of the frames",
             lambda f: (
-                f"a group of {len(f.sensors)} sensors jumps for single frames, in {f.size:.2%} of "
+                f"a group of {_count(f)} jumps for single frames, in {f.size:.2%} of "
                 f"the frames, by {f.values['height']:.3g}"
             ),
-            _ALIKE,
+            "this makes distant sensors look similar",
         ),
         "drift": _Words(
             "standard deviations",
             lambda f: (
-                f"the level at rest of {_of_all(f)} drifts by {f.size:.2g} standard deviations of "
-                "their readings (median)"
+                f"the level at rest of {_of_all(f)} drifts by {f.size:.2g} times the standard "
+                "deviation of their readings (median)"
             ),
             "sensors that drift alike look related, and contacts are hidden",
         ),
         "saturation": _Words(
             "share of the frames",
             lambda f: (
-                f"{_of_all(f)} are at the end of their range in {f.size:.1%} of the frames (median)"
+                f"{_of_all(f)} {_verb(f, 'is', 'are')} at the end of {_verb(f, 'its', 'their')} "
+                f"range in {f.size:.1%} of the frames (median)"
             ),
-            "heights of contacts are cut off; lengths that follow from heights are wrong",
+            "the heights of contacts are cut off",
         ),
         "inverted": _Words(
             "share",
@@ -211,10 +222,10 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "leak": _Words(
             "share",
             lambda f: (
-                f"about {f.size:.1%} of each channel leaks into the next, in "
-                f"{f.values['n_forward']} of {f.values['n_pairs']} pairs and not backwards"
+                f"about {f.size:.1%} of each channel leaks into the next one "
+                f"({f.values['n_forward']} of {f.values['n_pairs']} pairs)"
             ),
-            "sensors that are adjacent in the order of the channels look like neighbours",
+            "consecutive channels look like neighbours",
         ),
         "copies": _Words(
             "sensors",
@@ -225,7 +236,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "changed": _Words(
             "share",
             lambda f: (
-                f"{len(f.sensors)} sensors resemble other sensors from about frame "
+                f"{_count(f)} {_verb(f, 'resembles', 'resemble')} other sensors from about frame "
                 f"{f.values['frame']} of {f.values['n_frames']} on"
             ),
             "wires were exchanged, or the body took another posture; map the frames before and "

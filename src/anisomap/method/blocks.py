@@ -77,9 +77,9 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
         summand = prepare(values, bins)
         if not values.exact:
             notes = (
-                f"{np.count_nonzero(values.n_rounded_bits)} of {values.n_sensors} sensors have "
-                f"more than {values.max_values} distinct values, which were rounded for bins, "
-                "ranks and rest values",
+                f"more than {values.max_values} distinct values were rounded for bins, ranks and "
+                f"rest values: in {np.count_nonzero(values.n_rounded_bits)} of {values.n_sensors} "
+                "sensors",
             )
     total = _total(blocks, summand)
     varying = total.varying() if values is None else values.varying()

@@ -164,7 +164,7 @@ def test_missing_libraries_name_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
             ("mne", "run.bdf", b"\xffBIOSEMI"),
         ):
             (tmp_path / name).write_bytes(magic)
-            with pytest.raises(MissingExtraError, match=rf"pip install 'anisomap\[{extra}\]'") as e:
+            with pytest.raises(MissingExtraError, match=rf"pip install .*\[{extra}\]") as e:
                 io.read(tmp_path / name)
             assert e.value.extra == extra
     finally:
