@@ -107,8 +107,8 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     Parameters
     ----------
     before, after : SensorMap
-        Two maps of one skin. Sensors are matched by name, or by order if no name is shared and the
-        numbers agree. Their units, frames and handedness may differ.
+        Two maps of one skin. Sensors are matched by name, or by order if one map has no names.
+        Their units, frames and handedness may differ.
     level : float
         Probability that chance alone marks any sensor as moved, in (0, 1).
 
@@ -188,7 +188,7 @@ class _Pair:
 
 
 def _match(before: SensorMap, after: SensorMap) -> _Pair:
-    """Match sensors by name, or by order if no name is shared."""
+    """Match sensors by name, or by order if one map has no names."""
     _, notes = match_sensors(before.names, after.names, "the maps")
     if notes:
         after = replace(after, names=before.names)

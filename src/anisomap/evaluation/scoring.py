@@ -318,8 +318,8 @@ def score(
         component, since their relative position is unknown.
     truth : SensorMap, Recording or array_like of shape (N, 2) or (N, 3)
         True positions. An array is in the order of the map, with NaN for unknown positions. A map
-        or recording is matched by sensor names and gives the units; if no name is shared and the
-        numbers of sensors agree, it is matched by order, with a note and a warning.
+        or recording is matched by sensor names and gives the units; if one side has no names, it is
+        matched by order, with a note and a warning.
     exclude : iterable of str or int
         Sensors to leave out of the comparison, by name or index; the paper excludes a failed one.
     units : str
