@@ -148,6 +148,10 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"a second map, assuming even spacing, disagrees by {size:.2f} spacings"
             + (": contacts may be elongated or differ in size from place to place" if much else "")
         ),
+        "worse-of-both": lambda dimensions: (
+            "the readings do not show whether the skin is flat: this is the verdict on the map in "
+            f"{dimensions} dimensions, the worse of both; choose their number (-d 2 or -d 3)"
+        ),
         "not-examined": lambda: "the map was not examined",
         "other-readings": lambda: "a verdict needs the readings that the map was made from",
         "no-verdict": lambda method, default: f"maps by {method} have no verdict: use {default}",

@@ -29,6 +29,7 @@ from anisomap.method.blocks import is_dask, sum_blocks
 from anisomap.method.configuration import Configuration, configure
 from anisomap.method.dimensions import (
     AUTO,
+    PLANE,
     SPATIAL,
     DimensionChoice,
     Dimensions,
@@ -214,10 +215,35 @@ def compute_stages(
         choice = compute_stages(runs, METHODS[DEFAULT_METHOD], AUTO, options).choice
     else:
         choice = plan_dimensions(dimensions, None)
-    configuration = configure(
-        metric, evidence, choice.dimensions, recipe, options, weights=evidence.weights
-    )
+    configuration, choice = _confirmed(choice, metric, evidence, recipe, options)
     return Stages(evidence, metric, configuration, choice)
+
+
+def _confirmed(
+    choice: DimensionChoice,
+    metric: Reals,
+    evidence: Evidence,
+    recipe: Method,
+    options: MethodOptions,
+) -> tuple[Configuration, DimensionChoice]:
+    """Make the map; if its number of dimensions was chosen, confirm or reject it by the other map.
+
+    metric (n, n).
+    """
+
+    def made(dimensions: int) -> Configuration:
+        return configure(metric, evidence, dimensions, recipe, options, weights=evidence.weights)
+
+    found = made(choice.dimensions)
+    if choice.given or choice.line or not choice.shown or found.largest is None:
+        return found, choice
+    other = made(PLANE + SPATIAL - choice.dimensions)
+    if other.largest is None:
+        return found, choice
+    flat, spatial = (found, other) if choice.dimensions == PLANE else (other, found)
+    explained = other.largest.unexplained - found.largest.unexplained
+    confirmed = choice.confirmed(explained if found is spatial else -explained)
+    return spatial if confirmed.dimensions == SPATIAL else flat, confirmed
 
 
 def _reconstruct_blocks(

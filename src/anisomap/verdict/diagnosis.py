@@ -19,6 +19,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.method.dimensions import PLANE, SPATIAL
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
@@ -26,7 +27,7 @@ from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, as_runs, join_runs, select_sensors
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
+from anisomap.usability import LEVELS, UNKNOWN, Verdict
 from anisomap.verdict.accuracy import (
     expected_error,
     extent_in_spacings,
@@ -132,16 +133,30 @@ def diagnose(
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict, found = Verdict(), None
     if with_verdict:
-        measured, found = examine(
-            sensor_map,
-            [run.complete() for run in select_sensors(runs, joined.names)],
-            options=options,
-            rng=rng,
-            progress=progress,
-            stages=stages,
-            faults=faults,
-        )
-        verdict = judge(measured)
+        complete = [run.complete() for run in select_sensors(runs, joined.names)]
+
+        def judged(
+            one: SensorMap, made: Stages | None
+        ) -> tuple[Verdict, NDArray[np.float64] | None]:
+            measured, covariances = examine(
+                one,
+                complete,
+                options=options,
+                rng=rng,
+                progress=progress,
+                stages=made,
+                faults=faults,
+            )
+            return judge(measured), covariances
+
+        verdict, found = judged(sensor_map, stages)
+        if Note("unclear-dimensions") in sensor_map.notes:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", AnisomapWarning)
+                flat = reconstruct_with_stages(
+                    runs, sensor_map.method, PLANE, options=options, drop=drop
+                )
+            verdict = _worse(verdict, judged(*flat)[0])
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -215,6 +230,18 @@ def examine(
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
     return measured, found
+
+
+def _worse(spatial: Verdict, flat: Verdict) -> Verdict:
+    """Return the worse of the verdicts on the maps of a skin that may be flat, and say which."""
+    ranks = (UNKNOWN, *LEVELS)
+
+    def quality(one: Verdict) -> tuple[int, float]:
+        return ranks.index(one.level), -one.expected_error
+
+    worse, dimensions = (flat, PLANE) if quality(flat) < quality(spatial) else (spatial, SPATIAL)
+    note = Note("worse-of-both", dimensions=dimensions)
+    return replace(worse, reasons=(*worse.reasons[:1], note, *worse.reasons[1:]))
 
 
 def _rarely_touched(sensor_map: SensorMap, runs: Sequence[Recording]) -> int:
