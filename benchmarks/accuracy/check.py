@@ -5,7 +5,8 @@ which is printed. Then modules of the corrected layout are turned, mirrored, exc
 moved to a free place (a tenth of the modules, at least one), or six neighbours are mirrored in
 their places; each fault is checked against windows of an eighth of the frames to all. Counted are
 wrong modules that are named (half of their wrong sensors are accused, or more), wrong modules that
-are corrected (to half a spacing), and right modules of which any sensor is accused.
+are corrected (to half a spacing), and right modules of which any sensor is accused. ``--picture
+docs/_static/check-torso.png`` draws the check of the first layout as it is.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
 docs/results/check.csv --table docs/development/check-table.md``. Scores of other recordings in the
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import anisomap
+from anisomap.drawing.figures import plot_layout
 from anisomap.layout import LayoutCheck, check_layout, find_modules, reading_statistics
 from anisomap.layout.modules import Mounting
 from anisomap.placement import Modules
@@ -65,9 +67,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = options(__doc__, "check.csv", seeds=3, recordings=False)
     parser.add_argument("pairs", nargs="*", help="recordings and their layouts, A.npz=B.csv")
     parser.add_argument("--template", type=Path, help="file of the pads of a module")
+    parser.add_argument("--picture", type=Path, help="draw the check of the first pair, only")
     parser.add_argument("--table", type=Path, help="file for a summary in Markdown")
     chosen = parser.parse_args(arguments)
     pairs = [tuple(map(Path, pair.split("="))) for pair in chosen.pairs]
+    if chosen.picture:
+        recording, layout = pairs[0]
+        draw(recording, layout, anisomap.read_map(chosen.template), chosen.picture)
+        return
     renewed = {(recording.stem, layout.stem) for recording, layout in pairs}
     results = [
         r for r in read_rows(chosen.output, Result) if (r.recording, r.layout) not in renewed
@@ -82,6 +89,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.table:
         chosen.table.write_text(text + "\n", encoding="utf-8")
     print(text)
+
+
+def draw(path: Path, layout_path: Path, template: anisomap.SensorMap, picture: Path) -> None:
+    """Draw the check of a layout as it is, as ``anisomap check --picture`` does."""
+    stated = anisomap.read_map(layout_path)
+    modules = find_modules(stated, SIZE).with_template(template)
+    with quietly():
+        found = check_layout(stated, anisomap.read(path), modules=modules)
+    figure = plot_layout(found, title=f"{layout_path.stem} against {path.stem}").figure
+    figure.savefig(picture, dpi=150)
 
 
 def checks(

@@ -359,16 +359,15 @@ class _Checked:
         if found is not None:
             return found
         search = Search(evidence, self.mounting, judge)
-        arranged = search.run_modules()
-        if not self._fits(arranged, _HALF_WRONG):
+        if not self._fits(search.run_modules(), _HALF_WRONG):
             return self._as_a_whole()
-        # With modules as they were stated, a symmetric layout is no image of itself.
-        rival = best_rival(arranged, judge)
-        if rival is not None and not rival.worse:
-            return self._as_a_whole(f"hardly tells the stated order from {rival.order.text}")
         search.run_sensors()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
+        # With any sensor at a wrong place, a symmetric layout is no image of itself.
+        rival = best_rival(search.evidence, judge)
+        if rival is not None and not rival.worse:
+            return self._as_a_whole(f"hardly tells the stated order from {rival.order.text}")
         if any(finding.kind != DEAD for finding in self.findings):
             return self._summary(proposed, NOT_CONSISTENT)
         if not self.told or self.explained < _MANY_WRONG:
