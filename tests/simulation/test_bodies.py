@@ -86,6 +86,15 @@ def test_sensors_off_the_surface_raise_an_error(positions, message):
         Body("ball", positions, positions, [solids.ball(1.0)])
 
 
+def test_the_patch_of_72_pads_holds_the_60_that_sense_pressure():
+    sensing, whole = find_body("hexagon"), find_body("hexagon", 72)
+    assert whole.n_sensors == 72
+    kept = [whole.names.index(name) for name in sensing.names]
+    np.testing.assert_allclose(whole.positions[kept], sensing.positions)
+    with pytest.raises(InputError, match="must be 60 or 72"):
+        find_body("hexagon", 61)
+
+
 @pytest.mark.parametrize("placement", CYLINDER_PLACEMENTS)
 def test_placements_of_a_cylinder_cover_its_side(placement):
     body = find_body("cylinder", 500, placement=placement)

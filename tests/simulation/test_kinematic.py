@@ -47,6 +47,11 @@ def test_readings_of_balls_agree_with_the_closed_form(seed, n_sensors, n_balls):
         found = read_balls(sensors, centres, radius, detection)
         expected = np.maximum(0, detection - (gaps - radius).min(axis=2))
         np.testing.assert_allclose(found, expected, atol=3e-6)
+    normals = rng.normal(size=(n_sensors, 3))
+    behind = np.einsum("tnbd,nd->tnb", centres[:, None] - sensors[:, None], normals) <= 0
+    found = read_balls(sensors, centres, 0.3, detection, normals)
+    depths = np.where(behind, 0, detection - (gaps - 0.3)).max(axis=2)
+    np.testing.assert_allclose(found, np.maximum(0, depths), atol=3e-6)
 
 
 @given(seeds)

@@ -190,11 +190,16 @@ _MM = 1e-3
 
 
 def hexagon(n_sensors: int = 60) -> Body:
-    """Make a hexagonal patch of six triangles with ten sensors each (the paper counts twelve)."""
-    sensing = [pad for pad in range(len(_PADS_X)) if pad not in _THERMAL_PADS]
+    """Make a hexagonal patch of six triangles.
+
+    With 60 sensors, the two pads of each triangle that measure temperature are none; with 72, all
+    twelve are, as the paper counts.
+    """
+    pads, allowed = range(len(_PADS_X)), [60, 72]
+    if n_sensors not in allowed:
+        raise InputError(f"n_sensors of the hexagonal patch must be 60 or 72, got {n_sensors}")
+    sensing = [pad for pad in pads if n_sensors == allowed[1] or pad not in _THERMAL_PADS]
     names = [f"t{i}p{pad}" for i in range(_TRIANGLES) for pad in sensing]
-    if n_sensors != len(names):
-        raise InputError(f"n_sensors of the hexagonal patch must be {len(names)}, got {n_sensors}")
     # Each triangle has a corner in the middle of the patch.
     triangle = np.column_stack([_PADS_X, _PADS_Y]) - [0, _APEX_MM]
     angles = np.arange(_TRIANGLES) * np.pi / 3

@@ -54,15 +54,26 @@ TRAVEL_FRAMES = 6
 
 
 def read_balls(
-    sensors: Points, centres: Points, ball_radius: ArrayLike, detection_radius: float
+    sensors: Points,
+    centres: Points,
+    ball_radius: ArrayLike,
+    detection_radius: float,
+    normals: Points | None = None,
 ) -> NDArray[np.float32]:
     """Read balls with short-range proximity sensors (McGregor et al. 2011, "Sensor Modelling").
 
-    sensors (N, 3), centres (T, B, 3), ball_radius (B,).
+    sensors (N, 3), centres (T, B, 3), ball_radius (B,). With `normals` (N, 3), sensors read only
+    balls whose centre is in front of the skin.
     """
     reach = detection_radius + np.asarray(ball_radius, dtype=np.float64)
-    depths = ((reach - cdist(sensors, balls)).max(axis=1) for balls in centres)
-    return _positive([depth.astype(np.float32) for depth in depths])
+    heights = None if normals is None else np.einsum("nd,nd->n", sensors, normals)[:, None]
+    depths = []
+    for balls in centres:
+        depth = reach - cdist(sensors, balls)
+        if normals is not None:
+            depth = np.where(normals @ balls.T > heights, depth, 0)
+        depths.append(depth.max(axis=1).astype(np.float32))
+    return _positive(depths)
 
 
 def read_capsules(

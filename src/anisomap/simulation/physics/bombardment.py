@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anisomap.base.scene import Prop
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.numerics.ranges import COUNT
+from anisomap.numerics.ranges import COUNT, Range
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body
 from anisomap.simulation.kinematic import read_balls
@@ -71,6 +71,9 @@ class BombardmentOptions(PhysicsOptions):
         quality: r-ANISOMAP reaches a Mantel r of .90 with 0.35, .94 with 0.4 and .96 with 0.44 on
         the sphere (means of 30 seeds), and .85, .95, .98 with 0.3 and .91, .98, .99 with 0.44 on
         the cylinder, the Y-shape and the plane (means of 3).
+    one_sided : int
+        1 if sensors read only balls in front of the skin. 0: as the paper describes them, sensors
+        read all that enters their range, through a thin body, too.
     frame_interval : float
         Time between frames, in s. 0.05: a ball is in range of a sensor for about six frames.
     softness : float
@@ -86,6 +89,7 @@ class BombardmentOptions(PhysicsOptions):
     ball_radius: float = positive(0.3, "m", REACH)
     speed: float = positive(3.0, "m/s", REACH)
     detection_radius: float = positive(0.44, "m", REACH)
+    one_sided: int = option(0, Range("0 or 1", lambda value: value in (0, 1), whole=True))
     softness: float = positive(0.02, "m", REACH)
     timestep: float | None = positive(None, "s")
 
@@ -172,8 +176,9 @@ def bombardment(
     room = Prop("room", box, np.zeros((1, 1, 3)))
     radii = np.full(options.n_balls, options.ball_radius)
     balls = Prop("stimulus", solids.coarse_ball(), centres, scales=radii)
+    normals = body.normals if options.one_sided else None
     return ScenarioResult(
-        read_balls(body.positions, centres, options.ball_radius, options.detection_radius),
+        read_balls(body.positions, centres, options.ball_radius, options.detection_radius, normals),
         (*static_props(body), room, balls),
         facts={
             "timestep": options.step,
