@@ -27,10 +27,10 @@ pytest.importorskip("jinja2")
 QUICK = Settings(quick=True)
 CHEAP = ("data-s7-s11", "text-s3", "figure-s10")
 ALIKE = (
-    *(f"sensitivity-{name}" for name in ("frames", "radius", "balls")),
+    *(name for name in EXPERIMENTS if name.startswith("setting-") and "mean-span" not in name),
     *(f"figure-s{number}" for number in (1, 2, 3, 5, 6, 7, 9)),
 )
-"""Experiments that differ from ``sensitivity-mu``, figures S4 and S8 by a parameter alone."""
+"""Experiments that differ from ``setting-patch-mean-span``, figures S4 and S8 by a parameter."""
 MOST = tuple(
     name for name, one in EXPERIMENTS.items() if not one.files and name not in (*CHEAP, *ALIKE)
 )
@@ -39,7 +39,7 @@ MOST = tuple(
 class OneRun(Settings):
     """Settings of a preview with one short run of each scenario."""
 
-    seeds, n_frames, permutations = (1,), 100, 20
+    seeds, few_seeds, n_frames, permutations = (1,), (1,), 100, 20
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -113,7 +113,7 @@ def test_finished_experiments_are_not_repeated(quick):
 @pytest.mark.slow
 def test_a_killed_run_leaves_no_processes(tmp_path):
     command = [sys.executable, "-m", "anisomap", "paper", "-o", str(tmp_path / "out")]
-    command += ["--only", "sensitivity-radius", "--only", "text-s3"]
+    command += ["--only", "setting-mu", "--only", "text-s3"]
     watched = {"env": os.environ | {"LOKY_MAX_CPU_COUNT": "2"}, "start_new_session": True}
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, **watched)
     until((tmp_path / "out" / "text-s3" / results.RECORD).exists)

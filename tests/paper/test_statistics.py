@@ -14,7 +14,7 @@ from anisomap.paper.map_scores import (
     score_rows,
 )
 from anisomap.paper.responses import radial_basis
-from anisomap.paper.shapes import cylinder_shape, isolation, straightness
+from anisomap.paper.shapes import cylinder_shape, isolation, sphericity
 from anisomap.simulation import find_body
 from skins import flat_skin
 
@@ -52,14 +52,26 @@ def test_compression_of_a_cylinder_is_measured_and_changes_nothing_else(factor, 
     if factor > 0.5:  # the axis of a much flatter cylinder is not aligned with the true axis
         assert found.axial_scale == pytest.approx(factor, rel=1e-3)
     assert (found.order_around, found.order_along) == (1, pytest.approx(1))
-    assert straightness(squeezed, CYLINDER) == pytest.approx(1)
 
 
-def test_a_semicircle_has_a_straightness_of_half_the_square_root_of_two():
-    angles = np.linspace(0, np.pi, 3)
-    line, arc = np.outer(angles, [1, 0, 0]), np.column_stack([np.cos(angles), np.sin(angles)])
-    assert straightness(arc, line) == pytest.approx(0.5**0.5)
-    assert np.isnan(straightness(arc[:2], line[:2]))
+@given(st.integers(0, 50), st.floats(0.3, 3.0))
+def test_sphericity_is_1_on_spheres_and_0_on_planes(seed, scale):
+    rng = np.random.default_rng(seed)
+    ball = rng.normal(size=(300, 3))
+    ball = scale * ball / np.linalg.norm(ball, axis=1, keepdims=True) + rng.normal(size=3)
+    assert sphericity(ball) == pytest.approx(1, abs=0.15)  # by chance no direction is even
+    assert sphericity(ball * [1, 1, 0]) == pytest.approx(0, abs=1e-6)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    assert sphericity(7 * ball @ rotation) == pytest.approx(sphericity(ball), abs=1e-6)
+
+
+def test_a_bulge_is_the_more_spherical_the_higher_it_is():
+    flat = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2), -1).reshape(-1, 2)
+    found = [
+        sphericity(np.column_stack([flat, np.sqrt(r**2 - (flat**2).sum(axis=1))]))
+        for r in (10.0, 3.0, 1.5)
+    ]
+    assert 0 < found[0] < found[1] < found[2] < 1
 
 
 def test_a_shuffled_cylinder_has_the_order_of_chance():

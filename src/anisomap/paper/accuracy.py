@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -20,7 +20,18 @@ from anisomap.numerics.graph.neighbour_graphs import (
 )
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
-from anisomap.paper.cases import CASES, FAILING, METHODS, PATCH_RUNS, Case, patch_runs
+from anisomap.paper.cases import (
+    CASES,
+    FAILED_RUNS,
+    FAILING,
+    METHODS,
+    PATCH_RUNS,
+    REAL_RECORDING,
+    Case,
+    patch_run,
+    patch_runs,
+    real_recording,
+)
 from anisomap.paper.cases import true_positions as positions_of
 from anisomap.paper.experiment import (
     Picture,
@@ -38,12 +49,14 @@ from anisomap.paper.map_scores import (
     MORE_BINS,
     SCORE_COLUMNS,
     SMACOF,
+    map_and_score,
     null_box,
     score_rows,
     similarity_of,
     stopped,
 )
 from anisomap.paper.responses import RESPONSE_COLUMNS, response_rows
+from anisomap.paper.shapes import isolation
 from anisomap.recording import Recording
 
 ALL_PAIRS, SMALLEST, DIRECT = "all pairs", "smallest connected graph", "no shortest paths"
@@ -60,11 +73,13 @@ _ABLATION_COLUMNS = {
 }
 
 
-def ablation_rows(run: str, recording: Recording, seed: int, dimensions: int) -> Iterator[Row]:
+def ablation_rows(
+    run: str, recording: Recording, seed: int, dimensions: int, mu: float
+) -> Iterator[Row]:
     """Score r-ANISOMAP with one step changed; yield rows of `_ABLATION_COLUMNS`."""
     varying = recording.select(recording.varying())
     truth, similarity = positions_of(varying, dimensions), similarity_of(varying, "r-anisomap")
-    direct = regularised_reciprocal(similarity)
+    direct = regularised_reciprocal(similarity, mu)
 
     def score(metric: Reals) -> float:
         positions = smacof(metric, dimensions=dimensions, options=SMACOF).positions
@@ -87,43 +102,116 @@ def ablation_rows(run: str, recording: Recording, seed: int, dimensions: int) ->
         yield (run, seed, edges, k, r)
 
 
-def _provide(name: str, rows: Mapping[str, list[Row]]) -> Iterator[Table]:
-    columns = (SCORE_COLUMNS, _ABLATION_COLUMNS, RESPONSE_COLUMNS)
-    for (kind, found), each in zip(rows.items(), columns, strict=False):
-        yield Table(f"{kind}-{name}", "Scores of all runs.", each, found, shown=False)
+_FAILURE_COLUMNS = {
+    "run": "number of the run",
+    "sensor": "sensor that fails",
+    "saturated": "share of frames in which it is saturated",
+    "mantel_r_before": "Mantel r of the other sensors without the failure",
+    "mantel_r": "Mantel r of the other sensors with the failure",
+    "isolation_before": "isolation of the sensor without the failure: its distance to the nearest "
+    "one on the map, divided by the median of this distance over all others",
+    "isolation": "isolation of the sensor with the failure",
+}
+_N_FAILING = 10
 
 
-def _simulated(case: Case, settings: Settings, _: Tables) -> Iterator[Table]:
-    """Score all maps of a simulated scenario in 3D; of the plane also in 2D."""
-    dimensions = (2, 3) if case.body == "plane" else (3,)
+def failure_rows(settings: Settings) -> Iterator[Row]:
+    """Let sensors of the patch fail in turn; compare with the same runs without a failure."""
+    rng = np.random.default_rng(settings.seed)
+    for number in FAILED_RUNS:
+        sound = patch_run(settings, number, fails=False)
+        names = np.array(sound.names)[sound.varying()]
+        others = rng.permutation(names[names != FAILING])[: _N_FAILING - 1]
+        for name in (FAILING, *others.tolist()):
+            failed = patch_run(settings, number, failing=name, fails=True)
+            sensor = failed.names.index(name)
+            share = np.mean(failed.readings[:, sensor] == failed.readings.max())
+            before, after = (_failure(run, sensor, settings) for run in (sound, failed))
+            values = (value for pair in zip(before, after, strict=True) for value in pair)
+            yield (number, name, float(share), *values)
+
+
+def _failure(recording: Recording, sensor: int, settings: Settings) -> tuple[float, float]:
+    """Return Mantel r of the other sensors, and the isolation of one."""
+    name = recording.names[sensor]
+    made, found = map_and_score(recording, "r-anisomap", 2, exclude=[name], mu=settings.mu)
+    placed = np.flatnonzero(made.placed)
+    row = int(np.searchsorted(placed, sensor))
+    return found.mantel.r, isolation(made.positions[placed], row)
+
+
+_KINDS = {
+    "scores": SCORE_COLUMNS,
+    "ablations": _ABLATION_COLUMNS,
+    "responses": RESPONSE_COLUMNS,
+    "failures": _FAILURE_COLUMNS,
+}
+
+
+def _tables(name: str, rows: Mapping[str, list[Row]]) -> Iterator[Table]:
+    for kind, found in rows.items():
+        yield Table(f"{kind}-{name}", "Scores of all runs.", _KINDS[kind], found, shown=False)
+
+
+def case_tables(
+    case: Case, settings: Settings, seeds: Iterable[int], *, whole: bool = True
+) -> Iterator[Table]:
+    """Score all maps of a simulated scenario in 3D; of the plane also in 2D.
+
+    whole: Whether to try other numbers of bins and unlike sensors.
+    """
+    dimensions, mu = (2, 3) if case.body == "plane" else (3,), settings.mu
     rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "responses": []}
-    for seed in settings.seeds:
+    bins = MORE_BINS if whole else ()
+    for seed in seeds:
         run = case.record(settings, seed)
-        rows["scores"] += score_rows(case.run_name, run, seed, dimensions, settings)
-        rows["ablations"] += ablation_rows(case.name, run, seed, 3)
-        rows["responses"] += response_rows(case.name, run, seed)
-    yield from _provide(case.name, rows)
+        rows["scores"] += score_rows(case.run_name, run, seed, dimensions, settings, more_bins=bins)
+        rows["ablations"] += ablation_rows(case.name, run, seed, 3, mu)
+        if whole:
+            rows["responses"] += response_rows(case.name, run, seed, mu)
+    yield from _tables(case.name, rows)
 
 
 def _patch_name(dimensions: int) -> str:
     return f"patch, {dimensions}D"
 
 
-def _patch(settings: Settings, _: Tables) -> Iterator[Table]:
-    """Score all maps of the runs of the simulated patch without the failing sensor."""
-    rows: dict[str, list[Row]] = {"scores": [], "ablations": []}
+def patch_tables(settings: Settings, *, whole: bool = True) -> Iterator[Table]:
+    """Score all maps of the simulated patch without the failing sensor, and its failures."""
+    rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "failures": []}
+    bins = MORE_BINS if whole else ()
     for _number, run, seed in patch_runs(settings):
-        rows["scores"] += score_rows(_patch_name, run, seed, (2, 3), settings, exclude=[FAILING])
+        rows["scores"] += score_rows(
+            _patch_name, run, seed, (2, 3), settings, exclude=[FAILING], more_bins=bins
+        )
     for _number, run, seed in patch_runs(settings, fails=False):
-        rows["ablations"] += ablation_rows(_patch_name(2), run, seed, 2)
-    yield from _provide("patch", rows)
+        rows["ablations"] += ablation_rows(_patch_name(2), run, seed, 2, settings.mu)
+    rows["failures"] += failure_rows(settings)
+    yield from _tables("patch", rows)
+
+
+def _simulated(case: Case, settings: Settings, _: Tables) -> Iterator[Table]:
+    return case_tables(case, settings, settings.seeds)
 
 
 for _case in CASES:
     experiment(f"runs-{_case.name}", cost=150)(partial(_simulated, _case))
-experiment("runs-patch", cost=60)(_patch)
 
-_NAMES = (*(case.name for case in CASES), "patch")
+
+@experiment("runs-patch", cost=100)
+def _patch(settings: Settings, _: Tables) -> Iterator[Table]:
+    return patch_tables(settings)
+
+
+@experiment("runs-real", files=(REAL_RECORDING,), cost=20)
+def _real(settings: Settings, _: Tables) -> Iterator[Table]:
+    run = real_recording(settings)
+    scores = score_rows(lambda k: f"real skin, {k}D", run, 0, (2, 3), settings)
+    ablated = ablation_rows("real skin, 2D", run, 0, 2, settings.mu)
+    yield from _tables("real", {"scores": [*scores], "ablations": [*ablated]})
+
+
+_NAMES = (*(case.name for case in CASES), "patch", "real")
 RUNS = tuple(f"runs-{name}" for name in _NAMES)
 """Experiments that score all maps."""
 
@@ -137,7 +225,7 @@ def _default_scores(tables: Tables) -> list[Mapping[str, Any]]:
     return [row for row in tables_of("scores", tables).records() if row["bins"] == DEFAULT_BINS]
 
 
-_RUN = "body and scenario; the patch in 2D or 3D"
+_RUN = "body and scenario; the patch and real skin in 2D or 3D"
 SUMMARY_COLUMNS = {
     "run": _RUN,
     "runs": "number of runs",
@@ -250,14 +338,31 @@ ABLATIONS_COLUMNS = {
     "Where the smallest connected graph has more neighbours than k, it takes the place of k.",
     needs=RUNS,
 )
-def ablations(_: Settings, tables: Tables) -> Iterator[Table]:
-    """Average the scores of all variants."""
+def ablations(_: Settings, tables: Tables) -> Iterator[Picture | Table]:
+    """Average the scores of all variants, and draw them over the number of neighbours."""
     scores = tables_of("ablations", tables, "ablation-scores", "Scores of all runs.")
     rows: list[Row] = []
+    panels: list[CurvePanel] = []
+    graphs = (SMALLEST, *(f"k = {k}" for k in NEIGHBOURS))
     for run, found in by(scores.records(), "run").items():
+        edges = {
+            name: [row["mantel_r"] for row in each] for name, each in by(found, "edges").items()
+        }
+        all_pairs, x = edges[ALL_PAIRS], np.array([2.0, *NEIGHBOURS])
+        curves = {
+            "r-anisomap": np.array([all_pairs for _ in graphs]),
+            "isomap": np.array([edges[name] for name in graphs]),
+        }
+        panels.append(CurvePanel(run.replace("-", " "), x, curves))
         means = mean_by(found, "edges", "mantel_r")
         smallest = float(np.median([row["k"] for row in found if row["edges"] == SMALLEST]))
         rows.append((run, smallest, *(means[edges] for edges in _EDGES)))
+    figure = curves_figure("Mantel r by number of neighbours", panels, x_label="neighbours k")
+    caption = (
+        "r-ANISOMAP, and the same with paths along the edges of a graph of k neighbours only "
+        "(ISOMAP). The first value is the smallest connected graph, drawn at k = 2."
+    )
+    yield Picture("ablations", caption, figure)
     yield Table("ablations", "Mean Mantel r.", ABLATIONS_COLUMNS, rows)
     yield scores
 

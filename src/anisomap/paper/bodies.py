@@ -13,6 +13,7 @@ from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment, mean_by
 from anisomap.paper.map_scores import SCORE_COLUMNS, draw_run
+from anisomap.paper.shapes import sphericity
 from anisomap.simulation import find_body, run_simulation
 
 _NOTE = (
@@ -27,11 +28,8 @@ AXIAL_COLUMNS = {
 }
 ROUNDNESS_COLUMNS = {
     "body": "bombarded body",
-    **{
-        method: f"mean straightness of straight lines of sensors on the maps by {method}: 1 is "
-        "straight, 0.71 a semicircle"
-        for method in METHODS
-    },
+    "truth": "sphericity of the true positions",
+    **{method: f"mean sphericity of the maps by {method}" for method in METHODS},
 }
 
 
@@ -42,7 +40,9 @@ def _maps_of_bodies(
     truths, maps, seeds = [], [], {}
     for case in map(Case, bodies):
         seeds[case.body] = settings.picked_seed(case.name)
-        (truth, shown), _ = draw_run(case.record(settings, seeds[case.body]), methods=[method])
+        (truth, shown), _ = draw_run(
+            case.record(settings, seeds[case.body]), settings, methods=[method]
+        )
         truths.append(replace(truth, title=case.body))
         maps.append(shown)
     picked = ", ".join(f"{body} {seed}" for body, seed in seeds.items())
@@ -53,7 +53,7 @@ def _maps_of_bodies(
 def _maps_by_all_methods(name: str, title: str, case: Case, settings: Settings) -> Picture:
     """Draw the true positions and the maps of a randomly picked run, in a row."""
     seed = settings.picked_seed(case.name)
-    panels, _ = draw_run(case.record(settings, seed))
+    panels, _ = draw_run(case.record(settings, seed), settings)
     caption = f"Maps of {case.body}, {case.scenario}, by all methods. Randomly picked seed: {seed}."
     figure = gallery_figure(f"{title}, {case.scenario}, seed {seed}", panels, 5, _NOTE)
     return Picture(name, caption, figure)
@@ -120,23 +120,22 @@ def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     "Figure 7: spherisation by information distance",
     "Unrelated sensors all have about the same information distance, which cannot be "
     "represented in few dimensions. According to the paper, the maps therefore tend towards a "
-    "sphere, on which straight lines of sensors become arcs. The straightness of a line measures "
-    "this effect: it is the distance between the ends of the line, divided by the length of the "
-    "path through its middle. Unlike the spread of the distances from the centroid, it does not "
-    "change if a map is compressed along an axis.",
+    "sphere. The sphericity measures this: a sphere and a plane are fitted to the map, and the RMS "
+    "distance of the sensors from the plane minus that from the sphere is taken, relative to what "
+    "a whole sphere has: 1 for a sphere, 0 for a plane.",
     needs=tuple(f"runs-{case.name}" for case in BOMBARDED),
 )
 def figure_7(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
-    """Draw maps by information distance; measure how all maps bend straight lines."""
+    """Draw maps by information distance; measure how spherical all maps are."""
     title = "Figure 7. Maps by information distance (bottom) and true positions (top)"
     bodies = ("cylinder", "y-shape", "plane")
     yield _maps_of_bodies("figure-7", title, bodies, "information-distance", settings)
     rows: list[Row] = []
     for body in bodies:
         scores = [row for row in _scores(tables, Case(body)) if row["dimensions"] == 3]
-        means = mean_by(scores, "method", "straightness")
-        rows.append((body, *(means[method] for method in METHODS)))
-    yield Table("figure-7", "Straightness of straight lines of sensors.", ROUNDNESS_COLUMNS, rows)
+        means, truth = mean_by(scores, "method", "sphericity"), find_body(body).positions
+        rows.append((body, sphericity(truth), *(means[method] for method in METHODS)))
+    yield Table("figure-7", "Sphericity of the maps.", ROUNDNESS_COLUMNS, rows)
 
 
 def _scores(tables: Tables, case: Case) -> list[Mapping[str, Any]]:

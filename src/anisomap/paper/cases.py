@@ -2,21 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap import io
+from anisomap.errors import InputError
 from anisomap.method.named import PAPER_METHODS
 from anisomap.paper.experiment import Settings
 from anisomap.recording import Recording
-from anisomap.simulation import inject, simulate
+from anisomap.simulation import (
+    LocomotionOptions,
+    find_body,
+    find_scenario,
+    inject,
+    simulate,
+    solids,
+)
+from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS
 
 METHODS = PAPER_METHODS
 """In the order of all figures and tables."""
+
+_LENGTH, _SPAN = "cylinder.length", "patch.mean_span"
+_USUAL_SPAN = 20.0
+_STEEPEST = 0.35  # height of the ground over its correlation length
+_USUAL_LENGTH = CYLINDER_LENGTH / CYLINDER_RADIUS
+_WHOLE = ("bombardment.n_balls", "bombardment.one_sided")
+
+OPEN: Mapping[str, str] = MappingProxyType(
+    {
+        "frames": "frames of a run (2,000 in the paper)",
+        "mu": "the paper's mu",
+        _LENGTH: "length of the cylinder over its radius",
+        _SPAN: "mean number of frames for which the failing sensor is saturated",
+        **{
+            f"{scenario}.{entry.name}": f"parameter of {scenario}"
+            for scenario in ("bombardment", "locomotion", "rubbing")
+            for entry in fields(find_scenario(scenario).options)
+        },
+    }
+)
+"""What the paper leaves open, by the names that `Settings.changes` takes."""
+
+
+def parse_changes(texts: Iterable[str]) -> tuple[tuple[str, float], ...]:
+    """Parse texts such as ``locomotion.detection_radius=.25``."""
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in OPEN:
+            raise InputError(
+                f"the paper does not leave {name!r} open; choose from {', '.join(OPEN)}"
+            )
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise InputError(f"write NAME=NUMBER, as in mu=.1, got {text!r}") from None
+    return tuple(found.items())
 
 
 @dataclass(frozen=True)
@@ -42,14 +91,31 @@ class Case:
 
     def record(self, settings: Settings, seed: int, **parameters: Any) -> Recording:
         """Simulate a run; `parameters` are those of the scenario, and ``n_frames``."""
-        chosen = {"n_frames": settings.n_frames, **parameters}
-        return _simulated(self.body, self.scenario, seed, tuple(chosen.items()))
+        changed = {
+            key.partition(".")[2]: int(value) if key in _WHOLE else value
+            for key, value in settings.changes
+            if key.startswith(f"{self.scenario}.")
+        }
+        if "correlation" in changed:  # smaller bumps have finer cells, and are less high
+            usual, longest = LocomotionOptions(), changed["correlation"]
+            changed = {
+                "cell": min(usual.cell, longest / 2),
+                "roughness": min(usual.roughness, _STEEPEST * longest),
+            } | changed
+        chosen = {"n_frames": settings.n_frames, **changed, **parameters}
+        length = settings.changed(_LENGTH, _USUAL_LENGTH) if self.body == "cylinder" else 0.0
+        return _simulated(self.body, self.scenario, seed, length, tuple(chosen.items()))
 
 
 @lru_cache(maxsize=16)  # several experiments of one worker use the same runs
 def _simulated(
-    body: str, scenario: str, seed: int, chosen: tuple[tuple[str, Any], ...]
+    name: str, scenario: str, seed: int, length: float, chosen: tuple[tuple[str, Any], ...]
 ) -> Recording:
+    body = find_body(name)
+    if length and length != _USUAL_LENGTH:
+        factor, radius = length / _USUAL_LENGTH, CYLINDER_RADIUS
+        solid = solids.cylinder(radius, length * radius / 2)
+        body = replace(body, positions=body.positions * [1, 1, factor], solids=[solid])
     return simulate(body, scenario, seed=seed, **dict(chosen))
 
 
@@ -81,7 +147,6 @@ def patch_run(
     *,
     failing: str = FAILING,
     fails: bool | None = None,
-    **failure: float,
 ) -> Recording:
     """Simulate a run of the hardware patch.
 
@@ -91,8 +156,9 @@ def patch_run(
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
     recording = inject(PATCH.record(settings, seed, n_frames=n_frames), "dead", SILENT)
+    span = settings.changed(_SPAN, _USUAL_SPAN)
     if number in FAILED_RUNS if fails is None else fails:
-        recording = inject(recording, "saturating", [failing], rng=seed, **failure)
+        recording = inject(recording, "saturating", [failing], rng=seed, mean_span=span)
     return replace(
         recording,
         positions=1e3 * true_positions(recording),
@@ -107,6 +173,15 @@ def patch_runs(
     """Yield number, recording and seed of the runs of the patch, see `patch_run`."""
     for number in PATCH_RUNS:
         yield number, patch_run(settings, number, fails=fails), patch_seed(settings, number)
+
+
+REAL_RECORDING = "icub_hexagon.npz"
+"""File of real skin of the same kind."""
+
+
+def real_recording(settings: Settings) -> Recording:
+    """Read real skin from the folder of recordings."""
+    return io.read((settings.recordings or Path()) / REAL_RECORDING)
 
 
 def true_positions(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:

@@ -23,20 +23,31 @@ class Settings:
     seed: First seed of each scenario; at least 0.
     quick: Use fewer frames, seeds and permutations, for previews.
     recordings: Folder of real recordings; experiments that need an absent recording are skipped.
+    changes: Values of what the paper leaves open, by name: see `anisomap.paper.cases.OPEN`.
     """
 
     seed: int = 1
     quick: bool = False
     recordings: Path | None = None
+    changes: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise InputError(f"seed must be at least 0, got {self.seed}")
 
+    def changed(self, name: str, default: float) -> float:
+        """Return the value of what the paper leaves open."""
+        return dict(self.changes).get(name, default)
+
     @property
     def n_frames(self) -> int:
         """Frames per simulated run: 2,000, as in the paper."""
-        return 1000 if self.quick else 2000
+        return int(self.changed("frames", 1000 if self.quick else 2000))
+
+    @property
+    def mu(self) -> float:
+        """The paper's mu, for which it gives no value."""
+        return self.changed("mu", 1.0)
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -117,7 +128,7 @@ def joined(tables: Tables, names: Iterable[str], name: str = "", caption: str = 
     """Join the tables that exist, of the same columns, to one that the page only links to."""
     parts = [tables[one] for one in names if one in tables]
     rows = [row for part in parts for row in part.rows]
-    return Table(name, caption, parts[0].columns, rows, shown=False)
+    return Table(name, caption, parts[0].columns if parts else {}, rows, shown=False)
 
 
 Compute: TypeAlias = Callable[[Settings, Tables], Iterable[Result]]

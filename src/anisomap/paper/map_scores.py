@@ -22,7 +22,7 @@ from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row, Settings
-from anisomap.paper.shapes import cylinder_shape, straightness
+from anisomap.paper.shapes import cylinder_shape, sphericity
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
@@ -59,7 +59,7 @@ def map_and_score(
     *,
     permutations: int = 0,
     exclude: Iterable[str] = (),
-    regularisation: float = 1.0,
+    mu: float = 1.0,
     similarity: Reals | None = None,
 ) -> ScoredMap:
     """Reconstruct a map and score it against the true positions of the recording.
@@ -71,7 +71,7 @@ def map_and_score(
         similarity=similarity_of(recording, method) if similarity is None else similarity,
         method=method,
         dimensions=dimensions,
-        options=MethodOptions(smacof=SMACOF, regularisation=regularisation),
+        options=MethodOptions(smacof=SMACOF, regularisation=mu),
         names=recording.names,
         drop=[recording.names[i] for i in np.flatnonzero(~recording.varying())],
     )
@@ -84,6 +84,7 @@ def map_and_score(
 
 def draw_run(
     recording: Recording,
+    settings: Settings,
     dimensions: Iterable[int] = (3,),
     methods: Iterable[str] = METHODS,
     labels: Mapping[int, str] | None = None,
@@ -108,7 +109,7 @@ def draw_run(
             )
         )
         for method in methods:
-            scored = map_and_score(recording, method, k, exclude=left_out)
+            scored = map_and_score(recording, method, k, exclude=left_out, mu=settings.mu)
             title = f"{METHOD_LOOKS[method].label}, r = {scored.score.mantel.r:.3f}"
             panels.append(map_panel(title, *scored, truth, labels=labels))
             found.append(scored)
@@ -137,8 +138,8 @@ SCORE_COLUMNS = {
     "null_outliers": "null distribution: all values beyond the whiskers, separated by spaces",
     "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
     "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
-    "straightness": "straight lines of sensors on the map: distance between the ends divided by "
-    "the length of the path through the middle, mean over the lines; 1 is straight",
+    "sphericity": "RMS distance of the sensors in 3D from the best plane minus that from the best "
+    "sphere, relative to what a whole sphere has: 1 on a sphere, 0 on a plane",
     "axial_scale": "cylinder in 3D: axial scale divided by radial scale of the map aligned with "
     "the true positions; below 1: compressed along the axis",
     "local_axial_scale": "cylinder in 3D: distance of axial neighbours divided by distance of "
@@ -184,6 +185,7 @@ def score_rows(
                     k,
                     permutations=settings.permutations if bins == DEFAULT_BINS else 0,
                     exclude=excluded,
+                    mu=settings.mu,
                     similarity=similarity,
                 )
                 mapped = found.positions[result.sensors]
@@ -194,7 +196,7 @@ def score_rows(
                     *(name(k), seed, method, k, bins, result.mantel.r),
                     *_null_cells(result.mantel),
                     *(result.rms_in_spacings, result.neighbours_kept),
-                    *(straightness(mapped, result.truth), *shape),
+                    *(sphericity(mapped) if k == 3 else math.nan, *shape),
                     *(found.stress, found.n_iterations),
                 )
 

@@ -5,36 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import product
-from pathlib import Path
 
-import numpy as np
-
-from anisomap import io
-from anisomap.drawing.figures.charts import CurvePanel, curves_figure
 from anisomap.drawing.figures.maps import gallery_figure, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.paper.cases import (
-    FAILED_RUNS,
     FAILING,
     METHODS,
     PATCH_FRAMES,
     PATCH_RUNS,
+    REAL_RECORDING,
     SILENT,
     patch_run,
+    real_recording,
     true_positions,
 )
-from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, by, curve, experiment
+from anisomap.paper.experiment import Picture, Settings, Table, Tables, experiment
 from anisomap.paper.map_scores import (
     SCORE_COLUMNS,
-    ScoredMap,
     draw_run,
-    map_and_score,
-    score_rows,
 )
-from anisomap.paper.shapes import isolation
-
-REAL_RECORDING = "icub_hexagon.npz"
 
 _LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
 _NOTE = (
@@ -42,14 +31,6 @@ _NOTE = (
     f"Sensor 30 ({FAILING}, square) saturates intermittently from run 4 on. It is included in the "
     "maps and excluded from the scores."
 )
-
-
-def _scores(scored: ScoredMap, failing: str = FAILING) -> tuple[float, float]:
-    """Return Mantel r, and the isolation of the failing sensor."""
-    made = scored.sensor_map
-    placed = np.flatnonzero(made.placed)
-    row = int(np.searchsorted(placed, made.names.index(failing)))
-    return scored.score.mantel.r, isolation(made.positions[placed], row)
 
 
 @experiment(
@@ -68,7 +49,9 @@ def figure_2(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the maps of all runs by r-ANISOMAP."""
     panels: list[Panel] = []
     for number in PATCH_RUNS:
-        drawn, (scored,) = draw_run(patch_run(settings, number), (2,), ("r-anisomap",), _LABELS)
+        drawn, (scored,) = draw_run(
+            patch_run(settings, number), settings, (2,), ("r-anisomap",), _LABELS
+        )
         panels = panels or [replace(drawn[0], title="actual configuration")]
         panels.append(replace(drawn[1], title=f"run {number}, r = {scored.score.mantel.r:.3f}"))
     figure = gallery_figure("Figure 2. Maps of the simulated patch by r-ANISOMAP", panels, 3, _NOTE)
@@ -80,7 +63,7 @@ def figure_2(settings: Settings, _: Tables) -> Iterator[Picture]:
 def supplementary_figure(number: int, settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the maps of one run by all methods, in 2D and 3D."""
     recording = patch_run(settings, number)
-    panels, _maps = draw_run(recording, (2, 3), METHODS, _LABELS)
+    panels, _maps = draw_run(recording, settings, (2, 3), METHODS, _LABELS)
     title = f"Figure S{4 + number}. Simulated patch, run {number}: {recording.n_frames} frames"
     caption = f"All methods on run {number}, in 2D and 3D."
     yield Picture(f"figure-s{4 + number}", caption, gallery_figure(title, panels, 5, _NOTE))
@@ -147,12 +130,12 @@ def figure_s10(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
         'anisomap.write(anisomap.Recording(readings, positions=positions, units="mm"), '
         f'"{REAL_RECORDING}"), and run anisomap paper --recordings FOLDER.'
     ),
-    cost=8,
+    needs=("runs-real",),
 )
-def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def real_patch(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Map a real patch of the same triangles by all methods, in 2D and 3D."""
-    recording = io.read((settings.recordings or Path()) / REAL_RECORDING)
-    panels, _maps = draw_run(recording, (2, 3))
+    recording = real_recording(settings)
+    panels, _maps = draw_run(recording, settings, (2, 3))
     figure = gallery_figure(
         f"Real skin: {recording.n_sensors} sensors of an iCub, {recording.n_frames} frames",
         panels,
@@ -161,91 +144,5 @@ def real_patch(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     )
     caption = "Real IIT skin, six triangles around a vertex, by all methods in 2D and 3D."
     yield Picture("real-skin", caption, figure)
-    rows = [*score_rows(lambda k: f"real, {k}D", recording, 0, (2, 3), settings)]
+    rows = tables["scores-real"].rows
     yield Table("real-skin", "Scores of the maps of real skin.", SCORE_COLUMNS, rows)
-
-
-_GAP = 100.0  # mean number of frames between failures
-_SPANS = (5.0, 25.0, 50.0, 100.0, 200.0)  # mean number of frames of a failure
-_QUICK_SPANS = (20.0, 100.0)
-
-_ISOLATION_COLUMNS = {
-    "run": "number of the run",
-    "saturated": "share of frames in which the failing sensor is saturated",
-    "method": "method",
-    "dimensions": "dimensions of the map",
-    "mantel_r": "Mantel r without the failing sensor",
-    "isolation": "distance of the failing sensor to its nearest neighbour on the map, divided by "
-    "the median of this distance over all other sensors; about 1 if it lies among the others",
-}
-_N_FAILING = 10
-_FAILURE_COLUMNS = {
-    "run": "number of the run",
-    "sensor": "sensor that fails",
-    "mantel_r_before": "Mantel r of the other sensors without the failure",
-    "mantel_r": "Mantel r of the other sensors with the failure",
-    "isolation_before": "isolation of the sensor without the failure",
-    "isolation": "isolation of the sensor with the failure",
-}
-
-
-@experiment(
-    "failing-sensor",
-    "Isolation of the failing sensor",
-    "In the paper's Figure 2, sensor 30 lies apart from all others. The paper does not state how "
-    "often the sensor was saturated, and the isolation depends on this share.",
-    cost=10,
-)
-def isolation_by_saturation(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
-    """Measure the isolation of the failing sensor for several durations of its failures."""
-    spans = _QUICK_SPANS if settings.quick else _SPANS
-    rows: list[Row] = []
-    panels = []
-    for k in (2, 3):
-        found: list[dict[str, float | str]] = []
-        shares = np.empty((len(spans), len(FAILED_RUNS)))
-        for i, (span, number) in enumerate(product(spans, FAILED_RUNS)):
-            recording = patch_run(settings, number, mean_gap=_GAP, mean_span=span)
-            failing = recording.readings[:, recording.names.index(FAILING)]
-            shares.flat[i] = np.mean(failing == recording.readings.max())
-            for method in METHODS:
-                scores = _scores(map_and_score(recording, method, k, exclude=[FAILING]))
-                rows.append((number, float(shares.flat[i]), method, k, *scores))
-                found.append({"span": span, "method": method, "isolation": scores[1]})
-        x = np.round(shares.mean(axis=1), 2)
-        curves = by(found, "method").items()
-        panels.append(
-            CurvePanel(f"{k}D", x, {m: curve(each, "span", "isolation")[1] for m, each in curves})
-        )
-    figure = curves_figure(
-        "Isolation of the failing sensor",
-        panels,
-        x_label="share of frames in which it is saturated",
-        y_label="isolation",
-        columns=2,
-    )
-    caption = (
-        "Distance of sensor 30 to its nearest neighbour on the map, divided by the median of this "
-        "distance over all other sensors, in runs 4 and 5 (dots: runs, lines: means). At about 1, "
-        "it lies among the others. In Figure 2, it is saturated in a sixth of the frames."
-    )
-    yield Picture("failing-sensor", caption, figure)
-    caption = "Isolation of sensor 30."
-    yield Table("failing-sensor", caption, _ISOLATION_COLUMNS, rows, shown=False)
-    caption = "r-ANISOMAP in 2D with and without the failure of ten sensors in turn."
-    yield Table("failures", caption, _FAILURE_COLUMNS, [*_failures(settings)], shown=False)
-
-
-def _failures(settings: Settings) -> Iterator[Row]:
-    """Let sensors fail in turn in runs 4 and 5; compare with the same runs without a failure."""
-    rng = np.random.default_rng(settings.seed)
-    for number in FAILED_RUNS:
-        sound = patch_run(settings, number, fails=False)
-        names = np.array(sound.names)[sound.varying()]
-        others = rng.permutation(names[names != FAILING])[: _N_FAILING - 1]
-        for name in (FAILING, *others.tolist()):
-            failed = patch_run(settings, number, failing=name, fails=True)
-            maps = (map_and_score(run, "r-anisomap", 2, exclude=[name]) for run in (sound, failed))
-            found = (_scores(scored, name) for scored in maps)
-            # Mantel r before and after, then the isolations.
-            yield (number, name, *(value for pair in zip(*found, strict=True) for value in pair))

@@ -59,7 +59,7 @@ def _in_contact(
     return found
 
 
-def response_rows(run: str, recording: Recording, seed: int) -> Iterator[Row]:
+def response_rows(run: str, recording: Recording, seed: int, mu: float) -> Iterator[Row]:
     """Identify equal quantities, and map a skin with both kinds of sensors."""
     rng, n_sensors = np.random.default_rng(seed), recording.n_sensors
     chosen = rng.permutation(n_sensors) < n_sensors // 2
@@ -74,5 +74,5 @@ def response_rows(run: str, recording: Recording, seed: int) -> Iterator[Row]:
         for method, similarity in _SIMILARITIES.items():
             across = similarity(both)[n_sensors:, :n_sensors]
             identified = float(np.mean(across.argmax(axis=1) == np.arange(n_sensors)))
-            r = map_and_score(mixed, method, 3).score.mantel.r
+            r = map_and_score(mixed, method, 3, mu=mu).score.mantel.r
             yield (run, seed, quantile, noise, method, identified, r)

@@ -41,7 +41,6 @@ _PAGE_ORDER = (
     "text-s3",
     "bins",
     "ablations",
-    "failing-sensor",
     "unlike-responses",
 )
 """The first experiments with a section on the page; the others follow as they are defined."""
@@ -175,7 +174,7 @@ def _fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str
     """Digest everything that the result of an experiment depends on."""
     inputs = (
         experiment.name,
-        (settings.seed, settings.quick),
+        (settings.seed, settings.quick, sorted(settings.changes)),
         [path.read_bytes() for path in experiment.paths(settings)],
         [(name, needed.get(name)) for name in experiment.needs],
         _digest_of_package(),

@@ -112,14 +112,16 @@ def _text_s1(cases: Iterable[Case]) -> str:
     parts = [
         "Text S1. Summary of the simulation",
         f"Simulated with the default parameters of anisomap {__version__}; the paper's parameters "
-        "are not available. Lengths are in metres. Each data file repeats the parameters of "
+        "were not available to us. Lengths are in metres. Each data file repeats the parameters of "
         "its run.",
         _FORMAT.strip(),
         "A sensor is a point on the surface of a rigid body, surrounded by a detection sphere. Its "
         "reading is the depth in metres to which the nearest detectable object enters this sphere, "
         "and 0 if there is none. For balls it is max(0, detection_radius + ball_radius - distance "
         "to the centre of the ball), the maximum over all balls. Sensors have no mass and do not "
-        "collide.",
+        "collide. As in the paper's words, they feel all that enters the sphere, through the body, "
+        "too: on Y-shape and plane, a third of the non-zero readings come from balls behind the "
+        "surface alone. With one_sided = 1, sensors feel balls in front of the skin only.",
     ]
     parts += [_describe(case) for case in cases]
     return "\n\n".join(_wrapped(part) for part in parts) + "\n"

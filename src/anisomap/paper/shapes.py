@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
+from scipy.optimize import least_squares
 from scipy.spatial.distance import cdist, pdist
 from scipy.stats import spearmanr
 
@@ -17,22 +16,27 @@ from anisomap.numerics.neighbours import nearest_distances, nearest_others
 _EQUAL = 1e-6  # largest difference of coordinates on one line of a lattice, in metres
 
 
-def straightness(positions: ArrayLike, truth: ArrayLike) -> float:
-    """Measure how straight the straight lines of sensors are on a map: 1 is straight.
+def sphericity(positions: ArrayLike) -> float:
+    """Measure how much nearer sensors lie to the best sphere than to the best plane.
 
-    positions (N, k), truth (N, 3). For triples of sensors of which one is midway between the
-    others, at least half as far apart as the farthest: the mean ratio of the distance of the outer
-    sensors to that through the middle one; 0.71 for a semicircle, NaN without triples.
+    positions (N, 3). RMS distance from the plane minus that from the sphere, both of least squares,
+    relative to the RMS distance from the centroid, and scaled so that a whole sphere has 1. A plane
+    has 0, as it is a sphere without end.
     """
-    points, true = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    first, last = np.triu_indices(len(true), 1)
-    off, middle = map(np.asarray, KDTree(true).query((true[first] + true[last]) / 2))
-    inside = off < _EQUAL
-    lengths = np.linalg.norm(true[first] - true[last], axis=1)
-    inside &= lengths >= lengths[inside].max(initial=0) / 2
-    a, b, c = (points[index[inside]] for index in (first, middle, last))
-    path = np.linalg.norm(b - a, axis=1) + np.linalg.norm(c - b, axis=1)
-    return float(np.mean(np.linalg.norm(c - a, axis=1) / path)) if inside.any() else math.nan
+    points = np.asarray(positions, dtype=np.float64)
+    points = points - points.mean(axis=0)
+    points /= np.sqrt(np.mean(np.sum(points**2, axis=1)))
+    from_plane = np.linalg.svd(points, compute_uv=False)[-1] / np.sqrt(len(points))
+    # |x|^2 = 2 c.x + k is linear in the centre c and k; it starts the search for the distances.
+    design = np.column_stack([2 * points, np.ones(len(points))])
+    centre = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)[0][:3]
+
+    def residuals(c: NDArray[np.float64]) -> NDArray[np.float64]:
+        distances = np.linalg.norm(points - c, axis=1)
+        return np.asarray(distances - distances.mean())
+
+    from_sphere = np.sqrt(np.mean(least_squares(residuals, centre).fun ** 2))
+    return float(np.sqrt(3) * (from_plane - min(from_plane, from_sphere)))
 
 
 class CylinderShape(NamedTuple):

@@ -199,6 +199,7 @@ def paper(
     quick: bool = False,
     first_seed: Annotated[options.Amount, options.expert] = 1,
     recordings: Path | None = None,
+    set_: Annotated[list[str] | None, Parameter(name="--set")] = None,
     only: list[str] | None = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
@@ -217,13 +218,22 @@ def paper(
         First seed of each scenario; the same seed gives the same results.
     recordings
         Folder of recordings of real skin (icub_hexagon.npz); the page explains how to get them.
+    set_
+        NAME=NUMBER, a value of what the paper leaves open, such as locomotion.detection_radius=.25;
+        may be repeated.
     only
         Experiment to run, after those that it needs; may be repeated. All by default.
     """
     from anisomap.paper import Settings, Status, reproduce
+    from anisomap.paper.cases import parse_changes
     from anisomap.paper.results import PAGE
 
-    settings = Settings(seed=first_seed, quick=quick, recordings=recordings)
+    settings = Settings(
+        seed=first_seed,
+        quick=quick,
+        recordings=recordings,
+        changes=parse_changes(set_ or ()),
+    )
     with progress("reproducing the paper") as show:
 
         def report(status: Status, fraction: float) -> None:
