@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import FileError, InputError
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import ACCURACY, LEVELS, UNKNOWN, Verdict
@@ -169,14 +169,11 @@ def test_point_clouds(folder: Path, sensor_map: SensorMap) -> None:
 def test_recordings(folder: Path, recording: Recording) -> None:
     for suffix in (".csv", ".tsv", ".npz"):
         path = folder / f"skin{suffix}"
-        if suffix == ".npz":
-            positions, units = recording.positions, recording.units
-        else:  # no format of text has positions
-            positions, units = None, ""
-        io.write(replace(recording, positions=positions, units=units), path)
+        io.write(recording, path)
         found = io.read(path)
-        assert found.units == units
-        np.testing.assert_equal(found.positions, positions)
+        assert found.units == recording.units
+        np.testing.assert_equal(found.positions, recording.positions)
+        np.testing.assert_equal(found.normals, recording.normals)
         assert_same_bits(found.readings.astype(np.float64), recording.readings.astype(np.float64))
         assert found.readings.dtype <= recording.readings.dtype
         assert found.names == recording.names
@@ -188,11 +185,12 @@ def test_recordings(folder: Path, recording: Recording) -> None:
         assert_same_mapping(found.metadata, recording.metadata)
 
 
-def test_text_warns_that_it_drops_true_positions(tmp_path: Path) -> None:
-    recording = Recording(np.eye(3), positions=np.eye(3))
-    with pytest.warns(AnisomapWarning, match=r"cannot store positions.*\.npz"):
-        io.write(recording, tmp_path / "skin.csv")
-    assert io.read(tmp_path / "skin.csv").positions is None
+def test_text_with_positions_that_do_not_fit_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "skin.csv"
+    io.write(Recording(np.eye(3), positions=np.eye(3), units="mm"), path)
+    path.write_text(path.read_text().replace("; 0.0 0.0 1.0", "; 0.0 0.0"))
+    with pytest.raises(FileError, match="positions must be 2 or 3 numbers for each of 3 sensors"):
+        io.read(path)
 
 
 def test_point_clouds_have_three_dimensions(tmp_path: Path) -> None:

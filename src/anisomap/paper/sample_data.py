@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import textwrap
+import warnings
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
-import numpy as np
-
+from anisomap import io
 from anisomap._version import __version__
+from anisomap.errors import AnisomapWarning
 from anisomap.paper.cases import FAILING, SILENT, Case, patch_runs
 from anisomap.paper.experiment import Document, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
@@ -24,16 +27,11 @@ _COLUMNS = {
     "sensors": "number of sensors",
 }
 _FORMAT = """\
-Data files are plain text (UTF-8, lines end with a line feed).
-
-Lines that begin with # are comments: a title, the source, the parameters of the simulation as
-"name: value", and the sensors, one per line:
-
-    # sensor NAME x y z nx ny nz
-
-x y z is the true position, and nx ny nz the unit vector normal to the skin, pointing outwards. The
-comments are followed by one line of column names and one line per frame, separated by tabs: the
-time in seconds, then the readings of the sensors in the order of the comments.
+Data files are plain text (UTF-8), which `anisomap.read` reads back equal. Lines that begin with #
+are comments as "name: value": the source, the frame rate, the true positions of the sensors and the
+normals of the skin, which point outwards (x y z of each sensor, separated by semicolons), the unit
+of length, and the parameters of the simulation. They are followed by one line with the names of the
+sensors and one line per frame, separated by tabs.
 """
 
 
@@ -51,7 +49,7 @@ def sample_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     for i, case in enumerate(cases, start=1):
         seed = settings.picked_seed(case.name)
         recording, what = case.record(settings, seed), f"{case.body} {case.scenario}"
-        text = to_text(f"Data S{i}: sample run, {what}", recording)
+        text = _text_of(recording)
         yield Document(f"data-s{i}.txt", f"Data S{i}: {what}, seed {seed}.", text)
         rows.append((f"data-s{i}.txt", what, seed, recording.n_frames, recording.n_sensors))
     yield Document("text-s1.txt", "Text S1: the simulation and its parameters.", _text_s1(cases))
@@ -70,7 +68,7 @@ def sample_patch(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     for number, recording, seed in patch_runs(settings):
         name = f"data-s{6 + number}.txt"
         what = f"simulated patch, run {number}"
-        text = to_text(f"Data S{6 + number}: {what}", recording)
+        text = _text_of(recording)
         yield Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text)
         rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
     yield Document("text-s2.txt", "Text S2: the patch and its files.", _text_s2())
@@ -89,23 +87,13 @@ def proof(_: Settings, __: Tables) -> Iterator[Document]:
     yield Document("text-s3.txt", caption, text)
 
 
-def to_text(title: str, recording: Recording) -> str:
-    """Write a recording as plain text, in the format that Text S1 describes."""
-    positions, normals = recording.positions, recording.normals
-    if positions is None or normals is None or not recording.rate_hz:
-        raise ValueError("the recording must have true positions, normals and a frame rate")
-    facts = {"frames": recording.n_frames, "rate_hz": recording.rate_hz, **recording.metadata}
-    lines = [f"# {title}", f"# {recording.source}"]
-    lines += [f"# {name}: {value}" for name, value in facts.items()]
-    lines += [f"# positions in {recording.units}"]
-    for name, position, normal in zip(recording.names, positions, normals, strict=True):
-        numbers = " ".join(f"{value:.6g}" for value in (*position, *normal))
-        lines.append(f"# sensor {name} {numbers}")
-    lines.append("\t".join(("time", *recording.names)))
-    times = np.arange(recording.n_frames) / recording.rate_hz
-    for time, frame in zip(times, recording.readings.tolist(), strict=True):
-        lines.append("\t".join((f"{time:.6g}", *(f"{value:.5g}" for value in frame))))
-    return "\n".join(lines) + "\n"
+def _text_of(recording: Recording) -> str:
+    """Write a recording as text with its positions."""
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", AnisomapWarning)  # distances along the surface are left out
+        path = Path(folder) / "data.tsv"
+        io.write(recording, path)
+        return path.read_text(encoding="utf-8")
 
 
 def _text_s1(cases: Iterable[Case]) -> str:

@@ -70,6 +70,7 @@ _ROWS_LOOKED_AT = 50
 _MIN_ROWS = 2
 
 
+_POINTS, _UNITS = ("positions", "normals"), "units"
 TITLE = "anisomap recording"
 MAP_TITLE = "anisomap map"
 """First words of files written by anisomap, after ``#``."""
@@ -153,6 +154,7 @@ def _stream_table(
     if table.block and table.block[0] * table.block[1] == n_sensors:
         size = table.block
         facts = {"names": grid_names(*size), "positions": grid_positions(*size), "units": UNITS}
+    facts |= _known_points(path, known, n_sensors)
     rate_hz = known.get("rate_hz")
     return Stream(
         path,
@@ -282,11 +284,13 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording without its positions as text, with tabs if the suffix is ``.tsv``."""
+    """Write a recording as text, with tabs if the suffix is ``.tsv``; positions are comments."""
     delimiter = "\t" if path.suffix.lower() == ".tsv" else ","
-    if recording.positions is not None:
-        problem = "text cannot store positions, so those of the recording are not written"
+    if recording.surface_distances is not None:
+        problem = "text cannot store distances along the surface, so they are not written"
         warn(path.suffix, f"{problem}; use .npz to keep them")
+    points = {key: getattr(recording, key) for key in _POINTS}
+    facts = {key: _points_text(array) for key, array in points.items() if array is not None}
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(
             header_text(
@@ -296,6 +300,7 @@ def write_recording(recording: Recording, path: Path) -> None:
                 timed=recording.times is not None,
                 rate_hz=recording.rate_hz,
                 metadata=recording.metadata,
+                facts=facts | ({_UNITS: recording.units} if recording.units else {}),
             )
         )
         for frame, readings in enumerate(recording.readings):
@@ -313,6 +318,7 @@ def header_text(
     timed: bool = True,
     rate_hz: float | None = None,
     metadata: Mapping[str, Scalar] | None = None,
+    facts: Mapping[str, str] | None = None,
 ) -> str:
     """Format the lines before those of the frames: a time, if `timed`, and the readings."""
     if sum(name.count("\n") for name in names) > _MAX_NAME_LINES:
@@ -325,12 +331,34 @@ def header_text(
     ]
     if rate_hz is not None:
         entries.append(("rate_hz", rate_hz))
+    entries += (facts or {}).items()
     text = io.StringIO(newline="")
     text.write(write_comments(TITLE, entries, "metadata", metadata or {}))
     csv.writer(text, delimiter=delimiter, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(
         map(guard_formula, (_TIME_COLUMN, *names) if timed else names)
     )
     return text.getvalue()
+
+
+def _points_text(points: np.ndarray[Any, Any]) -> str:
+    return "; ".join(" ".join(map(repr, row)) for row in points.tolist())
+
+
+def _known_points(path: Path, known: Mapping[str, Scalar], n_sensors: int) -> dict[str, Any]:
+    """Parse the positions and normals of all sensors, (N, 2 or 3), which are comments."""
+    found: dict[str, Any] = {}
+    for key in _POINTS:
+        if key in known:
+            try:
+                rows = [row.split() for row in str(known[key]).split(";")]
+                found[key] = np.array(rows, dtype=np.float64)
+            except ValueError:
+                found[key] = np.empty(0)
+            if found[key].shape not in ((n_sensors, 2), (n_sensors, 3)):
+                raise FileError(
+                    f"{path}: {key} must be 2 or 3 numbers for each of {n_sensors} sensors"
+                )
+    return found | ({"units": str(known[_UNITS])} if _UNITS in known else {})
 
 
 def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Scalar]]:
