@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.defaults import DEFAULT_BINS
-from anisomap.drawing.figures.charts import CurvePanel, ScoreGroup, curves_figure, scores_figure
+from anisomap.drawing.figures.charts import (
+    METHOD_LOOKS,
+    CurvePanel,
+    ScoreGroup,
+    curves_figure,
+    scores_figure,
+)
 from anisomap.evaluation import mantel
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
@@ -357,7 +364,13 @@ def ablations(_: Settings, tables: Tables) -> Iterator[Picture | Table]:
         means = mean_by(found, "edges", "mantel_r")
         smallest = float(np.median([row["k"] for row in found if row["edges"] == SMALLEST]))
         rows.append((run, smallest, *(means[edges] for edges in _EDGES)))
-    figure = curves_figure("Mantel r by number of neighbours", panels, x_label="neighbours k")
+    labels = {"r-anisomap": "all pairs", "isomap": "neighbours only"}
+    figure = curves_figure(
+        "r-ANISOMAP by number of neighbours",
+        panels,
+        x_label="neighbours k",
+        looks={m: replace(METHOD_LOOKS[m], label=label) for m, label in labels.items()},
+    )
     caption = (
         "r-ANISOMAP, and the same with paths along the edges of a graph of k neighbours only "
         "(ISOMAP). The first value is the smallest connected graph, drawn at k = 2."

@@ -1,7 +1,8 @@
 """Bombardment: elastic balls fly about a body fixed in the middle of a box without gravity.
 
-McGregor et al. (2011), section "Scenarios". Its parameters are in Text S1, which is not available;
-defaults here were chosen for the reasons given. Lengths are in m, for a sphere of radius 1 m.
+McGregor et al. (2011), section "Scenarios". Its parameters are in Text S1, which was not
+available to us; defaults here were chosen for the reasons given. Lengths are in m, for a sphere of
+radius 1 m.
 """
 
 from __future__ import annotations
