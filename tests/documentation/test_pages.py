@@ -83,7 +83,6 @@ def test_a_quoted_message_exists(quotation):
 
 HEADERS = {
     "ablations": accuracy.ABLATIONS_COLUMNS,
-    "bins": accuracy.BINS_COLUMNS,
     "check": columns(check.Result),
     "claims": claims.COLUMNS,
     "coach": columns(coach.Row),

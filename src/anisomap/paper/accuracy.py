@@ -300,33 +300,6 @@ def _summary(rows: list[Mapping[str, Any]]) -> Row:
     return (n_runs, *cells, max(row["null_max"] for row in rows), stopped(rows))
 
 
-BINS_COLUMNS = {
-    "run": _RUN,
-    "method": "method",
-    **{f"{bins} bins": f"mean Mantel r with {bins} bins" for bins in (DEFAULT_BINS, *MORE_BINS)},
-    "largest change": f"largest absolute difference from {DEFAULT_BINS} bins",
-}
-
-
-@experiment(
-    "bins",
-    "4, 6 and 8 bins",
-    "The paper uses 4 bins and states that 6 and 8 bins produced qualitatively similar results.",
-    needs=RUNS,
-)
-def bins_table(_: Settings, tables: Tables) -> Iterator[Table]:
-    """Compare numbers of bins."""
-    rows: list[Row] = []
-    for group, members in by(tables_of("scores", tables).records(), "run").items():
-        for method in METHODS[1:]:
-            by_bins = mean_by(by(members, "method")[method], "bins", "mantel_r")
-            means = [by_bins[bins] for bins in (DEFAULT_BINS, *MORE_BINS)]
-            change = max(abs(mean - means[0]) for mean in means[1:])
-            rows.append((group, method, *means, change))
-    caption = "Mean Mantel r with 4, 6 and 8 bins; r-ANISOMAP does not use bins."
-    yield Table("bins", caption, BINS_COLUMNS, rows)
-
-
 _EDGES = (ALL_PAIRS, SMALLEST, *(f"k = {k}" for k in NEIGHBOURS), DIRECT)
 ABLATIONS_COLUMNS = {
     "run": _RUN,

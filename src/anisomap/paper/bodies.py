@@ -145,20 +145,6 @@ def _scores(tables: Tables, case: Case) -> list[Mapping[str, Any]]:
 
 
 _MAX_FRAMES = 400  # enough to find a frame with many contacts
-_BODIES = {
-    "body": "body",
-    "sensors": "number of sensors",
-    "reach_m": "distance of the outermost sensor from the centre, m",
-    "spacing_m": "median distance between neighbouring sensors, m",
-}
-_SCENARIOS = {
-    "body": "body",
-    "scenario": "scenario",
-    "seed": "seed of the run",
-    "frames": "frames of the run",
-    "zeros": "share of readings that are zero",
-    "touched": "mean number of sensors with a positive reading per frame",
-}
 
 
 @experiment(
@@ -168,7 +154,7 @@ _SCENARIOS = {
     "Y-shape; 169 on one face of a cuboid in a grid of 13 x 13. The paper gives no lengths; "
     "here each body extends about 1 m from its centre.",
 )
-def figure_5(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def figure_5(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the four bodies."""
     bodies = [find_body(case.body) for case in BOMBARDED]
     scenes = [
@@ -180,8 +166,6 @@ def figure_5(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
         "Sphere, cylinder (no sensors on its ends), Y-shape and plane. Yellow dots are sensors."
     )
     yield Picture("figure-5", caption, figure)
-    rows = [(body.name, body.n_sensors, body.reach, body.spacing) for body in bodies]
-    yield Table("figure-5", "The bodies.", _BODIES, rows)
 
 
 @experiment(
@@ -192,19 +176,13 @@ def figure_5(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     "(no contact) to yellow (largest reading).",
     cost=25,
 )
-def figure_6(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def figure_6(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw every scenario."""
-    rows: list[Row] = []
     n_frames = min(settings.n_frames, _MAX_FRAMES)
     for case in CASES:
         run = run_simulation(case.body, case.scenario, n_frames=n_frames, seed=settings.seed)
-        readings = run.recording.readings
         caption = (
             f"{case.body}, {case.scenario}, seed {settings.seed}: the frame with the most contacts "
             f"of {n_frames}, the body, and all readings."
         )
         yield Picture(f"figure-6-{case.name}", caption, scene_figure(run.scene))
-        zeros = float((readings == 0).mean())
-        touched = float((readings > 0).sum(axis=1).mean())
-        rows.append((case.body, case.scenario, settings.seed, n_frames, zeros, touched))
-    yield Table("figure-6", "The scenarios.", _SCENARIOS, rows)

@@ -14,7 +14,6 @@ from anisomap.paper.cases import (
     PATCH_FRAMES,
     PATCH_RUNS,
     REAL_RECORDING,
-    SILENT,
     patch_run,
     real_recording,
     true_positions,
@@ -81,7 +80,7 @@ for _number in PATCH_RUNS:
 @experiment(
     "figure-s10", "Figure S10: the patch", "Numbers and states of the sensors of the patch."
 )
-def figure_s10(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
+def figure_s10(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the patch with the numbers of its sensors."""
     recording = patch_run(settings, 1)
     names = recording.names
@@ -99,19 +98,6 @@ def figure_s10(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     )
     figure = gallery_figure("Figure S10. The patch", [panel], 1, _NOTE, size=6.5)
     yield Picture("figure-s10", caption, figure)
-    columns = {
-        "sensor": "number, from 0",
-        "name": "t and number of the triangle, p and number of its pad; pads 6 and 10 measure "
-        "temperature",
-        "state": "silent in all runs, failing from run 4 on, or working",
-        "x_mm": "true position, mm",
-        "y_mm": "true position, mm",
-    }
-    rows = [
-        (i, name, "silent" if name in SILENT else "failing" if name == FAILING else "working", x, y)
-        for i, (name, (x, y)) in enumerate(zip(names, positions.tolist(), strict=True))
-    ]
-    yield Table("figure-s10", "Sensors of the patch.", columns, rows, shown=False)
 
 
 @experiment(

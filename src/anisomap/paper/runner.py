@@ -39,7 +39,6 @@ _PAGE_ORDER = (
     "data-s1-s6",
     "data-s7-s11",
     "text-s3",
-    "bins",
     "ablations",
     "unlike-responses",
 )
