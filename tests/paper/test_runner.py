@@ -153,7 +153,12 @@ REASONS = {
         "Cylinder, locomotion",
         "Reconstructions of the rolling cylinder have the topology",
     ),
-    "Information distance": ("Information distance performed well",),
+    "Information distance": (
+        "Information distance performed well",
+        "3D reconstructions by information distance",
+    ),
+    "All pairs": ("All pairs",),
+    "Spherisation": ("Information distance has a tendency",),
     "Far better than random": ("All algorithms perform far better",),
     "Isolation of the failing sensor": ("The faulty sensor 30",),
     "6 and 8 bins": ("6 and 8 bins",),
@@ -168,7 +173,7 @@ def test_the_page_gives_a_reason_for_each_claim_that_is_not_reproduced():
         verdicts = {row["claim"]: row["verdict"] for row in csv.DictReader(file)}
     explained = tuple(start for starts in REASONS.values() for start in starts)
     for claim, verdict in verdicts.items():
-        assert claim.startswith(explained) == (verdict != "reproduced"), claim
+        assert claim.startswith(explained) != verdict.startswith("reproduced"), claim
     page = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
     assert all(f"\n- **{reason}**" in page for reason in REASONS)
 
