@@ -38,6 +38,7 @@ from anisomap.method.refinement import refine
 from anisomap.recording import Recording
 from benchmarks.accuracy.rivals import RIVALS
 from benchmarks.harness import files_in, keyed_table, markdown_table, measured, options, publish
+from benchmarks.skins.corrections import read_corrected
 
 FRAMES_FOR_HALVES = 1000
 """Shorter recordings are not halved: their halves hold too few contacts for a map."""
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def limits_of(path: Path) -> list[Limits]:
     """Measure one recording with known positions."""
-    recording = anisomap.read(path)
+    recording = read_corrected(path)
     truth = np.asarray(recording.positions)
     k = spanned_dimensions(truth)
     active = np.flatnonzero(touched(recording, MIN_TOUCHES))

@@ -31,6 +31,7 @@ from benchmarks.harness import (
     options,
     write_rows,
 )
+from benchmarks.skins.corrections import read_corrected
 
 SCENARIOS = (
     ("sphere", "bombardment"),
@@ -136,7 +137,7 @@ def score_simulation(
 def score_file(path: Path) -> list[tuple[Comparison, list[Result]]]:
     """Score maps of a recording with known positions, in as many dimensions as these span."""
     try:
-        compared = compare_methods(anisomap.read(path), COMPARED, name=path.stem)
+        compared = compare_methods(read_corrected(path), COMPARED, name=path.stem)
     except anisomap.AnisomapError as error:
         print(f"skipped {path.name}: {error}")
         return []

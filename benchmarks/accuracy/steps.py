@@ -27,6 +27,7 @@ from anisomap.method.pipeline import reconstruct_with_stages
 from anisomap.method.refinement import Refinement, refine
 from anisomap.recording import Recording
 from benchmarks.harness import files_in, frame, markdown_table, measured, options, publish
+from benchmarks.skins.corrections import read_corrected
 
 FIRST_SEED = 831
 N_FRAMES = 2000
@@ -120,7 +121,7 @@ def rows_of_file(path: Path) -> list[Row]:
     kind = next(
         (kind for start, kind in REAL.items() if path.stem.startswith(start)), "other, real"
     )
-    return rows_of(kind, path.stem, anisomap.read(path))
+    return rows_of(kind, path.stem, read_corrected(path))
 
 
 def rows_of(kind: str, name: str, recording: Recording) -> list[Row]:
