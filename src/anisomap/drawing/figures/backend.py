@@ -1,4 +1,4 @@
-"""Access to matplotlib: the common style, panels, figures of one panel, and picture files.
+"""Access to matplotlib: the common style, panels, and picture files.
 
 matplotlib is optional and slow to import. Functions that draw import it with `load`; no module of
 this package imports it at its top.
@@ -6,15 +6,12 @@ this package imports it at its top.
 
 from __future__ import annotations
 
-import inspect
 import io
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import wraps
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +27,8 @@ if TYPE_CHECKING:
 Axes: TypeAlias = Any
 """A matplotlib Axes. Typed as Any, because matplotlib's 3D axes have no type annotations."""
 
-P = ParamSpec("P")
-
 INK = "#22262b"
 FAINT = "#6a737d"
-GRID = "#d5d9dd"
 
 PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
 """Colours that remain distinct with every common colour vision deficiency (Okabe & Ito 2008)."""
@@ -53,7 +47,7 @@ _STYLE = {
     "axes.edgecolor": "#c9cdd2",
     "axes.labelcolor": INK,
     "axes.labelsize": 9,
-    "grid.color": GRID,
+    "grid.color": "#d5d9dd",
     "grid.linewidth": 0.6,
     "xtick.color": FAINT,
     "ytick.color": FAINT,
@@ -83,14 +77,44 @@ def new_figure(
 ) -> Iterator[Figure]:
     """Draw a figure that is not bound to a window, in the style of this package; sizes in inches.
 
-    It has a title and notes.
+    It has a title and notes at its foot.
     """
     kind = load("matplotlib.figure").Figure
+    note = {"va": "bottom", "fontsize": 8.5, "color": FAINT, "linespacing": 1.35}
     with drawing_style():
         figure = kind(figsize=(width, height), facecolor="white", **settings)
-        write_title(figure, title)
-        write_notes(figure, notes)
+        _write(figure, title, height - _EDGE, va="top", fontsize=14, fontweight="bold", color=INK)
+        _write(figure, "\n".join(notes), _EDGE, **note)
         yield figure
+
+
+def _write(figure: Figure, text: str, y: float, **style: Any) -> None:
+    if text:
+        width, height = figure.get_size_inches()
+        figure.text(_MARGIN / width, y / height, text, parse_math=False, **style)
+
+
+@contextmanager
+def panel(
+    ax: Axes | None, dimensions: int, title: str = "", note: str = "", *, legend: int = 0
+) -> Iterator[Axes]:
+    """Draw into given axes, which are checked, or into axes of a new figure with texts around it.
+
+    legend: Columns of a legend above the panel; 0 for none.
+    """
+    if ax is not None:
+        if (ax.name == "3d") != (dimensions == 3):
+            wanted = "3D axes (projection='3d')" if dimensions == 3 else "2D axes"
+            raise InputError(f"the data need {wanted}, got axes with projection {ax.name!r}")
+        yield ax
+        return
+    bottom, top = (_NOTE if note else 0.0), (_TITLE if title else 0.0)
+    with new_figure(8.0, 7.2, shortened(printable(title), _MAX_TITLE), [note]) as figure:
+        figure.set_layout_engine("constrained", rect=(0, bottom, 1, 1 - bottom - top))
+        yield add_axes(figure, dimensions)
+        if legend:
+            anchor = (0.99, 0.96)
+            figure.legend(loc="upper right", ncols=legend, frameon=False, bbox_to_anchor=anchor)
 
 
 def add_axes(figure: Figure, dimensions: int, *position: Any) -> Axes:
@@ -113,92 +137,6 @@ def add_legend(
         )
 
 
-@dataclass(frozen=True)
-class Caption:
-    """Text around a panel that has a figure of its own.
-
-    legend: Columns of a legend above the panel; 0 for none.
-    size: Of the figure, in inches.
-    """
-
-    title: str = ""
-    note: str = ""
-    legend: int = 0
-    size: tuple[float, float] = (8.0, 7.2)
-
-    def write(self, figure: Figure) -> None:
-        """Write the caption, and make space for it."""
-        figure.set_size_inches(*self.size)
-        bottom, top = (_NOTE if self.note else 0.0), (_TITLE if self.title else 0.0)
-        figure.set_layout_engine("constrained", rect=(0, bottom, 1, 1 - bottom - top))
-        if self.legend:
-            figure.legend(
-                loc="upper right", ncols=self.legend, frameon=False, bbox_to_anchor=(0.99, 0.96)
-            )
-        write_title(figure, shortened(printable(self.title), _MAX_TITLE))
-        write_notes(figure, [self.note])
-
-
-PANELS: dict[str, Callable[..., Axes]] = {}
-"""Functions that draw one panel, by name: those decorated with `panel`."""
-
-_SHARED_SECTIONS = """
-ax : matplotlib Axes, optional
-    Axes to draw into, with ``projection="3d"`` for data in 3D. A new figure is created by default,
-    some with a title, a legend and a note.
-
-Returns
--------
-matplotlib Axes
-    `ax`, or the new axes; their figure is ``axes.figure``.
-
-Raises
-------
-InputError
-    If the data cannot be drawn, or `ax` has another number of dimensions.
-MissingExtraError
-    If matplotlib is not installed.
-"""
-
-
-def panel(
-    dimensions: int | Callable[..., int] = 2,
-) -> Callable[[Callable[P, Caption | None]], Callable[P, Axes]]:
-    """Let a function that draws into axes open a figure or check given axes, and return the axes.
-
-    dimensions: Of the axes; a function computes them from the data.
-    """
-
-    def decorate(draw: Callable[P, Caption | None]) -> Callable[P, Axes]:
-        signature = inspect.signature(draw)
-
-        @wraps(draw)
-        def plot(*args: P.args, **kwargs: P.kwargs) -> Axes:
-            data = dict(signature.bind(*args, **kwargs).arguments)
-            axes: Axes = data.pop("ax", None)
-            count = dimensions(*data.values()) if callable(dimensions) else dimensions
-            if axes is not None:
-                if (axes.name == "3d") != (count == 3):
-                    wanted = "3D axes (projection='3d')" if count == 3 else "2D axes"
-                    raise InputError(
-                        f"the data need {wanted}, got axes with projection {axes.name!r}"
-                    )
-                draw(*args, **kwargs)
-                return axes
-            with new_figure(6.0, 5.4, layout="constrained") as figure:
-                axes = add_axes(figure, count)
-                if caption := draw(*args, **(kwargs | {"ax": axes})):  # type: ignore[arg-type]
-                    caption.write(figure)
-                return axes
-
-        text = inspect.cleandoc(draw.__doc__ or "")
-        plot.__doc__ = text + _SHARED_SECTIONS if "\nParameters\n" in text else text
-        PANELS[draw.__name__] = plot
-        return plot
-
-    return decorate
-
-
 def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
     """Limit the number of ticks to about `count`, on short axes to two. extents (k,)."""
     locator = load("matplotlib.ticker").MaxNLocator
@@ -210,24 +148,6 @@ def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
 def set_title(axes: Axes, title: str) -> None:
     """Set the title of a panel; names in it are never read as mathematics."""
     axes.set_title(title, fontsize=10, color=INK, parse_math=False)
-
-
-def write_title(figure: Figure, title: str) -> None:
-    """Write the title of a figure."""
-    top = figure.get_figheight() - _EDGE
-    _write(figure, title, top, va="top", fontsize=14, fontweight="bold", color=INK)
-
-
-def write_notes(figure: Figure, lines: Sequence[str]) -> None:
-    """Write lines at the foot of a figure."""
-    style = {"va": "bottom", "fontsize": 8.5, "color": FAINT, "linespacing": 1.35}
-    _write(figure, "\n".join(lines), _EDGE, **style)
-
-
-def _write(figure: Figure, text: str, y: float, **style: Any) -> None:
-    if text:
-        width, height = figure.get_size_inches()
-        figure.text(_MARGIN / width, y / height, text, parse_math=False, **style)
 
 
 KINDS = ("png", "svg", "pdf")

@@ -1,4 +1,4 @@
-"""Charts: scores with their nulls, curves over a parameter, coverage, and diagnostics of maps."""
+"""Charts: scores with their nulls, curves over a parameter, distances, stress and readings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
 
 from anisomap.base.wording import printable
 from anisomap.drawing.figures.backend import (
@@ -24,7 +25,7 @@ from anisomap.drawing.figures.backend import (
 )
 from anisomap.drawing.view import axis_title
 from anisomap.errors import InputError
-from anisomap.evaluation import NullTest, Shepard
+from anisomap.evaluation import NullTest, Score, Shepard
 from anisomap.health import SensorHealth
 from anisomap.recording import Recording
 
@@ -37,7 +38,8 @@ _WIDTH, _HEAD = 12.0, 0.75  # inches
 _GAP = 1.0  # between groups, in widths of a method
 _SERIES_COLUMNS, _MAX_SERIES = 3, 12
 _INSTANTS = 600  # of a series; the range of the readings in each is drawn
-_MAX_DOTS = 3_000  # of a Shepard diagram
+_MAX_DOTS = 3_000  # pairs drawn as dots
+_MAX_SENSORS = 1_500  # sensors of which all pairs of distances are drawn
 _N_LABELS = 6  # of the sensors with the greatest stress
 _LINE = 0.05  # height of a name, relative to the greatest share
 _SPREAD = 0.22  # of the scores of a method, in its width
@@ -206,79 +208,49 @@ def _draw_null(axes: Axes, x: float, box: Mapping[str, Any], look: MethodLook) -
     )
 
 
-@panel()
-def plot_stress_per_point(
-    shares: Sequence[float] | NDArray[np.float64], names: Sequence[str] = (), *, ax: Axes = None
-) -> None:
-    """Plot the share of each object in the stress, the greatest first, and name the greatest.
+def plot_distances(score: Score, *, ax: Axes | None = None) -> Axes:
+    """Plot the distances between sensors on the map against the true distances.
 
     Parameters
     ----------
-    shares : sequence of float
-        From `anisomap.evaluation.stress_per_point`.
-    names : sequence of str
-        Names of the objects; their indices by default.
+    score : Score
+        Score of a map.
+    ax : matplotlib Axes, optional
+        See `plot_map`, as for what is returned and raised.
     """
-    values = 100 * np.asarray(shares, dtype=np.float64)
-    order = np.argsort(-values, kind="stable")
-    labels = names or [str(i) for i in range(len(values))]
-    ax.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
-    # Names stand in a column above all points to their right, and one above another.
-    named, height, step = order[:_N_LABELS].tolist(), 0.0, _LINE * values.max()
-    column = len(named) + 0.05 * len(order)
-    for rank, i in reversed(list(enumerate(named, start=1))):
-        height = max(height, values[i]) + step
-        ax.annotate(
-            printable(labels[i]), (rank, values[i]), (column, height), fontsize=7, color=INK,
-            va="center", parse_math=False,
-            arrowprops={"arrowstyle": "-", "color": FAINT, "linewidth": 0.5, "relpos": (0, 0.5)},
-        )  # fmt: skip
-    ax.set_xlim(right=max(1.04 * len(order), 2 * len(named)))
-    ax.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
-    ax.set(xlabel="rank of the object", ylabel="share of the stress, %")
-    ax.set_ylim(0, height + step)
-    set_title(ax, "Stress per point (dotted: equal shares)")
+    with panel(ax, 2) as axes:
+        draw_distances(axes, score)
+    return axes
 
 
-@panel()
-def plot_shepard(found: Shepard, *, units: str = "", ax: Axes = None) -> None:
-    """Plot a Shepard diagram: distances against dissimilarities, and the monotone fit.
+def draw_distances(axes: Axes, score: Score) -> None:
+    """Draw the distances of pairs of sensors on the map against the true ones.
 
-    Parameters
-    ----------
-    found : Shepard
-        From `anisomap.evaluation.shepard`. Of more than 3000 pairs, evenly chosen ones are drawn.
-    units : str
-        Unit of the positions.
+    Many pairs are drawn as a density; of many sensors, some, equally spaced in their order.
     """
-    some = slice(None, None, -(-len(found.distances) // _MAX_DOTS))
-    ax.plot(
-        found.dissimilarities[some], found.distances[some], ".", color=PALETTE[0], alpha=0.4,
-        markersize=3, markeredgewidth=0,
-    )  # fmt: skip
-    ax.step(found.dissimilarities, found.disparities, where="post", color=PALETTE[1], linewidth=1.4)
-    ax.set(xlabel="dissimilarity", xlim=(0, None), ylim=(0, None))
-    ax.set_ylabel(axis_title("distance on the map", units), parse_math=False)
-    fit = f"monotone fit: R squared {found.nonmetric_fit:.3f}, linear {found.linear_fit:.3f}"
-    set_title(ax, f"Shepard diagram ({fit})")
-
-
-@panel()
-def plot_null_test(found: NullTest, *, label: str = "statistic", ax: Axes = None) -> None:
-    """Plot the null distribution of a test, and the observed value.
-
-    Parameters
-    ----------
-    found : NullTest
-        From `anisomap.evaluation.permutation_test`.
-    label : str
-        Name of the statistic, with its unit.
-    """
-    ax.hist(found.null, bins="auto", color=PALETTE[0], alpha=0.6, label=found.hypothesis)
-    ax.axvline(found.observed, color=PALETTE[1], linewidth=1.6, label="observed")
-    ax.set(xlabel=label, ylabel="number of cases")
-    ax.legend(frameon=False, fontsize=8)
-    set_title(ax, f"{found.hypothesis.capitalize()}: p = {found.p_value:.3g}")
+    n_sensors, quantiles = len(score.truth), score.mantel.quantiles()
+    kept = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_SENSORS)).astype(int))
+    both = pdist(score.truth[kept]), pdist(score.alignment.aligned[kept])
+    longest = 1.04 * float(np.max(both))
+    label = f"{both[0].size} pairs of sensors"
+    if len(kept) < n_sensors:
+        label = f"{both[0].size} pairs among {len(kept)} of {n_sensors} sensors"
+    axes.plot([0, longest], [0, longest], color=INK, linewidth=1, linestyle="--", zorder=3)
+    if both[0].size <= _MAX_DOTS:
+        look = {"markersize": 5, "alpha": 0.5, "markeredgewidth": 0, "color": PALETTE[0]}
+        axes.plot(*both, ".", rasterized=True, **look)
+    else:
+        look = {"bins": "log", "mincnt": 1, "cmap": "Blues", "linewidths": 0.1}
+        extent = (0, longest, 0, longest)
+        axes.hexbin(*both, gridsize=60, extent=extent, rasterized=True, **look)
+        label += ", as a density"
+    axes.set(xlim=(0, longest), ylim=(0, longest))
+    axes.set_aspect("equal")
+    axes.set_xlabel(axis_title("true distance", score.units), parse_math=False, color=INK)
+    axes.set_ylabel(axis_title("distance on the map", score.units), parse_math=False, color=INK)
+    axes.locator_params(nbins=5)
+    null = f" (null, 95 %: {quantiles[0.95]:.2f})" if quantiles else ""
+    set_title(axes, f"Distances: Mantel r {score.mantel.r:.3f}{null}\n{label}")
 
 
 def stress_figure(
@@ -311,10 +283,63 @@ def stress_figure(
         figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
         axes = [figure.add_subplot(1, n_panels, i + 1) for i in range(n_panels)]
         plot_shepard(diagram, ax=axes[0])
-        plot_stress_per_point(shares, names, ax=axes[1])
+        _draw_shares(axes[1], np.asarray(shares, dtype=np.float64), names)
         if test.null.size:
-            plot_null_test(test, label="Stress-1", ax=axes[2])
+            axes[2].hist(test.null, bins="auto", color=PALETTE[0], alpha=0.6, label=test.hypothesis)
+            axes[2].axvline(test.observed, color=PALETTE[1], linewidth=1.6, label="observed")
+            axes[2].set(xlabel="Stress-1", ylabel="number of cases")
+            axes[2].legend(frameon=False, fontsize=8)
+            set_title(axes[2], f"{test.hypothesis.capitalize()}: p = {test.p_value:.3g}")
         return figure
+
+
+def _draw_shares(axes: Axes, shares: NDArray[np.float64], names: Sequence[str]) -> None:
+    """Draw the share of each object in the stress, the greatest first, and name the greatest."""
+    values = 100 * shares
+    order = np.argsort(-values, kind="stable")
+    axes.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
+    # Names stand in a column above all points to their right, and one above another.
+    named, height, step = order[:_N_LABELS].tolist(), 0.0, _LINE * values.max()
+    column = len(named) + 0.05 * len(order)
+    for rank, i in reversed(list(enumerate(named, start=1))):
+        height = max(height, values[i]) + step
+        axes.annotate(
+            printable(names[i]), (rank, values[i]), (column, height), fontsize=7, color=INK,
+            va="center", parse_math=False,
+            arrowprops={"arrowstyle": "-", "color": FAINT, "linewidth": 0.5, "relpos": (0, 0.5)},
+        )  # fmt: skip
+    axes.set_xlim(right=max(1.04 * len(order), 2 * len(named)))
+    axes.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
+    axes.set(xlabel="rank of the object", ylabel="share of the stress, %")
+    axes.set_ylim(0, height + step)
+    set_title(axes, "Stress per point (dotted: equal shares)")
+
+
+def plot_shepard(found: Shepard, *, units: str = "", ax: Axes | None = None) -> Axes:
+    """Plot a Shepard diagram: distances against dissimilarities, and the monotone fit.
+
+    Parameters
+    ----------
+    found : Shepard
+        From `anisomap.evaluation.shepard`. Of more than 3000 pairs, evenly chosen ones are drawn.
+    units : str
+        Unit of the positions.
+    ax : matplotlib Axes, optional
+        See `plot_map`, as for what is returned and raised.
+    """
+    some = slice(None, None, -(-len(found.distances) // _MAX_DOTS))
+    with panel(ax, 2) as axes:
+        axes.plot(
+            found.dissimilarities[some], found.distances[some], ".", color=PALETTE[0], alpha=0.4,
+            markersize=3, markeredgewidth=0,
+        )  # fmt: skip
+        steps = {"where": "post", "color": PALETTE[1], "linewidth": 1.4}
+        axes.step(found.dissimilarities, found.disparities, **steps)
+        axes.set(xlabel="dissimilarity", xlim=(0, None), ylim=(0, None))
+        axes.set_ylabel(axis_title("distance on the map", units), parse_math=False)
+        fit = f"monotone fit: R squared {found.nonmetric_fit:.3f}, linear {found.linear_fit:.3f}"
+        set_title(axes, f"Shepard diagram ({fit})")
+    return axes
 
 
 def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
@@ -327,22 +352,18 @@ def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figu
         for i, sensor in enumerate(shown):
             axes = figure.add_subplot(rows, _SERIES_COLUMNS, i + 1)
             readings = recording.readings[:, recording.names.index(sensor.name)]
-            plot_series(readings, rate_hz=recording.rate_hz, ax=axes)
+            _draw_series(axes, readings, recording.rate_hz)
             set_title(axes, f"{printable(sensor.name)}: {sensor.status}")
         return figure
 
 
-@panel()
-def plot_series(
-    readings: NDArray[np.floating], *, rate_hz: float | None = None, ax: Axes = None
-) -> None:
-    """Plot the range of the readings of a sensor over time. readings (T,)."""
+def _draw_series(axes: Axes, readings: NDArray[np.floating], rate_hz: float | None) -> None:
+    """Draw the range of the readings of a sensor over time. readings (T,)."""
     step = -(-len(readings) // _INSTANTS)
     starts = np.arange(0, len(readings), step)
     known = np.where(np.isfinite(readings), readings, np.nan)
-    low = np.fmin.reduceat(known, starts)
-    high = np.fmax.reduceat(known, starts)
+    low, high = (extreme.reduceat(known, starts) for extreme in (np.fmin, np.fmax))
     times = starts / (rate_hz or 1)
-    ax.fill_between(times, low, high, step="post", color=PALETTE[0], linewidth=0.8)
-    ax.set_xlabel("time (s)" if rate_hz else "frame")
-    ax.set_ylabel("reading")
+    axes.fill_between(times, low, high, step="post", color=PALETTE[0], linewidth=0.8)
+    axes.set_xlabel("time (s)" if rate_hz else "frame")
+    axes.set_ylabel("reading")

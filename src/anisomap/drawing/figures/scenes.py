@@ -17,7 +17,6 @@ from anisomap.drawing.figures.backend import (
     add_axes,
     load,
     new_figure,
-    panel,
     set_ticks,
     set_title,
 )
@@ -62,9 +61,11 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
     with new_figure(15.0, 5.6, scene.title) as figure:
         edges = {"left": 0.01, "right": 0.94, "bottom": 0.11, "top": 0.84}
         cells = figure.add_gridspec(1, 3, width_ratios=(1.15, 1.15, 1), wspace=0.3, **edges)
-        axes = plot_scene(scene, frame, ax=add_axes(figure, 3, cells[0]))
+        axes = add_axes(figure, 3, cells[0])
+        _draw_scene(axes, scene, frame)
         set_title(axes, f"Frame {frame} of {scene.n_frames}, {scene.times[frame]:.2f} s")
-        axes = plot_scene(_body_of(scene), frame, ax=add_axes(figure, 3, cells[1]))
+        axes = add_axes(figure, 3, cells[1])
+        _draw_scene(axes, _body_of(scene), frame)
         set_title(axes, "Body and readings in this frame")
         _draw_readings(figure.add_subplot(cells[2]), scene, frame)
         return figure
@@ -80,23 +81,16 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
         figure.subplots_adjust(left=0.01, right=0.94, bottom=0.08, top=0.86, wspace=0.16)
         for i, (scene, label) in enumerate(zip(scenes, labels, strict=True)):
             touched = replace(_body_of(scene), readings=np.ones_like(scene.readings))
-            axes = plot_scene(touched, 0, ax=add_axes(figure, 3, 1, len(scenes), i + 1))
+            axes = add_axes(figure, 3, 1, len(scenes), i + 1)
+            _draw_scene(axes, touched, 0)
             set_title(axes, label)
             axes.locator_params(nbins=2)
             axes.patch.set_visible(False)  # it would hide labels of the panel to its left
         return figure
 
 
-@panel(3)
-def plot_scene(scene: Scene, frame: int, *, ax: Axes = None) -> None:
-    """Plot a frame of a scene in one panel; sensors are coloured by their readings.
-
-    Parameters
-    ----------
-    scene : Scene
-    frame : int
-        Index of the frame.
-    """
+def _draw_scene(ax: Axes, scene: Scene, frame: int) -> None:
+    """Draw a frame of a scene; sensors are coloured by their readings."""
     if not 0 <= frame < scene.n_frames:
         raise InputError(f"frame must be from 0 to {scene.n_frames - 1}, got {frame}")
     ax.computed_zorder = False
