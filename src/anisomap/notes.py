@@ -133,6 +133,10 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"halves of the recording show unlike similarities (their correlation is "
             f"{agreement:.2f}): a few strong frames may make all of them; record more contacts"
         ),
+        "paired": lambda: (
+            "sensors pair off: most resemble one other far more than the rest, as if two places "
+            "were always touched together; touch each place by itself"
+        ),
         "rarely-touched": lambda count, total: (
             f"{count} of {total} sensors had too few contacts for a position: touch all of the skin"
         ),

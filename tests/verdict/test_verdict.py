@@ -19,6 +19,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import align
 from anisomap.health import Finding
 from anisomap.method.pipeline import reconstruct_with_stages
+from anisomap.numerics.reliability.pairs import sensors_pair_off
 from anisomap.usability import RANGES
 from anisomap.verdict import LEVELS, UNKNOWN, Measurements, Verdict, judge
 from anisomap.verdict.accuracy import (
@@ -328,7 +329,7 @@ def test_noise_without_geometry_is_never_usable(kind):
 
 
 def test_what_makes_neighbours_doubtful_excludes_maps_of_neighbours():
-    for doubtful in ({"agreement": 0.3}, {"rarely": 21}):
+    for doubtful in ({"agreement": 0.3}, {"rarely": 21}, {"paired": True}):
         found = judge(evidence(**doubtful))
         assert found.level == "not usable"
         assert found.reasons[0] not in judge(evidence()).reasons
@@ -339,3 +340,13 @@ def test_what_makes_neighbours_doubtful_excludes_maps_of_neighbours():
 def test_advice_fits_the_level(chance, difference):
     found = judge(evidence(chance, difference))
     assert found.level != "usable" or not any("record longer" in text for text in found.reasons)
+
+
+@quiet
+def test_places_that_are_always_touched_together_are_not_usable():
+    skin = make(Case("strip:n=48", "poke", n_frames=1500, seed=2))
+    one = skin.readings[:, : skin.n_sensors // 2]
+    both = np.column_stack([one, one + 0.02 * np.random.default_rng(0).normal(size=one.shape)])
+    made = diagnose(reconstruct(both, dimensions=2), both)
+    assert made.verdict.level == "not usable"
+    assert not sensors_pair_off(np.corrcoef(skin.readings.T))

@@ -25,6 +25,7 @@ from anisomap.method.options import MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.reliability.pairs import sensors_pair_off
 from anisomap.recording import Recording, as_runs, join_runs, select_sensors
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import LEVELS, UNKNOWN, Verdict
@@ -223,6 +224,7 @@ def examine(
                 difference=difference,
                 regional=regional_difference(differences, positions),
                 extent=extent_in_spacings(positions),
+                paired=sensors_pair_off(part.evidence.similarity),
                 agreement=agreement_of_halves(part.evidence, generator),
             )
         error = expected_error(repeatability, difference).value

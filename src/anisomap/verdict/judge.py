@@ -45,6 +45,7 @@ class Measurements:
     regional: The same of regions, each aligned by itself.
     extent: RMS distance of the sensors from their centre, in spacings.
     agreement: Of two halves of the recording: see `agreement_of_halves`.
+    paired: Whether the sensors pair off: see `sensors_pair_off`.
     placed: Number of sensors with positions.
     rarely: Number of these with fewer contacts than their positions need.
     largest: Number of sensors in the largest component.
@@ -60,6 +61,7 @@ class Measurements:
     regional: float = math.nan
     extent: float = math.inf
     agreement: float = 1.0
+    paired: bool = False
     placed: int = 0
     rarely: int = 0
     largest: int = 0
@@ -75,6 +77,8 @@ class Measurements:
         found = [*self.fatal]
         if self.agreement < MIN_AGREEMENT:
             found.append(Note("halves-disagree", agreement=self.agreement))
+        if self.paired:
+            found.append(Note("paired"))
         if self.rarely > MAX_RARELY_TOUCHED * self.placed:
             found.append(Note("rarely-touched", count=self.rarely, total=self.placed))
         return tuple(found)
