@@ -119,7 +119,7 @@ def from_shell(seed: int) -> Iterator[tuple[str, str, str]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.npz"
         anisomap.write(caps(*SIZES[0], np.random.default_rng(seed)), path)
-        mapped = ["-m", "anisomap", "map", str(path), "-q", "-o", f"{folder}/map.csv"]
+        mapped = ["-m", "anisomap", "map", str(path), "-o", f"{folder}/map.csv"]
         size = "{} sensors x {:,} frames".format(*SIZES[0])
         commands = {
             "import numpy, scipy.optimize, scipy.spatial": [

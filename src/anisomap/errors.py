@@ -23,12 +23,15 @@ class AnisomapError(Exception):
 
     Parameters
     ----------
-    message : str
-        One sentence; the middle of one longer than `MAX_CHARACTERS` is left out.
+    problem : str
+        What is wrong, in one sentence; the middle of one longer than `MAX_CHARACTERS` is left out.
+    hint : str
+        What to do; callers of their own interface replace it.
     """
 
-    def __init__(self, message: str = "") -> None:
-        super().__init__(shortened(message, MAX_CHARACTERS))
+    def __init__(self, problem: str = "", hint: str = "") -> None:
+        super().__init__(shortened("; ".join(filter(None, (problem, hint))), MAX_CHARACTERS))
+        self.problem = problem
 
 
 class InputError(AnisomapError, ValueError):

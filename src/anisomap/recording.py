@@ -282,7 +282,8 @@ class Recording(Immutable):
             return self
         absent = ~(np.abs(self.readings).astype(np.float64) <= MAX_READING)
         if missing == "error":
-            raise InputError(self._describe_missing(absent))
+            hint = "handle them first, by Recording.complete with drop-frames or interpolate"
+            raise InputError(self._describe_missing(absent), hint)
         if missing == "interpolate":
             return replace(self, readings=fill_gaps(np.where(absent, np.nan, self.readings)))
         if missing != "drop-frames":
@@ -305,8 +306,7 @@ class Recording(Immutable):
         return (
             f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN or infinite, or above "
             f"{MAX_READING:g}: "
-            f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}; "
-            "handle them first, by Recording.complete with drop-frames or interpolate"
+            f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}"
         )
 
 

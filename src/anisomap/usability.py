@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from anisomap.base.wording import number
 from anisomap.errors import InputError
 
 UNKNOWN = "cannot tell"
@@ -86,26 +87,55 @@ class Verdict:
 
     @property
     def summary(self) -> str:
-        """The level, and the expected error with its interval if it is known."""
+        """The level, and the expected error with its interval if it is known, in spacings."""
+        return self.headline()
+
+    def headline(self, spacing: float = 1.0, unit: str = "spacings") -> str:
+        """Return the level, and how far positions are off, with the interval if it is known.
+
+        Parameters
+        ----------
+        spacing : float
+            Length of a spacing in `unit`.
+        unit : str
+            Unit of the errors.
+        """
         if math.isnan(self.expected_error):
             return self.level
-        found = f"{self.level}, expected error {self.expected_error:.2f} spacings"
-        if math.isnan(self.expected_error_low):
-            return found
-        return f"{found} ({self.expected_error_low:.2f} to {self.expected_error_high:.2f})"
+        off = "right to" if self.level == "usable" else "off by"
+        error = _length(self.expected_error, spacing)
+        low, high = self.expected_error_low, self.expected_error_high
+        if math.isnan(low):
+            return f"{self.level}: positions are {off} about {error} {unit}"
+        worst = ", at worst by more than a spacing" if self.doubtful else ""
+        interval = f"{_length(low, spacing)} to {_length(high, spacing)}"
+        return f"{self.level}: positions are {off} about {error} {unit} ({interval}){worst}"
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """How far the map can be used, what that means, its accuracy, and the reasons."""
+    def doubtful(self) -> bool:
+        """Whether the map is called usable, but its error may reach a spacing."""
+        return self.level == "usable" and self.expected_error_high >= 1
+
+    def told(self, spacing: float = 1.0, unit: str = "spacings") -> tuple[str, ...]:
+        """Say how far the map can be used, what that means, its accuracy, and the reasons.
+
+        The parameters are those of `headline`.
+        """
         meaning = LEVELS.get(self.level, "the accuracy of the map is unknown")
-        told = [f"verdict: {self.summary}", meaning, *self.reasons]
+        if self.doubtful:
+            meaning = "neighbours are right; lengths and shape most likely, but not for certain"
+        first = self.headline(spacing, unit)
+        told = [first if first != self.level else f"verdict: {first}", meaning, *self.reasons]
         if not math.isnan(self.region_error):
-            region = (
-                "within a radius of 5 spacings, the expected error is "
-                f"{self.region_error:.2f} spacings ({self.region_error_low:.2f} to "
-                f"{self.region_error_high:.2f}), and "
+            error, low, high = (
+                _length(one, spacing)
+                for one in (self.region_error, self.region_error_low, self.region_error_high)
             )
-            if f"{self.region_error:.2f}" == f"{self.expected_error:.2f}":
+            region = (
+                f"within a radius of 5 spacings, positions are off by about {error} {unit} "
+                f"({low} to {high}), and "
+            )
+            if error == _length(self.expected_error, spacing):
                 region = ""
             told.insert(
                 2,
@@ -126,3 +156,8 @@ class Verdict:
         if level not in ranks:
             raise InputError(f"a level must be one of {', '.join(ranks)}, got {level!r}")
         return self.level in ranks and ranks.index(self.level) >= ranks.index(level)
+
+
+def _length(error: float, spacing: float) -> str:
+    """Word an error in spacings as a length."""
+    return f"{error:.2f}" if spacing == 1 else number(error * spacing, 2)

@@ -31,7 +31,8 @@ map missing.csv -o map.csv                                | there is no file mis
 map skin.npz -d 0                                         | -d
 map skin.npz -d 1.5                                       | 1.5
 map skin.npz -d flat                                      | flat
-map skin.npz --exclude nobody                             | nobody
+score map.csv truth.csv --exclude nobody                  | nobody
+score layout.csv layout.csv --units mm                    | states the unit m: leave out --units
 map skin.npz --drop {LONG}                                | there is no sensor 'xxx
 map skin.npz --seed -1                                    | seed
 map skin.npz --memory 0                                   | memory
@@ -65,13 +66,12 @@ compare infinite.csv                                      | sensor s2, frame 9
 info rows.csv                                             | line 3
 info cut.npz                                              | cut.npz
 compare rows.csv                                          | line 3
-info nothing.npz --quiet                                  | nothing.npz
+info nothing.npz                                          | nothing.npz
 info skin.csv --bin-width 0                                     | --bin-width must be a time above 0
 info skin.csv --bin-width nan                                   | --bin-width must be a time above 0
 info skin.csv --bin-width {"9" * 400}                           | --bin-width must be a time above 0
 compare skin.csv                                          | no true positions
 compare skin.npz -o skin.npz                              | .md
-compare skin.csv --positions truth.csv -o truth.csv       | truth.csv
 score map.csv                                             | REFERENCE_FILE
 score map.csv truth.csv --picture truth.csv               | another file
 score map.csv empty.csv                                   | empty.csv
@@ -82,7 +82,6 @@ score ragged.csv truth.csv                                | ragged.csv
 diff truth.csv missing.csv                                | missing.csv
 diff truth.csv truth.csv --picture truth.csv              | truth.csv
 diff truth.csv truth.csv --picture diff.bmp               | .png, .svg or .pdf
-diff truth.csv truth.csv --significance 2                        | level must be between 0 and 1
 convert map.csv a.urdf                                    | in metres, but the map has no scale
 convert map.csv a.urdf --spacing 6.5                      | '6.5' is not a length
 convert map.csv a.xyz                                     | unknown suffix '.xyz'
@@ -134,7 +133,6 @@ live skin.csv --recording skin.csv                        | skin.csv
 live skin.csv --recording r.csv -o r.csv                  | r.csv
 live skin.csv -o m.urdf                                   | metres
 live skin.csv --preset nobody                             | unknown preset 'nobody'; known presets
-live skin.csv -m magic                                    | there is no method
 live skin.csv --coached --headless                        | --coached is for a simulated hand
 """
 """Commands, and what the error says."""

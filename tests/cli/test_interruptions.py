@@ -401,7 +401,7 @@ def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch, name):
 
 
 def test_an_interrupted_verdict_leaves_the_map(folder, monkeypatch, capsys):
-    def interrupted(sensor_map, with_verdict=True, **options):
+    def interrupted(sensor_map, runs, with_verdict=True, **options):
         if with_verdict:
             raise KeyboardInterrupt
         return sensor_map

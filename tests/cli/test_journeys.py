@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli.app import app
 from anisomap.errors import install_command
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
@@ -112,12 +111,12 @@ def test_without_umap_the_table_says_how_to_install_it(run, monkeypatch, tmp_pat
 
 def test_the_demo_ends_with_a_picture_and_a_report(run, tmp_path):
     pytest.importorskip("mujoco")
-    made = run("demo", "-o", "out", "--frames", 300, "--permutations", 99, "-m", "r-anisomap")
+    made = run("demo", "-o", "out", "--frames", 300)
     for name in ("map.csv", "map.png", "report.html", "recording.npz"):
         assert (tmp_path / "out" / name).stat().st_size > 1000
         assert name in made.out
-    # Of 300 frames, the map is better than all 99 permutations of it.
-    assert re.search(r"p +0\.01 \(99 permutations\)", made.out)
+    # Of 300 frames, the map is better than all permutations of it.
+    assert re.search(r"p +(1e-04|0.0001) \(10000 permutations\)", made.out)
 
 
 def test_maps_of_the_demo_are_accurate():
@@ -148,7 +147,7 @@ def test_two_runs_give_the_same_bytes(run, tmp_path):
     [
         (["--help"], {"cyclopts"}, {"scipy", "sklearn", "matplotlib", "mujoco"}),
         (
-            ["map", "skin.npz", "-o", "map.csv", "-q", "--no-verdict"],
+            ["map", "skin.npz", "-o", "map.csv", "--no-verdict"],
             {"scipy.optimize"},
             {"asyncio", "h5py", "matplotlib", "numba", "pyarrow", "scipy.cluster", "scipy.ndimage",
              "scipy.stats", "sklearn", "ssl"},
@@ -187,24 +186,6 @@ def test_lists_name_everything(run):
         for parameter, default in vars(scenario.options()).items():
             assert f"{parameter} = {default}" in told
     assert "mean_gap = 100" in run("list", "faults", "saturating").out
-
-
-def test_every_option_has_a_help_text():
-    commands = [name for name in app if not name.startswith("-")]
-    assert "map" in commands
-    without = [
-        (command, *argument.names)
-        for command in commands
-        for argument in app[command].assemble_argument_collection(parse_docstring=True)
-        if argument.show and not argument.parameter.help
-    ]
-    assert not without
-
-
-def test_the_help_of_a_command_says_more_than_its_line_in_the_list(run):
-    said = "The exit code is 0 if no difference is found, and 1 otherwise."
-    assert said in " ".join(run("diff", "--help").out.split())
-    assert said not in " ".join(run("--help").out.split())
 
 
 @pytest.mark.usefixtures("skin_csv")

@@ -40,8 +40,7 @@ def test_a_sampled_recording_is_mapped_and_judged(parts):
         np.testing.assert_allclose(run.times, whole.times[::8])
         assert run.rate_hz == pytest.approx(50 / 8)
     examined = route.examine(runs)
-    made, judge = route.make_map(examined, "covariogram", 2)
-    judged = judge(made)
+    judged = route.judge(examined, *route.make_map(examined, "covariogram", 2))
     assert judged.provenance["frames_sampled_every"] == 8
     assert judged.provenance["frames"] == sum(run.n_frames for run in runs)
     assert any("one frame in 8 was used" in note for note in judged.notes)
@@ -67,7 +66,8 @@ def test_samples_of_several_recordings_are_numbered_by_a_preset(tmp_path):
         anisomap.write(anisomap.Recording(readings), path)
     how = io.ReadOptions(preset="icub")
     with pytest.warns(anisomap.AnisomapWarning, match="one frame in 4"):
-        (run,) = route.read_runs(paths, how, "interpolate", max_readings=48 * 700)
+        runs = route.read_runs(paths, how, max_readings=48 * 700)
+    (run,) = route.complete(runs, "interpolate")
     assert run.n_sensors == 30
     assert run.names[-1] == "b0.t3.k11"
     assert run.n_frames == 600

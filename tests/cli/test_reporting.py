@@ -1,4 +1,4 @@
-"""Options --quiet and --json of all reporting commands, and streams that are closed or full."""
+"""Option --json of all reporting commands, and streams that are closed or full."""
 
 import json
 import os
@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.cli import app, console, outputs
+from anisomap.cli import app, console, printing
+from anisomap.placement.judgement import judgement
 from command_line import call
 from skins import flat_skin
 
@@ -102,16 +103,6 @@ def test_results_are_one_json_object(folder, command):
     check_schema(values, SCHEMA)
 
 
-@pytest.mark.parametrize("command", [MAP, COMPARE, "info skin.npz --all", "list methods"])
-def test_quiet_commands_print_nothing(folder, command):
-    """Of all commands, what ignores the option is found as text that is not JSON."""
-    assert not call(folder, command, "--quiet").out
-
-
-def test_quiet_does_not_silence_json(folder):
-    assert "methods" in call(folder, "list", "methods", "-q", "--json").values
-
-
 @pytest.mark.parametrize(
     "command",
     ["info nothing.npz", "map skin.npz --frobnicate", "mapp skin.npz", "map skin.npz -m no"],
@@ -136,15 +127,14 @@ def test_all_commands_and_files_say_the_same(run, made):
     )
     said = info.values["health"]
     assert said == mapped.values["health"] == repaired.values["health"]
-    for err in (info.err, mapped.err, run("info silent.npz --quiet").err):
+    for err in (info.err, mapped.err, run("info silent.npz").err):
         assert err.count("never varied") == 1
     ((sensor, status),) = ((one["name"], one["status"]) for one in said)
     stated = anisomap.read_map("m.csv")
     assert stated.health[stated.names.index(sensor)] == status == "silent"
 
-    verdict = anisomap.read_map(made / "map.json").verdict
     page = (made / "map.html").read_text(encoding="utf-8")
-    assert all(sentence in page for sentence in verdict.sentences)
+    assert all(sentence in page for sentence in judgement(anisomap.read_map(made / "map.json")))
 
 
 def test_no_advice_says_that_touches_suffice_where_the_verdict_asks_for_more():
@@ -155,23 +145,11 @@ def test_no_advice_says_that_touches_suffice_where_the_verdict_asks_for_more():
     for path in (golden / "readings" / f"{name}.npz" for name in asked):
         if path.exists():
             recording = anisomap.read(path)
-            coverage = outputs.coverage_without_map(recording)
-            told = outputs.touch_facts(coverage, recording.names)["touch next"]
+            coverage = printing.coverage_without_map(recording)
+            told = printing.touch_facts(coverage, recording.names)["touch next"]
             assert not any(word in told for word in ("nowhere", "enough"))
             found += 1
     assert found > 2
-
-
-def test_help_fits_two_screens_and_describes_expert_options_on_request(folder):
-    commands = call(folder, "--help").out
-    assert all(name in commands for name in app.COMMANDS)
-    for name in app.COMMANDS:
-        assert len(call(folder, name, "--help", width=80).out.splitlines()) <= 90
-    short, whole = (call(folder, "map", flag).out for flag in ("--help", "--help-all"))
-    for shown in (short, whole):
-        assert "--entropy-bins" in shown
-    assert "Bins per sensor" in whole
-    assert "Bins per sensor" not in short
 
 
 def test_the_map_is_written_if_the_reader_closes_the_pipe(folder, monkeypatch):

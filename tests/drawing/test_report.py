@@ -201,7 +201,7 @@ def test_the_verdict_comes_first_and_nothing_is_said_twice():
     judged = Verdict("usable", **errors, neighbours_kept=0.9, reasons=("halves agree",))
     provenance = {"elbow_1": 0.785, "source": "day 1"}
     page = page_of(replace(sensor_map, verdict=judged, provenance=provenance))
-    assert [page.text.count(sentence) for sentence in judged.sentences] == [1] * 4
+    assert [page.text.count(sentence) for sentence in judged.told()] == [1] * 4
     assert page.text.count("0.25") == 1
     assert "up to the expected error" not in page.text
     assert "elbow" not in page.text

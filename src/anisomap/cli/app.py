@@ -18,6 +18,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from anisomap._version import __version__
 from anisomap.cli import INTERRUPTED, INTERRUPTION, end
+from anisomap.cli.brief import HELP_ALL, command_page, commands_page
 from anisomap.cli.console import (
     Printer,
     console,
@@ -27,7 +28,6 @@ from anisomap.cli.console import (
     print_error,
     print_warning,
 )
-from anisomap.cli.parameters import HELP_ALL
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 
 BAD_INPUT = 2
@@ -44,7 +44,6 @@ app = App(
     help="Reconstruct the positions of the sensors of a robot skin from their readings.",
     version=__version__,
     help_flags=["--help", "-h", HELP_ALL],
-    help_epilogue="Maps are known up to rotation, translation, scale and reflection.",
     console=console,
     help_format="markdown",
     # "[a].csv" is a file name; switches and lists have no opposite, but those that name one.
@@ -56,17 +55,17 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "map": "recording:map_recording",
         "live": "live:live",
         "info": "recording:info",
+        "repair": "recording:repair",
+        "check": "maps:check",
+        "place": "placement:place_map",
         "score": "comparison:score_map",
         "diff": "maps:diff",
-        "place": "placement:place_map",
-        "check": "maps:check",
         "convert": "maps:convert",
         "compare": "comparison:compare",
-        "demo": "simulation:demo",
         "simulate": "simulation:simulate_body",
         "paper": "simulation:paper",
+        "demo": "simulation:demo",
         "list": "listing:list_kind",
-        "repair": "recording:repair",
     }
 )
 """Where the function of each command is. Functions import what they need when they run, so that
@@ -78,6 +77,9 @@ for _i, (_name, _target) in enumerate(COMMANDS.items()):
 app.register_install_completion_command(
     help="Install completion for the current shell (bash, zsh or fish)."
 )
+
+
+_BRIEF = frozenset({"--help", "-h"})
 
 
 def load_commands() -> None:
@@ -137,6 +139,9 @@ def _run(given: list[str]) -> int:
             raise InputError(f"there is no command {given[0]!r}; {hint}")
         if not given or given[0] in app.help_flags:
             load_commands()
+        if not given or _BRIEF.intersection(given):
+            console.out(_help(given))
+            return 0
         command, bound, _ = app.parse_args(given, exit_on_error=False, print_error=False)
         printer = None
         if "printer" in bound.signature.parameters:
@@ -145,6 +150,13 @@ def _run(given: list[str]) -> int:
         if printer is not None:
             printer.finish()
     return code if isinstance(code, int) else 0
+
+
+def _help(given: Sequence[str]) -> str:
+    name = next((word for word in given if word in COMMANDS), "")
+    return (
+        command_page(app[name], f"{app.name[0]} {name}") if name else commands_page(app, COMMANDS)
+    )
 
 
 def _failed(message: str, code: int) -> int:

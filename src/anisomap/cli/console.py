@@ -120,26 +120,19 @@ def _lines(text: str) -> str:
 
 @dataclass
 class Printer:
-    """Printer of the results of a command: as text, as one JSON object, or not at all.
+    """Printer of the results of a command: as text, or as one JSON object.
 
     Parameters
     ----------
-    quiet
-        Print no text; warnings and errors remain.
     as_json
         Print the results, or the error, as one JSON object.
     """
 
-    quiet: Annotated[bool, Parameter(name=("--quiet", "-q"))] = False
     as_json: Annotated[bool, Parameter(name="--json")] = False
 
     def __post_init__(self) -> None:
         self.values: dict[str, Any] = {}
         self.failure: FileError | None = None
-
-    @property
-    def _prints_text(self) -> bool:
-        return not (self.quiet or self.as_json)
 
     def record(self, source: object = None, names: str = "", **values: object) -> None:
         """Record some attributes of an object, and other values, for the JSON object."""
@@ -147,7 +140,7 @@ class Printer:
 
     def facts(self, title: str, facts: Mapping[str, str]) -> None:
         """Print names and values, one per line; names without a value are left out."""
-        if not self._prints_text:
+        if self.as_json:
             return
         self._emit(console.print, _text(title, "bold"))
         known = {name: value for name, value in facts.items() if value}
@@ -173,7 +166,7 @@ class Printer:
         max_rows: int | None = None,
     ) -> None:
         """Print rows, at most `max_rows` and the number of others; numbers are to the right."""
-        if not self._prints_text:
+        if self.as_json:
             return
         shown = rows[:max_rows]
         table = Table(
@@ -230,12 +223,12 @@ class Printer:
 
     def line(self, text: str) -> None:
         """Print a line of plain text."""
-        if self._prints_text:
+        if not self.as_json:
             self._emit(console.print, Text(_lines(text)), soft_wrap=True)
 
     def say(self, text: str) -> None:
         """Print a sentence; a terminal breaks its lines between words."""
-        if self._prints_text:
+        if not self.as_json:
             self._emit(console.print, Text(_lines(text)), soft_wrap=not console.is_terminal)
 
     def event(self, values: Mapping[str, object]) -> None:

@@ -13,40 +13,22 @@ from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Group, Parameter, Token
-from cyclopts.help import DefaultFormatter, HelpPanel
 from cyclopts.validators import Number
-from rich.console import Console, ConsoleOptions
-from rich.text import Text
 
 import anisomap
 from anisomap import io, placement
 from anisomap.base.wording import printable
 from anisomap.cli.console import Printer, print_warning
-from anisomap.cli.console import console as terminal
 from anisomap.errors import FileError, InputError
 
 _PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
 _DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
 
-HELP_ALL = "--help-all"
-"""Flag that describes the expert options, too."""
-
-
-def _describe_experts(console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-    """Name the expert options, or describe them if that is asked for."""
-    if HELP_ALL in terminal.arguments:
-        DefaultFormatter()(console, options, panel)
-        return
-    names = (name for entry in panel.entries for name in entry.positive_names)
-    console.print(Text(f"{panel.title} ({HELP_ALL} describes them): {', '.join(names)}"))
-
-
 reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
 method_group = Group("Method", sort_key=2)
-score_group = Group("Score", sort_key=3)
-expert_group = Group("Expert options", sort_key=9, help_formatter=_describe_experts)
+expert_group = Group("Rarely needed", sort_key=9)
 expert = Parameter(group=expert_group)
 
 
@@ -62,38 +44,37 @@ class ReadingOptions:
     Parameters
     ----------
     select
-        Recording to read from a file that contains several: a topic (optionally with its field,
-        as in /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics
-        or ports are separated by commas.
+        Recording to read from a file of several. It is a topic (optionally with its field, as in
+        /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics or
+        ports are separated by commas.
+    positions
+        File of true positions, for a score. They are matched by the names of the sensors or the
+        numbers at their ends. Sensors that a list of contacts or spikes does not mention are added:
+        they were silent.
     grid
-        Rows and columns of a rectangular array in row-major order, as in 32x64; gives the true
-        positions.
-    msg
-        Message definition (.msg) for a bag without definitions; may be repeated.
+        Rows and columns of an array in row-major order, as in 32x64. They give the true positions.
     preset
         Robot with a known numbering of sensors: icub, icub-hand.
-    positions
-        File of true positions, matched by the names of the sensors or the numbers at their
-        ends. Sensors that a list of contacts or spikes does not mention are added: they were
-        silent.
-    bin_width
-        Width of the bins in which events are counted, such as 1s or 50ms.
-    axis
-        What is read of taxels with three axes: z, norm (the length from rest), x, y, or all for
-        each axis as a sensor.
     keep
         Columns that are sensors: names, indices, ranges (c0-c35) or patterns ('c*_z'), separated by
         commas; may be repeated. Default: all that are not recognised as something else.
+    axis
+        What is read of taxels with three axes: z, norm (the length from rest), x, y, or all for
+        each axis as a sensor.
+    bin_width
+        Width of the bins in which events are counted, such as 1s or 50ms.
+    msg
+        Message definition (.msg) for a bag without definitions; may be repeated.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
-    grid: str = ""
-    msg: Annotated[list[Path], expert] = field(default_factory=list)
-    preset: str = ""
     positions: Path | None = None
+    grid: Annotated[str, expert] = ""
+    preset: Annotated[str, expert] = ""
+    keep: Annotated[list[str], expert] = field(default_factory=list)
+    axis: Annotated[Literal["z", "norm", "x", "y", "all"], expert] = "z"
     bin_width: Annotated[str, expert] = ""
-    axis: Literal["z", "norm", "x", "y", "all"] = "z"
-    keep: list[str] = field(default_factory=list)
+    msg: Annotated[list[Path], expert] = field(default_factory=list)
 
     @property
     def inputs(self) -> list[Path]:
@@ -133,20 +114,20 @@ class PlacingOptions:
     Parameters
     ----------
     spacing
-        Median distance between neighbouring sensors, such as 6.5mm: scales the map. Formats of
-        robot software are in metres and require it.
+        Distance between neighbouring sensors, such as 6.5mm. It scales the map, and all errors are
+        told in millimetres; the median is taken. Formats of robot software are in metres and
+        require it.
     mirror
-        Reflect the map: readings do not determine its handedness.
+        Reflect the map: readings do not tell its handedness.
     frame
         Name of the coordinate frame.
     split_components
-        Write each connected component of the map to a separate file: map-1.csv,
-        map-2.csv ...
+        Write each connected component of the map to a separate file: map-1.csv, map-2.csv ...
     """
 
     spacing: str = ""
-    mirror: Annotated[bool, expert] = False
-    frame: Annotated[str, expert] = ""
+    mirror: bool = False
+    frame: str = ""
     split_components: Annotated[bool, expert] = False
 
     def check(self, outputs: Iterable[Path], units: str = "", *, hint: str = _GIVE_SPACING) -> None:
@@ -184,20 +165,22 @@ class ModuleOptions:
     Parameters
     ----------
     module_layout
-        File with the positions of the pads on a module, with units: x [mm], y [mm].
+        File of the pads of a module, as x [mm], y [mm].
     module_size
-        Numbers per module, pads that do not exist included: sensors are divided by the numbers at
-        the end of their names.
-    first_pad
-        Number of the first pad of one module. Default: 0 or 1, whichever gives fewer modules.
+        Numbers per module, missing pads included. Sensors are divided by the numbers at the end of
+        their names, counted from 0 or 1, whichever gives fewer modules.
     module_table
-        File with the columns sensor, module and optionally pad, instead of --module-size.
+        File of the module of each sensor, for --module-size. Its columns are sensor, module and
+        optionally pad.
     """
 
     module_layout: Path | None = None
     module_size: Annotated[int | None, Parameter(validator=Number(gte=2))] = None
-    first_pad: Annotated[int | None, Parameter(validator=Number(gte=0)), expert] = None
     module_table: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.module_table and self.module_size:
+            raise InputError("give the modules by --module-table or by --module-size, not by both")
 
     @property
     def files(self) -> list[Path | None]:
@@ -212,17 +195,11 @@ class ModuleOptions:
     @property
     def divided(self) -> bool:
         """Whether it is known which sensors are on which module."""
-        if self.module_table and self.module_size:
-            raise InputError("give the modules by --module-table or by --module-size, not by both")
         return bool(self.module_table or self.module_size)
 
     def listed(self, names: Sequence[str]) -> placement.Modules | None:
-        """Read the table of modules, or divide sensors from the first pad on, if given."""
-        if self.module_table is not None:
-            return io.read_modules(self.module_table, names)
-        if self.module_size is None or self.first_pad is None:
-            return None
-        return placement.modules_by_size(names, self.module_size, self.first_pad)
+        """Read the table of modules, if it is given."""
+        return None if self.module_table is None else io.read_modules(self.module_table, names)
 
     def with_layout(self, modules: placement.Modules) -> placement.Modules:
         """Add the positions of the pads, if they are given."""
@@ -280,18 +257,16 @@ Quality: TypeAlias = Literal["usable", "usable-for-neighbours"]
 Output: TypeAlias = Annotated[list[Path] | None, Parameter(alias="-o", group=outputs_group)]
 Picture: TypeAlias = Annotated[
     Path | None,
-    Parameter(group=outputs_group, help="File for a figure: .png, .svg or .pdf."),
+    Parameter(group=outputs_group, help="Figure: .png, .svg or .pdf."),
 ]
 Report: TypeAlias = Annotated[
     Path | None,
-    Parameter(group=outputs_group, help="File for a report: one HTML file that works offline."),
+    Parameter(group=outputs_group, help="Report: one HTML file that works offline."),
 ]
 
 Method: TypeAlias = Annotated[
     str,
-    Parameter(
-        alias="-m", group=expert_group, help="Reconstruction method: see `anisomap list methods`."
-    ),
+    Parameter(alias="-m", group=expert_group, help="Method: see `anisomap list methods`."),
 ]
 Seed: TypeAlias = Annotated[
     Amount, Parameter(group=expert_group, help="Seed: the same seed gives the same result.")
@@ -303,17 +278,16 @@ Permutations: TypeAlias = Annotated[
 Truth: TypeAlias = Annotated[
     Path | None,
     Parameter(
-        group=score_group,
-        help="File of the true positions to score against: any layout that can be read. Default: "
-        "those of the recording, if it has any.",
+        group=expert_group,
+        help="File of true positions to score against, in any format of layouts. Default: those of "
+        "the recording, if it has any.",
     ),
 ]
 Exclude: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
-        group=expert_group,
-        help="Sensors to leave out of the score, but not of the map: names or indices, separated "
-        "by commas; may be repeated.",
+        help="Sensors to leave out of the score. They are given as to --drop: names, indices, "
+        "ranges (c0-c35) or patterns, separated by commas; may be repeated.",
     ),
 ]
 
@@ -339,8 +313,8 @@ Drop: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
         group=method_group,
-        help="Sensors to leave out of the map: names, indices, ranges (c0-c35) or patterns, "
-        "separated by commas; may be repeated.",
+        help="Sensors to leave out, such as s3,c0-c35. They are names, indices, ranges or "
+        "patterns, separated by commas; may be repeated.",
     ),
 ]
 MapDimensions: TypeAlias = Annotated[
@@ -351,11 +325,14 @@ Missing: TypeAlias = Annotated[
     Literal["error", "drop-frames", "interpolate"],
     Parameter(
         group=method_group,
-        help="How to handle readings that are NaN or infinite.",
+        help="Missing readings: error, drop-frames or interpolate. They are NaN or infinite.",
     ),
 ]
 
 
+Units: TypeAlias = Annotated[
+    str | None, Parameter(help="Unit of the positions in the file, if it states none.")
+]
 Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)]
 
 

@@ -87,10 +87,11 @@ def examine(
     verdict, error = Verdict(), float("nan")
     with warnings.catch_warnings(action="ignore"):
         try:
-            examined = route.examine(_read(path, options, final))
-            drop = [name for name in options.drop if name in examined.recording.names]
-            made, judge = route.make_map(examined, options.method, options.dimensions, drop=drop)
-            made = judge(made)
+            runs = _read(path, options, final)
+            drop = [name for name in options.drop if name in runs[0].names]
+            examined = route.examine(runs, drop=drop)
+            made, stages = route.make_map(examined, options.method, options.dimensions)
+            made = route.judge(examined, made, stages)
             if options.truth is not None:
                 error = score(made, options.truth, permutations=0).rms_in_spacings
         except AnisomapError as problem:
@@ -111,7 +112,7 @@ def _read(path: Path, options: ExaminationOptions, final: bool) -> list[Recordin
     """Read a recording as `anisomap map` does; fewer frames while it still grows."""
     how = io.ReadOptions(preset=options.preset)
     limit = route.MAX_READINGS if final else MAX_INTERIM_READINGS
-    return route.read_runs([path], how, "interpolate", max_readings=limit)
+    return route.complete(route.read_runs([path], how, max_readings=limit), "interpolate")
 
 
 _POLL_S = 0.03  # between two looks at a recording that has not grown

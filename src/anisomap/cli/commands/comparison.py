@@ -15,7 +15,7 @@ from cyclopts.validators import Number
 
 import anisomap
 from anisomap import io
-from anisomap.base.defaults import MIN_TOUCHES, PERMUTATIONS
+from anisomap.base.defaults import PERMUTATIONS
 from anisomap.base.wording import printable
 from anisomap.cli import parameters as options
 from anisomap.cli.console import print_warning, progress
@@ -146,17 +146,15 @@ def compare(
         list[int] | None,
         Parameter(alias="-d", group=options.method_group, validator=Number(gte=1)),
     ] = None,
-    min_touches: Annotated[options.Amount, options.expert] = MIN_TOUCHES,
-    missing: options.Missing = "error",
     seed: options.Seed = 0,
-    reading: options.ReadingOptions = options.DEFAULT_READING,
     output: options.Output = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Score several methods on recordings with known positions.
 
     The scores are Mantel r and the RMS error in sensor spacings. All methods of a recording are
-    scored on the same sensors: those in the largest component of every map.
+    scored on the same sensors: those in the largest component of every map that differ from their
+    median reading in at least 5 frames.
 
     Parameters
     ----------
@@ -166,10 +164,14 @@ def compare(
         laplacian-on-r.
     dimensions
         Number of coordinates; may be repeated. Default: as many as the true positions span.
-    min_touches
-        Leave out sensors that differ from their median reading in fewer frames.
     output
-        File for the table, in Markdown (.md) or CSV (.csv); may be repeated.
+        Table in Markdown (.md) or CSV (.csv); may be repeated.
+
+    Examples
+    --------
+    anisomap compare run1.npz run2.npz
+    anisomap compare recordings/ -o table.md -o table.csv
+    anisomap compare run1.npz -m covariogram -m isomap-on-r -d 2
     """
     from anisomap.evaluation.compare import COMPARED, compare_methods
     from anisomap.evaluation.rivals import check_methods
@@ -183,9 +185,9 @@ def compare(
                 f"cannot write {path}: give a name that ends in {' or '.join(_WRITERS)}"
             )
     files = _files(recordings)
-    check_distinct(outputs, [*(file for file, _ in files), *reading.inputs])
+    check_distinct(outputs, [file for file, _ in files])
     comparisons = []
-    for path, recording in _read(files, reading.checked(), missing):
+    for path, recording in _read(files):
         for k in dimensions or (None,):
             with progress(f"mapping {path.name}") as report_progress:
                 found = compare_methods(
@@ -193,7 +195,6 @@ def compare(
                     method or COMPARED,
                     k,
                     name=path.name.split(".")[0],
-                    min_touches=min_touches,
                     seed=seed,
                     progress=report_progress,
                 )
@@ -234,15 +235,15 @@ def _files(given: Sequence[Path]) -> list[tuple[Path, bool]]:
     ]
 
 
-def _read(
-    files: Sequence[tuple[Path, bool]], how: io.ReadOptions, missing: options.Missing
-) -> Iterator[tuple[Path, anisomap.Recording]]:
+def _read(files: Sequence[tuple[Path, bool]]) -> Iterator[tuple[Path, anisomap.Recording]]:
     """Read recordings with positions; others are skipped in folders, and errors elsewhere."""
     from anisomap import route
 
     for path, in_folder in files:
         try:
-            (recording,) = route.read_runs([path], how, missing, progress=progress)
+            with progress(f"reading {path.name}") as report_progress:
+                found = route.read_runs([path], io.ReadOptions(), progress=report_progress)
+            (recording,) = route.complete(found, "error")
         except InputError as error:
             recording, problem = None, error
         else:
@@ -284,22 +285,22 @@ def score_map(
     ],
     /,
     *,
-    units: str | None = None,
+    units: options.Units = None,
     exclude: options.Exclude = None,
-    permutations: options.Permutations = PERMUTATIONS,
-    seed: options.Seed = 0,
-    picture: options.Picture = None,
     report: options.Report = None,
+    picture: options.Picture = None,
+    permutations: options.Permutations = PERMUTATIONS,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Score a map against reference positions of its sensors, and name the worst sensors.
+    """Score a map against known positions, and name the worst sensors.
 
     Sensors are matched by name, or by order if no name is shared.
 
-    Parameters
-    ----------
-    units
-        Unit of the reference positions, if the file does not state it.
+    Examples
+    --------
+    anisomap score skin.map.csv truth.csv
+    anisomap score skin.map.csv truth.csv --units mm --report score.html
+    anisomap score skin.map.csv layout.csv --exclude s3,c0-c35
     """
     from anisomap import route
     from anisomap.cli.outputs import Outputs, Truth, read_reference
@@ -309,5 +310,5 @@ def score_map(
     left_out = route.split_names(exclude, sensor_map.names)
     kind = "the map " if reference.method else ""
     title = f"Score of {map_file.name} against {kind}{reference_file.name}"
-    scored = Truth(permutations, seed, reference, left_out)
+    scored = Truth(permutations, reference=reference, exclude=left_out)
     printer.files(outputs.write_all(sensor_map, scored.score(printer, sensor_map, title)))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from anisomap import drawing, io
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Printer, attributes, progress
-from anisomap.cli.outputs import Outputs, Truth, print_map, record_map
+from anisomap.cli.outputs import Outputs, Truth
+from anisomap.cli.printing import print_map, record_map
 from anisomap.errors import InputError
 from anisomap.evaluation import NullTest, Shepard, permutation_test, shepard, stress_per_point
 from anisomap.method.dimensions import AUTO, Dimensions, plan_dimensions
@@ -68,72 +69,94 @@ def find(
     return found
 
 
-def map_file(
+def map_objects(
     printer: Printer,
     outputs: Outputs,
     truth: Truth,
     table: io.Dissimilarities,
     *,
     picture: str,
-    exclude: Sequence[str] | None,
-    **settings: Any,
+    weights: Path | None,
+    drop: Sequence[str] | None,
+    method: str | None,
+    dimensions: Dimensions,
+    permutations: int,
 ) -> None:
     """Map the objects of a file, write all files, and print the results.
 
     picture: One of `PICTURES`, or "" for another.
     """
-    made, fit = map_objects(table, **settings)
+    find_scaling(method or _DEFAULT_SCALING)
+    names, values, shares = _kept(table, weights, split_names(drop, table.names))
+    made, fit = scaled(
+        names,
+        values,
+        shares,
+        method=method or _DEFAULT_SCALING,
+        dimensions=dimensions,
+        permutations=permutations,
+        seed=truth.seed,
+    )
+    source = outputs.inputs[0]
+    if source is not None:
+        made = replace(made, provenance={**made.provenance, "source": source.name})
     made = made if outputs.placing is None else outputs.placing.applied(made)
     print_fit(printer, made, fit)
-    truth = replace(truth, exclude=split_names(exclude, made.names))
     result = truth.score(printer, made, "Score against the true positions")
     drawn = partial(draw, picture, made, fit) if picture else None
     printer.files(outputs.write_all(made, result, draw=drawn))
 
 
-def map_objects(
-    found: io.Dissimilarities,
-    *,
-    source: str,
-    weights: Path | None,
-    drop: Sequence[str],
-    method: str | None,
-    dimensions: Dimensions,
-    options: SmacofOptions,
-    permutations: int,
-    seed: int,
-) -> tuple[SensorMap, Fit]:
-    """Map objects but those of `drop`, with progress, and examine the fit."""
-    kept = np.flatnonzero(~sensor_mask(found.names, drop, "object"))
+Floats: TypeAlias = NDArray[np.float64]
+
+
+def _kept(
+    table: io.Dissimilarities, weights: Path | None, drop: Sequence[str]
+) -> tuple[list[str], Floats, Floats | None]:
+    """Return the objects that are left, their dissimilarities and the weights of these."""
+    kept = np.flatnonzero(~sensor_mask(table.names, drop, "object"))
     if len(kept) < _LEAST:
         raise InputError(f"a map requires at least {_LEAST} objects, got {len(kept)}")
     pairs = np.ix_(kept, kept)
-    values, shares = found.values[pairs], None
+    values, shares = table.values[pairs], None
     if weights is not None:
-        shares = io.read_pair_weights(weights, found.names)[pairs]
+        shares = io.read_pair_weights(weights, table.names)[pairs]
         values = np.where(shares + np.eye(len(kept)) > 0, values, np.inf)
-    names = [found.names[i] for i in kept]
+    names = [table.names[i] for i in kept]
     if (group := components(values)).any():
         apart = join_items([names[i] for i in np.flatnonzero(group)], _WORST)
         raise InputError(
             f"no known pairs connect {apart} with the other objects: there are {group.max() + 1} "
             "connected components; map each by itself, without the others (--drop)"
         )
-    name = method or _DEFAULT_SCALING
-    scale = find_scaling(name)
+    return names, values, shares
+
+
+def scaled(
+    names: Sequence[str],
+    values: Floats,
+    weights: Floats | None = None,
+    *,
+    method: str = _DEFAULT_SCALING,
+    dimensions: Dimensions,
+    permutations: int,
+    seed: int = 0,
+) -> tuple[SensorMap, Fit]:
+    """Map objects by their dissimilarities, with progress, and examine the fit."""
+    scale = find_scaling(method)
     with progress("making the map"):
         target = None
         if dimensions == AUTO:
-            target = scale(values, dimensions=2, weights=shares, options=options)[1]
-        plan = plan_dimensions(dimensions, target, shares)
+            target = scale(values, dimensions=2, weights=weights, options=SmacofOptions())[1]
+        plan = plan_dimensions(dimensions, target, weights)
         if dimensions == AUTO:  # n objects span n - 1 dimensions
-            plan = replace(plan, dimensions=min(plan.dimensions, len(kept) - 1))
+            plan = replace(plan, dimensions=min(plan.dimensions, len(names) - 1))
         k = plan.dimensions
-        scaling, target = scale(values, dimensions=k, weights=shares, options=options)
-    quick = replace(options, tolerance=max(options.tolerance, _NULL_TOLERANCE))
+        scaling, target = scale(values, dimensions=k, weights=weights, options=SmacofOptions())
+    quick = SmacofOptions(tolerance=max(SmacofOptions().tolerance, _NULL_TOLERANCE))
 
-    def stress(permuted: NDArray[np.float64]) -> float:
-        return scale(permuted, dimensions=k, weights=shares, options=quick)[0].stress
+    def stress(permuted: Floats) -> float:
+        return scale(permuted, dimensions=k, weights=weights, options=quick)[0].stress
 
     with progress(f"computing {permutations} permutations") as report_progress:
         test = permutation_test(
@@ -142,19 +165,15 @@ def map_objects(
     made = SensorMap(
         scaling.positions,
         names=tuple(names),
-        method=name,
+        method=method,
         stress=scaling.stress,
         n_iterations=len(scaling.trace) - 1,
         notes=plan.notes(objects=True),
-        provenance=plan.facts(objects=True) | {"source": source},
+        provenance=plan.facts(objects=True),
         kind="object",
     )
-    fit = Fit(
-        shepard(values, scaling.positions),
-        stress_per_point(target, scaling.positions, weights=shares),
-        test,
-    )
-    return made, fit
+    shares = stress_per_point(target, scaling.positions, weights=weights)
+    return made, Fit(shepard(values, scaling.positions), shares, test)
 
 
 def draw(kind: str, made: SensorMap, fit: Fit) -> Figure:

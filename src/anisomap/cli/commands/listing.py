@@ -22,7 +22,7 @@ def list_kind(
     *,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """List what there is of a kind, or the parameters of a scenario or of a fault.
+    """List methods, formats, bodies, scenarios or faults.
 
     Parameters
     ----------
@@ -30,6 +30,12 @@ def list_kind(
         methods (and similarities), formats, bodies, scenarios or faults.
     name
         Scenario or fault to explain. Defaults of scenarios are those for a sphere of 1 m.
+
+    Examples
+    --------
+    anisomap list methods
+    anisomap list formats
+    anisomap list scenarios bombardment
     """
     if name is None:
         {

@@ -17,7 +17,6 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 import anisomap.live
-from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, print_warning, progress
@@ -54,18 +53,18 @@ class PageOptions:
     browser
         Open the page in a browser.
     headless
-        Show no page: print lines instead, or JSON objects with --json.
+        Show no page: print lines, or objects with --json.
     until
-        End the session when two checked maps in a row reach this level, or a better one.
+        End when two checked maps in a row reach this level, or a better one.
     duration
-        End the session this number of seconds after its first frame.
+        End this number of seconds after the first frame.
     """
 
     port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535)), options.expert] = 8765
     host: Annotated[str, options.expert] = "127.0.0.1"
     browser: Annotated[bool, Parameter(negative="--no-browser"), options.expert] = True
     headless: bool = False
-    until: options.Quality | None = None
+    until: Annotated[options.Quality | None, options.expert] = None
     duration: Annotated[float | None, Parameter(name="--for", validator=Number(gt=0))] = None
 
 
@@ -81,21 +80,20 @@ def live(
     /,
     *,
     simulate: Annotated[str | None, Parameter(group=_source)] = None,
-    coached: Annotated[bool, options.expert] = False,
+    coached: Annotated[bool, Parameter(group=_source)] = False,
     speed: Annotated[float, Parameter(group=_source, validator=Number(gte=0))] = 1.0,
     seed: options.Seed = 0,
-    preset: Annotated[str, Parameter(group=_source)] = "",
+    preset: Annotated[str, options.expert] = "",
     recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     resume: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     output: options.Output = None,
     report: options.Report = None,
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
-    method: options.Method = DEFAULT_METHOD,
     dimensions: Annotated[
         Literal["auto", 2, 3], Parameter(alias="-d", group=options.method_group)
     ] = "auto",
     drop: options.Drop = None,
-    truth: Annotated[Path | None, Parameter(group=options.score_group)] = None,
+    truth: Annotated[Path | None, options.expert] = None,
     page: PageOptions = PageOptions(),
     printer: options.Printing = options.PRINTER,
 ) -> None:
@@ -108,33 +106,38 @@ def live(
     Parameters
     ----------
     simulate
-        Body that a simulated hand rubs, instead of a source: see `anisomap list bodies`.
+        Body that a simulated hand rubs, instead of a source. See `anisomap list bodies`.
     coached
         Let the simulated hand follow the advice of the page.
     speed
-        Multiple of the rate of a replay or a simulation; 0 for as fast as possible.
+        Multiple of the rate of a replay, or 0 for no pauses. It holds for simulations, too.
     preset
         Robot with a known numbering of sensors: icub, icub-hand.
     recording
-        File for the recording, .csv; must not exist. Default: live-DATE-TIME.csv.
+        New file for the recording [live-DATE-TIME.csv].
     resume
-        Recording of a session that was killed or has ended, to continue in the same file.
+        Recording to continue, of a killed or ended session.
     output
-        File for the map; its suffix chooses the format. May be repeated. Default: the name of the
-        recording with .map.csv.
+        Map, in the format of its suffix. May be repeated. Default: the name of the recording with
+        .map.csv.
     spacing
-        Median distance between neighbouring sensors, such as 6.5mm: scales the written maps.
+        Distance between neighbouring sensors, such as 6.5mm. It scales the written maps.
     dimensions
-        Number of coordinates: 2 for flat skins, 3 for bodies. By default it is chosen for each
-        checked map, and quick maps follow when two checked maps in a row agree.
+        2 for flat skins, 3 for bodies, or auto. That is chosen for each checked map, and quick maps
+        follow when two checked maps in a row agree.
     truth
         File of true positions to compare with.
+
+    Examples
+    --------
+    anisomap live tcp://192.168.0.7:5000
+    anisomap live --simulate hand --coached
+    anisomap live udp://0.0.0.0:5000 --headless --for 300 -o skin.map.csv
     """
     from anisomap.cli.outputs import Outputs, read_reference
     from anisomap.io.presets import check_preset
     from anisomap.live.page.server import Server
     from anisomap.live.sources import SimulatedHand
-    from anisomap.method.named import find_method
 
     target, before = _target(recording, resume)
     given = Path(source) if source and Path(source).exists() else None
@@ -143,12 +146,10 @@ def live(
     others = [target, *ending]
     Outputs(maps=maps, report=report, others=others, inputs=[given, truth])
     options.PlacingOptions(spacing=spacing).check(maps)
-    find_method(method)
     if preset:
         check_preset(preset)
     chosen = anisomap.live.ExaminationOptions(
         dimensions=dimensions,
-        method=method,
         preset=preset,
         drop=tuple(name for text in drop or [] for name in text.split(",")),
         truth=None if truth is None else read_reference(truth),

@@ -12,7 +12,6 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
-from anisomap.base.defaults import LEVEL, N_SHIFTS
 from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
@@ -26,15 +25,21 @@ _ROUNDING = 1e-9  # of the spacing: what equal maps differ by
 
 def convert(
     map_file: options.MapFile,
-    output: Annotated[Path, Parameter(help="File to write; its suffix chooses the format.")],
+    output: Annotated[Path, Parameter(help="File to write, in the format of its suffix.")],
     /,
     *,
     placing: options.PlacingOptions = options.DEFAULT_PLACING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Write a map in another format: for robot software, a viewer or a spreadsheet.
+    """Write a map in another format: for robot software, a viewer, a table.
 
     `anisomap list formats` lists the formats.
+
+    Examples
+    --------
+    anisomap convert skin.map.csv skin.ply
+    anisomap convert skin.map.csv skin.urdf --spacing 6.5mm --frame torso
+    anisomap convert skin.map.csv skin.icub.txt --spacing 6.5mm --mirror
     """
     from anisomap.cli.outputs import Outputs
 
@@ -72,25 +77,25 @@ def diff(
     /,
     *,
     picture: options.Picture = None,
-    significance: Annotated[float, options.expert] = LEVEL,
     printer: options.Printing = options.PRINTER,
 ) -> int:
-    """Compare two maps of one skin: which sensors moved, appeared or were lost.
+    """Compare two maps of a skin: sensors that moved, appeared or went.
 
     The maps may come from two days or two methods, or from before and after a repair. The second
     map is aligned with the first; sensors that moved do not affect the alignment. The exit code is
     0 if no difference is found, and 1 otherwise.
 
-    Parameters
-    ----------
-    significance
-        Probability that chance alone marks any sensor as moved.
+    Examples
+    --------
+    anisomap diff monday.map.csv tuesday.map.csv
+    anisomap diff monday.map.csv tuesday.map.csv --picture moved.png
+    anisomap diff before.csv after.csv --json
     """
     from anisomap.cli.outputs import Outputs
 
     outputs = Outputs(picture=picture, inputs=(before_file, after_file))
     before, after = io.read_map(before_file), io.read_map(after_file)
-    found = anisomap.evaluation.compare_maps(before, after, level=significance)
+    found = anisomap.evaluation.compare_maps(before, after)
     title = f"{before_file.name} and {after_file.name}"
     files = outputs.write(after, lambda: drawing.figures.plot_difference(found, title=title).figure)
     _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
@@ -166,14 +171,13 @@ def check(
     *,
     output: Annotated[Path | None, Parameter(alias="-o", group=options.outputs_group)] = None,
     picture: options.Picture = None,
+    units: options.Units = None,
     rigid: options.ModuleOptions = options.DEFAULT_MODULES,
-    time_shifts: Annotated[options.Count, options.expert] = N_SHIFTS,
-    seed: options.Seed = 0,
     missing: options.Missing = "error",
     reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> int:
-    """Check sensor positions against a recording: whose readings contradict their positions.
+    """Check sensor positions against a recording, and correct them.
 
     Finds turned, mirrored, exchanged and moved modules, shifted and reversed orders of sensors,
     swapped and moved sensors, and doubled and dead ones. Sensors without evidence in the recording
@@ -185,12 +189,16 @@ def check(
     Parameters
     ----------
     output
-        File for the corrected positions, in any map format.
-    time_shifts
-        Number of random circular shifts in time that show what chance explains.
+        Corrected positions, in any format of maps.
+
+    Examples
+    --------
+    anisomap check layout.csv skin.npz
+    anisomap check layout.csv skin.npz -o corrected.csv --picture check.png
+    anisomap check layout.csv skin.npz --module-size 12 --module-layout pads.csv
     """
     from anisomap import route
-    from anisomap.cli.outputs import Outputs
+    from anisomap.cli.outputs import Outputs, read_layout
     from anisomap.layout import find_modules
 
     if rigid.module_layout is not None and not rigid.divided:
@@ -202,17 +210,17 @@ def check(
     )
     how = reading.checked()
     try:
-        layout = io.read_map(layout_file)
+        layout = read_layout(layout_file, units)
         scaled = f"scale it first: anisomap convert {layout_file} scaled.csv --spacing 6.5mm"
         options.DEFAULT_PLACING.check(outputs.maps, layout.units, hint=scaled)
         chosen: placement.Modules | int | None = rigid.listed(layout.names) or rigid.module_size
         if rigid.module_layout is not None:
             chosen = rigid.with_layout(find_modules(layout, chosen))
-        (recording,) = route.read_runs([recording_file], how, missing, progress=progress)
+        with progress(f"reading {recording_file.name}") as report_progress:
+            runs = route.read_runs([recording_file], how, progress=report_progress)
+        (recording,) = route.complete(runs, missing)
         with progress("checking the layout"):
-            found = anisomap.check_layout(
-                layout, recording, modules=chosen, n_shifts=time_shifts, rng=seed
-            )
+            found = anisomap.check_layout(layout, recording, modules=chosen)
     except InputError as error:
         if _are_swapped(layout_file, recording_file, how):
             hint = f"swap the arguments: anisomap check {recording_file} {layout_file}"

@@ -30,9 +30,9 @@ class AnchorOptions:
     Parameters
     ----------
     anchor
-        A sensor and its position in metres: s17=0.012,0.040,0.003. May be repeated.
+        A sensor and its place in metres: s17=0.012,0.040,0.003. May be repeated.
     anchors
-        File with the positions of some sensors, and optionally normals: any layout that can be
+        File with the positions of some sensors. It may hold normals, and be any layout that can be
         read.
     units
         Unit of the file of --anchors, if it states none.
@@ -40,7 +40,7 @@ class AnchorOptions:
 
     anchor: list[str] = field(default_factory=list)
     anchors: Path | None = None
-    units: Annotated[str, options.expert] = ""
+    units: str = ""
 
     def read(self) -> placement.Anchors | None:
         """Read the anchors; None if there are none."""
@@ -67,9 +67,7 @@ def _modules(
             "--module-table FILE or --module-size"
         )
     size = rigid.module_size or 0
-    divided = rigid.listed(sensor_map.names) or placement.modules_by_size(
-        sensor_map.names, size, rigid.first_pad
-    )
+    divided = rigid.listed(sensor_map.names) or placement.modules_by_size(sensor_map.names, size)
     return rigid.with_layout(divided)
 
 
@@ -78,18 +76,18 @@ def place_map(
     /,
     *,
     output: options.Output = None,
-    picture: options.Picture = None,
-    frame: Annotated[str, options.expert] = "",
+    picture: Annotated[options.Picture, options.expert] = None,
+    frame: str = "",
     known: AnchorOptions = AnchorOptions(),
     rigid: options.ModuleOptions = options.DEFAULT_MODULES,
     mesh: Path | None = None,
     mesh_units: Annotated[str, options.expert] = "m",
     spacing: str = "",
-    handedness: Literal["same", "mirrored"] | None = None,
-    suggest: options.Amount = 0,
+    handedness: Annotated[Literal["same", "mirrored"] | None, options.expert] = None,
+    suggest: Annotated[options.Amount, options.expert] = 0,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Place a map in the frame of the robot, in metres, with an error for each sensor.
+    """Place a map in the frame of the robot, with an error for each sensor.
 
     Anchors, modules and a mesh can be given together. Three or more anchors, sensors with a known
     position, determine the pose. Rigid modules of known shape determine the scale and make the map
@@ -98,22 +96,28 @@ def place_map(
     Parameters
     ----------
     output
-        File for the map; its suffix chooses the format. May be repeated. Default: NAME.placed.csv
-        in the current folder.
+        Map, in the format of its suffix [NAME.placed.csv]. May be repeated. The default is in the
+        current folder.
     frame
         Name of the frame of the anchors.
     mesh
-        Mesh of the part, in the frame of the anchors: .stl, .obj, .ply, .off or .glb. Sensors are
-        placed on its surface, with its normals.
+        Mesh of the part, in the frame of the anchors. Its format is .stl, .obj, .ply, .off or .glb;
+        sensors are placed on its surface, with its normals.
     mesh_units
         Unit of the mesh.
     spacing
-        Median distance between neighbouring sensors, such as 6.5mm.
+        Distance between neighbouring sensors, such as 6.5mm.
     handedness
         Whether the map has the handedness of the skin, if you know: same or mirrored. By default
         it follows from anchors and modules.
     suggest
         Number of sensors of each component to name as worth measuring; nothing is placed.
+
+    Examples
+    --------
+    anisomap place skin.map.csv --anchors measured.csv -o skin.urdf
+    anisomap place skin.map.csv --module-layout pads.csv --module-size 12
+    anisomap place skin.map.csv --suggest 4
     """
     from anisomap.cli.outputs import Outputs
 

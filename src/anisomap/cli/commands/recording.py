@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
 import anisomap
 from anisomap import io
-from anisomap.base.defaults import (
-    DEFAULT_BINS,
-    DEFAULT_METHOD,
-    DEFAULT_MU,
-    MAX_ITERATIONS,
-    PERMUTATIONS,
-    STRESS_PERMUTATIONS,
-    TOLERANCE,
-)
+from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS, STRESS_PERMUTATIONS
 from anisomap.cli import parameters as options
 from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:
-    from anisomap.health import Finding
+    from anisomap.route import Examined
 
 
 def info(
@@ -37,15 +30,23 @@ def info(
     reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Summarise a recording, and flag faulty sensors and faults of the read-out.
+    """Summarise a recording: sensors, faults of the read-out, touches.
+
+    The content of a file that holds several recordings is listed, too.
 
     Parameters
     ----------
     all_sensors
         List all sensors, not only faulty ones.
+
+    Examples
+    --------
+    anisomap info skin.csv
+    anisomap info skin.csv --all
+    anisomap info run.mcap --select /skin
     """
     from anisomap import route
-    from anisomap.cli import outputs
+    from anisomap.cli import printing
     from anisomap.cli.commands import dissimilarities as objects
     from anisomap.io.dissimilarities import doubt_of
 
@@ -57,20 +58,22 @@ def info(
     if table is not None:
         objects.print_pairs(printer, table)
         return
-    outputs.print_contents(printer, recording, how)
+    printing.print_contents(printer, recording, how)
     try:
-        found = route.read(recording, how, progress=progress)
+        with progress(f"reading {recording.name}") as report_progress:
+            found = route.read(recording, how, progress=report_progress)
     except io.ChoiceError as error:
         print_warning(str(error))  # the contents are listed; the user must select one
         return
     if doubt := doubt or doubt_of(recording, found.readings):
         print_warning(doubt)
-    examined = route.examine([found], progress=progress)
-    outputs.doubt_orientation(examined.summary)
-    outputs.print_recording(printer, examined.recording, examined.summary)
-    outputs.print_findings(printer, examined.findings)
-    outputs.print_health(printer, examined.health, all_sensors=all_sensors)
-    outputs.print_touches(printer, outputs.coverage_without_map(found), found.names)
+    with progress("assessing sensors"):
+        examined = route.examine([found])
+    printing.doubt_orientation(examined.summary)
+    printing.print_recording(printer, examined.recording, examined.summary)
+    printing.print_findings(printer, examined.findings)
+    printing.print_health(printer, examined.health, all_sensors=all_sensors)
+    printing.print_touches(printer, printing.coverage_without_map(found), found.names)
     for weakness in examined.summary.warnings:
         print_warning(weakness)
     if examined.summary.missing:
@@ -97,18 +100,27 @@ def repair(
     ----------
     output
         NPZ file to write. Default: NAME.repaired.npz in the current folder.
+
+    Examples
+    --------
+    anisomap repair skin.csv
+    anisomap repair skin.csv -o mended.npz
+    anisomap map skin.csv --repair
     """
     from anisomap import route
-    from anisomap.cli import outputs
+    from anisomap.cli import outputs, printing
 
     output = output or options.beside(recording, ".repaired.npz")
     outputs.Outputs(recording=output, inputs=(recording, *reading.inputs))
-    (repaired,), findings = route.read_mended([recording], reading.checked(), progress=progress)
+    with progress(f"reading {recording.name}") as report_progress:
+        found = route.read(recording, reading.checked(), progress=report_progress)
+    with progress("repairing the recording"):
+        (repaired,), findings = route.mend([found])
     io.write(repaired, output)
-    outputs.print_findings(printer, findings, repaired=True)
+    printing.print_findings(printer, findings, repaired=True)
     if not findings:
         printer.line("No faults of the recording were found; it is unchanged.")
-    outputs.print_health(printer, anisomap.assess(repaired))
+    printing.print_health(printer, anisomap.assess(repaired))
     printer.files([("recording", output)])
 
 
@@ -117,39 +129,47 @@ _READINGS_PER_MIB = 1 << 18  # of 4 bytes
 
 @Parameter(name="*", group=options.expert_group)
 @dataclass(frozen=True)
-class TuningOptions:
-    """Settings of the methods.
+class ObjectOptions:
+    """Objects that are mapped by their dissimilarities.
 
     Parameters
     ----------
-    regularisation
-        Regularisation of ANISOMAP's reciprocal; with 0, unrelated components stay separate.
-    entropy_bins
-        Bins per sensor for entropies.
-    n_neighbours
-        Neighbours per sensor in ISOMAP's graph. Default: the smallest number that connects all.
-    tolerance
-        Stop scaling when an iteration lowers the stress by less than this share.
-    max_iterations
-        Maximum number of iterations of the scaling.
+    dissimilarities
+        The file holds dissimilarities, or --no-dissimilarities, a recording. They are a square
+        matrix, a triangle, or lines of two names and a value. --method is then anisomap (distances
+        are shortest paths), mds (they are the dissimilarities) or ordinal (they have their order),
+        and --picture shepard and --picture stress draw NAME.shepard.png and NAME.stress.png.
+    weights
+        File of the weights of pairs, in the form of the dissimilarities; 0 leaves a pair out.
     """
 
-    regularisation: float = DEFAULT_MU
-    entropy_bins: int = DEFAULT_BINS
-    n_neighbours: int | None = None
-    tolerance: float = TOLERANCE
-    max_iterations: int = MAX_ITERATIONS
+    dissimilarities: Annotated[bool | None, Parameter(negative="--no-dissimilarities")] = None
+    weights: Path | None = None
 
-    def checked(self) -> anisomap.MethodOptions:
-        """Convert to the options of the library."""
-        from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 
-        return anisomap.MethodOptions(
-            regularisation=self.regularisation,
-            entropy_bins=self.entropy_bins,
-            n_neighbours=self.n_neighbours,
-            smacof=SmacofOptions(self.tolerance, self.max_iterations),
-        )
+@Parameter(name="*", group=options.expert_group)
+@dataclass(frozen=True)
+class VerdictOptions:
+    """The verdict on a map.
+
+    Parameters
+    ----------
+    verdict
+        Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
+        This takes about as long as the map, which is written before; Ctrl-C ends it.
+    min_quality
+        Exit with code 1 if the verdict is worse than this, or cannot tell. All files are written.
+    seed
+        Seed of what is drawn at random: the same seed gives the same result.
+    """
+
+    verdict: Annotated[bool, Parameter(negative="--no-verdict")] = True
+    min_quality: options.Quality | None = None
+    seed: options.Seed = 0
+
+    def __post_init__(self) -> None:
+        if self.min_quality and not self.verdict:
+            raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
 
 
 def map_recording(
@@ -158,43 +178,36 @@ def map_recording(
     ],
     /,
     *,
-    dissimilarities: Annotated[
-        bool | None, Parameter(group=options.method_group, negative="--no-dissimilarities")
-    ] = None,
-    weights: Annotated[Path | None, options.expert] = None,
     output: options.Output = None,
-    picture: options.Picture = None,
     report: options.Report = None,
-    method: Annotated[
-        str | None,
-        Parameter(alias="-m", group=options.method_group, show_default=DEFAULT_METHOD),
-    ] = None,
+    picture: options.Picture = None,
+    placing: options.PlacingOptions = options.DEFAULT_PLACING,
     dimensions: options.MapDimensions = "auto",
     drop: options.Drop = None,
     missing: options.Missing = "error",
     repair: Annotated[bool, Parameter(group=options.method_group)] = False,
-    tuning: TuningOptions = TuningOptions(),
     reading: options.ReadingOptions = options.DEFAULT_READING,
-    verdict: Annotated[bool, Parameter(group=options.method_group, negative="--no-verdict")] = True,
-    min_quality: Annotated[options.Quality | None, options.expert] = None,
-    placing: options.PlacingOptions = options.DEFAULT_PLACING,
+    objects: ObjectOptions = ObjectOptions(),
+    method: Annotated[
+        str | None,
+        Parameter(alias="-m", group=options.expert_group, show_default=DEFAULT_METHOD),
+    ] = None,
+    judging: VerdictOptions = VerdictOptions(),
     truth: options.Truth = None,
-    exclude: options.Exclude = None,
     permutations: Annotated[
         int | None,
         Parameter(
-            group=options.score_group,
+            group=options.expert_group,
             validator=Number(gte=0),
             help="Size of the null distribution of Mantel r, or of the stress of dissimilarities; "
             "0 skips it.",
             show_default=f"{PERMUTATIONS}, or {STRESS_PERMUTATIONS} of the stress",
         ),
     ] = None,
-    seed: options.Seed = 0,
     memory: Annotated[options.Count, options.expert] = 512,
     printer: options.Printing = options.PRINTER,
 ) -> int:
-    """Make a map from one or several recordings of a skin.
+    """Make a map of a skin from one or several recordings.
 
     Sensors of several recordings are matched by name; recordings may lack some sensors. Of readings
     above 512 MiB, frames are sampled evenly in time, and the map says so.
@@ -203,142 +216,116 @@ def map_recording(
 
     Parameters
     ----------
-    dissimilarities
-        The file holds dissimilarities: a square matrix, a triangle, or lines of two names and a
-        value. --method is then anisomap (distances are shortest paths), mds (they are the
-        dissimilarities) or ordinal (they have their order), and --picture shepard and
-        --picture stress draw NAME.shepard.png and NAME.stress.png.
-    weights
-        File of the weights of pairs, in the form of the dissimilarities; 0 leaves a pair out.
     output
-        File for the map; its suffix chooses the format. May be repeated. Default: NAME.map.csv in
-        the current folder.
+        Map, in the format of its suffix [NAME.map.csv]. May be repeated. The default is in the
+        current folder.
     method
         Reconstruction method: see `anisomap list methods`.
     dimensions
-        Number of coordinates: 2 for flat skins, 3 for bodies; auto chooses 3 if the third
-        coordinate improves the fit clearly, else 2.
+        2 for flat skins, 3 for bodies, or auto. That chooses 3 if the third coordinate improves the
+        fit clearly, else 2.
     repair
-        Mend faults of the recording first: copies, inverted sensors, lags, hum, noise of boards,
-        and gaps. `anisomap info` lists those that it finds.
-    verdict
-        Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
-        This takes about as long as the map, which is written before; Ctrl-C ends it.
+        Mend faults of the recording first. These are copies, inverted sensors, lags, hum, noise of
+        boards, and gaps; `anisomap info` lists those that it finds.
     memory
         Size of the readings in MiB, of 4 bytes each, above which frames are sampled.
-    min_quality
-        Exit with code 1 if the verdict is worse than this, or cannot tell. All files are written.
+
+    Examples
+    --------
+    anisomap map skin.csv -d 2 --report skin.html
+    anisomap map monday.csv tuesday.csv --drop s3,s7 -o skin.ply
+    anisomap map skin.csv --spacing 6.5mm --mirror -o skin.urdf
     """
     from anisomap import route
-    from anisomap.cli import outputs
-    from anisomap.cli.commands import dissimilarities as objects
-    from anisomap.method.named import METHODS, find_method
+    from anisomap.cli import printing
+    from anisomap.cli.commands.dissimilarities import PICTURES, find, map_objects
+    from anisomap.cli.outputs import Outputs, Truth, finish, read_reference
+    from anisomap.method.named import find_method
+    from anisomap.placement.judgement import headline
 
-    if min_quality and not verdict:
-        raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
-    chosen = tuning.checked()
-    table = objects.find(recordings, wanted=dissimilarities, weights=weights)
-    if table is not None and (len(recordings) > 1 or repair or min_quality):
-        raise InputError(
-            "dissimilarities are read from one file, and get no verdict: leave out other files, "
-            "--repair and --min-quality"
-        )
+    table = find(recordings, wanted=objects.dissimilarities, weights=objects.weights)
     maps = output or [options.beside(recordings[0], ".map.csv")]
-    drawn = str(picture) if table is not None and str(picture) in objects.PICTURES else ""
-    files = outputs.Outputs(
+    drawn = str(picture) if table is not None and str(picture) in PICTURES else ""
+    files = Outputs(
         maps=maps,
         picture=options.beside(recordings[0], f".{drawn}.png") if drawn else picture,
         report=report,
-        inputs=(*recordings, *reading.inputs, truth, weights),
+        inputs=(*recordings, *reading.inputs, truth, objects.weights),
         placing=placing,
     )
     placing.check(maps)
-    by = method or DEFAULT_METHOD
-    if table is None:
-        # Unknown methods and options are refused before the recording is read.
-        find_method(by)
-    reference = None if truth is None else outputs.read_reference(truth)
-    scored = outputs.Truth(PERMUTATIONS if permutations is None else permutations, seed, reference)
+    reference = None if truth is None else read_reference(truth)
+    scored = Truth(PERMUTATIONS if permutations is None else permutations, judging.seed, reference)
     if table is not None:
-        objects.map_file(
+        if len(recordings) > 1 or repair or judging.min_quality:
+            raise InputError(
+                "dissimilarities are read from one file, and get no verdict: leave out other "
+                "files, --repair and --min-quality"
+            )
+        map_objects(
             printer,
             files,
             scored,
             table,
             picture=drawn,
-            exclude=exclude,
-            source=recordings[0].name,
-            weights=weights,
-            drop=route.split_names(drop, table.names),
+            weights=objects.weights,
+            drop=drop,
             method=method,
             dimensions=dimensions,
-            options=chosen.smacof,
             permutations=STRESS_PERMUTATIONS if permutations is None else permutations,
-            seed=seed,
         )
         return 0
-    runs, mended = _read(
+    by = method or DEFAULT_METHOD
+    refined = find_method(by).refine is not None  # an unknown one is refused before files are read
+    examined = _examined(
         recordings,
         reading.checked(),
         missing,
-        memory * _READINGS_PER_MIB,
+        drop,
         repair=repair,
-        doubted=dissimilarities is None,
+        max_readings=memory * _READINGS_PER_MIB,
+        doubted=objects.dissimilarities is None,
     )
-    remaining = [one for one in mended if not one.mendable] if repair else None
-    examined = route.examine(runs, remaining, progress=progress)
-    outputs.doubt_orientation(examined.summary, judged=verdict and METHODS[by].refine is not None)
-    names = examined.recording.names
-    left_out = route.split_names(exclude, names)
-    dropped = route.split_names(drop, names, examined.recording.metadata)
-    examined.recording.indices([*left_out, *dropped])  # unknown names are refused at once
-    if left_out and examined.recording.positions is None and reference is None:
-        print_warning(
-            "--exclude has no effect: the recording has no true positions to score against"
-        )
-    sensor_map, judge = route.make_map(
-        examined, by, dimensions, options=chosen, drop=dropped, seed=seed, progress=progress
-    )
-    outputs.print_recording(printer, examined.recording, examined.summary)
-    outputs.print_findings(printer, mended if repair else examined.findings, repaired=repair)
-    if done := dict.fromkeys(one.kind for one in mended if one.mendable):
-        provenance = {**sensor_map.provenance, "repaired": ", ".join(done)}
-        sensor_map = replace(sensor_map, provenance=provenance)
-
-    judged = outputs.finish(
-        printer,
-        files,
-        sensor_map,
-        examined,
-        replace(scored, exclude=left_out),
-        judge=judge if verdict else None,
-    )
-    if not min_quality or judged.verdict.is_at_least(min_quality.replace("-", " ")):
+    printing.doubt_orientation(examined.summary, judged=judging.verdict and refined)
+    with progress("making the map"):
+        made, stages = route.make_map(examined, by, dimensions)
+    printing.print_recording(printer, examined.recording, examined.summary)
+    faults = [*examined.mended, *examined.findings]
+    printing.print_findings(printer, faults, repaired=repair)
+    judge = partial(route.judge, examined, stages=stages, seed=judging.seed)
+    wanted = judge if judging.verdict else None
+    judged = finish(printer, files, made, examined, scored, judge=wanted)
+    least = judging.min_quality
+    if not least or judged.verdict.is_at_least(least.replace("-", " ")):
         return 0
-    print_warning(f"below --min-quality {min_quality}: the map is {judged.verdict}")
+    print_warning(f"below --min-quality {least}: the map is {headline(placing.applied(judged))}")
     return 1
 
 
-def _read(
-    recordings: list[Path],
+def _examined(
+    recordings: Sequence[Path],
     how: io.ReadOptions,
     missing: options.Missing,
-    max_readings: int,
+    drop: Sequence[str] | None,
     *,
     repair: bool,
+    max_readings: int,
     doubted: bool,
-) -> tuple[list[anisomap.Recording], Sequence[Finding]]:
-    """Read recordings; return them and the faults that were mended.
+) -> Examined:
+    """Read recordings of one skin, mend them if wanted, and assess them.
 
     doubted: Whether to ask if a single file may hold dissimilarities.
     """
     from anisomap import route
     from anisomap.io.dissimilarities import doubt_of
 
-    limits: dict[str, Any] = {"max_readings": max_readings, "progress": progress}
-    if repair:
-        return route.read_mended(recordings, how, missing, **limits)
-    runs = route.read_runs(recordings, how, missing, **limits)
-    if doubted and len(recordings) == 1 and (doubt := doubt_of(recordings[0], runs[0].readings)):
+    with progress("reading") as report_progress:
+        runs = route.read_runs(recordings, how, max_readings=max_readings, progress=report_progress)
+    if doubted and len(runs) == 1 and (doubt := doubt_of(recordings[0], runs[0].readings)):
         raise InputError(doubt)
-    return runs, ()
+    mended = None
+    if repair:
+        with progress("repairing the recording"):
+            runs, mended = route.mend(runs)
+    with progress("assessing sensors"):
+        return route.examine(route.complete(runs, missing), mended=mended, drop=drop)

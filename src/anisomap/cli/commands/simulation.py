@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,19 +45,25 @@ def simulate_body(
     scenario
         Scenario: see `anisomap list scenarios`.
     output
-        NPZ file to write. Default: BODY-SCENARIO.npz.
+        NPZ file to write [BODY-SCENARIO.npz].
     frames
         Number of frames to record.
     sensors
         Number of sensors of a named body.
     parameter
-        NAME=VALUE, a parameter of the scenario; may be repeated. `anisomap list scenarios SCENARIO`
-        explains them.
+        NAME=VALUE of the scenario: list scenarios SCENARIO. May be repeated; `anisomap list
+        scenarios SCENARIO` explains the parameters.
     fault
-        KIND:SENSORS,NAME=VALUE, such as dead:s3,s7 or noisy:10%,level=0.2 or dropped-frames; see
-        `anisomap list faults`. May be repeated; faults are injected in order.
+        KIND:SENSORS,NAME=VALUE of a fault, as dead:s3,s7. Others are noisy:10%,level=0.2 or
+        dropped-frames; see `anisomap list faults`. May be repeated; faults are injected in order.
     picture
-        File for a figure of body, sensors, contacts and readings: .png, .svg or .pdf.
+        Figure of body, sensors, contacts and readings: .png, .svg or .pdf.
+
+    Examples
+    --------
+    anisomap simulate sphere
+    anisomap simulate hand -s rubbing --frames 4000 -o hand.npz
+    anisomap simulate plane -s rubbing -f dead:s3,s7 -f noisy:10%,level=0.2
     """
     from anisomap.cli.outputs import Outputs
     from anisomap.drawing.figures import scenes
@@ -140,9 +147,6 @@ def demo(
     *,
     output_dir: Annotated[Path, Parameter(alias="-o")] = Path("demo"),
     frames: options.Count = 2000,
-    method: options.Method = DEFAULT_METHOD,
-    permutations: options.Permutations = PERMUTATIONS,
-    seed: options.Seed = 0,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Simulate a skin, map it, and score the map.
@@ -152,12 +156,19 @@ def demo(
     Parameters
     ----------
     output_dir
-        Folder for the recording, the map, the figure and the report; created if necessary.
+        Folder for recording, map, figure and report [demo]. It is created if necessary.
     frames
         Number of frames to simulate, at 20 Hz.
+
+    Examples
+    --------
+    anisomap demo
+    anisomap demo -o try --frames 4000
+    anisomap map demo/recording.npz -o map.csv
     """
     from anisomap import route
     from anisomap.cli import outputs
+    from anisomap.cli.printing import print_recording
 
     import_extra("mujoco", "the demo", "report,simulation")
     try:
@@ -173,19 +184,25 @@ def demo(
     )
     with progress(f"simulating {frames} frames of a bombarded sphere") as report_progress:
         recording = anisomap.simulate(
-            "sphere", "bombardment", n_frames=frames, seed=seed, progress=report_progress
+            "sphere", "bombardment", n_frames=frames, progress=report_progress
         )
-    examined = route.examine([recording], progress=progress)
-    outputs.print_recording(printer, examined.recording, examined.summary)
-    sensor_map, judge = route.make_map(examined, method, dimensions=3, progress=progress)
+    examined = route.examine([recording])
+    print_recording(printer, examined.recording, examined.summary)
+    with progress("making the map"):
+        made, stages = route.make_map(examined, DEFAULT_METHOD, dimensions=3)
 
     def write_recording() -> list[tuple[str, Path]]:
         io.write(recording, recorded)
         return [("recording", recorded)]
 
-    truth = outputs.Truth(permutations, seed)
     outputs.finish(
-        printer, files, sensor_map, examined, truth, judge=judge, write_others=write_recording
+        printer,
+        files,
+        made,
+        examined,
+        outputs.Truth(PERMUTATIONS),
+        judge=partial(route.judge, examined, stages=stages),
+        write_others=write_recording,
     )
     printer.line("\nMap the recording from its file:")
     printer.line(f"  anisomap map {recorded} -o map.csv")
@@ -203,7 +220,7 @@ def paper(
     only: list[str] | None = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Reproduce the figures, tables and claims of the paper, with a page of all results.
+    """Reproduce the figures, tables and claims of the paper.
 
     Experiments run in one process per core. Those that are already finished in the folder are not
     repeated, so an interrupted run can be continued.
@@ -211,18 +228,25 @@ def paper(
     Parameters
     ----------
     output_dir
-        Folder for the results; created if absent. Open its index.html.
+        Folder for the results: open its index.html. It is created if absent.
     quick
-        Use fewer frames, seeds and permutations, for a preview.
+        Fewer frames, seeds and permutations, for a preview.
     first_seed
         First seed of each scenario; the same seed gives the same results.
     recordings
-        Folder of recordings of real skin (icub_hexagon.npz); the page explains how to get them.
+        Folder of recordings of real skin, if there is one. It holds icub_hexagon.npz; the page
+        explains how to get it.
     set_
         NAME=NUMBER, a value of what the paper leaves open, such as locomotion.detection_radius=.25;
         may be repeated.
     only
-        Experiment to run, after those that it needs; may be repeated. All by default.
+        Experiment to run, and what it needs. May be repeated. All by default.
+
+    Examples
+    --------
+    anisomap paper --quick
+    anisomap paper --recordings recordings/ -o paper-out
+    anisomap paper --only rolling
     """
     from anisomap.paper import Settings, Status, reproduce
     from anisomap.paper.cases import parse_changes

@@ -23,6 +23,7 @@ from anisomap.files.paths import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth, TouchCoverage
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
+from anisomap.placement.judgement import judgement
 from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty
 
 TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}
@@ -73,7 +74,7 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     Maps of objects get no verdict, since no recording says how far their pairs can be trusted.
     """
     names, kind = sensor_map.names, sensor_map.kind
-    sentences = list(sensor_map.verdict.sentences)
+    sentences = list(judgement(sensor_map))
     if kind == "object":
         sentences = [f"The map fits the dissimilarities with Stress-1 {number(sensor_map.stress)}."]
     if score is not None:

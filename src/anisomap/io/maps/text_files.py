@@ -41,6 +41,7 @@ from anisomap.io.parsing.tables import (
     records,
 )
 from anisomap.io.recordings.delimited_text import MAP_TITLE
+from anisomap.placement.judgement import errors_in_mm
 from anisomap.placement.modules import Modules, modules_by_name
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap, axis_names
@@ -271,7 +272,7 @@ def write_json(sensor_map: SensorMap, path: Path) -> None:
     """Write a map as strict JSON; every field is read back equal."""
     known = properties_of(sensor_map)
     rest = {key: known.pop(key) for key in (*ACCURACY, "reasons")}
-    known["verdict"] = {"level": known["verdict"], **rest}
+    known["verdict"] = {"level": known["verdict"], **rest, **errors_in_mm(sensor_map)}
     columns: dict[str, Sequence[Any]] = {
         "name": sensor_map.names,
         "position": sensor_map.positions.tolist(),
