@@ -237,8 +237,8 @@ def paper(
         Folder of recordings of real skin, if there is one. It holds icub_hexagon.npz; the page
         explains how to get it.
     set_
-        NAME=NUMBER, a value of what the paper leaves open, such as locomotion.detection_radius=.25;
-        may be repeated.
+        NAME=NUMBER of what the paper leaves open; may be repeated. An example is
+        locomotion.detection_radius=.25.
     only
         Experiment to run, and what it needs. May be repeated. All by default.
 
