@@ -17,7 +17,7 @@ LEVELS: Mapping[str, str] = MappingProxyType(
     {
         "not usable": "positions and neighbours may be wrong",
         "usable for neighbours": "most neighbours are right; lengths and shape may be wrong",
-        "usable": "neighbours, lengths and shape are right",
+        "usable": "neighbours, lengths and shape can be used",
     }
 )
 """Levels of a verdict from the worst to the best, with their meaning."""

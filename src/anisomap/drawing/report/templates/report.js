@@ -114,10 +114,10 @@
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     const [right, up, towards] = axes();
     const [across, along] = reaches();
-    scale = camera.zoom * Math.min((width / 2 - 24) / across, (height / 2 - 30) / along);
+    scale = camera.zoom * Math.min((width / 2 - 24) / across, (height / 2 - 44) / along);
     const place = (p) => {
       const q = p.map((value, i) => value - shown.middle[i]);
-      return [width / 2 + camera.shift[0] + scale * dot(q, right), height / 2 + camera.shift[1] - scale * dot(q, up), dot(q, towards)];
+      return [width / 2 + camera.shift[0] + scale * dot(q, right), height / 2 - 14 + camera.shift[1] - scale * dot(q, up), dot(q, towards)];
     };
     seen = shown.points.map(place);
     const truth = on("truth") ? (shown.truth || []).map(place) : [];
