@@ -46,6 +46,16 @@ def kind_of(note: str) -> str:
     return note.kind if isinstance(note, Note) else ""
 
 
+def scaled_note(note: str, spacing: float, unit: str) -> str:
+    """Return a note whose size is in spacings with its length in a unit; other notes as they are.
+
+    spacing: Length of a spacing.
+    """
+    if not isinstance(note, Note) or note.kind not in ("chance", "second-map"):
+        return note
+    return Note(note.kind, **{**note.values, "size": spacing * note.values["size"], "unit": unit})
+
+
 def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
     mostly = "most of the skin is not mapped: " if 2 * sizes[0] < sum(sizes) else ""
     return (
@@ -59,7 +69,7 @@ def _hidden_links(sensors: Sequence[str], total: int) -> str:
     are, their = ("is", "its") if len(sensors) == 1 else ("are", "their")
     return (
         f"noise hides how {len(sensors)} of {total} sensors {are} related to the others, so "
-        f"{their} positions are uncertain; record longer: {join_items(sensors)}"
+        f"{their} positions are uncertain: {join_items(sensors)}"
     )
 
 
@@ -144,12 +154,12 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"the sensors are only {extent:.1f} spacings from their centre (RMS), so that errors "
             "of this size change the shape"
         ),
-        "chance": lambda size, much: (
-            f"maps of resampled recordings differ by {size:.2f} spacings"
+        "chance": lambda size, much, unit="spacings": (
+            f"maps of resampled recordings differ by {size:.2f} {unit}"
             + (": record longer, and touch all of the skin" if much else "")
         ),
-        "second-map": lambda size, much: (
-            f"a second map, assuming even spacing, disagrees by {size:.2f} spacings"
+        "second-map": lambda size, much, unit="spacings": (
+            f"a second map, assuming even spacing, disagrees by {size:.2f} {unit}"
             + (": contacts may be elongated or differ in size from place to place" if much else "")
         ),
         "worse-of-both": lambda dimensions: (

@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from anisomap.base.wording import number
 from anisomap.errors import InputError
+from anisomap.notes import scaled_note
 
 UNKNOWN = "cannot tell"
 """Level of a map that was not examined, or cannot be."""
@@ -107,14 +108,8 @@ class Verdict:
         low, high = self.expected_error_low, self.expected_error_high
         if math.isnan(low):
             return f"{self.level}: positions are {off} about {error} {unit}"
-        worst = ", at worst by more than a spacing" if self.doubtful else ""
         interval = f"{_length(low, spacing)} to {_length(high, spacing)}"
-        return f"{self.level}: positions are {off} about {error} {unit} ({interval}){worst}"
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether the map is called usable, but its error may reach a spacing."""
-        return self.level == "usable" and self.expected_error_high >= 1
+        return f"{self.level}: positions are {off} about {error} {unit} ({interval})"
 
     def told(self, spacing: float = 1.0, unit: str = "spacings") -> tuple[str, ...]:
         """Say how far the map can be used, what that means, its accuracy, and the reasons.
@@ -122,10 +117,9 @@ class Verdict:
         The parameters are those of `headline`.
         """
         meaning = LEVELS.get(self.level, "the accuracy of the map is unknown")
-        if self.doubtful:
-            meaning = "neighbours are right; lengths and shape most likely, but not for certain"
         first = self.headline(spacing, unit)
-        told = [first if first != self.level else f"verdict: {first}", meaning, *self.reasons]
+        reasons = [scaled_note(reason, spacing, unit) for reason in self.reasons]
+        told = [first if first != self.level else f"verdict: {first}", meaning, *reasons]
         if not math.isnan(self.region_error):
             error, low, high = (
                 _length(one, spacing)

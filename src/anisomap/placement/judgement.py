@@ -1,7 +1,8 @@
 """How far a map can be used, in words: errors are lengths where the scale of the map is known.
 
 Three errors of one map are told, each as what it is: that of the map, an RMS over its sensors; that
-of regions; and that of a single sensor, a distance that nine of ten sensors do not exceed.
+of regions; and that of a single sensor, a distance that it does not exceed with 90 %, whatever the
+error of the map is within its interval.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
         factor = length_shown(sensor_map.units, "")[1]
         told.insert(
             2,
-            f"These are RMS errors over all sensors; nine of ten sensors are within "
-            f"{float(np.median(within)) * factor:.2g} mm of their places.",
+            "These are RMS errors over all sensors; a single sensor is within "
+            f"{float(np.median(within)) * factor:.2g} mm of its place with 90 %.",
         )
     return tuple(told)
 

@@ -70,18 +70,24 @@ def _methods(printer: Printer) -> None:
 
 
 def _formats(printer: Printer) -> None:
-    rows = [
-        (
-            form.name,
-            " ".join(form.suffixes),
-            _abilities(recording=form.open_recording, map=form.read_map),
-            _abilities(recording=form.write_recording, map=form.write_map),
-            form.extra or "-",
-            form.summary,
-        )
+    records = [
+        {
+            "name": form.name,
+            "suffixes": " ".join(form.suffixes),
+            "recordings": _abilities(form.open_recording, form.write_recording),
+            "maps": _abilities(form.read_map, form.write_map),
+            "extra": form.extra,
+            "summary": form.summary + (f" (extra {form.extra})" if form.extra else ""),
+        }
         for form in io.FORMATS
     ]
-    _print_rows(printer, "Formats", "name suffixes reads writes extra summary", rows)
+    rows = [
+        (one["suffixes"] or one["name"], one["recordings"], one["maps"], one["summary"])
+        for one in records
+    ]
+    title = "Formats: r is read, w is written"
+    printer.table(title, ["format", "recordings", "maps", "summary"], rows)
+    printer.record(formats=records)
 
 
 def _bodies(printer: Printer) -> None:
@@ -156,5 +162,5 @@ def _first_line(thing: object) -> str:
     return (inspect.getdoc(thing) or "").splitlines()[0].removesuffix(".")
 
 
-def _abilities(**abilities: object) -> str:
-    return ", ".join(f"{kind}s" for kind, ability in abilities.items() if ability) or "-"
+def _abilities(read: object, write: object) -> str:
+    return f"{'r' if read else ''}{'w' if write else ''}" or "-"

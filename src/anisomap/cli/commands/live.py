@@ -310,6 +310,7 @@ def _finish(
 ) -> None:
     """Make the final map, write all files, and say what was written."""
     from anisomap.live.saving import save_report
+    from anisomap.placement.judgement import headline
 
     try:
         with progress("making the final map"):
@@ -322,7 +323,8 @@ def _finish(
             written += [("map", session.save(path, spacing)) for path in maps]
             if report:
                 written.append(("report", save_report(final, report)))
-        printer.say(f"Final map of {final.n_frames} frames: {final.verdict}")
+        shown = options.PlacingOptions(spacing=spacing).applied(final.sensor_map)
+        printer.say(f"Final map of {final.n_frames} frames: {headline(shown)}")
     elif final is not None:
         print_warning(f"there is no map: {final.verdict.reasons[0]}")
     elif written:

@@ -18,6 +18,7 @@ from anisomap.base.wording import join_items, number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
+from anisomap.usability import UNKNOWN
 
 _MM = 1e3  # per metre
 
@@ -163,6 +164,8 @@ def _read_mesh(path: Path, units: str) -> Mesh:
 
 
 def _print(printer: Printer, found: placement.Placement, name: str) -> None:
+    from anisomap.placement.judgement import headline
+
     placed, spacing = found.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
     with suppress(InputError):  # a single sensor, or all at one position
@@ -177,10 +180,12 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
         "handedness": "as on the skin" if placed.handed else "unknown",
     }
     if errors.size:
-        facts["error (90 %)"] = (
-            f"{number(float(np.median(errors)), 3)} mm (median), "
-            f"{number(float(errors.max()), 3)} mm at most"
+        facts["error of a sensor"] = (
+            f"within {number(float(np.median(errors)), 3)} mm with 90 % (the median sensor; "
+            f"{number(float(errors.max()), 3)} mm the worst)"
         )
+    if placed.verdict.level != UNKNOWN:
+        facts["verdict on the map"] = f"{headline(placed)}, RMS over all sensors"
     facts["pose"] = placed.pose
     printer.facts(f"Placement of {name}", facts)
     anchors = _records(

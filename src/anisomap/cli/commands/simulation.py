@@ -237,7 +237,7 @@ def paper(
         Folder of recordings of real skin, if there is one. It holds icub_hexagon.npz; the page
         explains how to get it.
     set_
-        NAME=NUMBER of what the paper leaves open; may be repeated. An example is
+        NAME=NUMBER of what the paper leaves open. May be repeated; an example is
         locomotion.detection_radius=.25.
     only
         Experiment to run, and what it needs. May be repeated. All by default.
