@@ -220,6 +220,8 @@ def finish(
 ) -> SensorMap:
     """Write and print a map; then judge it, score it if the truth is known, and write all files.
 
+    Returns the map as it was written, with its verdict and scale.
+
     If it is interrupted from the verdict on, the map is written without one.
 
     judge: Adds a verdict: ``judge(sensor_map, progress=...)``.
@@ -248,4 +250,4 @@ def finish(
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"interrupted; {paths} is written, without a verdict") from None
     printer.files([*others, *files])
-    return sensor_map
+    return shown

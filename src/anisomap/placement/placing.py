@@ -327,7 +327,11 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
     rows = match_names(anchors.names, sensor_map.names)
     if (rows < 0).any():
         unknown = [anchors.names[i] for i in np.flatnonzero(rows < 0)]
-        raise InputError(f"anchor {join_items(unknown)} is no sensor of the map")
+        names = sensor_map.names
+        raise InputError(
+            f"anchor {join_items(unknown)} is no sensor of the map; names are {names[0]} ... "
+            f"{names[-1]}"
+        )
     return rows
 
 

@@ -18,7 +18,7 @@ from anisomap import io
 from anisomap.base.defaults import PERMUTATIONS
 from anisomap.base.wording import printable
 from anisomap.cli import parameters as options
-from anisomap.cli.console import print_warning, progress
+from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.errors import FileError, InputError
 from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 
@@ -206,6 +206,10 @@ def compare(
             with atomic_write(path) as aside:
                 text = _WRITERS[path.suffix.lower()](comparisons)
                 aside.write_text(text, encoding="utf-8")
+    _print_scores(printer, comparisons)
+
+
+def _print_scores(printer: Printer, comparisons: Sequence[Comparison]) -> None:
     titles = [*_FACTS, "method", "Mantel r", "spacings"]
     rows = [
         (

@@ -15,10 +15,11 @@ import anisomap
 from anisomap import io
 from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS, STRESS_PERMUTATIONS
 from anisomap.cli import parameters as options
-from anisomap.cli.console import print_warning, progress
+from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:
+    from anisomap.cli.outputs import Outputs, Truth
     from anisomap.route import Examined
 
 
@@ -172,6 +173,36 @@ class VerdictOptions:
             raise InputError("--min-quality requires the verdict, so leave out --no-verdict")
 
 
+@Parameter(name="*", group=options.method_group)
+@dataclass(frozen=True)
+class MappingOptions:
+    """How a map is made.
+
+    Parameters
+    ----------
+    dimensions
+        2 for flat skins, 3 for bodies, or auto. That chooses 3 if the third coordinate improves the
+        fit clearly, else 2.
+    repair
+        Mend faults of the recording first. These are copies, inverted sensors, lags, hum, noise of
+        boards, and gaps; `anisomap info` lists those that it finds.
+    method
+        Reconstruction method: see `anisomap list methods`.
+    memory
+        Size of the readings in MiB, of 4 bytes each, above which frames are sampled.
+    """
+
+    dimensions: options.MapDimensions = "auto"
+    drop: options.Drop = None
+    missing: options.Missing = "error"
+    repair: bool = False
+    method: Annotated[
+        str | None,
+        Parameter(alias="-m", group=options.expert_group, show_default=DEFAULT_METHOD),
+    ] = None
+    memory: Annotated[options.Count, options.expert] = 512
+
+
 def map_recording(
     recordings: Annotated[
         list[Path], Parameter(help="Recording files of one skin."), options.existing
@@ -182,16 +213,9 @@ def map_recording(
     report: options.Report = None,
     picture: options.Picture = None,
     placing: options.PlacingOptions = options.DEFAULT_PLACING,
-    dimensions: options.MapDimensions = "auto",
-    drop: options.Drop = None,
-    missing: options.Missing = "error",
-    repair: Annotated[bool, Parameter(group=options.method_group)] = False,
+    mapping: MappingOptions = MappingOptions(),
     reading: options.ReadingOptions = options.DEFAULT_READING,
     objects: ObjectOptions = ObjectOptions(),
-    method: Annotated[
-        str | None,
-        Parameter(alias="-m", group=options.expert_group, show_default=DEFAULT_METHOD),
-    ] = None,
     judging: VerdictOptions = VerdictOptions(),
     truth: options.Truth = None,
     permutations: Annotated[
@@ -204,7 +228,6 @@ def map_recording(
             show_default=f"{PERMUTATIONS}, or {STRESS_PERMUTATIONS} of the stress",
         ),
     ] = None,
-    memory: Annotated[options.Count, options.expert] = 512,
     printer: options.Printing = options.PRINTER,
 ) -> int:
     """Make a map of a skin from one or several recordings.
@@ -219,16 +242,6 @@ def map_recording(
     output
         Map, in the format of its suffix [NAME.map.csv]. May be repeated. The default is in the
         current folder.
-    method
-        Reconstruction method: see `anisomap list methods`.
-    dimensions
-        2 for flat skins, 3 for bodies, or auto. That chooses 3 if the third coordinate improves the
-        fit clearly, else 2.
-    repair
-        Mend faults of the recording first. These are copies, inverted sensors, lags, hum, noise of
-        boards, and gaps; `anisomap info` lists those that it finds.
-    memory
-        Size of the readings in MiB, of 4 bytes each, above which frames are sampled.
 
     Examples
     --------
@@ -236,96 +249,108 @@ def map_recording(
     anisomap map monday.csv tuesday.csv --drop s3,s7 -o skin.ply
     anisomap map skin.csv --spacing 6.5mm --mirror -o skin.urdf
     """
-    from anisomap import route
-    from anisomap.cli import printing
     from anisomap.cli.commands.dissimilarities import PICTURES, find, map_objects
-    from anisomap.cli.outputs import Outputs, Truth, finish, read_reference
-    from anisomap.method.named import find_method
-    from anisomap.placement.judgement import headline
+    from anisomap.cli.outputs import Outputs, Truth, read_reference
 
     table = find(recordings, wanted=objects.dissimilarities, weights=objects.weights)
-    maps = output or [options.beside(recordings[0], ".map.csv")]
     drawn = str(picture) if table is not None and str(picture) in PICTURES else ""
     files = Outputs(
-        maps=maps,
+        maps=output or [options.beside(recordings[0], ".map.csv")],
         picture=options.beside(recordings[0], f".{drawn}.png") if drawn else picture,
         report=report,
         inputs=(*recordings, *reading.inputs, truth, objects.weights),
         placing=placing,
     )
-    placing.check(maps)
+    placing.check(files.maps)
     reference = None if truth is None else read_reference(truth)
     scored = Truth(PERMUTATIONS if permutations is None else permutations, judging.seed, reference)
-    if table is not None:
-        if len(recordings) > 1 or repair or judging.min_quality:
-            raise InputError(
-                "dissimilarities are read from one file, and get no verdict: leave out other "
-                "files, --repair and --min-quality"
-            )
-        map_objects(
+    if table is None:
+        return _map_runs(
             printer,
             files,
             scored,
-            table,
-            picture=drawn,
-            weights=objects.weights,
-            drop=drop,
-            method=method,
-            dimensions=dimensions,
-            permutations=STRESS_PERMUTATIONS if permutations is None else permutations,
+            recordings,
+            how=reading.checked(),
+            mapping=mapping,
+            judging=judging,
+            doubted=objects.dissimilarities is None,
         )
-        return 0
-    by = method or DEFAULT_METHOD
-    refined = find_method(by).refine is not None  # an unknown one is refused before files are read
-    examined = _examined(
-        recordings,
-        reading.checked(),
-        missing,
-        drop,
-        repair=repair,
-        max_readings=memory * _READINGS_PER_MIB,
-        doubted=objects.dissimilarities is None,
+    if len(recordings) > 1 or mapping.repair or judging.min_quality:
+        raise InputError(
+            "dissimilarities are read from one file, and get no verdict: leave out other files, "
+            "--repair and --min-quality"
+        )
+    map_objects(
+        printer,
+        files,
+        scored,
+        table,
+        picture=drawn,
+        weights=objects.weights,
+        drop=mapping.drop,
+        method=mapping.method,
+        dimensions=mapping.dimensions,
+        permutations=STRESS_PERMUTATIONS if permutations is None else permutations,
     )
-    printing.doubt_orientation(examined.summary, judged=judging.verdict and refined)
-    with progress("making the map"):
-        made, stages = route.make_map(examined, by, dimensions)
-    printing.print_recording(printer, examined.recording, examined.summary)
-    faults = [*examined.mended, *examined.findings]
-    printing.print_findings(printer, faults, repaired=repair)
-    judge = partial(route.judge, examined, stages=stages, seed=judging.seed)
-    wanted = judge if judging.verdict else None
-    judged = finish(printer, files, made, examined, scored, judge=wanted)
-    least = judging.min_quality
-    if not least or judged.verdict.is_at_least(least.replace("-", " ")):
-        return 0
-    print_warning(f"below --min-quality {least}: the map is {headline(placing.applied(judged))}")
-    return 1
+    return 0
 
 
-def _examined(
+def _map_runs(
+    printer: Printer,
+    files: Outputs,
+    truth: Truth,
     recordings: Sequence[Path],
-    how: io.ReadOptions,
-    missing: options.Missing,
-    drop: Sequence[str] | None,
     *,
-    repair: bool,
-    max_readings: int,
+    how: io.ReadOptions,
+    mapping: MappingOptions,
+    judging: VerdictOptions,
     doubted: bool,
-) -> Examined:
-    """Read recordings of one skin, mend them if wanted, and assess them.
+) -> int:
+    """Map recordings of one skin, write all files, and print the results; return the exit code.
 
     doubted: Whether to ask if a single file may hold dissimilarities.
     """
     from anisomap import route
+    from anisomap.cli import printing
+    from anisomap.cli.outputs import finish
+    from anisomap.method.named import find_method
+    from anisomap.placement.judgement import headline
+
+    by = mapping.method or DEFAULT_METHOD
+    refined = find_method(by).refine is not None  # an unknown one is refused before files are read
+    examined = _examined(recordings, how, mapping, doubted=doubted)
+    printing.doubt_orientation(examined.summary, judged=judging.verdict and refined)
+    with progress("making the map"):
+        made, stages = route.make_map(examined, by, mapping.dimensions)
+    printing.print_recording(printer, examined.recording, examined.summary)
+    faults = [*examined.mended, *examined.findings]
+    printing.print_findings(printer, faults, repaired=mapping.repair)
+    judge = partial(route.judge, examined, stages=stages, seed=judging.seed)
+    wanted = judge if judging.verdict else None
+    shown = finish(printer, files, made, examined, truth, judge=wanted)
+    least = judging.min_quality
+    if not least or shown.verdict.is_at_least(least.replace("-", " ")):
+        return 0
+    print_warning(f"below --min-quality {least}: the map is {headline(shown)}")
+    return 1
+
+
+def _examined(
+    recordings: Sequence[Path], how: io.ReadOptions, mapping: MappingOptions, *, doubted: bool
+) -> Examined:
+    """Read recordings of one skin, mend them if wanted, and assess them."""
+    from anisomap import route
     from anisomap.io.dissimilarities import doubt_of
 
+    limit = mapping.memory * _READINGS_PER_MIB
     with progress("reading") as report_progress:
-        runs = route.read_runs(recordings, how, max_readings=max_readings, progress=report_progress)
+        runs = route.read_runs(recordings, how, max_readings=limit, progress=report_progress)
     if doubted and len(runs) == 1 and (doubt := doubt_of(recordings[0], runs[0].readings)):
         raise InputError(doubt)
     mended = None
-    if repair:
+    if mapping.repair:
         with progress("repairing the recording"):
             runs, mended = route.mend(runs)
     with progress("assessing sensors"):
-        return route.examine(route.complete(runs, missing), mended=mended, drop=drop)
+        complete = route.complete(runs, mapping.missing)
+        return route.examine(complete, mended=mended, drop=mapping.drop)
