@@ -19,7 +19,6 @@ from skins import flat_skin
 if sys.platform == "win32":
     pytest.skip("signals are those of Unix", allow_module_level=True)
 
-METHOD = ("-m", "r-anisomap")  # takes less time than the default
 FILE = ("--headless", "--recording", "r.csv")
 SKIN = flat_skin(n_frames=600)
 
@@ -54,7 +53,7 @@ def session(tmp_path):
 
 @pytest.mark.slow
 def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
-    live = session("tcp-listen://127.0.0.1:0", *METHOD, *FILE)
+    live = session("tcp-listen://127.0.0.1:0", *FILE)
     port = live.port("waiting for a connection")
     names = [f"taxel {i}" for i in range(42)]
     missing = ",".join(["nan", *LINES[99].split(",")[1:]])
@@ -84,7 +83,7 @@ def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, tmp_path):
     np.testing.assert_array_equal(recorded.readings, expected)
     assert (tmp_path / "r.odd.txt").read_text().endswith(",1.0,2.0,3.0\n")
     made = anisomap.read_map(tmp_path / "r.map.csv")
-    again = anisomap.reconstruct(recorded.complete("interpolate"), METHOD[1])
+    again = anisomap.reconstruct(recorded.complete("interpolate"))
     np.testing.assert_allclose(made.positions, again.positions, atol=1e-6)
     assert live.result["frames"] == 600
     with socket.socket() as freed:
@@ -110,7 +109,7 @@ def test_a_killed_session_leaves_its_recording_and_no_process(session, tmp_path)
     with path.open("a") as file:
         file.write(LINES[40][:9])  # as a kill in the middle of a line leaves it
     with rest.open("rb") as lines:
-        code, said = session("-", *METHOD, "--headless", "--resume", "r.csv", stdin=lines).join()
+        code, said = session("-", "--headless", "--resume", "r.csv", stdin=lines).join()
     assert code == 0, said
     recorded = anisomap.read(path)
     np.testing.assert_array_equal(recorded.readings, SKIN.readings[:80].astype(float))
@@ -118,7 +117,7 @@ def test_a_killed_session_leaves_its_recording_and_no_process(session, tmp_path)
 
 
 def test_the_duration_counts_from_the_first_frame(session):
-    live = session("tcp-listen://127.0.0.1:0", *METHOD, *FILE, "--for", "0.5")
+    live = session("tcp-listen://127.0.0.1:0", *FILE, "--for", "0.5")
     port = live.port("waiting for a connection")
     live.wait_for(lambda event: event["seconds"] > 2)  # longer than the duration
     with connected(port) as peer:
@@ -142,7 +141,7 @@ def test_a_flood_loses_nothing(session, tmp_path):
     flood = tmp_path / "flood.txt"
     flood.write_bytes(text([f"{i % 977},{skin[i % 600]}" for i in range(n_frames)]))
     with flood.open("rb") as lines:
-        live = session("-", *METHOD, *FILE, stdin=lines)
+        live = session("-", *FILE, stdin=lines)
         code, said = live.join()
     assert code == 0, said
     readings = anisomap.read(tmp_path / "r.csv").readings
@@ -156,7 +155,7 @@ def test_a_short_session_says_what_happened(session, tmp_path):
     short = tmp_path / "short.txt"
     short.write_bytes(text(["xx", *(f"{i},{i * i}" for i in range(9))]))
     with short.open("rb") as lines:
-        live = session("-", *METHOD, *FILE, stdin=lines)
+        live = session("-", *FILE, stdin=lines)
         code, said = live.join()
     assert code == 0, said
     (*_, last) = iter(live.events.get, None)
@@ -185,7 +184,7 @@ def test_a_session_ends_when_the_map_is_usable(session, tmp_path):
 @pytest.mark.slow
 def test_a_terminated_session_leaves_its_recording(session, tmp_path):
     anisomap.write(SKIN, tmp_path / "skin.npz")
-    live = session("skin.npz", "--speed", "0.1", *METHOD, *FILE)  # for longer than a test may take
+    live = session("skin.npz", "--speed", "0.1", *FILE)  # for longer than a test may take
     live.wait_for(lambda event: event["frames"] > 5)
     code, said = live.end(signal.SIGTERM)
     assert code == 128 + signal.SIGTERM
@@ -217,13 +216,13 @@ main(sys.argv[1:])
 
 
 def test_an_interruption_keeps_no_lock(tmp_path):
-    command = [sys.executable, "-c", INTERRUPTED_WITH_A_LOCK, "live", "-", *METHOD, *FILE]
+    command = [sys.executable, "-c", INTERRUPTED_WITH_A_LOCK, "live", "-", *FILE]
     with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE) as process:
         assert process.wait(LONGEST_S) == 0
 
 
 def test_a_second_interruption_leaves_out_the_final_map(session, tmp_path):
-    live = session("tcp-listen://127.0.0.1:0", *METHOD, *FILE)
+    live = session("tcp-listen://127.0.0.1:0", *FILE)
     port = live.port("waiting for a connection")
     with connected(port) as peer:
         peer.sendall(text(LINES[:200]))

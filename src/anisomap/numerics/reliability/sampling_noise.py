@@ -198,7 +198,7 @@ On skins of 500 frames and more, the weakest link that was needed was at least 1
 strong; the strongest between skins touched independently mostly .8 to 1.2 times.
 """
 
-_MISSED = 3.1  # standard deviations; a link that is stronger by them is missed in .1 % of cases
+_MISSED = 2.33  # standard deviations; a link that is stronger by them is missed in 1 % of cases
 _WEAK_LINKS = 0.05  # share of the links of a group that may be weaker than what is expected of it
 
 _MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
@@ -269,8 +269,8 @@ def group_sensors(similarity: ArrayLike, variance: ArrayLike) -> Groups:
 
     Two groups without a significant link between them are shown to be unrelated if one as strong as
     19 in 20 of those that hold either group together would have been found, with a probability of
-    99.9 %: there may be 50 gaps in a skin. Where noise hides links, they are not. No group is held
-    to more than the largest one, whose weak links are known best, and a single sensor to as much.
+    99 %. Where noise hides links, they are not. No group is held to more than the largest one,
+    whose weak links are known best, and a single sensor to as much.
     """
     links = standardised_correlation(similarity, variance, by_z=True)
     n_sensors = len(links)
