@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.placement import surface_normals
+from anisomap.placement.judgement import headline
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
@@ -214,7 +215,8 @@ def test_comments_state_method_verdict_and_notes(suffix: str, tmp_path: Path) ->
     assert "60 sensors in metres, right-handed" in comments[0]
     assert f"known up to {skin.known_up_to}" in comments
     assert "method: r-anisomap" in comments
-    assert "verdict: usable, expected error 0.25 spacings; the halves agree" in comments
+    assert headline(skin).endswith(" mm")
+    assert f"verdict: {headline(skin)}; the halves agree" in comments
     assert "note: sensors 3- -5 & <7> were rarely touched-" in comments
     assert "note: a?b c" in comments
     assert len(comments) == 7
