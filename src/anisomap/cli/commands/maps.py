@@ -201,7 +201,7 @@ def check(
     from anisomap.cli.outputs import Outputs, read_layout
     from anisomap.layout import find_modules
 
-    if rigid.module_layout is not None and not rigid.divided:
+    if not rigid.divided and rigid.module_layout is not None:
         raise InputError("--module-layout needs --module-size or --module-table")
     outputs = Outputs(
         maps=[output] if output else [],
