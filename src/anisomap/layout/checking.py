@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.base.defaults import N_SHIFTS
-from anisomap.base.wording import html_table, join_items
+from anisomap.base.wording import counted, html_table, join_items
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
@@ -387,8 +387,9 @@ class _Checked:
         n_images = own_images(self.positions, self.spacing)
         if n_images:
             self.notes += (
-                f"consistent up to the symmetry of the layout: {n_images} rotations or reflections "
-                "map it onto itself, and readings cannot tell one from another",
+                "consistent up to the symmetry of the layout: readings cannot tell it from "
+                f"{'its image' if n_images == 1 else f'the {n_images} images'} under rotation or "
+                "reflection",
             )
 
     def _check_order(self, evidence: Evidence, judge: Judge, *, paired: bool) -> LayoutCheck | None:
@@ -593,8 +594,9 @@ class _Checked:
         untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested and len(untested) < n_sensors:
             self.notes += (
-                f"{len(untested)} of {n_sensors} sensors are not tested, since the recording says "
-                f"nothing about them: {join_items(untested, _MAX_NAMED)}",
+                f"the recording says nothing about {len(untested)} of {n_sensors} sensors, which "
+                f"{'is' if len(untested) == 1 else 'are'} not tested: "
+                f"{join_items(untested, _MAX_NAMED)}",
             )
         positions = self.layout.positions.copy()
         positions[self.rows] = proposed
@@ -642,7 +644,9 @@ def _matched(
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:
         listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)
-        notes = (f"{missing.size} sensors of the recording have no position: {listed}",)
+        have = "has" if missing.size == 1 else "have"
+        counts = counted(missing.size, "sensor")
+        notes = (f"{counts} of the recording {have} no position: {listed}",)
     rows = np.flatnonzero((columns >= 0) & layout.placed)
     if len(rows) < MIN_SENSORS:
         raise InputError(
