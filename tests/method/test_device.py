@@ -181,5 +181,5 @@ def test_impossible_requests_are_refused(change, message):
 
 def test_a_missing_library_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "array_api_compat", None)
-    with pytest.raises(MissingExtraError, match=r"anisomap\[gpu\]"):
+    with pytest.raises(MissingExtraError, match="gpu"):
         reconstruct_on_device(flat_skin().readings)
