@@ -130,7 +130,7 @@ def test_the_symmetry_of_a_layout_is_told_and_few_frames_say_nothing():
     for stated in (grid, grid[::-1]):
         found = check_layout(stated, Recording(readings))
         assert found.consistent
-        assert "up to the symmetry of the layout: 3 rotations" in found.notes[-1]
+        assert "the 3 images under rotation" in found.notes[-1]
     for order in (np.arange(96), np.roll(np.arange(96), 3), np.arange(96)[::-1]):
         assert check_layout(grid[order], Recording(readings[:300])).verdict != "consistent"
 
