@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from anisomap import io
-from anisomap.base.wording import as_text
+from anisomap.base.wording import as_text, printable
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import (
     Finding,
@@ -64,7 +64,7 @@ def read(
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Read a recording; the default of its source is the file name."""
-    logger.info("reading %s", path.name)
+    logger.info("reading %s", printable(path.name))
     recording = io.read(path, options=how, max_readings=max_readings, progress=progress)
     return replace(recording, source=recording.source or as_text(path.name))
 

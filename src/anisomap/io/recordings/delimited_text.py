@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from anisomap.base.clocks import continued, is_date, words_of
-from anisomap.base.wording import join_items
+from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
 from anisomap.io.parsing.cells import guard_formula, parse_number, unguard_formula
@@ -457,7 +457,8 @@ def _column_metadata(table: Table, roles: Roles) -> dict[str, Scalar]:
     for key, column in (("time_column", roles.time), ("counter_column", roles.counter)):
         if column is not None:
             metadata[key] = _column_label(table, column)
-            _logger.info("%s: %s is the %s", table.path, metadata[key], key.replace("_", " "))
+            kind = key.replace("_", " ")
+            _logger.info("%s: %s is the %s", printable(str(table.path)), metadata[key], kind)
     if table.text_columns:
         metadata["text_columns"] = ", ".join(_column_label(table, i) for i in table.text_columns)
     return metadata
