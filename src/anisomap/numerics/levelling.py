@@ -21,6 +21,9 @@ MIN_FRAMES = 50
 _MOST, _EACH_SIDE = 0.5, 0.1  # of the sensors
 _N_COMPARED = 200  # frames at each end, to see whether there is a step
 _WINDOW = 25  # frames
+_SIDE = 10  # frames before and behind a step
+_CERTAIN = 4.0  # standard deviations of a difference
+_NEARLY_ALL = 0.8  # of the sensors
 _NOISE = 6.0  # standard deviations that a level must differ by
 _AT_REST = 0.5  # of the frames between steps
 # Frames that may be at the level of the other side of a step, by chance and by contacts.
@@ -93,7 +96,7 @@ def _confirmed(readings: NDArray[np.floating], candidates: NDArray[np.intp]) -> 
         frame = around.start + _largest_step(readings[around])
         if frame - start < MIN_FRAMES or len(readings) - frame < MIN_FRAMES:
             continue
-        if _is_step(readings[start:frame], readings[frame:]):
+        if _at_once(readings, frame) and _is_step(readings[start:frame], readings[frame:]):
             found.append(frame)
             start = frame
     return found
@@ -109,6 +112,20 @@ def _largest_step(readings: NDArray[np.floating]) -> int:
     values, low, high = values[:, moved], low[moved], high[moved]
     nearer = (np.abs(values - low) - np.abs(values - high)) / np.abs(high - low)
     return int(np.argmin(np.cumsum(nearer.sum(axis=1)))) + 1
+
+
+def _at_once(readings: NDArray[np.floating], frame: int) -> bool:
+    """Return whether nearly all sensors change at a frame, and between it and the one before.
+
+    Contacts that begin and end together reach fewer sensors, or take several frames.
+    """
+    near = readings[frame - _SIDE : frame + _SIDE].astype(np.float64)
+    before, after = np.split(near, 2)
+    change = np.median(after, axis=0) - np.median(before, axis=0)
+    noise = np.maximum(_level(before)[1], _level(after)[1])
+    moved = np.abs(change) > noise * _CERTAIN * 1.25 * (2 / _SIDE) ** 0.5  # of two medians
+    at_once = float(np.sign(change) @ (after[0] - before[-1]))
+    return bool(moved.mean() > _NEARLY_ALL and at_once > np.abs(change).sum() / 2)
 
 
 def _level(readings: NDArray[np.floating]) -> tuple[Floats, Floats]:
@@ -145,4 +162,4 @@ def _is_step(before: NDArray[np.floating], after: NDArray[np.floating]) -> bool:
         for part, level in zip((before, after), levels, strict=True)
     ]
     resting = np.minimum(*rests) >= _AT_REST
-    return bool((free & resting)[moved].mean() > _MOST)
+    return bool((free & resting)[moved].mean() > _NEARLY_ALL)
