@@ -53,7 +53,7 @@ def test_the_wheel_makes_a_map_a_picture_and_a_report(installed, tmp_path):
     code = (
         "import anisomap, sys; assert sys.argv[1] in anisomap.__file__, anisomap.__file__;"
         "from anisomap.cli import main;"
-        "main(['demo', '-o', 'out', '--frames', '200', '--permutations', '20'])"
+        "main(['demo', '-o', 'out', '--frames', '200'])"
     )
     done = run(installed, "-c", code, str(installed), cwd=tmp_path)
     assert done.returncode == 0, done.stderr

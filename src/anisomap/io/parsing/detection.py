@@ -377,9 +377,9 @@ def _doubt_of(blocks: NDArray[np.float64]) -> str:
         return ""
     size = "{}x{}".format(*blocks.shape[1:])
     return (
-        f"empty lines divide blocks of {size} numbers, whose lines resemble each other more than "
-        f"those of the next block: give --grid {size} if each block is a frame, or remove the "
-        f"empty lines if each line is a frame of {blocks.shape[2]} sensors"
+        f"empty lines divide blocks of {size} numbers, which change less within blocks than from "
+        f"one to the next: give --grid {size} if each block is a frame, or remove the empty lines "
+        "if each line is a frame"
     )
 
 

@@ -388,8 +388,8 @@ def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
     with h5py.File(path, "r") as file:
         found = list[Any]()
 
-        def collect(name: str, item: Any) -> None:
-            if name.count("/") > _MAX_DEPTH:  # names of deeper ones take quadratic time
+        def collect(_: str | bytes, item: Any) -> None:
+            if _name_of(item).count("/") > _MAX_DEPTH + 1:  # names of deeper ones take quadratic time
                 raise FileError(f"{path}: groups are more than {_MAX_DEPTH} deep; it is damaged")
             found.append(item)
 
@@ -402,7 +402,7 @@ def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
 
 
 def _name_of(item: Any) -> str:
-    """Return the name of a dataset; h5py returns bytes where it is not UTF-8."""
+    """Return the path in the file; h5py returns bytes where it is not UTF-8."""
     return item.name if isinstance(item.name, str) else item.name.decode(errors="replace")
 
 
