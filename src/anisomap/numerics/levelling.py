@@ -122,10 +122,10 @@ def _at_once(readings: NDArray[np.floating], frame: int) -> bool:
     near = readings[frame - _SIDE : frame + _SIDE].astype(np.float64)
     before, after = np.split(near, 2)
     change = np.median(after, axis=0) - np.median(before, axis=0)
-    noise = np.maximum(_level(before)[1], _level(after)[1])
+    noise = _level(readings[frame - MIN_FRAMES : frame + MIN_FRAMES])[1]
     moved = np.abs(change) > noise * _CERTAIN * 1.25 * (2 / _SIDE) ** 0.5  # of two medians
-    at_once = float(np.sign(change) @ (after[0] - before[-1]))
-    return bool(moved.mean() > _NEARLY_ALL and at_once > np.abs(change).sum() / 2)
+    at_once = np.sign(change) * (after[0] - before[-1]) > np.abs(change) / 2
+    return bool(moved.mean() > _NEARLY_ALL and at_once[moved].mean() > _MOST)
 
 
 def _level(readings: NDArray[np.floating]) -> tuple[Floats, Floats]:
