@@ -135,3 +135,31 @@ def test_weights_are_matched_by_name(tmp_path):
     path.write_text("A,Z,1\n")
     with pytest.raises(AnisomapError, match="no object Z"):
         io.read_pair_weights(path, NAMES)
+
+
+WHOLE = {
+    "phylip": "4\n" + table(RECTANGLE, " ", names=NAMES),
+    "phylip lower": "4\n" + table(lower(diagonal=False), " ", names=NAMES),
+    "names in both": '"",A,B,C,D\n' + table(RECTANGLE, names=NAMES),
+    "upper triangle": table(upper(diagonal=True)),
+}
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+def test_what_a_cut_file_lacks_is_never_guessed(put, kind: str) -> None:
+    """Each line but the last has been cut off, or the file ends within it."""
+    text = WHOLE[kind]
+    for end in range(text.index("\n") + 1, text.rstrip("\n").rindex("\n") + 1):
+        with pytest.raises(AnisomapError):
+            io.read_dissimilarities(put("cut.txt", text[:end]))
+
+
+def test_cut_vectors_are_refused(put, tmp_path) -> None:
+    np.save(tmp_path / "vector.npy", RECTANGLE[np.triu_indices(4, 1)])
+    content = (tmp_path / "vector.npy").read_bytes()
+    for end in range(1, len(content)):
+        with pytest.raises(AnisomapError):
+            io.read_dissimilarities(put("cut.npy", content[:end]))
+    for text in ("A,B,C", "0\n3,0\n5,", "1,2,x,4,5,6\n"):
+        with pytest.raises(AnisomapError):
+            io.read_dissimilarities(put("cut.txt", text))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from anisomap import InputError, SensorMap, io
-from anisomap.errors import FileError
+from anisomap.errors import AnisomapWarning, FileError
 
 mne = pytest.importorskip("mne")
 
@@ -63,6 +63,18 @@ def test_a_header_without_its_data_is_refused(tmp_path):
     (tmp_path / "run.eeg").unlink()
     with pytest.raises(FileError, match=r"run\.vhdr"):
         io.read(path)
+
+
+@pytest.mark.parametrize("name", ["run.edf", "run.eeg"])
+def test_recordings_that_were_cut_short(name, tmp_path):
+    path = write_edf(tmp_path) if name == "run.edf" else write_brainvision(tmp_path)
+    data = tmp_path / name
+    data.write_bytes(data.read_bytes()[: -700 if name == "run.edf" else -7])
+    with pytest.warns(AnisomapWarning, match="cut short"):
+        found = io.read(path)
+    n = found.n_frames
+    assert 0 < n < len(SAMPLES)
+    np.testing.assert_allclose(found.readings, SAMPLES[:n] * 0.5e-6, atol=1e-12)
 
 
 @pytest.fixture

@@ -73,7 +73,7 @@ TABLES = [
     hold(
         ",0,1,2,3\n" + table(beside(COUNT)),
         readings=READINGS,
-        metadata={"counter_column": "column 1 ()"},
+        metadata={"counter_column": "column 1"},
     ),
     *(
         hold(header + table(beside(COUNT, COUNT / 8)), readings=READINGS, times=COUNT / 8)

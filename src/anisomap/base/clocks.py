@@ -29,7 +29,7 @@ _PER_SECOND = {
     **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e3),
     **dict.fromkeys(("millisekunden", "millisecondes", "milisegundos"), 1e3),
     **dict.fromkeys(("us", "usec", "\u00b5s", "\u03bcs", "micros", "microseconds"), 1e6),
-    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e9),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanos", "nanoseconds"), 1e9),
     **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
     **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
 }
@@ -40,7 +40,8 @@ _TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 # Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
 _EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 _SYMBOLS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
-_EPOCH_S = 1e9  # since 1970, in 2001
+SINCE_1970_S = 1e9
+"""Seconds since 1970, in 2001: larger numbers of seconds are dates."""
 _LONGEST_S, _MOST_SINCE_1970_S = 1.5, 100.0  # between frames, without a unit
 _SLOWEST_HZ, _FASTEST_HZ = 0.01, 50_000.0  # no skin or electrodes are read slower or faster
 _DAY_S = 86400.0
@@ -70,6 +71,9 @@ def is_time(name: str, column: int = 0) -> bool:
 
 def parse_clock(text: str) -> float | None:
     """Return the seconds of a clock, since 1970 if it has a date; None for other text."""
+    whole, _, rest = text.strip().rpartition(" days ")
+    if whole.isdecimal() and len(whole) < 7 and (at := parse_clock(rest)) is not None:
+        return int(whole) * _DAY_S + at  # as pandas prints durations
     match = _CLOCK.fullmatch(text.strip())
     if not match:
         return None
@@ -130,7 +134,7 @@ def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
     units = [word for word in words_of(name) if word in _PER_SECOND]
     start = float(finite[0]) if finite.size else 0.0
     per_second, guessed = units_per_second(name, times), False
-    since_1970 = start > _EPOCH_S and step < _MOST_SINCE_1970_S
+    since_1970 = start > SINCE_1970_S and step < _MOST_SINCE_1970_S
     if not (units or since_1970) and per_second == 1 and step > _LONGEST_S:
         per_second = next(unit for unit in (1e3, 1e6, 1e9) if step / unit <= 1 or unit == 1e9)
         guessed = True

@@ -88,6 +88,7 @@ def without_units(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(short) if len(set(short)) == len(set(names)) else tuple(names)
 
 
+COUNTER = "a counter"
 _LABELS = (
     "label labels class classes target subject participant person patient trial session condition "
     "gesture activity category episode repetition rep fold split annotation marker trigger prefix"
@@ -100,7 +101,7 @@ _OTHERS = {
     ),
     **dict.fromkeys(["temp", "temperature", "temperatur", "humidity"], "a temperature or humidity"),
     **dict.fromkeys(["battery", "batt", "vbat", "rssi"], "a state of the read-out"),
-    **dict.fromkeys(["seq", "sequence", "counter", "packet"], "a counter"),
+    **dict.fromkeys(["seq", "sequence", "counter", "packet"], COUNTER),
     **dict.fromkeys(["sum", "total", "checksum", "crc"], "a sum or checksum"),
     **dict.fromkeys(["mean", "average", "avg", "max", "min", "std"], "a statistic of others"),
     **dict.fromkeys(["cop", "copx", "copy"], "a centre of pressure"),
@@ -150,6 +151,9 @@ def _by_values(
         if whole and not found and values.max() < 256 and values.min() >= 0:
             modulo = ((total - 2 * values) % 256 == 0).all(axis=0) & varying
             found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}
+    ends = () if names else (0, len(rest) - 1)
+    counters = [k for k in ends if rest[k] not in found and _kind(values[:, k]) == COUNTER]
+    found |= {rest[k]: COUNTER for k in counters}
     for k, i in enumerate(rest):
         if i not in found and names and _is_odd(names, i) and (what := _kind(values[:, k])):
             found[i] = what
@@ -169,6 +173,6 @@ def _kind(values: NDArray[Any]) -> str:
         return ""
     steps = np.diff(values)
     if np.mean(steps == 1) > 1 - _MAX_SWITCHES:
-        return "a counter"
+        return COUNTER
     few = len(np.unique(values)) <= _MAX_LEVELS
     return "a label" if few and np.mean(steps != 0) < _MAX_SWITCHES else ""

@@ -35,6 +35,7 @@ from anisomap.io.registry import read
 from anisomap.recording import default_names, match_sensors
 
 Rows = list[list[str]]
+_MARKS = (",", ";", "\t")
 
 _ALIKE = 0.5  # r of cells across the diagonal, of nearly symmetric matrices
 _LEAST = 4  # objects of a matrix that is recognised; smaller ones look like many tables
@@ -240,15 +241,21 @@ def _read_values(file: Path, *, lists: bool = True) -> tuple[NDArray[np.float64]
         rows = _rows(lines)
         if not rows:
             raise FileError(f"{file} is empty")
+        *_, before, last = ("", *(line.rstrip("\r\n ") for line in lines))
+        if last == lines[-1] and last.endswith(_MARKS) and not before.endswith(_MARKS):
+            raise FileError(f"{file} is cut short: its last line ends with {quote(last[-1])}")
         Budget(file).check(8 * len(rows) ** 2, "its matrix")
         pairs = _pairs_of(rows) if lists else []
         if pairs:
             values, names = _from_list(file, pairs)
         elif lists and (1 in (len(rows), max(map(len, rows)))) and len(rows) * len(rows[0]) > 1:
             cells = [_number(cell) for row in rows for cell in row]
+            if None in cells:
+                wrong = quote([cell for row in rows for cell in row][cells.index(None)])
+                raise FileError(f"{file} holds one row or column, in which {wrong} is not a number")
             values, names = _from_vector(file, np.array(cells, dtype=np.float64))
         else:
-            values, names = _from_table(file, _of_phylip(lines) or rows)
+            values, names = _from_table(file, _of_phylip(file, lines) or rows)
         return values, distinct_names(file, names)
 
 
@@ -261,7 +268,9 @@ def _stored_vector(file: Path) -> NDArray[np.float64] | None:
         if len(header.shape) != 1 or header.dtype.kind not in "biuf":
             return None
         Budget(file).check(header.shape[0] * header.dtype.itemsize, "the array")
-        content = stream.read(header.shape[0] * header.dtype.itemsize)
+        n_bytes = header.shape[0] * header.dtype.itemsize
+        if len(content := stream.read(n_bytes)) < n_bytes:
+            raise FileError(f"{file} is cut short: its array lacks {n_bytes - len(content)} bytes")
         return np.frombuffer(content, header.dtype).astype(np.float64)
 
 
@@ -280,7 +289,7 @@ def _from_vector(
     return values + values.T, default_names(n)
 
 
-def _of_phylip(lines: Sequence[str]) -> Rows:
+def _of_phylip(file: Path, lines: Sequence[str]) -> Rows:
     """Return the rows of a square or lower triangle of PHYLIP, which begins with its size."""
     words = [line.split() for line in lines if line.strip()]
     if not words or len(words[0]) != 1 or not words[0][0].isdecimal() or len(words[0][0]) > 6:
@@ -289,6 +298,11 @@ def _of_phylip(lines: Sequence[str]) -> Rows:
     if len(found) == n * (n + 1):
         return [found[i : i + n + 1] for i in range(0, len(found), n + 1)]
     if len(found) != n + n * (n - 1) // 2:
+        if len(words) > 1 and len(words[1]) > 1 and _number(words[1][0]) is None:
+            raise FileError(
+                f"{file} announces {n} objects, but what follows is no square or lower triangle of "
+                f"them: {len(found)} names and numbers; names must not hold blanks"
+            )
         return []
     rows, start = Rows(), 0
     for i in range(n):
@@ -339,6 +353,10 @@ def _split_labels(rows: Rows) -> tuple[Rows, list[str]]:
     wide = header and max(map(len, rows), default=0) > len(rows)
     if not wide and all(_number(cell) is not None for cell in column):
         return rows, header
+    if len(header) > len(column) + 1:
+        raise InputError(
+            f"its first row names {len(header)} objects, and {len(column)} rows follow"
+        )
     header = header[len(header) > len(column) :]
     rows = [row[1:] for row in rows]
     if header and header != column and len(rows[0]) < len(rows[-1]):
@@ -358,7 +376,7 @@ def _from_table(file: Path, rows: Rows) -> tuple[NDArray[np.float64], tuple[str,
     if set(widths) == {n_rows}:
         return np.array(body, dtype=float), tuple(names) or default_names(n_rows)
     steps = set(np.diff(widths).tolist())
-    if steps not in ({1}, {-1}):
+    if steps not in ({1}, {-1}) or min(widths) > 1:
         raise FileError(
             f"{file} has {n_rows} rows of {min(widths, default=0)} to {max(widths, default=0)} "
             "numbers; dissimilarities are a square matrix, a triangle, or lines of two names and a "
@@ -366,7 +384,12 @@ def _from_table(file: Path, rows: Rows) -> tuple[NDArray[np.float64], tuple[str,
         )
     if upper := steps == {-1}:
         body, names = [row[::-1] for row in body[::-1]], names[::-1]
-    ends_at_0 = all(row[-1] == 0 for row in body if row)
+    zeros = [row[-1] == 0 for row in body if row]
+    if len(zeros) > 2 and all(zeros[:-1]) and not zeros[-1]:
+        raise FileError(
+            f"{file} is damaged or cut short: one row of its triangle does not end at 0"
+        )
+    ends_at_0 = all(zeros)
     n = len(body[-1]) + (len(names) != len(body[-1]) and (bool(names) or not ends_at_0))
     if names and len(names) != n:
         raise FileError(f"{file} names {len(names)} objects, but its triangle has {n}")

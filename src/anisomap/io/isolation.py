@@ -36,12 +36,16 @@ def contents_isolated(
 def _sent(function: Callable[..., Any], options: ReadOptions) -> tuple[Any, ...]:
     width = None if options.bin_s is None else float(options.bin_s)
     definitions = [os.fspath(each) for each in options.definitions]
-    return function.__module__, function.__name__, options.select, definitions, width
+    return (
+        *(function.__module__, function.__name__),
+        *(options.select, definitions, width, options.keep),
+    )
 
 
 def _called(path: Path, *sent: Any) -> Any:
-    module, name, select, definitions, bin_s = sent
-    options = ReadOptions(select, definitions=tuple(map(Path, definitions)), bin_s=bin_s)
+    module, name, select, paths, bin_s, keep = sent
+    definitions = tuple(map(Path, paths))
+    options = ReadOptions(select, definitions=definitions, bin_s=bin_s, keep=tuple(keep))
     return getattr(import_module(module), name)(path, options)
 
 

@@ -53,6 +53,7 @@ from anisomap.recording import Recording, default_names, join_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 _SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+_MESHES = (".obj", ".off", ".stl", ".glb", ".gltf")
 
 
 @dataclass(frozen=True)
@@ -104,9 +105,9 @@ FORMATS = (
            read_map=text_files.read_probe),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", text_files.is_calibration,
            read_map=text_files.read_calibration),
-    Format("contacts-json", (".jsonl",), "list of contacts or spikes (JSON)",
+    Format("contacts-json", (), "list of contacts or spikes (JSON)",
            contact_lists.is_json, contact_lists.open_json_list),
-    Format("json-lines", (), "one JSON object per frame", delimited_text.is_json_lines,
+    Format("json-lines", (".jsonl",), "one JSON object per frame", delimited_text.is_json_lines,
            delimited_text.open_recording),
     Format("json", (".json",), "JSON", text_files.is_json,
            read_map=text_files.read_json_map, write_map=text_files.write_json,
@@ -464,9 +465,11 @@ def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[...
     chosen = _recognise(file)
     reader = getattr(chosen, kind)
     if reader is None:
-        able = (", ".join(f.suffixes) or f.summary for f in FORMATS if getattr(f, kind))
+        able = [", ".join(f.suffixes) or f.summary for f in FORMATS if getattr(f, kind)]
         is_read = chosen.open_recording or chosen.read_map
         problem = f"holds no {what}" if is_read else "is written, but not read"
+        if chosen.name == "json" and what == "recordings":
+            able = ["lines with an object or a list per frame (.jsonl)", ".csv", ".npz"]
         problem += f"; formats with {what}: {'; '.join(able)}"
         raise FileError(f"{file} ({chosen.summary}) {problem}")
     return chosen, reader
@@ -478,6 +481,11 @@ def _recognise(file: Path) -> Format:
     suffix = next((s.lower() for s in reversed(file.suffixes) if s.lower() != ".gz"), None)
     if suffix in _SPREADSHEETS:
         raise FileError(f"{file} is a spreadsheet; save its table as CSV")
+    if suffix in _MESHES:
+        raise FileError(
+            f"{file} is a mesh, onto which anisomap place lays a map; to read its vertices as "
+            "positions of sensors, save them as CSV"
+        )
     own = (f for f in FORMATS if f.signature and start.startswith(f.signature))
     by_content = (f for f in marked if f.matches(file, start))
     if chosen := next(itertools.chain(own, by_content), None):

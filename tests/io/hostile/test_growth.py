@@ -15,6 +15,7 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import AnisomapError
+from anisomap.io.parsing.source import HEAD_BYTES
 from anisomap.placement import parse_length
 from anisomap.sensor_map import SensorMap
 
@@ -108,3 +109,13 @@ def test_names_and_lengths_take_linear_time(tmp_path: Path) -> None:
         io.write(long, tmp_path / "s.icub.txt")
     with no_hang():
         parse_length("e" * SIZE + "!")
+
+
+@pytest.mark.parametrize("repeated", ["\n", " ", "\t", "[", "<", "# ", "a:"])
+def test_recognising_takes_linear_time(repeated: str, tmp_path: Path) -> None:
+    path = tmp_path / "start.txt"
+    path.write_text("DATA_TYPE " + repeated * (HEAD_BYTES // len(repeated)), newline="")
+    with no_hang():
+        for _ in range(10):
+            with suppress(AnisomapError):
+                io.read_map(path)

@@ -260,6 +260,9 @@ def read_icub(path: Path) -> SensorMap:
     representatives = listed.split()
     positions = {}
     body = [(number, line.split()) for number, line in enumerate(lines[start:], start + 1) if line]
+    if len(body) < len(representatives) - 1:  # some programs drop the last line
+        problem = f"taxel2Repr lists {len(representatives)} values, but {len(body)} lines follow"
+        raise FileError(f"{path} is cut short: {problem}")
     for value, (number, fields) in enumerate(body):
         if len(fields) not in (6, 7):
             problem = f" has {len(fields)} fields; it must be x y z nx ny nz"

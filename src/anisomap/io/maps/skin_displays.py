@@ -41,7 +41,7 @@ PADS = np.array(
 
 def is_display(path: Path, head: bytes) -> bool:
     """Recognise the file by its section of sensors."""
-    return re.search(rb"^\s*\[SENSORS\]\s*$", head, re.MULTILINE) is not None
+    return re.search(rb"^[ \t]*+\[SENSORS\][ \t\r]*$", head, re.MULTILINE) is not None
 
 
 def read_display(path: Path) -> SensorMap:

@@ -21,6 +21,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.clocks import is_time
 from anisomap.errors import FileError
 from anisomap.io.parsing.cells import guard_formula, is_number, parse_number, unguard_formula
 from anisomap.io.parsing.facts import (
@@ -134,6 +135,9 @@ def _find_columns(
     found = [axes[axis] for axis in known if axis in axes]
     if found:
         header = {word: i for i, word in reversed(list(enumerate(words)))}
+        if clocks := [word for word, i in header.items() if is_time(word, i)]:
+            problem = "so it is a recording and no list of positions"
+            raise FileError(f"{path} holds times (column {quote(clocks[0])}), {problem}")
         return [i for i, _ in found], header, found[0][1]
     start = 0 if is_number(fields[0], None) else 1
     if words[0] in _POINT_KINDS and len(fields) == _HPTS and all(map(is_number, fields[2:])):

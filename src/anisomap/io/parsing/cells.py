@@ -62,6 +62,19 @@ def is_label(cell: str) -> bool:
     return not _IN_TEXT.search(text) or bool(_IDENTIFIER.fullmatch(text))
 
 
+_HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]+|\d[0-9A-Fa-f]+")
+_GROUPED = re.compile(r"[-+]?\d{1,3}(?:(?P<mark>[.,' \u00a0])\d{3})(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
+
+
+def remedy_of(cell: str) -> str:
+    """Say what to do about a cell that is no number; empty if that is not known."""
+    if _GROUPED.fullmatch(cell.strip()):
+        return "; remove thousands separators from the file"
+    if cell.strip().lower() in ("true", "false", "on", "off"):
+        return "; write 1 and 0"
+    return "; write decimal numbers" if _HEXADECIMAL.fullmatch(cell.strip()) else ""
+
+
 def guard_formula(name: str) -> str:
     """Precede a name that a spreadsheet would run as a formula with one more apostrophe."""
     if len(name) >= csv.field_size_limit():

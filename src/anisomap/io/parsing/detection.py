@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.errors import FileError
 from anisomap.io.parsing.cells import is_clock, is_label, is_missing, is_number, parse_number
 from anisomap.io.parsing.lines import as_objects, find_template
 from anisomap.io.parsing.source import quote
@@ -44,14 +45,20 @@ _MAX_UNIT = 12  # characters
 # frames follow each other and .5 where they do not; recordings of presses .25 (simulated).
 _CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
+_COMMENT, _MARKED = re.compile(r"\s*(?:#|%|//)+\s*"), re.compile(r"\s*(?:%|//)")
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 
 
-def count_preamble(sample: Sequence[str]) -> int:
-    """Count the lines of metadata above some equal rows of numbers, wider than the first line."""
+def count_preamble(sample: Sequence[str], *, padded: bool = False) -> int:
+    """Count the lines of metadata above some equal rows of numbers, wider than the first line.
+
+    padded: Whether empty cells follow the text of such a line, as spreadsheets write them; a header
+        must be below.
+    """
     top = sample[:_MAX_PREAMBLE]
-    for delimiter in DELIMITERS:
-        widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in top]
+    for delimiter in DELIMITERS[:-1] if padded else DELIMITERS:
+        lines = [line.rstrip(f"{delimiter} \r\n") if padded else line for line in top]
+        widths = [0 if is_skipped(s, delimiter) else len(_split(s, delimiter)) for s in lines]
         first = next((width for width in widths if width), 0)
         wide = (i for i, width in enumerate(widths) if width > first + 1)
         start = next((i for i in wide if _is_numeric(top[i], delimiter)), None)
@@ -61,7 +68,8 @@ def count_preamble(sample: Sequence[str]) -> int:
         alike = all(widths[i] == widths[start] and _is_numeric(top[i], delimiter) for i in rows)
         if alike and len(rows) == _MIN_UNIFORM_ROWS:
             named = abs(widths[start - 1] - widths[start]) <= 1
-            return start - named
+            if named or not padded:
+                return start - named
     return 0
 
 
@@ -83,9 +91,42 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
     """
     if own_delimiter:
         return _find_columns(path, sample, 0, own_delimiter)
-    found = _find_nested(path, sample) or _find_blocks(path, sample)
-    preamble = 0 if found else count_preamble(sample)
-    return found or _find_columns(path, sample[preamble:], preamble, None)
+    found = _find_objects(path, sample) or _find_nested(path, sample) or _find_blocks(path, sample)
+    if found:
+        return found
+    sample = _with_header(sample)
+    preamble = count_preamble(sample) or count_preamble(sample, padded=True)
+    table = _find_columns(path, sample[preamble:], preamble, None)
+    above = {line.strip() for line in sample[: table.first_line - 1] if not is_apart(line)}
+    header = _split(sample[preamble - 1], table.delimiter) if preamble else []
+    if 2 < 2 * len(header) == table.n_columns and table.delimiter == ",":
+        raise FileError(
+            f"{path}: the header names {len(header)}, and the lines below have twice as many "
+            "fields: commas are decimal and separate fields, too; save it with semicolons"
+        )
+    numeric = (i for i in range(preamble) if _is_numeric(sample[i], table.delimiter))
+    if not table.skipped and (first := next(numeric, -1)) >= 0:
+        shown = quote(sample[first].strip())
+        table = replace(table, skipped=f"the lines above line {preamble + 1}, such as {shown}")
+    return replace(table, above=frozenset(above))
+
+
+def _with_header(sample: Sequence[str]) -> Sequence[str]:
+    """Uncover a header in a comment: the last line with a mark above the first without one."""
+    marked = list(
+        itertools.takewhile(lambda line: _COMMENT.match(line) or not line.strip(), sample)
+    )
+    if not 0 < len(marked) < len(sample):
+        return sample
+    header = _COMMENT.sub("", marked[-1], count=1)
+    below = [line for line in sample[len(marked) :] if not is_skipped(line)][:_MIN_UNIFORM_ROWS]
+    delimiter = find_delimiter(below)
+    widths = {len(fields) for _, fields in all_records(below, delimiter)}
+    names = next((fields for _, fields in all_records([header], delimiter)), [])
+    few = len(names) < _MIN_LISTED  # it may be a remark of as many words
+    if few or widths != {len(names)} or any(is_number(name, delimiter) for name in names):
+        return ["" if _MARKED.match(line) else line for line in marked] + [*sample[len(marked) :]]
+    return [*("\n" for _ in marked[:-1]), header, *sample[len(marked) :]]
 
 
 def _find_columns(
@@ -107,6 +148,8 @@ def _find_columns(
     if around and (lines := _find_lines(path, sample, preamble)):
         return lines
     header, body = (rows[0], rows[1:]) if has_header else ([], rows)
+    if header and body and not header[0].strip() and all(is_missing(row[0]) for row in body if row):
+        text = (0, *text)  # a column without a name and cells
     n_units = bool(header and len(body) > 1 and _are_units(body[0], body[1], delimiter))
     body = body[n_units:]
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
@@ -211,15 +254,21 @@ def _holds_text(
     return vary or len(alike) > 1 or len(others) == len(cells)
 
 
+def _find_objects(path: Path, sample: Sequence[str]) -> Table | None:
+    """Find lines that hold an object of JSON each; the first line may be cut."""
+    filled = [each for each in enumerate(sample, start=1) if not is_apart(each[1])]
+    for start in range(min(2, len(filled))):
+        if objects := as_objects([line for _, line in filled[start : start + 2]]):
+            names, convert = objects
+            return _of_lines(path, filled, start, names, convert=convert)
+    return None
+
+
 def _find_lines(path: Path, sample: Sequence[str], preamble: int) -> Table | None:
-    """Find a layout of lines with text around the numbers: objects of JSON, or a template."""
+    """Find a layout of lines with text around the numbers."""
     numbered = enumerate(sample, start=1 + preamble)
     filled = [(number, line) for number, line in numbered if not is_apart(line)]
     lines = [line.partition("#")[0] for _, line in filled]
-    for start in range(min(_MIN_TEXT_CELLS, len(lines))):
-        if objects := as_objects(lines[start:]):
-            names, convert = objects
-            return _of_lines(path, filled, start, names, convert=convert)
     template = find_template(lines)
     if template is None:
         return None

@@ -18,11 +18,13 @@ from functools import cached_property
 from typing import Any
 
 from anisomap.base.clocks import parse_clock
+from anisomap.errors import InputError
 from anisomap.io.parsing.cells import is_clock
 from anisomap.io.parsing.source import quote
 
 _TIME = (
-    r"\d{1,2}:\d{2}:\d{2}(?:[.:]\d{1,9}|,\d{3}(?=\s))?(?:\s?[AaPp][Mm]\b)?(?:Z|[-+]\d{2}:?\d{2})?"
+    r"(?:\d{1,6} days )?\d{1,2}:\d{2}:\d{2}(?:[.:]\d{1,9}|,\d{3}(?=\s))?"
+    r"(?:\s?[AaPp][Mm]\b)?(?:Z|[-+]\d{2}:?\d{2})?"
 )
 _DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
 _WORDS = r"[-+]?(?:nan|inf|infinity|null|none|n/a|na)(?![\w/])"
@@ -186,6 +188,14 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
     clocks = frozenset(
         i for i, tokens in enumerate(columns) if ":" in tokens[0] or is_clock(tokens[0])
     )
+    labels = [
+        i for i in range(1, len(columns)) if _is_glued(raw, i) and _ENDS_LABEL.match(raw[i + 1])
+    ]
+    if any(len(set(columns[i])) > 1 for i in labels):
+        raise InputError(
+            f"the labels of the values change from line to line, as in {quote(example.strip())}: "
+            "all lines must hold the same labels in the same order"
+        )
     fixed = {
         i: tokens[0]
         for i, tokens in enumerate(columns)
@@ -209,9 +219,12 @@ def _labels(raw: Sequence[str], i: int) -> bool:
         return any(map(str.isalpha, raw[i])) and any(mark in raw[i] for mark in ")]}")
     if _ENDS_LABEL.match(raw[i + 1]):
         return True
-    glued = raw[i][-1:].isalpha() or raw[i].endswith("_")
-    following = raw[i + 1]
-    return glued and bool(following) and following.isspace()
+    following = raw[i + 1]  # np.int64(12)
+    return _is_glued(raw, i) and bool(following) and (following.isspace() or following == "(")
+
+
+def _is_glued(raw: Sequence[str], i: int) -> bool:
+    return raw[i][-1:].isalpha() or raw[i].endswith("_")
 
 
 def _names(

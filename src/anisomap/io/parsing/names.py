@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.clocks import NAMING_TIME, Clock, clock_of, is_time, words_of
+from anisomap.base.clocks import NAMING_TIME, SINCE_1970_S, Clock, clock_of, is_time, words_of
 from anisomap.base.wording import noun_and_items
+from anisomap.errors import InputError
 from anisomap.io.parsing.source import quote_if_needed, warn
+from anisomap.recording import default_names, find_sensors
 
 ROWS_LOOKED_AT = 1000
 """Rows at the start of a file that determine the roles of its columns."""
 
-_COUNTER_NAMES = {
+COUNTER_NAMES = {
     *("", "frame", "frames", "index", "idx", "seq", "sequence", "sample", "row", "packet", "no"),
     *("frame id", "frame no", "frame number", "frame index", "unnamed: 0", "nr", "counter"),
 }
+"""Names of columns that count frames."""
 # Chosen by hand: fewer rows do not show that a clock is steady, and a few rows may be glitches.
 _MIN_FRAMES = 8
 _MIN_STEADY_FRACTION = 0.95
@@ -33,14 +38,89 @@ class Roles:
 
     per_second: Units of `time` per second, such as 1000 for milliseconds; `doubt` says what is
         doubtful about them.
+    nanoseconds: The column of the rest of a time in whole seconds, as stamps of ROS have.
     """
 
     time: int | None = None
     per_second: float = 1.0
     doubt: str = ""
+    nanoseconds: int | None = None
     counter: int | None = None
     non_sensors: tuple[int, ...] = ()
     guessed: tuple[int, ...] = ()
+
+    def times_in(self, rows: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the times of rows, (t,), in seconds."""
+        if self.time is None:
+            return None
+        times = rows[:, self.time] / self.per_second
+        return times if self.nanoseconds is None else times + rows[:, self.nanoseconds] / 1e9
+
+    def mapped(self, place: Callable[[int], int | None]) -> Roles:
+        """Return the roles with other indices; columns whose place is None have no role."""
+
+        def places(columns: Iterable[int]) -> tuple[int, ...]:
+            return tuple(i for i in map(place, columns) if i is not None)
+
+        single = (self.time, self.nanoseconds, self.counter)
+        time, rest, counter = (None if i is None else place(i) for i in single)
+        return Roles(
+            time,
+            self.per_second,
+            "" if time is None else self.doubt,
+            rest,
+            counter,
+            places(self.non_sensors),
+            places(self.guessed),
+        )
+
+
+def with_kept(
+    names: tuple[str, ...],
+    roles: Roles,
+    keep: Sequence[str],
+    n_columns: int,
+    text: Collection[int] = (),
+) -> tuple[tuple[str, ...], Roles]:
+    """Return names, and roles without columns that are kept as sensors by a name or a range.
+
+    Indices and patterns are those of sensors. Without a header, columns of time or a counter are
+    called ``column 1``, as in messages, and the others ``s0``, ``s1``, ... Columns of text cannot
+    be kept.
+    """
+    own = names
+    if not own:
+        others = iter(default_names(n_columns))
+        own = tuple(
+            f"column {i + 1}" if i in roles.non_sensors else next(others) for i in range(n_columns)
+        )
+    kept = set[int]()
+    for each in keep:
+        if not re.fullmatch(r"\d+(?:\s*-\s*\d+)?", each) and not {*each} & {*"*?"}:
+            with suppress(InputError):
+                kept |= {*find_sensors(own, [each]).tolist()} & {*roles.non_sensors}
+    if lost := sorted(kept & {*text}):
+        raise InputError(f"column {own[lost[0]]} holds text, so it cannot be a sensor")
+    return (own, roles.mapped(lambda i: None if i in kept else i)) if kept else (names, roles)
+
+
+_SECONDS, _NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}
+
+
+def _find_stamps(header: Sequence[str], table: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Find columns of whole seconds, and of nanoseconds that are named alike."""
+    found: dict[tuple[str, ...], dict[bool, int]] = {}
+    for i, name in enumerate(header):
+        *before, unit = words_of(name) or [""]
+        if unit in _SECONDS | _NANOSECONDS:
+            found.setdefault(tuple(before), {}).setdefault(unit in _NANOSECONDS, i)
+    pairs = [(each[False], each[True]) for each in found.values() if len(each) == 2]
+    return [pair for pair in pairs if _is_stamp(table[:, pair])]
+
+
+def _is_stamp(pair: NDArray[np.float64]) -> bool:
+    """Return whether two columns are whole seconds and nanoseconds below 1e9."""
+    return _is_whole(pair) and bool(((pair[:, 1] >= 0) & (pair[:, 1] < 1e9)).all())
 
 
 def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
@@ -51,11 +131,13 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
 
     table (t, n_columns).
     """
-    times = [i for i, name in enumerate(header) if is_time(name, i)]
+    stamps = _find_stamps(header, table)
+    times = [*itertools.chain.from_iterable(stamps)]
+    times += [i for i, name in enumerate(header) if is_time(name, i) and i not in times]
     counters = [
         i
         for i, name in enumerate(header[:2])
-        if name.lower().replace("_", " ").strip() in _COUNTER_NAMES and _is_counter(table[:, i])
+        if name.lower().replace("_", " ").strip() in COUNTER_NAMES and _is_counter(table[:, i])
     ]
     guessed = []
     if len(table) >= _MIN_FRAMES:
@@ -75,6 +157,7 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
         time=times[0] if times else None,
         per_second=clock.per_second,
         doubt=clock.doubt,
+        nanoseconds=stamps[0][1] if stamps else None,
         counter=counters[0] if counters else None,
         non_sensors=tuple(sorted({*times, *counters})),
         guessed=tuple(guessed),
@@ -89,6 +172,9 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     n_frames, n_columns = table.shape
     if n_frames < _MIN_FRAMES:
         return Roles()
+    since_1970 = n_columns > 2 and (table[:, 0] > SINCE_1970_S).all()
+    if since_1970 and _is_stamp(table[:, :2]) and _rises(table[:, 0] + table[:, 1] / 1e9):
+        return Roles(0, nanoseconds=1, non_sensors=(0, 1))
     rising = [i for i in range(n_columns) if _rises(table[:, i])]
     if rising not in ([0], [0, 1]) or len(rising) == n_columns:
         return Roles()
@@ -100,7 +186,13 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
         return Roles()
     counter = 0 if len(rising) == 2 else None
     clock = clock_of("", last)
-    return Roles(rising[-1], clock.per_second, clock.doubt, counter, tuple(rising))
+    return Roles(
+        rising[-1],
+        clock.per_second,
+        clock.doubt,
+        counter=counter,
+        non_sensors=tuple(rising),
+    )
 
 
 def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:

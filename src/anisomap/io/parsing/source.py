@@ -6,6 +6,7 @@ import csv
 import gzip
 import io
 import json
+import re
 import warnings
 import zipfile
 import zlib
@@ -23,6 +24,7 @@ Item = TypeVar("Item")
 Line = TypeVar("Line", str, bytes)
 
 _MIN_REPORTED_LOSS = 0.005
+_COLOURS = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]")  # of terminals
 
 
 def warn(path: Path | str, problem: str) -> None:
@@ -135,6 +137,8 @@ class TextLines(io.TextIOWrapper):
         if not line:
             raise StopIteration
         self.last, self.number = line, self.number + 1
+        if "\x1b" in line:
+            line = _COLOURS.sub("", line)
         if len(line) == _MAX_LINE:
             raise _long_line(self._path)
         return line
@@ -174,6 +178,17 @@ def is_gzipped(path: Path) -> bool:
     """Return whether a file starts with the gzip magic number."""
     with open_regular(path) as raw:
         return raw.peek(len(_GZIP))[: len(_GZIP)] == _GZIP
+
+
+def check_unpacked(path: Path, n_readings: int) -> None:
+    """Reject a gzipped table that is too large, at `n_readings` per line, before it is parsed."""
+    if not is_gzipped(path):
+        return
+    n_lines = 0
+    with suppress(*GZIP_ERRORS), open_binary(path) as stream:
+        while content := stream.read1(1 << 20):
+            n_lines += content.count(b"\n")
+    Budget(path).check(4 * n_lines * n_readings, "its table of readings")
 
 
 def read_lines(path: Path) -> list[str]:

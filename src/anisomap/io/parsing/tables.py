@@ -23,6 +23,7 @@ from anisomap.io.parsing.cells import (
     is_number,
     parse_number,
     parse_time,
+    remedy_of,
 )
 from anisomap.io.parsing.lines import MisfitError
 from anisomap.io.parsing.source import (
@@ -43,6 +44,9 @@ _MAX_TOGETHER = 1 << 23  # characters of the lines of a frame
 _BLOCK_CHARACTERS, _LEAST_PER_LINE = 1 << 22, 1 << 13  # so that blocks have at most 512 lines
 
 
+NO_NUMBER = "is not a number"
+
+
 class LineError(FileError):
     """A line, from 1, that cannot be parsed; with surplus fields it is not truncated."""
 
@@ -57,11 +61,12 @@ def field_error(
     column: int,
     field: str,
     *,
-    problem: str = "is not a number",
+    problem: str = NO_NUMBER,
     name: str = "",
 ) -> LineError:
     """Return the error of a field, with the index of its column and perhaps its name."""
     label = f" ({name})" if name else ""
+    problem += remedy_of(field) if problem == NO_NUMBER else ""
     return LineError(path, line, f", column {column + 1}{label}: {quote(field)} {problem}")
 
 
@@ -111,6 +116,7 @@ class Table:
     nested: Whether brackets hold the lines of a frame together.
     numeric: The delimiter of cleaned lines.
     skipped: What was skipped above the first line.
+    above: Stripped lines above the first one, which a recorder that starts again writes again.
     doubt: What to ask if it is not clear how the file is meant.
     """
 
@@ -128,6 +134,7 @@ class Table:
     nested: bool = False
     numeric: str | None = ""
     skipped: str = ""
+    above: frozenset[str] = frozenset()
     doubt: str = ""
 
     def is_skipped(self, line: str) -> bool:
@@ -144,11 +151,27 @@ Numbered = tuple[int, str]
 """A line, or the lines of a frame as one, with its number from 1."""
 
 
+def _single_lines(
+    numbered: Iterable[Numbered], table: Table, *, quietly: bool
+) -> Iterator[Numbered]:
+    """Yield the lines, but for those that repeat one above the first."""
+    again = list[int]()
+    for number, line in numbered:
+        if table.above and line.strip() in table.above:
+            again.append(number)
+        else:
+            yield number, line
+    if again and not quietly:
+        count = f"{len(again)} lines, from line {again[0]} on, repeat lines"
+        problem = count if len(again) > 1 else f"line {again[0]} repeats a line"
+        warn(table.path, f"skipped: {problem} above the first frame; the recorder restarted")
+
+
 def _frame_lines(lines: Iterable[str], table: Table, *, quietly: bool) -> Iterator[Numbered]:
     """Yield the lines of frames: a line, a block of lines, or all lines inside brackets."""
     numbered = itertools.islice(enumerate(lines, start=1), table.first_line - 1, None)
     if table.block is None and not table.nested:
-        yield from numbered
+        yield from _single_lines(numbered, table, quietly=quietly)
         return
     held, size, depth, number, n_frames = list[str](), 0, 0, 0, 0
     n_rows = table.block[0] + table.n_titles if table.block and not table.nested else 0
@@ -331,7 +354,10 @@ def _row(line: str, table: Table, number: int) -> list[float]:
             originals = _fields(line, table.delimiter)
             original = (originals if len(originals) == len(fields) else fields)[column].strip()
             is_text = column in table.text_columns
-            problem = "is a number in a column of text" if is_text else "is not a number"
+            problem = "is a number in a column of text" if is_text else NO_NUMBER
+            below = number > table.first_line and not any(map(is_number, fields))
+            if below and not remedy_of(original):
+                problem += " (a second header? save each recording in a file of its own)"
             raise field_error(
                 table.path, number, column, original, problem=problem, name=name
             ) from None

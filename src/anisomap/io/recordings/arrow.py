@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from anisomap.base.clocks import is_time, units_per_second
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import open_regular
-from anisomap.io.parsing.names import ROWS_LOOKED_AT, roles_by_name, warn_of_guesses
+from anisomap.io.parsing.names import ROWS_LOOKED_AT, roles_by_name, warn_of_guesses, with_kept
 from anisomap.io.parsing.source import quote
 from anisomap.io.stream import BLOCK_BYTES, Block, Content, ReadOptions, Stream, choose
 
@@ -67,7 +67,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         plain = _plain_columns(source.schema)
         _check_unique(path, [name, *plain], source.schema.names)
         if name == _ALL_COLUMNS and name not in source.schema.names:
-            yield _of_columns(source, plain)
+            yield _of_columns(source, plain, options.keep)
         else:
             yield _of_lists(source, name, plain)
 
@@ -188,9 +188,10 @@ def _of_lists(source: _Source, name: str, plain: Sequence[str]) -> Stream:
     )
 
 
-def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
+def _of_columns(source: _Source, plain: Sequence[str], keep: Sequence[str]) -> Stream:
     first, batches = _peek(source.path, source.batches(plain))
     roles = roles_by_name(plain, _table(first)[:ROWS_LOOKED_AT])
+    _, roles = with_kept(tuple(plain), roles, keep, len(plain))
     warn_of_guesses(source.path, plain, roles)
     kept = [name for i, name in enumerate(plain) if i not in roles.non_sensors]
     if not kept:
@@ -199,8 +200,8 @@ def _of_columns(source: _Source, plain: Sequence[str]) -> Stream:
     def blocks() -> Iterator[Block]:
         for batch, fraction in batches:
             table = _table(batch)
-            times = None if roles.time is None else table[:, roles.time] / roles.per_second
-            yield Block(np.delete(table, roles.non_sensors, axis=1), fraction, times)
+            rows = np.delete(table, roles.non_sensors, axis=1)
+            yield Block(rows, fraction, roles.times_in(table))
 
     return Stream(
         source.path,

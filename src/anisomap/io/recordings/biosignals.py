@@ -41,6 +41,12 @@ MAGICS = tuple(_MARKS)
 """First bytes of the files."""
 
 _NAMED = re.compile(r"^[ \t]*+(?:DataFile|MarkerFile)[ \t]*+=[ \t]*+(.*?)[ \t\r]*$", re.M | re.I)
+_FACT = re.compile(
+    r"^[ \t]*+(DataFile|BinaryFormat|NumberOfChannels(?==\d{1,6}\b)|DataPoints(?==\d{1,12}\b))"
+    r"=[ \t]*+(\S*)",
+    re.M | re.I,
+)
+_VALUE_BYTES = {"INT_16": 2, "UINT_16": 2, "INT_32": 4, "IEEE_FLOAT_32": 4}
 _MAX_HEADER = 1 << 20
 _EDF_HEADER = 256  # bytes, before those of the signals
 _N_LOC = 3  # of the numbers about the place of a channel, the first are its position
@@ -134,6 +140,14 @@ def _check_named(path: Path) -> None:
             raise FileError(f"{path} names the file {quote(name)}; it must be in the same folder")
         if name and file.exists():
             check_regular(file)
+    facts = {key.lower(): value for key, value in _FACT.findall(text)}
+    sizes = [int(facts.get(key, 0)) for key in ("numberofchannels", "datapoints")]
+    frame = sizes[0] * _VALUE_BYTES.get(facts.get("binaryformat", "").upper(), 0)
+    data = path.parent / facts.get("datafile", "").replace("$b", path.stem)
+    if frame and data.is_file():
+        held, rest = divmod(data.stat().st_size, frame)
+        if rest or held < sizes[1]:
+            warn(path, f"it is cut short: {data.name} ends after {held} samples")
 
 
 def _contents(raw: Any) -> tuple[Content, ...]:

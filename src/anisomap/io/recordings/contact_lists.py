@@ -21,9 +21,18 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap.base.clocks import is_time, units_per_second, words_of
+from anisomap.base.wording import noun_and_items
 from anisomap.errors import FileError
 from anisomap.io.parsing.cells import is_number, parse_number
-from anisomap.io.parsing.source import lines_of, open_text, quote, read_head, read_json
+from anisomap.io.parsing.source import (
+    lines_of,
+    open_text,
+    quote,
+    quote_if_needed,
+    read_head,
+    read_json,
+    warn,
+)
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     LineError,
@@ -47,7 +56,8 @@ from anisomap.recording import Scalar
 
 _OF_SENSORS = {*NOUNS, "index", "indices", "list", "activated", "contact", "number", "no"}
 _MOMENTS = {"event", "events", "contact", "touch", "frame", "sample", "index", "no", "number"}
-_VALUES = {"value", "values", "pressure", "force", "amplitude", "reading", "weight"}
+_VALUES = {"value", "values", "v", "val", "raw", "adc", "reading"}
+_VALUES |= {"pressure", "force", "amplitude", "weight"}
 
 _IN_LIST = re.compile(r"[^\s,;|]+")
 _BRACKETS = str.maketrans("[](){}", "      ")
@@ -55,7 +65,7 @@ _ROWS_LOOKED_AT = 50
 # Chosen by hand: rows of at least three lengths are not a table with a damaged line.
 _MIN_BARE_ROWS, _MIN_LENGTHS = 4, 3
 _MIN_EQUAL = 5  # lists of equal length that are readings
-_SELECTED = re.compile(r"([^:]+):([^:]+)")
+_SELECTED = re.compile(r"([^:]+):([^:]+)(?::([^:]+))?")
 
 _Contact: TypeAlias = tuple[tuple[str, str], float, list[str], float | None]
 """Names of the moment and the sensors; the moment, the ids of the sensors, and a value."""
@@ -170,12 +180,12 @@ def open_text_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 def selects_columns(select: str) -> bool:
-    """Return whether a selection names two columns: ``event:taxel``, or ``1:5`` from 1."""
+    """Return whether a selection names columns: ``event:taxel``, ``1:5`` from 1; or three."""
     return bool(_SELECTED.fullmatch(select))
 
 
 def stream_columns(path: Path, options: ReadOptions) -> Stream:
-    """Create a stream of the moments and sensors in two columns of any table: ``event:taxel``."""
+    """Create a stream of the moments, sensors and perhaps values in columns of any table."""
     sample = read_sample(path)
     delimiter = find_delimiter(sample)
     first = next((fields for _, fields in records(sample, delimiter)), [])
@@ -191,7 +201,8 @@ def stream_columns(path: Path, options: ReadOptions) -> Stream:
             names = f", named {', '.join(map(quote, header[:8]))}" if header else ""
             problem = f"has no column {quote(text)}; it has {len(first)} columns{names}"
             raise FileError(f"{path} {problem}")
-    layout = _Layout(delimiter, header, moment=columns[0], sensor=columns[1])
+    moment, sensor, *value = columns
+    layout = _Layout(delimiter, header, moment, sensor, value[0] if value else -1)
     return stream_contacts(path, _read_text(path, layout), options.bin_s)
 
 
@@ -307,8 +318,12 @@ def _hold_readings(text: str, key: str) -> bool:
 @contextmanager
 def open_json_list(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a list of contacts or spikes; further properties are ignored."""
-    contacts = (_contact(f"{path}, {where}", found) for where, found in _objects(path))
-    yield stream_contacts(path, contacts, options.bin_s)
+    ignored = dict[str, None]()
+    contacts = (_contact(f"{path}, {where}", found, ignored) for where, found in _objects(path))
+    stream = stream_contacts(path, contacts, options.bin_s)
+    if ignored:
+        warn(path, f"ignored the {noun_and_items('property', [*map(quote_if_needed, ignored)])}")
+    yield stream
 
 
 def _objects(path: Path) -> Iterator[tuple[str, Any]]:
@@ -331,12 +346,14 @@ def _objects(path: Path) -> Iterator[tuple[str, Any]]:
     yield from read_undamaged(path, parse, "contacts")
 
 
-def _contact(where: str, found: Any) -> _Contact:
+def _contact(where: str, found: Any, ignored: dict[str, None]) -> _Contact:
     keys = list(found) if isinstance(found, dict) else []
     columns = _find_columns(keys)
     if columns is None:
         raise FileError(f"{where}: must be an object with a time and sensors")
     moment, sensor, *rest = (keys[i] for i in columns if i >= 0)
+    others = (key for key in keys if key not in (moment, sensor, *rest))
+    ignored |= dict.fromkeys(key for key in others if type(found[key]) in (int, float))
     for key in (moment, *rest):
         if type(found[key]) not in (int, float):
             raise FileError(f"{where}: {key} must be a number, got {quote(str(found[key]))}")

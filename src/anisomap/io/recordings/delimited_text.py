@@ -39,8 +39,18 @@ from anisomap.io.parsing.names import (
     roles_by_content,
     roles_by_name,
     warn_of_guesses,
+    with_kept,
 )
-from anisomap.io.parsing.source import TextLines, lines_of, quote, quote_if_needed, read_json, warn
+from anisomap.io.parsing.refusals import refuse_text, refuse_thousands, refuse_turned
+from anisomap.io.parsing.source import (
+    TextLines,
+    check_unpacked,
+    lines_of,
+    quote,
+    quote_if_needed,
+    read_json,
+    warn,
+)
 from anisomap.io.parsing.tables import (
     LineError,
     Table,
@@ -112,6 +122,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         yield events.stream_spike_table(path, options.bin_s)
         return
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
+    if not known:
+        refuse_text(path, sample)
     table = find_table(path, sample, own)
     n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
     Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
@@ -131,11 +143,15 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         raise FileError(f"{path}: {table.doubt}")
     if not known:
         _say(table, sample)
-    yield _stream_table(table, known, metadata, options)
+    yield _stream_table(table, sample, known, metadata, options)
 
 
 def _stream_table(
-    table: Table, known: Mapping[str, Scalar], metadata: Mapping[str, Scalar], options: ReadOptions
+    table: Table,
+    sample: Sequence[str],
+    known: Mapping[str, Scalar],
+    metadata: Mapping[str, Scalar],
+    options: ReadOptions,
 ) -> Stream:
     """Create a stream of the sensors of a table; `known` are entries of a file of anisomap."""
     path = table.path
@@ -145,7 +161,16 @@ def _stream_table(
     if known.get("times") == _IN_FIRST_COLUMN:
         roles = Roles(time=0, non_sensors=(0,))
     if not known:
+        text = (*table.text_columns, *table.clocks)
+        names, roles = with_kept(names, roles, options.keep, table.n_columns, text)
+        warn_of_guesses(path, names, roles)
+        if not options.keep:
+            known_for = {*roles.non_sensors} - {*table.text_columns}
+            refuse_turned(table, sample, known_for)
         roles = _without_frame_numbers(table, roles, options.grid)
+    if not table.nested:
+        rows = table.block[0] if table.block else 1
+        check_unpacked(path, table.n_columns // rows)
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -182,6 +207,7 @@ def _say(table: Table, sample: list[str]) -> None:
         apart = "brackets" if table.nested else "empty lines or comments"
         warn(table.path, f"{apart} divide frames of {size}")
     if table.separator != ",":
+        refuse_thousands(table, sample)
         _warn_of_commas(table.path, sample)
 
 
@@ -252,6 +278,7 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
     roles = Roles()
     if len(text) < table.n_columns:
         roles = _detected_roles(dataclasses.replace(table, text_columns=text), table.names)
+        warn_of_guesses(table.path, table.names, roles)
     before = table.first_line - 1
 
     def parse(lines: TextLines) -> Iterator[Frame]:
@@ -389,18 +416,13 @@ def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
             roles = roles_by_content(start[:, numeric])
         else:
             numeric = named
-    roles = dataclasses.replace(
-        roles,
-        time=None if roles.time is None else numeric[roles.time],
-        counter=None if roles.counter is None else numeric[roles.counter],
-        non_sensors=tuple(sorted([*(numeric[i] for i in roles.non_sensors), *never])),
-        guessed=tuple(numeric[i] for i in roles.guessed),
-    )
+    roles = roles.mapped(numeric.__getitem__)
+    non_sensors = tuple(sorted({*roles.non_sensors, *never}))
+    roles = dataclasses.replace(roles, non_sensors=non_sensors)
     if table.clocks:  # a time counts before a date without one
         dates = [i for i in table.clocks if is_date(float(np.nanmin(start[:, i], initial=np.inf)))]
         clock = next((i for i in table.clocks if i not in dates), table.clocks[0])
         roles = dataclasses.replace(roles, time=clock, per_second=1.0, doubt="")
-    warn_of_guesses(table.path, names, roles)
     return roles
 
 
@@ -437,13 +459,15 @@ def _warn_of_commas(path: Path, sample: list[str]) -> None:
 
 def _column_label(table: Table, column: int) -> str:
     name = quote_if_needed(table.names[column].strip()) if table.names else "no header"
+    if not name:
+        return f"column {column + 1}"
     return f"column {column + 1} ({name})"
 
 
 def _blocks(table: Table, roles: Roles) -> Iterator[Block]:
     before = -math.inf
     for values, fraction in read_blocks(table):
-        times = None if roles.time is None else values[:, roles.time] / roles.per_second
+        times = roles.times_in(values)
         if times is not None and roles.time in table.clocks:
             times = continued(times, before)
             before = float(times[-1])

@@ -1,0 +1,153 @@
+"""Text that looks like a table of frames and is none, and what would be right.
+
+Printed arrays whose middle is left out, frames of a CAN bus, what ``ros2 topic echo`` prints, and
+tables with a line per reading, per board or per sensor: read as they stand, sensors would be lost
+or mixed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from anisomap.base.clocks import words_of
+from anisomap.errors import FileError
+from anisomap.io.parsing.cells import is_number
+from anisomap.io.parsing.names import COUNTER_NAMES
+from anisomap.io.parsing.source import quote, quote_if_needed
+from anisomap.io.parsing.tables import Table, all_records, is_skipped
+
+_DOTS = r"(?:\.{3}|\u2026)"
+_LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
+_ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
+_MIN_SHARE = 0.3  # of lines without their middle
+_CAN = re.compile(r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*\s*$|\s+\[\d+\](?:\s+[0-9A-F]{2})*\s*$)")
+_ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
+_MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps
+_COLUMNS_LOOKED_AT = 3
+_GROUPED, _WHOLE = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+"), re.compile(r"[1-9]\d{0,2}")
+_MIN_GROUPED = 3
+_SENSOR_WORDS = {"sensor", "taxel", "channel", "electrode", "unit", "neuron", "pixel", "cell"}
+_LINE_WORDS = _SENSOR_WORDS | {
+    *("board", "module", "patch", "node", "device", "mux", "port", "pin", "address", "addr"),
+    *("id", "ch", "row", "col", "column", "line", "side", "hand", "foot", "finger"),
+}
+
+
+def refuse_text(path: Path, sample: Sequence[str]) -> None:
+    """Raise FileError for lines of a kind that no table has."""
+    lines = [line for line in sample if not is_skipped(line)]
+    numeric = [any(map(str.isdigit, line)) for line in lines]
+    cut = [i for i, line in enumerate(lines) if numeric[i] and _LEFT_OUT.search(line)]
+    inside = (i for i in range(1, len(lines)) if numeric[i - 1])
+    rows = [i for i in inside if _ROWS_LEFT_OUT.fullmatch(lines[i])]
+    if len(cut) > _MIN_SHARE * len(lines) or rows:
+        raise FileError(
+            f"{path} leaves out numbers, as in {quote(lines[(cut + rows)[0]].strip())}: save them "
+            "all, as numpy.savetxt does, or print them after "
+            "numpy.set_printoptions(threshold=sys.maxsize)"
+        )
+    if sum(bool(_CAN.search(line.rstrip())) for line in lines) > len(lines) / 2:
+        raise FileError(
+            f"{path} holds frames of a CAN bus in hexadecimal, as in {quote(lines[0].strip())}: "
+            "decode them to one line of numbers per frame first"
+        )
+    keys = sum(bool(_ECHO_KEY.match(line)) for line in lines)
+    if keys > 1 and sum(bool(_ECHO.fullmatch(line)) for line in lines) > 1:
+        raise FileError(
+            f"{path} holds messages as ros2 topic echo prints them: record a bag, or print them "
+            "with --csv (rostopic: -p)"
+        )
+
+
+def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
+    """Raise FileError if some numbers of a column have commas as in 1,234, and others none."""
+    for cells in zip(*_rows(table, sample), strict=False):
+        grouped = [cell for cell in map(str.strip, cells) if _GROUPED.fullmatch(cell)]
+        others = [cell for cell in map(str.strip, cells) if cell and not _GROUPED.fullmatch(cell)]
+        whole = any(map(_WHOLE.fullmatch, others)) and all(map(str.isdecimal, others))
+        if whole and len(set(grouped)) >= _MIN_GROUPED:
+            raise FileError(
+                f"{table.path}: commas separate thousands in {quote(grouped[0])}, beside numbers "
+                "without; remove them from the file"
+            )
+
+
+def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -> None:
+    """Raise FileError for a table of which several lines are a frame, or one line a sensor.
+
+    known: Columns that are a time or a counter.
+    """
+    if table.block or table.nested:
+        return
+    rows = _rows(table, sample)
+    for i in range(min(_COLUMNS_LOOKED_AT, table.n_columns)):
+        named = table.names[i].strip() if table.names else ""
+        cells = [row[i] for row in rows]
+        label = f"column {i + 1}" + (f" ({quote_if_needed(named)})" if named else "")
+        words = {word.removesuffix("s") for word in words_of(named)}
+        whole = i == 0 and words & _SENSOR_WORDS and len(sample) == len(rows) + 1
+        if whole and len(set(cells)) == len(cells) < table.n_columns - 1:
+            problem = f"{label} names a sensor in each line; write a line for each frame"
+            raise FileError(f"{table.path}: {problem}, that is, transpose the table")
+        counts = i in known or (named and named.lower() in COUNTER_NAMES)
+        levels = [] if counts else _cycle(cells)
+        text = bool(levels) and not is_number(levels[0])
+        evident = text or bool(table.numeric) or words & _LINE_WORDS
+        if levels and (evident or _number_frames(rows, len(levels))):
+            shown = ", ".join([*map(quote_if_needed, levels[:3]), "..."][: len(levels) + 1])
+            raise FileError(
+                f"{table.path}: {label} repeats {shown}, so that {len(levels)} lines seem to be a "
+                f"frame: write them in one line{_remedy(table, i)}; give --keep if it is a sensor"
+            )
+
+
+def _rows(table: Table, sample: Sequence[str]) -> list[list[str]]:
+    """Return the cells of the frames, but for lines that do not fit."""
+    body = sample[table.first_line - 1 :]
+    if table.numeric == "":
+        found = (fields for _, fields in all_records(body, table.delimiter))
+    else:
+        found = (_cells(table, line) for line in body if not table.is_skipped(line))
+    return [fields for fields in found if len(fields) >= table.n_columns]
+
+
+def _cells(table: Table, line: str) -> list[str]:
+    try:
+        return table.clean(line).split(",") if table.clean else []
+    except ValueError:
+        return []
+
+
+def _number_frames(rows: Sequence[Sequence[str]], height: int) -> bool:
+    """Return whether a column has one value in all lines of a frame, and another in the next."""
+    whole = len(rows) // height * height
+    for cells in zip(*rows[:whole], strict=False):
+        frames = [set(cells[i : i + height]) for i in range(0, whole, height)]
+        if {*map(len, frames)} == {1} and all(a != b for a, b in itertools.pairwise(frames)):
+            return True
+    return False
+
+
+def _cycle(cells: Sequence[str]) -> list[str]:
+    """Return the labels or whole numbers that a column repeats in the same order; empty if none."""
+    levels = list(dict.fromkeys(cells))
+    if not 2 <= len(levels) <= min(_MOST_LINES, len(cells) / 3) or len(cells) < _LEAST_ROWS:
+        return []
+    if any(is_number(cell) and not cell.strip().isdecimal() for cell in levels):
+        return []
+    steps = Counter(itertools.pairwise(cells))
+    following = dict(zip(levels, [*levels[1:], levels[0]], strict=True))
+    in_order = sum(steps[pair] for pair in following.items())
+    return levels if in_order >= _CYCLIC * (len(cells) - 1) else []
+
+
+def _remedy(table: Table, i: int) -> str:
+    """Say how to read a table of a time, a sensor and a value."""
+    if table.n_columns != 3 or i != 1 or table.numeric:
+        return ""
+    names = [name.strip() for name in table.names] or ["1", "2", "3"]
+    return f", or read the sensors in column {i + 1} with --select {':'.join(names)}"

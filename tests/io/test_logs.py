@@ -1,0 +1,241 @@
+"""Logs of real programs: each is read right, or refused with what would be right."""
+
+import gzip
+import json
+
+import numpy as np
+import pytest
+
+from anisomap import io
+from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.files import budget
+from anisomap.io import ReadOptions
+
+N, T = 12, 300
+RNG = np.random.default_rng(5)
+PRESSED = np.where(RNG.random((T, N)) < 0.3, RNG.integers(20, 3000, (T, N)), 0)
+NAMES = [f"c{i}" for i in range(N)]
+FRAMES = [*enumerate(PRESSED.tolist())]
+
+
+def joined(row, mark=","):
+    return mark.join(map(str, row))
+
+
+def table(rows, mark=",", names=NAMES):
+    lines = [names, *rows] if names else [*rows]
+    return "".join(joined(row, mark) + "\n" for row in lines)
+
+
+def lines(form):
+    """Write a line for each frame: `form` gives it from the number and the readings."""
+    return "".join(form(t, row) + "\n" for t, row in FRAMES)
+
+
+ESCAPED = "\x1b[0;32mI ({}) SKIN: {}\x1b[0m"
+READ = {
+    "numpy scalars": lines(lambda t, row: f"[{', '.join(f'np.int64({v})' for v in row)}]"),
+    "lists of JSON": lines(lambda t, row: json.dumps(row)),
+    "objects of JSON": lines(
+        lambda t, row: json.dumps(dict(zip(NAMES, row, strict=True)), separators=(",", ":"))
+    ),
+    "colours of a terminal": lines(lambda t, row: ESCAPED.format(1020 + 20 * t, joined(row, " "))),
+    "stamps in two columns": lines(
+        lambda t, row: f"{1_700_000_000 + t // 50},{t % 50 * 20_000_000},skin,{joined(row)}"
+    ),
+    "stamps of JSON": lines(
+        lambda t, row: json.dumps(
+            {"stamp": {"sec": 1_700_000_000 + t // 50, "nanosec": t % 50 * 20_000_000}, "d": row}
+        )
+    ),
+    "a time zone": "time,"
+    + table([[f"2026-03-01T10:00:{t / 50:09.6f}+01:00", *row] for t, row in FRAMES]),
+    "durations of pandas": ","
+    + table([[f"0 days 00:00:{t / 50:09.6f}", *row] for t, row in FRAMES]),
+    "a header in a comment": "# rate: 50 Hz\n# " + table(PRESSED),
+    "a header of MATLAB": "% " + table(PRESSED, "\t"),
+    "a header of C": "// " + table(PRESSED, " "),
+    "cells that pad a title": f"Skin{',' * 11}\nDate,2026-03-01{',' * 10}\n" + table(PRESSED),
+    "BOM and empty columns": "\ufeff" + table(PRESSED, ";").replace("\n", ";;;\r\n"),
+    "an empty first column": "," + table(PRESSED).replace("\n", "\n,").removesuffix(","),
+    "a repeated header": table(PRESSED[:100]) + table(PRESSED[100:]),
+    "a restart": "Booting\n"
+    + table(PRESSED[:9], names=None)
+    + "Booting\n"
+    + table(PRESSED[9:], names=None),
+    "a counter of 4 bits": table([[t % 16, *row] for t, row in FRAMES], names=None),
+    "labels and limits": lines(
+        lambda t, row: "Min:0,Max:4095," + ",".join(f"c{i}:{v}" for i, v in enumerate(row))
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("kind", READ)
+def test_logs_are_read(put, kind: str) -> None:
+    found = io.read(put("log.jsonl" if "JSON" in kind else "log.txt", READ[kind]))
+    np.testing.assert_array_equal(found.readings, PRESSED)
+    named = READ[kind].startswith(tuple("ceM{%/#")) and "stamps" not in kind
+    assert found.names[:2] == ("c0", "c1") or not named
+    if "stamps" in kind or "zone" in kind or "days" in READ[kind]:
+        assert found.rate_hz == pytest.approx(50)
+
+
+def by_board(label):
+    return "".join(
+        f"{label(k)},{joined(row[4 * k : 4 * k + 4])}\n" for _, row in FRAMES for k in range(3)
+    )
+
+
+def by_sensor(form):
+    return "".join(form(t, i, v) + "\n" for t, row in FRAMES for i, v in enumerate(row))
+
+
+REFUSED = {
+    "numpy, in short": (
+        lines(lambda t, row: np.array2string(np.tile(row, 99), threshold=9)),
+        "leaves out numbers, as in .*savetxt",
+    ),
+    "numpy, rows in short": (f"{np.tile(PRESSED, 9)}\n", "leaves out numbers"),
+    "pandas, rows in short": (
+        table(PRESSED[:5], " ") + ".. .. ..\n" + table(PRESSED[5:9], " ", None),
+        "leaves out numbers",
+    ),
+    "topics": (
+        lines(lambda t, row: "data:\n" + "".join(f"- {v}\n" for v in row) + "---"),
+        "record a bag, or print them with --csv",
+    ),
+    "candump": (
+        lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v:04X}" for v in row[:4])),
+        "CAN bus .*decode them",
+    ),
+    "hexadecimal": (
+        lines(lambda t, row: " ".join(f"0x{v:04X}" for v in row)),
+        "'0x0000' is not a number; write decimal numbers",
+    ),
+    "thousands": (
+        table([[f"{v:,}".replace(",", "'") for v in row] for row in PRESSED], ";"),
+        "is not a number; remove thousands",
+    ),
+    "thousands like decimals": (
+        table([[f"{v:,}" for v in row] for row in PRESSED], ";"),
+        "commas separate thousands",
+    ),
+    "commas twice": (
+        table([[f"{v / 10:.1f}".replace(".", ",") for v in row] for row in PRESSED]),
+        "save it with semicolons",
+    ),
+    "labels in any order": (
+        lines(
+            lambda t, row: " ".join(f"S{i}={row[i]}" for i in [*range(N)][:: (-1) ** t])
+        ),
+        "the labels of the values change from line to line",
+    ),
+    "boards": (by_board(lambda k: f"B{k}"), "column 1 repeats .* 3 lines seem to be a frame"),
+    "numbers of boards": ("board,a,b,c,d\n" + by_board(str), r"column 1 \(board\) repeats 0, 1, 2"),
+    "channels": (by_board(lambda k: f"CH{k}: 0"), "3 lines seem to be a frame"),
+    "plotter": (by_sensor(lambda t, i, v: f">c{i}:{v}"), "12 lines seem to be a frame"),
+    "readings by line": (
+        "time,node,adc\n" + by_sensor(lambda t, i, v: f"{t / 50},{i},{v}"),
+        "with --select time:node:adc",
+    ),
+    "cells by line": (
+        "frame,row,col,value\n" + by_sensor(lambda t, i, v: f"{t},{i // 4},{i % 4},{v}"),
+        r"\(col\) repeats 0, 1, 2",
+    ),
+    "sensors in rows": (
+        "sensor," + joined(f"t{t}" for t, _ in FRAMES) + "\n"
+        + "".join(f"c{i},{joined(row)}\n" for i, row in enumerate(PRESSED.T)),
+        "transpose the table",
+    ),
+    "two tables": (
+        table(PRESSED[:99]) + table(PRESSED[99:, ::-1], names=NAMES[::-1]),
+        "line 101, .*a second header",
+    ),
+    "glued": (table(PRESSED).rstrip("\n") + table(PRESSED), "line 301 has 23 fields"),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("kind", REFUSED)
+def test_logs_are_refused_with_what_would_be_right(put, kind: str) -> None:
+    text, said = REFUSED[kind]
+    with pytest.raises(FileError, match=said):
+        io.read(put("log.csv", text))
+
+
+def test_documents_of_json_say_what_is_read(put) -> None:
+    with pytest.raises(FileError, match="lines with an object or a list per frame"):
+        io.read(put("log.json", json.dumps({"data": PRESSED.tolist()})))
+
+
+def test_readings_by_line_are_selected(put) -> None:
+    text = "time,node,adc\n" + by_sensor(lambda t, i, v: f"{t / 50},{i},{v}")
+    found = io.read(put("long.csv", text), options=ReadOptions("time:node:adc"))
+    np.testing.assert_array_equal(found.readings, PRESSED)
+    assert found.rate_hz == pytest.approx(50)
+
+
+def test_properties_of_contacts_are_not_lost_without_a_word(put) -> None:
+    text = by_sensor(lambda t, i, v: json.dumps({"t": t / 50, "id": i, "v": v, "gain": 2}))
+    with pytest.warns(AnisomapWarning, match="ignored the property gain"):
+        found = io.read(put("log.jsonl", text))
+    np.testing.assert_array_equal(found.readings, PRESSED)
+
+
+TIMED = np.column_stack([np.arange(T) / 50, PRESSED])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.filterwarnings("ignore:.*is taken as time")
+def test_a_time_is_kept_as_a_sensor_by_its_name(tmp_path, suffix: str) -> None:
+    path = tmp_path / f"run.{suffix}"
+    if suffix == "csv":
+        np.savetxt(path, TIMED, "%g", ",", header=",".join(["clock", *NAMES]), comments="")
+    else:
+        pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+        parquet.write_table(pyarrow.table([*TIMED.T], names=["clock", *NAMES]), path)
+    assert io.read(path).names == tuple(NAMES)
+    assert io.read(path, options=ReadOptions(keep=("c*",))).names == tuple(NAMES)
+    for keep in (("clock", "c0-c11"), ("clock-c11",)):
+        found = io.read(path, options=ReadOptions(keep=keep))
+        assert found.names == ("clock", *NAMES)
+        np.testing.assert_allclose(found.readings, TIMED, rtol=1e-6)
+        assert found.times is None
+
+
+def test_columns_without_a_header_are_kept_by_number(put) -> None:
+    path = put("run.csv", table(TIMED.tolist(), names=None))
+    assert io.read(path).names[0] == "s0"
+    found = io.read(path, options=ReadOptions(keep=("column 1", "s0-s11")))
+    assert found.names == ("column 1", *(f"s{i}" for i in range(N)))
+    np.testing.assert_array_equal(found.readings, TIMED)
+
+
+@pytest.mark.filterwarnings("ignore:.*skipped text in")
+def test_text_is_not_kept(put) -> None:
+    path = put("run.csv", "label," + table([["on", *row] for row in PRESSED.tolist()]))
+    with pytest.raises(InputError, match="column label holds text"):
+        io.read(path, options=ReadOptions(keep=("label", "c0-c3")))
+
+
+def test_packed_tables_are_refused_before_they_are_parsed(put, monkeypatch) -> None:
+    monkeypatch.setattr(budget, "FREE_BYTES", 1 << 16)
+    text = "0,0,0,0\n" * 200_000
+    path = put("zeros.csv.gz", gzip.compress((text[:80_000] + "wrong\n" + text).encode()))
+    with pytest.raises(FileError, match="decompression bomb"):
+        io.read(path)
+
+
+@pytest.mark.parametrize("name", ["skin.obj", "skin.stl", "skin.off", "skin.glb"])
+def test_meshes_are_no_tables(put, name: str) -> None:
+    path = put(name, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for read in (io.read, io.read_map):
+        with pytest.raises(FileError, match="is a mesh, onto which anisomap place"):
+            read(path)
+
+
+def test_an_inertial_unit_is_no_layout(put) -> None:
+    text = "time,x,y,z\n" + "".join(f"{t / 50},{t % 3},{t % 5},9.8\n" for t in range(50))
+    with pytest.raises(FileError, match=r"holds times .*'time'.* no list of positions"):
+        io.read_map(put("imu.csv", text))
