@@ -344,7 +344,9 @@ def test_two_triangles_of_the_torso_are_turned(recordings_folder):
     statistics = reading_statistics(whole.readings, np.random.default_rng(0))
     found = check_layout(layout, whole, modules=12, statistics=statistics)
     assert [finding.kind for finding in found.findings] == ["turned", "turned"]
-    assert {found.names(f)[0] for f in found.findings} == {"taxel3073", "taxel3121"}
+    # As the robot's display states them: from 120 degrees to 0, and from 120 to 240.
+    senses = {found.names(f)[0]: f.explanation.split()[-1] for f in found.findings}
+    assert senses == {"taxel3073": "clockwise", "taxel3121": "counterclockwise"}
     assert check_layout(found.corrected, whole, modules=12, statistics=statistics).consistent
 
 
@@ -368,7 +370,7 @@ def test_the_triangles_of_the_leg_that_were_corrected(recordings_folder):
     old = check_layout(layout, recording, modules=12)
     wrong = (np.abs(right["positions"] - shipped["positions"]) > 1e-5).any(axis=1)
     assert {finding.kind for finding in old.findings} == {"turned"}
-    modules = {int(old.module[f.sensors[0]]) for f in old.findings}
+    modules = set(old.module[old.accused].tolist())
     assert modules == set(old.module[wrong].tolist())
     np.testing.assert_array_equal(old.accused, wrong)
     np.testing.assert_allclose(old.corrected.positions, right["positions"], atol=1e-5)

@@ -99,8 +99,9 @@ def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, flo
         if set(change.slots) == set(change.modules) == set(change.modules[:1]):
             orientation = mounting.orientations[change.turns[0]]
             frame = mounting.frames[change.modules[0]]
-            hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 0.0
-            angle = hand * orientation.angle if hand else abs(orientation.angle)
+            # Adjacent modules in space have the same side to the outside.
+            hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 1.0
+            angle = hand * orientation.angle
             kind = "mirrored" if orientation.reflected else "turned"
             by_kind.setdefault((kind, float(round(angle))), []).append(change)
         else:
@@ -118,15 +119,18 @@ def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, flo
 
 
 def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence[str]) -> str:
+    move, before = group[0].move, group[0].stated
+    turn = turn_in_words(before, move.places, abs(angle))
     if len(group) > 1:
         modules = f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} of one patch are"
         if kind == "mirrored":
             return f"{modules} mirrored in their places"
-        return f"{modules} turned by {abs(angle):.0f} degrees in their places"
+        if before.shape[1] > 2:  # each about an axis of its own
+            turn = f"{abs(angle):.0f} degrees"
+        return f"{modules} turned by {turn} in their places"
     if kind == "mirrored":
         return f"module {listed[0]} is a mirror image of what is stated"
-    move, before = group[0].move, group[0].stated
-    return f"module {listed[0]} is turned by " + turn_in_words(before, move.places, abs(angle))
+    return f"module {listed[0]} is turned by {turn}"
 
 
 def _targets(

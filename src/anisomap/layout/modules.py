@@ -28,7 +28,7 @@ _SAME = 0.3  # of the spacing of pads; errors of places that count as equal; cho
 _MIN_MAPPED = 0.8  # of the pads that a turned module has in common; thermal pads are others
 _MAX_MISFIT = 0.5  # of the spacing of pads: modules of another shape than the found one
 _OUTLYING = 0.3  # share of the pads of a module that may be misplaced one by one
-_MAX_PULL = 1.5  # spacings by which bending displaces pads; beyond, their places are stated ones
+_MAX_PULL = 1.5  # spacings by which bending displaces pads; pads beyond are on no module
 _NEXT = 1.5  # of the median distance of the nearest modules: modules beside each other
 _FREE = 0.6  # of the spacing between pads of a free place and others
 _MAX_TAKEN = 0.1  # share of the pads of a free place that may be nearer to others
@@ -214,7 +214,14 @@ class Mounting:
         ]
         rms = np.array([fit[2] for fit in fits])
         fitted = np.ones(len(members), bool) if known else rms <= _MAX_MISFIT * pitch
-        kept = [inside for inside, fits_well in zip(members, fitted, strict=True) if fits_well]
+        kept = []
+        for inside, (frame, centre, _) in zip(members, fits, strict=True):
+            # Pads that are elsewhere say nothing about the orientation of the others.
+            there = template[modules.pads[inside]] @ frame[:2] + centre
+            pull = np.linalg.norm(there - positions[inside], axis=1)
+            kept.append(inside[pull <= _MAX_PULL * pitch])
+        fitted &= np.array([len(inside) >= MIN_PADS for inside in kept])
+        kept = [inside for inside, fits_well in zip(kept, fitted, strict=True) if fits_well]
         part = np.full_like(template, np.nan)
         part[used] = template[used]
         return cls(
@@ -252,13 +259,10 @@ class Mounting:
         return np.asarray(pads @ self.frames[slot, :2] + self.centres[slot])
 
     def fitted(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (n, k) with each module unbent; pads far from their module stay."""
+        """Return positions (n, k) with each module unbent."""
         found = positions.copy()
         for m, inside in enumerate(self.members):
-            places = self.places(m, m, 0)
-            pull = np.linalg.norm(places - positions[inside], axis=1)
-            near = pull <= _MAX_PULL * self.pitch
-            found[inside[near]] = places[near]
+            found[inside] = self.places(m, m, 0)
         return found
 
     def with_free_slots(self, positions: NDArray[np.float64]) -> Mounting:
