@@ -65,7 +65,7 @@ TABLES = [
         hold(
             f"{name},a,b,c,d\n" + table(beside(COUNT)),
             readings=READINGS,
-            metadata={"counter_column": f"column 1 ({name})"},
+            metadata={"counter_column": f"column 1 ({name})" if name else "column 1"},
             times=None,
         )
         for name in ("frame", "Frame", "index", "seq", "frame_id", "", "Unnamed: 0")
