@@ -97,7 +97,7 @@ class Watcher:
                 status, now = json.loads(data.removeprefix("data: ")), time.monotonic()
                 if status["frames"] and math.isnan(self.first_frame):
                     self.first_frame = now
-                if status["expected_error"] is not None and math.isnan(self.first_verdict):
+                if status["error"] and math.isnan(self.first_verdict):
                     self.first_verdict = now
                 self.frames.append(status["frames"])
                 self.lagged |= status["lags"]

@@ -27,7 +27,7 @@ from anisomap.health import (
 from anisomap.method.dimensions import Dimensions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.numerics.precision import check_pair_memory
-from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, join_runs
+from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, find_sensors, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.verdict.diagnosis import diagnose
 
@@ -145,6 +145,19 @@ def split_names(
     for text in chosen or []:
         found += [text] if text in names else [part.strip() for part in text.split(",")]
     return [name for name in found if name in names or f"({name})" not in skipped]
+
+
+def find_dropped(
+    chosen: Sequence[str] | None, names: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the sensors of a list, which `split_names` splits, and its parts that name none."""
+    found, unknown = set[int](), []
+    for text in split_names(chosen, names):
+        try:
+            found.update(find_sensors(names, [text]).tolist())
+        except InputError:
+            unknown.append(text)
+    return tuple(names[i] for i in sorted(found)), tuple(unknown)
 
 
 def examine(

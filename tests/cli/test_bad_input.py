@@ -118,6 +118,7 @@ repair nothing.npz                                        | there is no file not
 repair skin.npz -o skin.npz                               | another file
 repair skin.npz -o a.csv                                  | .npz
 live                                                      | give either a source or --simulate BODY
+live skin.csv --drop s1-s99 --headless                    | there is no sensor 's1-s99'
 live skin.csv --simulate hand                             | give either a source or --simulate BODY
 live missing.csv                                          | missing.csv, and it is no address
 live tcp://127.0.0.1                                      | needs a port

@@ -57,7 +57,8 @@ def test_the_headline_says_what_to_do_and_repeats_no_verdict(level):
     maps.checked = Examination(None, (), None, verdict, np.nan, 80, 1.0, final=False)
     told, good = maps.guidance
     assert good == (level == "usable")
-    assert told.startswith("Good: 0.3 spacings (1.8 mm)" if good else "Touch the whole skin")
+    assert told.startswith("Good: positions are right to" if good else "Touch the whole skin")
+    assert ("1.8 mm" in told) == good
     assert "80" not in told
 
 
@@ -72,7 +73,7 @@ def test_the_headline_follows_the_state_of_the_session(tmp_path, monkeypatch):
     session.pause(True)
     assert session.guidance[0].startswith("Paused")
     session.ended.set()
-    assert session.guidance == ("The session is over: there is no map", False)
+    assert session.guidance == ("The session is over.", False)
 
 
 @given(sizes=st.lists(st.integers(1, 60), max_size=4), offset=st.floats(-1e3, 1e3))
@@ -237,10 +238,10 @@ def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit)
     if limit == "of a map":
         monkeypatch.setattr(route, "MAX_READINGS", 192 * 300)
     monkeypatch.setattr(workers, "MAX_INTERIM_READINGS", 192 * 300)
-    options = ExaminationOptions(**OPTIONS, drop=("palm.0",))
+    options = ExaminationOptions(**OPTIONS, drop=("palm.0-palm.2,nobody",))
     final = limit != "of a map in between"
     found = examine(tmp_path / "r.csv", len(hand), options, final=final)
     assert found.sensor_map is not None, found.verdict
     assert list(found.sensor_map.names) == NAMES
     unplaced = [name for name, one in zip(NAMES, found.sensor_map.placed, strict=True) if not one]
-    assert unplaced == ["palm.0"]
+    assert unplaced == ["palm.0", "palm.1", "palm.2"]

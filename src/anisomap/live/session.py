@@ -23,7 +23,9 @@ from anisomap.live.recorder import GAP, Journal, Recorder, Segment
 from anisomap.live.saving import command_for, save_map
 from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task, Worker
 from anisomap.method.dimensions import AUTO, SPATIAL
-from anisomap.usability import LEVELS, UNKNOWN
+from anisomap.notes import scaled_note
+from anisomap.route import find_dropped
+from anisomap.usability import LEVELS, Verdict
 from anisomap.verdict.chance import MIN_FRAMES
 
 MAX_CURVE = 500
@@ -113,9 +115,17 @@ class SessionMaps:
         """The sensors that are faulty; those that were hardly touched so far are left out."""
         if self.checked is None:
             return ()
-        return confirmed_faults(
-            one for one in self.checked.health if one.name not in self.options.drop
-        )
+        return confirmed_faults(one for one in self.checked.health if one.name not in self.dropped)
+
+    @property
+    def dropped(self) -> tuple[str, ...]:
+        """Names of the sensors that the user leaves out."""
+        return find_dropped(self.options.drop, self.names)[0]
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """What the user wants to leave out, and is no sensor."""
+        return find_dropped(self.options.drop, self.names)[1] if self.names else ()
 
     @property
     def guidance(self) -> tuple[str, bool]:
@@ -133,7 +143,7 @@ class SessionMaps:
             return f"Touch {advice.places[0].in_words(self.names)}", False
         if not self.is_good:
             return "Touch the whole skin again, each place in other directions", False
-        return f"Good: {self.error_in_words}. Keep going, or press Q to finish", True
+        return f"Good: {self.error_told}. Keep going, or end the session", True
 
     @property
     def is_good(self) -> bool:
@@ -142,22 +152,30 @@ class SessionMaps:
 
     @property
     def outcome(self) -> str:
-        """What the checked map is good for, in words."""
-        if self.checked is None or self.checked.sensor_map is None:
-            return "there is no map"
-        level = self.checked.verdict.level
-        if level == UNKNOWN:
-            return "how far its map is right is not known"
-        return f"its map is {level}, {self.error_in_words}"
+        """What the final map is good for, as a sentence; empty before it is made."""
+        if self.checked is None or not self.checked.final:
+            return ""
+        if self.checked.sensor_map is None:
+            return "There is no map."
+        return self.checked.verdict.told(*self.spacing)[0]
 
     @property
-    def error_in_words(self) -> str:
-        """The expected error of the checked map, in mm too if the distance of sensors is known."""
-        error = math.nan if self.checked is None else self.checked.verdict.expected_error
-        if not math.isfinite(error):
-            return "error not known"
-        spacing = self.options.spacing_mm
-        return f"{error:.2g} spacings" + (f" ({error * spacing:.2g} mm)" if spacing else "")
+    def error_told(self) -> str:
+        """How far positions of the checked map are off, in words; empty if that is not known."""
+        verdict = Verdict() if self.checked is None else self.checked.verdict
+        return verdict.headline(*self.spacing).partition(": ")[2]
+
+    @property
+    def reason(self) -> str:
+        """The worst reason of the verdict on the checked map; empty without one."""
+        reasons = () if self.checked is None else self.checked.verdict.reasons
+        return scaled_note(reasons[0], *self.spacing) if reasons else ""
+
+    @property
+    def spacing(self) -> tuple[float, str]:
+        """The distance between neighbouring sensors and its unit; 1 and spacings if not known."""
+        known = self.options.spacing_mm
+        return (known, "mm") if known else (1.0, "spacings")
 
     def reached(self, level: str) -> bool:
         """Return whether the last two checked maps have a level, or a better one.
@@ -215,7 +233,9 @@ class SessionMaps:
         if answer.problem:
             self._notify(answer.problem)
         if isinstance(answer.found, QuickMap) and self._is_current(answer.number):
-            self.quick = answer.found
+            before, self.quick = self.quick, answer.found
+            if before is None and self.unknown:
+                self._notify(f"there is no sensor {join_items(self.unknown)} to leave out")
             self._choose_dimensions()  # the checked map may be earlier
             self._announce()
 
@@ -448,7 +468,7 @@ class LiveSession:
             case "finishing":
                 return "Making the final map", False
             case "ended":
-                return f"The session is over: {self.maps.outcome}", self.maps.is_good
+                return f"The session is over. {self.maps.outcome}".rstrip(), self.maps.is_good
             case "paused":
                 return "Paused: nothing is recorded. Press P to go on", False
         if self.recorder.n_frames == 0:
@@ -462,7 +482,10 @@ class LiveSession:
         """The command that makes the final map again; empty before the first frame."""
         if self.segment is None:
             return ""
-        return command_for(self.segment.path, self.maps.options, gaps=self.recorder.has_gaps)
+        unknown = self.maps.unknown
+        drop = tuple(text for text in self.maps.options.drop if text not in unknown)
+        options = replace(self.maps.options, drop=drop)
+        return command_for(self.segment.path, options, gaps=self.recorder.has_gaps)
 
     def notify(self, text: str) -> None:
         """Add a sentence for the user; of one kind, only one in some seconds."""

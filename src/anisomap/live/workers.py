@@ -64,7 +64,7 @@ class ExaminationOptions:
 
     dimensions: Number of coordinates; "auto" chooses it for each checked map.
     preset: See `ReadOptions`.
-    drop: Sensors to leave out.
+    drop: Sensors to leave out, as `map --drop` takes them; what names no sensor is ignored.
     truth: Positions to compare with.
     spacing_mm: Distance between neighbouring sensors; 0 if it is not known.
     """
@@ -88,7 +88,7 @@ def examine(
     with warnings.catch_warnings(action="ignore"):
         try:
             runs = _read(path, options, final)
-            drop = [name for name in options.drop if name in runs[0].names]
+            drop, _ = route.find_dropped(options.drop, runs[0].names)
             examined = route.examine(runs, drop=drop)
             made, stages = route.make_map(examined, options.method, options.dimensions)
             made = route.judge(examined, made, stages)
@@ -290,11 +290,8 @@ class _QuickMaps:
             except InputError as error:
                 self._problem = str(error)
         names = tuple(kept.get(i, name) for i, name in enumerate(given))
-        return names, {
-            i
-            for i, name in enumerate(given)
-            if i not in kept or name in options.drop or names[i] in options.drop
-        }
+        dropped, _ = route.find_dropped(options.drop, [names[i] for i in kept])
+        return names, {i for i, name in enumerate(names) if i not in kept or name in dropped}
 
 
 def _run(role: str, connection: Connection) -> None:

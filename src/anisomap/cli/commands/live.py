@@ -17,7 +17,7 @@ from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
 import anisomap.live
-from anisomap.base.wording import number, percent
+from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.errors import InputError
@@ -131,13 +131,15 @@ def live(
     Examples
     --------
     anisomap live tcp://192.168.0.7:5000
-    anisomap live --simulate hand --coached
+    anisomap live --simulate sphere --coached
     anisomap live udp://0.0.0.0:5000 --headless --for 300 -o skin.map.csv
     """
+    from anisomap import route
     from anisomap.cli.outputs import Outputs, read_reference
     from anisomap.io.presets import check_preset
     from anisomap.live.page.server import Server
     from anisomap.live.sources import SimulatedHand
+    from anisomap.recording import find_sensors
 
     target, before = _target(recording, resume)
     given = Path(source) if source and Path(source).exists() else None
@@ -151,11 +153,13 @@ def live(
     chosen = anisomap.live.ExaminationOptions(
         dimensions=dimensions,
         preset=preset,
-        drop=tuple(name for text in drop or [] for name in text.split(",")),
+        drop=tuple(drop or ()),
         truth=None if truth is None else read_reference(truth),
         spacing_mm=_millimetres(spacing),
     )
     opened = _opened(source, simulate, speed, seed, coached)
+    if opened.names and not preset:  # else the names of the sensors follow
+        find_sensors(opened.names, route.split_names(drop, opened.names))
     session = anisomap.live.LiveSession(opened, target, chosen, before)
     session.page = ending[0] if ending else None
     with ExitStack() as stack:
@@ -279,7 +283,7 @@ def _facts(session: LiveSession) -> dict[str, Any]:
         "seconds": round(session.seconds, 2),
         "frames": session.recorder.n_frames,
         "sensors": session.maps.n_sensors,
-        "share_touched": session.maps.share_touched,
+        "share_touched": None if session.maps.quick is None else session.maps.share_touched,
         "map_age": session.map_age,
         "lags": session.lags,
         "verdict": asdict(verdict),
@@ -296,8 +300,10 @@ def _in_words(facts: dict[str, Any]) -> str:
     parts = [
         f"{facts['seconds']:.0f} s",
         f"{facts['frames']} frames",
-        f"{percent(facts['share_touched'])} of {facts['sensors']} sensors touched",
-        f"map {facts['map_age']:.1f} s old{', lags' if facts['lags'] else ''}",
+        "no map yet"
+        if facts["share_touched"] is None
+        else f"{percent(facts['share_touched'])} of {facts['sensors']} sensors touched, map "
+        f"{facts['map_age']:.1f} s old{', lags' if facts['lags'] else ''}",
         f"verdict: {Verdict(**facts['verdict']).summary}",
     ]
     if facts["faulty"]:
@@ -331,6 +337,8 @@ def _finish(
         print_warning("the final map was not made; the recording is complete")
     else:
         print_warning("no frame arrived, so nothing was recorded")
+    if session.maps.unknown:
+        print_warning(f"there is no sensor {join_items(session.maps.unknown)} to leave out")
     if session.page is not None and written:
         from anisomap.live.page import save_page
 

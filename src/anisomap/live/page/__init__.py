@@ -142,8 +142,11 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
 
 def status_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return the rest: verdict, curves, faults, advice, notices and files."""
-    checked = session.maps.checked
+    maps, checked = session.maps, session.maps.checked
     verdict = Verdict() if checked is None else checked.verdict
+    error = math.nan if checked is None else checked.error_against_truth
+    from_truth = f"{error:.2f} spacings from the truth" if math.isfinite(error) else ""
+    waits = maps.examining and checked is None
     advice, enough = session.guidance
     return {
         "state": session.state,
@@ -156,17 +159,17 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "map_age": round(session.map_age, _DIGITS),
         "lags": session.lags,
         "level": verdict.level,
-        "expected_error": _finite(verdict.expected_error),
-        "error_against_truth": None if checked is None else _finite(checked.error_against_truth),
-        "spacing_mm": session.maps.options.spacing_mm,
-        "reasons": list(verdict.reasons),
+        "told": "checking the first map" if waits else verdict.level,
+        "error": "; ".join(filter(None, [maps.error_told, from_truth])),
+        "reason": maps.reason,
+        "has_truth": bool(from_truth),
         "advice": advice,
         "enough": enough,
         "faulty": [
             {"name": sensor.name, "status": sensor.status, "reason": sensor.reason}
             for sensor in session.maps.faults
         ],
-        "dropped": list(session.maps.options.drop),
+        "dropped": list(maps.dropped),
         "curve": [
             [round(seconds, _DIGITS), *map(_finite, errors)]
             for seconds, *errors in session.maps.curve

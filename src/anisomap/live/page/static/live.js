@@ -45,16 +45,10 @@ function showMap() {
 }
 
 function showStatus() {
-  const { level, expected_error: expected, error_against_truth: truth, spacing_mm: mm } = status;
-  $("verdict").dataset.level = level;
-  const waits = status.examining && !status.curve.length;
-  $("level").textContent = level === "cannot tell" && waits ? "checking the first map" : level;
-  $("error").textContent = [
-    expected === null ? "" : `expected error ${expected.toFixed(2)} spacings`
-      + (mm ? ` (${(expected * mm).toFixed(1)} mm)` : ""),
-    truth === null ? "" : `${truth.toFixed(2)} spacings from the truth`,
-  ].filter(Boolean).join(", ");
-  $("reason").textContent = status.reasons[0] || "";
+  $("verdict").dataset.level = status.level;
+  $("level").textContent = status.told;
+  $("error").textContent = status.error;
+  $("reason").textContent = status.reason;
   $("checked").textContent = status.checked_frames
     ? `map of ${status.checked_frames} frames${status.examining ? "; the next is being made" : ""}` : "";
   $("source").textContent = `${status.source}, recorded in ${status.recording || "no file yet"}`;
@@ -72,7 +66,7 @@ function showStatus() {
     ? `faulty: ${status.faulty.map((s) => `${s.name} (${s.status})`).join(", ")}` : "no faulty sensor";
   $("dropped").textContent = status.dropped.length ? `left out: ${status.dropped.join(", ")}` : "";
   $("pause").lastChild.textContent = status.state === "paused" ? " go on" : " pause";
-  $("key-truth").hidden = truth === null;
+  $("key-truth").hidden = !status.has_truth;
   view.faulty = new Set(status.faulty.map((sensor) => sensor.name));
   $("notices").replaceChildren(...status.notices.slice(-30).reverse().map(([seconds, text]) => {
     const item = document.createElement("li");
