@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from anisomap.base.wording import join_items, noun_and_items
+from anisomap.base.wording import agreed, counted, join_items, noun_and_items
 
 
 class Note(str):
@@ -66,16 +66,14 @@ def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
 
 
 def _hidden_links(sensors: Sequence[str], total: int) -> str:
-    are, their = ("is", "its") if len(sensors) == 1 else ("are", "their")
-    return (
-        f"noise hides how {len(sensors)} of {total} sensors {are} related to the others, so "
-        f"{their} positions are uncertain: {join_items(sensors)}"
-    )
+    some = counted(len(sensors), "sensor", total)
+    so = "{are} related to the others, so {their} {positions} {are} uncertain"
+    return f"noise hides how {some} {agreed(len(sensors), so)}: {join_items(sensors)}"
 
 
 def _unknown_pairs(count: int, sensors: Sequence[str]) -> str:
     return (
-        f"{count} pair{'s' * (count != 1)} of sensors were never recorded together; their "
+        f"the sensors of {counted(count, 'pair')} were never recorded together, so their "
         f"distances follow from other pairs only: {noun_and_items('sensor', sensors)}"
     )
 
@@ -132,12 +130,12 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "two-dimensions": _two_dimensions,
         "three-dimensions": _three_dimensions,
         "apart": lambda apart, placed: (
-            f"the positions of {apart} of {placed} sensors relative to the others are unknown: "
-            "touch the skin where they join"
+            f"it is unknown where {counted(apart, 'sensor', placed)} "
+            f"{agreed(apart, '{are}')} relative to the others: touch the skin where they join"
         ),
         "unlinked": lambda count, total: (
-            f"{count} of {total} sensors have no correlation with the others that exceeds noise: "
-            "record longer"
+            f"{counted(count, 'sensor', total)} {agreed(count, '{have}')} no correlation with the "
+            "others that exceeds noise: record longer"
         ),
         "halves-disagree": lambda agreement: (
             f"halves of the recording show unlike similarities (their correlation is "
@@ -148,7 +146,8 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             "were always touched together; touch each place by itself"
         ),
         "rarely-touched": lambda count, total: (
-            f"{count} of {total} sensors had too few contacts for a position: touch all of the skin"
+            f"{counted(count, 'sensor', total)} had too few contacts for a position: touch all of "
+            "the skin"
         ),
         "small-body": lambda extent: (
             f"the sensors are only {extent:.1f} spacings from their centre (RMS), so that errors "
@@ -173,14 +172,15 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"the recordings have fewer than {least} sensors in common: map one of them"
         ),
         "few-sensors": lambda count, least: (
-            f"only {count} sensor{'s are' if count != 1 else ' is'} related, and a verdict needs "
-            f"{least}: touch more of the skin"
+            f"only {counted(count, 'sensor')} {agreed(count, '{are}')} related, and a verdict "
+            f"needs {least}: touch more of the skin"
         ),
         "many-sensors": lambda most: (
             f"resampling more than {most:,} sensors takes too much memory: map parts of the skin"
         ),
         "few-frames": lambda count, least: (
-            f"the recording has {count} frames, and a verdict needs {least}: record longer"
+            f"the recording has {counted(count, 'frame')}, and a verdict needs {least}: record "
+            "longer"
         ),
     }
 )

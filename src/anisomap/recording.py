@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.wording import html_table, noun_and_items
+from anisomap.base.wording import agreed, counted, html_table, noun_and_items
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.intake import take, times_of
 from anisomap.numerics.gaps import fill_gaps
@@ -117,7 +117,7 @@ class Recording(Immutable):
         self.set_fields(readings=readings, names=names, times=times, rate_hz=rate_hz, **known)
 
     def __repr__(self) -> str:
-        details = [f"{self.n_frames} frames", f"{self.n_sensors} sensors"]
+        details = [counted(self.n_frames, "frame"), counted(self.n_sensors, "sensor")]
         if self.rate_hz is not None:
             details.append(f"{self.rate_hz:g} Hz")
         if self.positions is not None:
@@ -304,7 +304,7 @@ class Recording(Immutable):
         frames = np.flatnonzero(absent.any(axis=1))
         n_absent = int(absent.sum())
         return (
-            f"{n_absent} reading{'s are' if n_absent > 1 else ' is'} NaN or infinite, or above "
+            f"{counted(n_absent, 'reading')} {agreed(n_absent, '{are}')} NaN or infinite, or above "
             f"{MAX_READING:g}: "
             f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}"
         )
@@ -348,7 +348,10 @@ def column_names(values: object) -> tuple[str, ...]:
 def check_names(names: Sequence[str], n_sensors: int) -> None:
     """Check that there is one unique name per sensor."""
     if len(names) != n_sensors:
-        raise InputError(f"{n_sensors} sensors need {n_sensors} names, got {len(names)}")
+        need = agreed(n_sensors, "{need}")
+        raise InputError(
+            f"{counted(n_sensors, 'sensor')} {need} {counted(n_sensors, 'name')}, got {len(names)}"
+        )
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise InputError(

@@ -150,9 +150,12 @@ def split_names(
 def find_dropped(
     chosen: Sequence[str] | None, names: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the sensors of a list, which `split_names` splits, and its parts that name none."""
+    """Return the sensors of a list, which `split_names` splits, and its parts that name none.
+
+    Nothing is known while there are no names.
+    """
     found, unknown = set[int](), []
-    for text in split_names(chosen, names):
+    for text in split_names(chosen, names) if names else []:
         try:
             found.update(find_sensors(names, [text]).tolist())
         except InputError:

@@ -72,9 +72,34 @@ def noun_and_items(noun: str, items: Sequence[object]) -> str:
     return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, 5)}"
 
 
-def counted(count: int, noun: str) -> str:
-    """Precede a noun with a count, in the plural unless it is 1: ``3 sensors``."""
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+def counted(count: int, noun: str, of: int | None = None) -> str:
+    """Precede a noun with a count, in the plural unless it is 1: ``3 sensors``, ``1 of 8 sensors``.
+
+    of: Number of all of them.
+    """
+    whole = f" of {of:,}" if of is not None else ""
+    return f"{count:,}{whole} {noun}{'' if (of or count) == 1 else 's'}"
+
+
+_FOR_ONE = {
+    "are": "is",
+    "were": "was",
+    "have": "has",
+    "carry": "carries",
+    "look": "looks",
+    "need": "needs",
+    "resemble": "resembles",
+    "they": "it",
+    "them": "it",
+    "their": "its",
+    "positions": "position",
+}
+_FOR_SEVERAL = {word: word for word in _FOR_ONE}
+
+
+def agreed(count: int, text: str) -> str:
+    """Put the words in braces in the number of a count: ``{they} {are} dead``, ``it is dead``."""
+    return text.format_map(_FOR_ONE if count == 1 else _FOR_SEVERAL)
 
 
 def html_table(title: str, rows: Mapping[str, object]) -> str:

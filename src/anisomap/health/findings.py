@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from anisomap.base.wording import counted, join_items, noun_and_items
+from anisomap.base.wording import agreed, counted, join_items, noun_and_items
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,11 @@ class _Words(NamedTuple):
 
 
 def _of_all(finding: Finding) -> str:
-    return f"{len(finding.sensors)} of {counted(finding.values['n_sensors'], 'sensor')}"
+    return counted(len(finding.sensors), "sensor", finding.values["n_sensors"])
 
 
 def _count(finding: Finding) -> str:
     return counted(len(finding.sensors), "sensor")
-
-
-def _verb(finding: Finding, one: str = "is", several: str = "are") -> str:
-    return one if len(finding.sensors) == 1 else several
 
 
 def _copies(finding: Finding) -> str:
@@ -129,7 +125,7 @@ def _regions(finding: Finding) -> str:
     return (
         f"two regions of {one} and {counted(other, 'sensor')} were touched one after the other, "
         f"the second from frame {frame} on; {counted(round(finding.size), 'sensor')} "
-        f"{'was' if round(finding.size) == 1 else 'were'} touched together with both"
+        f"{agreed(round(finding.size), '{were}')} touched together with both"
     )
 
 
@@ -151,7 +147,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             "readings",
             lambda f: (
                 f"{counted(round(f.size), 'reading')} of {_count(f)} "
-                f"{'is' if round(f.size) == 1 else 'are'} far beyond all others"
+                f"{agreed(round(f.size), '{are}')} far beyond all others"
             ),
             "they outweigh all contacts of these sensors",
         ),
@@ -199,8 +195,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "saturation": _Words(
             "share of the frames",
             lambda f: (
-                f"{_of_all(f)} {_verb(f, 'is', 'are')} at the end of {_verb(f, 'its', 'their')} "
-                f"range in {f.size:.1%} of the frames (median)"
+                f"{_of_all(f)} {agreed(len(f.sensors), '{are} at the end of {their}')} range in "
+                f"{f.size:.1%} of the frames (median)"
             ),
             "the heights of contacts are cut off",
         ),
@@ -236,8 +232,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "changed": _Words(
             "share",
             lambda f: (
-                f"{_count(f)} {_verb(f, 'resembles', 'resemble')} other sensors from about frame "
-                f"{f.values['frame']} of {f.values['n_frames']} on"
+                f"{_count(f)} {agreed(len(f.sensors), '{resemble}')} other sensors from about "
+                f"frame {f.values['frame']} of {f.values['n_frames']} on"
             ),
             "wires were exchanged, or the body took another posture; map the frames before and "
             "after by themselves",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anisomap.base.wording import join_items, number, percent
+from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.numerics.signals import some_sensors
 from anisomap.recording import Recording
@@ -21,11 +21,12 @@ _CLEAR_R = 0.6  # median of the highest correlations, above which none is due to
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
-    "never varied, so they are dead or were never touched; touch them": (SILENT,),
-    f"had fewer than {MIN_CONTACTS} contacts, so their positions are unreliable; touch them again":
+    "never varied, so {they} {are} dead or {were} never touched; touch {them}": (SILENT,),
+    f"had fewer than {MIN_CONTACTS} contacts, so {{their}} {{positions}} {{are}} unreliable; "
+    "touch {them} again":
     (FEW_CONTACTS,),
-    "are stuck and carry no information": ("stuck",),
-    "look faulty, so their positions are unreliable": _FAULTY,
+    "{are} stuck and {carry} no information": ("stuck",),
+    "{look} faulty, so {their} {positions} {are} unreliable": _FAULTY,
 }  # fmt: skip
 """What follows from each status but "ok"."""
 
@@ -137,8 +138,8 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
     found = []
     if recording.n_frames < MIN_FRAMES:
         found.append(
-            f"only {recording.n_frames} frames: statistics are unreliable; record {MIN_FRAMES} or "
-            "more"
+            f"only {counted(recording.n_frames, 'frame')}: statistics are unreliable; record "
+            f"{MIN_FRAMES} or more"
         )
     n_told = sum(is_faulty(sensor.status) for sensor in health)
     caution = "do not trust a map of this recording: " if 2 * n_told > len(health) else ""
@@ -147,6 +148,6 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names:
             before = caution if all(map(is_faulty, statuses)) else ""
-            of = f"{len(names)} of {len(health)}"
-            found.append(f"{before}{of} sensors {meaning}: {join_items(names)}")
+            some = counted(len(names), "sensor", len(health))
+            found.append(f"{before}{some} {agreed(len(names), meaning)}: {join_items(names)}")
     return tuple(found)

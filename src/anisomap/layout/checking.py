@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from anisomap.base.defaults import N_SHIFTS
-from anisomap.base.wording import counted, html_table, join_items
+from anisomap.base.wording import agreed, counted, html_table, join_items
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
@@ -343,10 +343,12 @@ class _Checked:
         """Carry out all steps."""
         self._find_dead()
         paired = self._find_doubled()
-        if np.count_nonzero(self.usable) < MIN_SENSORS:
+        n_usable = int(np.count_nonzero(self.usable))
+        if n_usable < MIN_SENSORS:
             raise InputError(
-                f"only {np.count_nonzero(self.usable)} of {len(self.rows)} sensors are related to "
-                f"others beyond chance, and a check needs {MIN_SENSORS}; record more contacts"
+                f"only {counted(n_usable, 'sensor', len(self.rows))} {agreed(n_usable, '{are}')} "
+                f"related to others beyond chance, and a check needs {MIN_SENSORS}; record more "
+                "contacts"
             )
         inside = self.statistics.similarity[np.ix_(self.usable, self.usable)]
         falloff = fit_falloff(inside, self.unbent[self.usable], self.spacing)
@@ -594,9 +596,9 @@ class _Checked:
         untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested and len(untested) < n_sensors:
             self.notes += (
-                f"the recording says nothing about {len(untested)} of {n_sensors} sensors, which "
-                f"{'is' if len(untested) == 1 else 'are'} not tested: "
-                f"{join_items(untested, _MAX_NAMED)}",
+                f"{counted(len(untested), 'sensor', n_sensors)} "
+                + agreed(len(untested), "{are} not tested: the recording says nothing about {them}")
+                + f": {join_items(untested, _MAX_NAMED)}",
             )
         positions = self.layout.positions.copy()
         positions[self.rows] = proposed
@@ -644,8 +646,8 @@ def _matched(
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:
         listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)
-        have = "has" if missing.size == 1 else "have"
         counts = counted(missing.size, "sensor")
+        have = agreed(missing.size, "{have}")
         notes = (f"{counts} of the recording {have} no position: {listed}",)
     rows = np.flatnonzero((columns >= 0) & layout.placed)
     if len(rows) < MIN_SENSORS:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import join_items
+from anisomap.base.wording import counted, join_items
 from anisomap.drawing.view import MAX_JOINED, neighbour_pairs
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth
@@ -89,8 +89,7 @@ def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence
     parts = [f"touch {' and '.join(p.in_words(names) for p in places[:2])}"] if places else []
     if untouched:
         listed = join_items([names[i] for i in untouched], _MAX_NAMED)
-        plural = "s" if len(untouched) > 1 else ""
-        parts.append(f"{len(untouched)} sensor{plural} never touched: {listed}")
+        parts.append(f"{counted(len(untouched), 'sensor')} never touched: {listed}")
     if parts:
         return "; ".join(parts)
     return (

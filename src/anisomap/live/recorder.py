@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import printable
+from anisomap.base.wording import counted, printable
 from anisomap.errors import FileError
 from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
@@ -314,7 +314,7 @@ class Recorder:
             for i in fresh[:3]:
                 self._notify(f"{names[i]} sent no number; maps interpolate its readings")
             if len(fresh) > 3:
-                self._notify(f"{len(fresh) - 3} more sensors sent no number")
+                self._notify(f"{counted(len(fresh) - 3, 'more sensor')} sent no number")
 
     def _times(self, batch: Batch, now: float) -> NDArray[np.float64]:
         """Return increasing times of frames in seconds since the first one."""
@@ -383,7 +383,7 @@ class Recorder:
         self._odd_writer.add(np.full(n_frames, self.seconds), readings)
         self._odd_writer.flush()
         self._notify(
-            f"{n_frames} frame{'s' if n_frames > 1 else ''} of {width} readings instead of "
+            f"{counted(n_frames, 'frame')} of {counted(width, 'reading')} instead of "
             f"{self.width} set aside in {self._odd_writer.path.name}"
         )
 

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import join_items, printable
+from anisomap.base.wording import counted, join_items, printable
 from anisomap.errors import AnisomapError, InputError
 from anisomap.health import SensorHealth
 from anisomap.live.batches import Names, Notice, Source
@@ -125,7 +125,7 @@ class SessionMaps:
     @property
     def unknown(self) -> tuple[str, ...]:
         """What the user wants to leave out, and is no sensor."""
-        return find_dropped(self.options.drop, self.names)[1] if self.names else ()
+        return find_dropped(self.options.drop, self.names)[1]
 
     @property
     def guidance(self) -> tuple[str, bool]:
@@ -404,7 +404,7 @@ class LiveSession:
         self.maps.start()
         if self._before is not None:
             self.recorder.resume(self._before)
-            self.notify(f"continues a recording of {self._before.n_frames} frames")
+            self.notify(f"continues a recording of {counted(self._before.n_frames, 'frame')}")
         tasks = (self._acquire, self._keep_time)
         self._threads = [threading.Thread(target=task, daemon=True) for task in tasks]
         for thread in self._threads:

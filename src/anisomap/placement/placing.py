@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.scene import Mesh
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import agreed, counted, join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
@@ -311,7 +311,7 @@ def _with_missing(found: Placement, before: SensorMap) -> Placement:
     if not missing:
         return found
     note = (
-        f"{counted(len(missing), 'sensor')} {'was' if len(missing) == 1 else 'were'} left out, "
+        f"{counted(len(missing), 'sensor')} {agreed(len(missing), '{were}')} left out, "
         f"since no anchors place the component: {join_items(missing)}"
     )
     return replace(found, map=replace(after, notes=(*before.notes, note)), left_out=missing)

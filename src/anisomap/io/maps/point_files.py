@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError, InputError, import_extra
 from anisomap.io.parsing.facts import format_value, read_comments
 from anisomap.io.parsing.names import distinct_names, numbers_of
@@ -179,7 +180,9 @@ def _read_points(
     for number, line in lines:
         fields = line.split()
         if len(fields) != len(columns):
-            problem = f" has {len(fields)} numbers, but the header announces {len(columns)}"
+            problem = (
+                f" has {counted(len(fields), 'number')}, but the header announces {len(columns)}"
+            )
             raise LineError(path, number, problem)
         rows.append(parse_row(path, number, fields, wanted))
     if len(rows) != count:
@@ -265,7 +268,7 @@ def read_icub(path: Path) -> SensorMap:
         raise FileError(f"{path} is cut short: {problem}")
     for value, (number, fields) in enumerate(body):
         if len(fields) not in (6, 7):
-            problem = f" has {len(fields)} fields; it must be x y z nx ny nz"
+            problem = f" has {counted(len(fields), 'field')}; it must be x y z nx ny nz"
             raise LineError(path, number, problem)
         row = parse_row(path, number, fields, dict.fromkeys(range(6), ""))
         if not np.isfinite(row).all():

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.source import quote, read_lines
 from anisomap.io.parsing.tables import LineError, parse_row
@@ -75,9 +76,8 @@ def read_display(path: Path) -> SensorMap:
 
 def _read_triangle(path: Path, line: int, fields: list[str]) -> tuple[int, NDArray[np.float64]]:
     if len(fields) not in (5, 6, 7):
-        problem = (
-            f" has {len(fields)} fields; it must be {_TRIANGLE} number x y degrees gain mirror"
-        )
+        found = counted(len(fields), "field")
+        problem = f" has {found}; it must be {_TRIANGLE} number x y degrees gain mirror"
         raise LineError(path, line, problem)
     if not (fields[1].isascii() and fields[1].isdigit() and int(fields[1]) < _MAX_TRIANGLE):
         raise LineError(path, line, f": {quote(fields[1])} is not the number of a triangle")

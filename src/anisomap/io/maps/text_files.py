@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import is_time
+from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.io.parsing.cells import guard_formula, is_number, parse_number, unguard_formula
 from anisomap.io.parsing.facts import (
@@ -77,7 +78,7 @@ def read_text(path: Path) -> SensorMap:
         raise FileError(f"{path} holds only a header")
     for line, row in rows:
         if len(row) != len(fields):
-            problem = f" has {len(row)} fields, but line {first} has {len(fields)}"
+            problem = f" has {counted(len(row), 'field')}, but line {first} has {len(fields)}"
             raise LineError(path, line, problem)
 
     def column(index: int, parse: Callable[[str], Any], expected: str = "text") -> list[Any]:
@@ -247,7 +248,9 @@ def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
         assigned: dict[str, tuple[str, int | None]] = {}
         for line, fields in rows[1:]:
             if len(fields) != len(header):
-                raise LineError(file, line, f" has {len(fields)} fields, not {len(header)}")
+                raise LineError(
+                    file, line, f" has {counted(len(fields), 'field')}, not {len(header)}"
+                )
             row = dict(zip(header, map(str.strip, fields), strict=True))
             name, pad = row[sensor], row.get("pad")
             if name in assigned:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.io.parsing.cells import is_clock, is_label, is_missing, is_number, parse_number
 from anisomap.io.parsing.lines import as_objects, find_template
@@ -302,7 +303,7 @@ def _of_lines(
         names,
         _filled(convert),
         numeric=",",
-        skipped=f"{n_skipped} line{'s' * (n_skipped > 1)} from {first} on" if n_skipped else "",
+        skipped=f"{counted(n_skipped, 'line')} from {first} on" if n_skipped else "",
     )
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.io.parsing.cells import (
     MISSING,
@@ -195,7 +196,7 @@ def _frame_lines(lines: Iterable[str], table: Table, *, quietly: bool) -> Iterat
     if n_frames and (len(held) < n_rows or depth > 0):
         if not quietly:
             problem = f"the last frame has {len(held)} of {n_rows or 'its'} lines and is dropped"
-            warn(table.path, f"{problem}; read the {n_frames} frames before it")
+            warn(table.path, f"{problem}; read the {counted(n_frames, 'frame')} before it")
         return
     yield number, between.join(held[table.n_titles :])
 
@@ -341,7 +342,7 @@ def _row(line: str, table: Table, number: int) -> list[float]:
         raise LineError(table.path, number, f": {error}") from None
     fields = _fields(cleaned, table.separator)
     if len(fields) != table.n_columns:
-        problem = f" has {len(fields)} field{'s' * (len(fields) != 1)}, but {table.because}"
+        problem = f" has {counted(len(fields), 'field')}, but {table.because}"
         raise LineError(table.path, number, problem, surplus=len(fields) > table.n_columns)
     parsers = _parsers(table)
     values = []

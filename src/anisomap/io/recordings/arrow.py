@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import is_time, units_per_second
+from anisomap.base.wording import counted
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.names import ROWS_LOOKED_AT, roles_by_name, warn_of_guesses, with_kept
@@ -120,7 +121,7 @@ def _contents(source: _Source) -> tuple[Content, ...]:
     ]
     plain = _plain_columns(source.schema)
     if plain and not any(content.usable for content in found):
-        found.append(Content(_ALL_COLUMNS, f"{len(plain)} columns of numbers"))
+        found.append(Content(_ALL_COLUMNS, f"{counted(len(plain), 'column')} of numbers"))
     return tuple(found)
 
 

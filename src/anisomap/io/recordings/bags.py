@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.axes import XYZ
-from anisomap.base.wording import join_items
+from anisomap.base.wording import counted, join_items
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
@@ -254,7 +254,7 @@ class _Bag:
         return tuple(
             Content(
                 str(topic),
-                f"{info.msgtype}, {info.msgcount} messages",
+                f"{info.msgtype}, {counted(info.msgcount, 'message')}",
                 bool(fits(types[topic]) and info.msgcount),
             )
             for topic, info in topics.items()

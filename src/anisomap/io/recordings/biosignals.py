@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular, read_small
 from anisomap.io.parsing.source import is_gzipped, open_binary, quote, read_head, warn
@@ -127,7 +128,8 @@ def _warn_if_cut(path: Path, n_bytes: int) -> None:
             return
         held = max(0, path.stat().st_size - n_header) // per_record
     if held < n_records:
-        warn(path, f"it is cut short: its header announces {n_records} records, but it has {held}")
+        announced = counted(n_records, "record")
+        warn(path, f"it is cut short: its header announces {announced}, but it has {held}")
 
 
 def _check_named(path: Path) -> None:

@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap.base.clocks import is_time, units_per_second, words_of
-from anisomap.base.wording import noun_and_items
+from anisomap.base.wording import counted, noun_and_items
 from anisomap.errors import FileError
 from anisomap.io.parsing.cells import is_number, parse_number
 from anisomap.io.parsing.source import (
@@ -199,7 +199,7 @@ def stream_columns(path: Path, options: ReadOptions) -> Stream:
             columns.append(int(text) - 1)
         else:
             names = f", named {', '.join(map(quote, header[:8]))}" if header else ""
-            problem = f"has no column {quote(text)}; it has {len(first)} columns{names}"
+            problem = f"has no column {quote(text)}; it has {counted(len(first), 'column')}{names}"
             raise FileError(f"{path} {problem}")
     moment, sensor, *value = columns
     layout = _Layout(delimiter, header, moment, sensor, value[0] if value else -1)
@@ -260,7 +260,9 @@ def _read_text(path: Path, layout: _Layout) -> Iterator[_Contact]:
         for line, fields in itertools.islice(rows, 1 if layout.header else 0, None):
             if len(fields) <= max(layout.numbers):
                 needed = max(*layout.numbers, layout.sensor) + 1
-                raise LineError(path, line, f" has {len(fields)} fields; it must have {needed}")
+                raise LineError(
+                    path, line, f" has {counted(len(fields), 'field')}; it must have {needed}"
+                )
             moment, *values = parse_row(path, line, fields, layout.numbers)
             ids = [_whole(text) for text in layout.ids(fields)] if np.isfinite(moment) else []
             if None in ids:

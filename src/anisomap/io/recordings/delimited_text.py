@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from anisomap.base.clocks import continued, is_date, words_of
-from anisomap.base.wording import join_items, printable
+from anisomap.base.wording import counted, join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
 from anisomap.io.parsing.cells import guard_formula, parse_number, unguard_formula
@@ -286,10 +286,12 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
         for number, fields in records(rows, table.delimiter):
             line, unnamed = before + number, 0 < len(table.names) <= column
             if unnamed or len(fields) <= max(column, roles.time or 0):
-                raise LineError(table.path, line, f" has {len(fields)} fields, but {table.because}")
+                raise LineError(
+                    table.path, line, f" has {counted(len(fields), 'field')}, but {table.because}"
+                )
             values = listed(fields[column])
             if len(values) != length:
-                problem = f", column {column + 1}: the list has {len(values)} numbers"
+                problem = f", column {column + 1}: the list has {counted(len(values), 'number')}"
                 raise LineError(table.path, line, f"{problem}; the lists before have {length}")
             try:
                 time = None if roles.time is None else parse_number(fields[roles.time])

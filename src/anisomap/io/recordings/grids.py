@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular
 from anisomap.io.parsing.names import natural_key
@@ -155,13 +156,13 @@ def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
     for n_frames, (line, clock, rows) in found:
         if len(rows) < header.rows and n_frames and not next(text, ""):
             what = f"truncated in row {len(rows)} of {header.rows} and dropped"
-            warn(path, f"the last frame is {what}; read the {n_frames} frames before it")
+            warn(path, f"the last frame is {what}; read the {counted(n_frames, 'frame')} before it")
             return
         whole = len(rows) == header.rows
         cells = _parsed(path, line, rows, header.delimiter) if whole else np.empty((0, 0))
         if cells.shape[1] != header.columns:
             raise FileError(
-                f"{path}: the frame at line {line} has {len(rows)} rows of numbers; "
+                f"{path}: the frame at line {line} has {counted(len(rows), 'row')} of numbers; "
                 f"all frames must have {header.rows} rows of {header.columns} numbers"
             )
         yield Frame(cells.ravel()[header.inside], text.fraction(), clock)

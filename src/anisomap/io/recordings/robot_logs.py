@@ -30,6 +30,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import GZIP_ERRORS, lines_of, open_text, quote
@@ -106,7 +107,9 @@ def _touches(path: Path) -> EventList[tuple[str, int]]:
 def _skin_parts(touches: EventList[tuple[str, int]]) -> tuple[Content, ...]:
     """List the skin parts that were touched."""
     counts = Counter(part for part, _ in touches.sensors)
-    return tuple(Content(part, f"contacts of {count} taxels") for part, count in counts.items())
+    return tuple(
+        Content(part, f"contacts of {counted(count, 'taxel')}") for part, count in counts.items()
+    )
 
 
 def _stream_contacts(path: Path, wanted: Sequence[str], bin_s: float | None) -> Stream:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.wording import number
 from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.files.paths import atomic_write, together
@@ -118,6 +119,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
     if quick is None:
         return None
     made = None if checked is None else checked.sensor_map
+    final = checked is not None and checked.final
     positions, truth = _checked_positions(made, quick), session.maps.options.truth
     stated = None if truth is None else _aligned(_in_order(truth, truth.positions, quick), quick)
     return {
@@ -128,14 +130,14 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
         "checked": _encoded(positions),
         "checked_dimensions": None if positions is None else positions.shape[1],
         "checked_halo": _encoded(_checked_doubt(made, quick)),
-        "final": checked is not None and checked.final,
+        "final": final,
         "stated": _encoded(stated),
         "pairs": _encoded(quick.pairs, "<u4"),
         "halo": _encoded(_doubt(quick)),
         "contacts": quick.contacts.tolist(),
         "left_out": list(quick.left_out),
         "untouched": list(quick.advice.untouched),
-        "places": [list(place.sensors) for place in quick.advice.places],
+        "places": [] if final else [list(place.sensors) for place in quick.advice.places],
         "reason": quick.reason,
     }
 
@@ -145,8 +147,13 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
     maps, checked = session.maps, session.maps.checked
     verdict = Verdict() if checked is None else checked.verdict
     error = math.nan if checked is None else checked.error_against_truth
-    from_truth = f"{error:.2f} spacings from the truth" if math.isfinite(error) else ""
-    waits = maps.examining and checked is None
+    has_truth = math.isfinite(error)
+    spacing, unit = maps.spacing
+    from_truth = [f"{number(error * spacing, 2)} {unit} from the truth"] if has_truth else []
+    if checked is None:
+        told = "checking the first map" if maps.examining else "no map yet"
+    else:
+        told = verdict.level
     advice, enough = session.guidance
     return {
         "state": session.state,
@@ -159,10 +166,12 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "map_age": round(session.map_age, _DIGITS),
         "lags": session.lags,
         "level": verdict.level,
-        "told": "checking the first map" if waits else verdict.level,
-        "error": "; ".join(filter(None, [maps.error_told, from_truth])),
+        "told": told,
+        "error": "; ".join(filter(None, [maps.error_told, *from_truth])),
         "reason": maps.reason,
-        "has_truth": bool(from_truth),
+        "has_truth": has_truth,
+        "spacing": spacing,
+        "unit": unit,
         "advice": advice,
         "enough": enough,
         "faulty": [
@@ -171,7 +180,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         ],
         "dropped": list(maps.dropped),
         "curve": [
-            [round(seconds, _DIGITS), *map(_finite, errors)]
+            [round(seconds, _DIGITS), *(_finite(error * spacing) for error in errors)]
             for seconds, *errors in session.maps.curve
         ],
         "touched": [

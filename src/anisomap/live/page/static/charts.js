@@ -60,7 +60,7 @@ export function drawCurves(canvas, curves, { top, unit, rule, end: last }) {
   const left = 42, bottom = height - 16, right = width - 8, above = 6;
   const all = curves.flatMap((curve) => curve.points.filter(([, y]) => y !== null));
   const end = Math.max(10, last);
-  const highest = top ?? Math.max(1.2, ...all.map(([, y]) => Math.min(y, 10))) * 1.1;
+  const highest = top ?? Math.max(1.2 * rule, ...all.map(([, y]) => Math.min(y, 10 * rule))) * 1.1;
   const x = (value) => left + value / end * (right - left);
   const y = (value) => bottom - Math.min(value, highest) / highest * (bottom - above);
   texts(context, "11px", QUIET, "right");

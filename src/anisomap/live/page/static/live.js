@@ -51,10 +51,11 @@ function showStatus() {
   $("reason").textContent = status.reason;
   $("checked").textContent = status.checked_frames
     ? `map of ${status.checked_frames} frames${status.examining ? "; the next is being made" : ""}` : "";
-  $("source").textContent = `${status.source}, recorded in ${status.recording || "no file yet"}`;
+  $("source").textContent = status.recording
+    ? `${status.source}, recorded in ${status.recording}` : status.source;
   $("rate").textContent = status.rate_hz ? `${status.rate_hz.toFixed(status.rate_hz < 10 ? 1 : 0)} Hz` : "–";
-  $("touched").textContent = `${Math.round(100 * status.share_touched)} % of ${status.sensors}`;
-  $("age").textContent = `${status.map_age.toFixed(1)} s${status.lags ? ": lags, all is recorded" : ""}`;
+  $("touched").textContent = map ? `${Math.round(100 * status.share_touched)} % of ${status.sensors}` : "–";
+  $("age").textContent = map ? `${status.map_age.toFixed(1)} s${status.lags ? ": lags, all is recorded" : ""}` : "–";
   $("age").className = status.lags ? "alert" : "";
   $("state").textContent = status.state;
   $("frames").textContent = status.frames;
@@ -76,7 +77,8 @@ function showStatus() {
   raster.gaps = status.gaps;
   const points = (column) => status.curve.map((row) => [row[0], row[column]]);
   const end = status.seconds;
-  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: 1, end });
+  drawCurves($("errors"), [{ points: points(1) }, { points: points(2), dashed: true }], { rule: status.spacing, end });
+  $("unit").textContent = status.unit;
   drawCurves($("shares"), [{ points: status.touched }], { top: 1, unit: "%", end });
   showSelected();
 }
@@ -130,6 +132,7 @@ function connect() {
     $("state").textContent = "closed";
     document.body.dataset.state = "ended";
     $("disconnected").hidden = false;
+    $("files").replaceChildren(); // the links need the session
     $("disconnected").textContent = status?.page
       ? `The session is over. Its page is ${status.page}.` : "The session cannot be reached.";
   });

@@ -133,8 +133,8 @@ export class MapView {
       this._sensor(context, i, points[i], size, untouched.has(i));
     }
     this._layout(context, radius);
-    this._marks(context, points, radius);
     this._names(context, points, order, radius);
+    this._marks(context, points, radius);
   }
 
   _sensor(context, i, [x, y, depth], radius, hollow) {
