@@ -15,6 +15,7 @@ from anisomap import drawing, io
 from anisomap.cli.console import Printer, console, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.cli.printing import (
+    is_touched,
     print_health,
     print_map,
     print_score,
@@ -228,7 +229,8 @@ def finish(
     write_others: Writes other files together with the map, and returns them.
     """
     placed = (outputs.placing or DEFAULT_PLACING).applied
-    coverage = touch_coverage(sensor_map, examined.runs)
+    touched = is_touched(examined.recording)
+    coverage = touch_coverage(sensor_map, examined.runs) if touched else None
     with together():
         others = write_others()
         files = outputs.write(placed(sensor_map))

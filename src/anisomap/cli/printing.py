@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.base.wording import join_items, number, percent
+from anisomap.base.wording import counted, join_items, number, percent
 from anisomap.cli.console import Columns, Printer, attributes, print_warning
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
@@ -247,8 +247,15 @@ _PLACES_TOLD = 3
 _QUICK_METHOD = "r-anisomap"  # the fastest; neighbours suffice
 
 
+def is_touched(recording: Recording) -> bool:
+    """Return whether sensors are touched: electrodes, which mne reads, are not."""
+    return recording.metadata.get("format") != "mne"
+
+
 def coverage_without_map(recording: Recording) -> TouchCoverage | None:
     """Return how a skin was touched, by its true positions or by a quick map; None without one."""
+    if not is_touched(recording):
+        return None
     if recording.positions is not None:
         return touch_coverage(SensorMap(recording.positions, names=recording.names), recording)
     if recording.n_sensors > _MAX_QUICK:
@@ -268,12 +275,12 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
     apart = len(coverage.never_together)
     told = [f"median {np.median(counts):g} per sensor, least {counts.min()} ({least})"]
     if coverage.untouched.size:
-        told.append(f"{coverage.untouched.size} of {len(counts)} sensors untouched")
+        told.append(f"{counted(coverage.untouched.size, 'sensor', len(counts))} untouched")
     if apart:
         told.append(f"{apart} of {len(coverage.pairs)} pairs of neighbours never touched together")
     around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
     untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
-    enough = f"no place stands out: all neighbours had about {ENOUGH_CONTACTS} contacts together"
+    enough = f"nowhere: all neighbours had about {ENOUGH_CONTACTS} contacts together or more"
     return {
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),

@@ -35,7 +35,7 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
         told.insert(
             2,
             "These are RMS errors over all sensors; a single sensor is within "
-            f"{float(np.median(within)) * factor:.2g} mm of its place with 90 %.",
+            f"{float(np.median(within)) * factor:.2g} mm of its place with a probability of 90%.",
         )
     return tuple(told)
 

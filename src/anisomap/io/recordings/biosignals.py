@@ -155,6 +155,10 @@ def _check_named(path: Path) -> None:
 def _contents(raw: Any) -> tuple[Content, ...]:
     counts = Counter(raw.get_channel_types())
     return tuple(
-        Content(kind, f"{count} channels x {raw.n_times} samples", usable=kind in _SENSORS)
+        Content(
+            kind,
+            f"{counted(count, 'channel')} x {counted(raw.n_times, 'sample')}",
+            usable=kind in _SENSORS,
+        )
         for kind, count in counts.items()
     )

@@ -54,7 +54,7 @@ function showStatus() {
   $("source").textContent = status.recording
     ? `${status.source}, recorded in ${status.recording}` : status.source;
   $("rate").textContent = status.rate_hz ? `${status.rate_hz.toFixed(status.rate_hz < 10 ? 1 : 0)} Hz` : "–";
-  $("touched").textContent = map ? `${Math.round(100 * status.share_touched)} % of ${status.sensors}` : "–";
+  $("touched").textContent = map ? `${Math.round(100 * status.share_touched)}% of ${status.sensors}` : "–";
   $("age").textContent = map ? `${status.map_age.toFixed(1)} s${status.lags ? ": lags, all is recorded" : ""}` : "–";
   $("age").className = status.lags ? "alert" : "";
   $("state").textContent = status.state;
