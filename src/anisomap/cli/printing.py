@@ -280,7 +280,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
         told.append(f"{apart} of {len(coverage.pairs)} pairs of neighbours never touched together")
     around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
     untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
-    enough = f"nowhere: all neighbours had about {ENOUGH_CONTACTS} contacts together or more"
+    enough = f"no place stands out: all neighbours had about {ENOUGH_CONTACTS} contacts together"
     return {
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),
