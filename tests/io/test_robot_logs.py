@@ -181,6 +181,6 @@ def test_ports_are_joined_by_latest_readings(put, tmp_path: Path, late: float) -
 def test_skin_parts_are_listed(put) -> None:
     path = put("skin_events.log", BOTH)
     listed = [(content.name, content.summary) for content in io.contents(path)]
-    assert listed == [("r_forearm", "contacts of 1 taxels"), ("l_forearm", "contacts of 2 taxels")]
+    assert listed == [("r_forearm", "contacts of 1 taxel"), ("l_forearm", "contacts of 2 taxels")]
     with pytest.raises(io.ChoiceError, match="2 possible recordings"):
         io.read(path)

@@ -121,7 +121,7 @@ RECORDINGS = [
     ("run.csv", HEADED + "2.5,1\n1,90\n", "line 62, column 1: '2.5' must be the id of a sensor"),
     ("run.csv", HEADED + "-2,1\n1,90\n", "line 62, column 1: '-2' must be the id of a sensor"),
     ("run.csv", HEADED + "2,late\n1,90\n", "line 62, column 2: 'late' is not a number"),
-    ("run.csv", HEADED + "2\n1,90\n", "line 62 has 1 fields; it must have 2"),
+    ("run.csv", HEADED + "2\n1,90\n", "line 62 has 1 field; it must have 2"),
     ("run.csv", "time,taxel\n", "only a header"),
     ("run.csv", 'time,taxel\n0.5,1\n1.5,"2\n2.5,3\n', "unbalanced quotation marks (line 3"),
     ("run.csv", "time,taxel\n0.5,\n1.5,\n", "no event"),
@@ -182,7 +182,7 @@ POINT = "x must be three finite numbers"
 
 MAPS = [
     ("t.csv", "name,x,y\na,1,2\nb,one,2\n", "line 3, column 2: 'one' is not a number"),
-    ("t.csv", "x,y\n1,2\n3,4\n5\n", "line 4 has 1 fields, but line 1 has 2"),
+    ("t.csv", "x,y\n1,2\n3,4\n5\n", "line 4 has 1 field, but line 1 has 2"),
     ("t.csv", "1,2\n3,4\n5,6,7\n", "line 3 has 3 fields, but line 1 has 2"),
     ("t.csv", "x,y,z\n", "holds only a header"),
     ("t.csv", "# nothing\n", "no line of positions"),
