@@ -33,6 +33,13 @@ def runs_of(series):
     return sum(on for on, _ in groupby(series))
 
 
+def test_a_sensor_at_an_absurd_place_has_neighbours_in_the_map() -> None:
+    """A damaged file may hold any finite coordinates, whose squares overflow."""
+    places = np.vstack([lattice(2, 2), [[1e211, 0]]])
+    pairs = neighbouring_sensors(places)
+    assert pairs.max() < len(places)
+
+
 activity = arrays(bool, st.tuples(st.integers(1, 12), st.integers(2, 5)))
 
 

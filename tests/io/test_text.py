@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.io.parsing.cells import parse_number
+from anisomap.io.parsing.tables import parse_number
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from texts import COUNT, NAN, READINGS, check, hold, table

@@ -26,10 +26,9 @@ from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files.budget import Budget
 from anisomap.files.paths import open_regular
 from anisomap.io import npz
-from anisomap.io.parsing.cells import is_number, parse_number
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import file_errors, open_text, quote, read_head, read_lines
-from anisomap.io.parsing.tables import read_sample, records
+from anisomap.io.parsing.tables import is_number, parse_number, read_sample, records
 from anisomap.io.recordings import contact_lists, delimited_text
 from anisomap.io.registry import read
 from anisomap.recording import default_names, match_sensors

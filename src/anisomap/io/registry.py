@@ -22,7 +22,6 @@ from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.files.paths import atomic_write, check_distinct, check_target, together
 from anisomap.io import npz
 from anisomap.io.columns import sensors_of
-from anisomap.io.isolation import contents_isolated, open_isolated
 from anisomap.io.maps import point_files, robot_models, skin_displays, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names, natural_key
@@ -46,6 +45,8 @@ from anisomap.io.stream import (
     ReadOptions,
     Stream,
     assemble,
+    contents_isolated,
+    open_isolated,
     rechunk,
     refuse_selection,
 )

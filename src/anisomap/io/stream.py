@@ -1,15 +1,20 @@
 """Recordings as streams of blocks of frames.
 
 A reader returns a `Stream`: the metadata of the recording, and an iterator of blocks. `assemble`
-collects the blocks into a `Recording`, or an even sample of their frames, and `choose` selects the
-recording in files that hold several.
+collects the blocks into a `Recording`, or an even sample of their frames, `choose` selects the
+recording in files that hold several, and `join_streams` joins parts of one skin that were recorded
+at the same time. `open_isolated` reads one in another process: see
+`anisomap.files.reader_process`.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,9 +24,10 @@ from numpy.typing import NDArray
 from anisomap.base.columns import AXES
 from anisomap.base.wording import counted, join_items
 from anisomap.errors import DamagedError, FileError, InputError
+from anisomap.files import reader_process
 from anisomap.io.parsing.source import batches, warn, warn_of_loss
 from anisomap.numerics.sampling import EvenSample
-from anisomap.recording import Recording, Scalar
+from anisomap.recording import Recording, Scalar, default_names
 
 
 def increasing_times(
@@ -412,3 +418,125 @@ def _best_clock(
         if _increase(times).all():
             return times - times[0] if stream.from_zero else times
     return increasing_times(clocks[0], stream.path, stream.locate, every) if clocks else None
+
+
+def join_streams(streams: Mapping[str, Stream]) -> Stream:
+    """Join the sensors of several streams, sampled at the times of the first; one is unchanged."""
+    (_, leader), *followers = streams.items()
+    if not followers:
+        return leader
+    names = tuple(
+        f"{part}/{name}"
+        for part, stream in streams.items()
+        for name in stream.names or default_names(stream.n_sensors)
+    )
+    return replace(
+        leader,
+        n_sensors=len(names),
+        blocks=_joined_blocks(
+            leader, [_Follower(name, stream) for name, stream in followers], [*streams]
+        ),
+        names=names,
+        positions=None,
+        normals=None,
+        surface_distances=None,
+        locate=None,
+    )
+
+
+def _joined_blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Iterator[Block]:
+    overlap = False
+    for block in leader.blocks:
+        if block.times is None:
+            raise FileError(f"{leader.path} has no times; joining recordings requires them")
+        rows, covered = [block.readings], np.ones(len(block.readings), dtype=bool)
+        for follower in followers:
+            readings, known = follower.at(block.times)
+            rows.append(readings)
+            covered &= known
+        if covered.any():
+            overlap = True
+            yield Block(np.hstack(rows)[covered], block.fraction, block.times[covered])
+    if not overlap:
+        raise FileError(f"{leader.path}: the recordings {join_items(parts)} do not overlap in time")
+
+
+class _Follower:
+    """Look up the latest frame of a stream at increasing times, with bounded memory."""
+
+    def __init__(self, name: str, stream: Stream) -> None:
+        self._name, self._stream = name, stream
+        self._times: NDArray[np.float64] = np.empty(0)
+        self._readings = np.empty((0, stream.n_sensors), np.float32)
+
+    def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+        """Return the latest readings at each time, and whether the stream covers that time."""
+        end = times.max(initial=-np.inf)
+        while not (self._times.size and self._times[-1] >= end):
+            block = next(self._stream.blocks, None)
+            if block is None:
+                break
+            if block.times is None:
+                problem = f"{self._name} has no times; joining recordings requires them"
+                raise FileError(f"{self._stream.path}: {problem}")
+            # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
+            self._times = np.fmax.accumulate(np.append(self._times, block.times))
+            self._readings = np.concatenate([self._readings, block.readings])
+        if not self._times.size:
+            raise FileError(f"{self._stream.path}: {self._name} has no frame")
+        last = np.searchsorted(self._times, times, side="right") - 1
+        known = (last >= 0) & (times <= self._times[-1])
+        readings = self._readings[last.clip(0)]
+        unused = max(int(last.min(initial=0)), 0)
+        self._times, self._readings = self._times[unused:], self._readings[unused:]
+        return readings, known
+
+
+@contextmanager
+def open_isolated(
+    function: Callable[..., Any], path: Path, options: ReadOptions
+) -> Iterator[Stream]:
+    """Open a recording by the function of a format, and read it in another process."""
+    with reader_process.opened(_recording, path, *_sent(function, options)) as parts:
+        facts = next(parts)
+        path, names = Path(facts.pop("path")), tuple(facts.pop("names"))
+        blocks = salvage((Block(**block) for block in parts), path)
+        yield Stream(path, blocks=blocks, names=names, **facts)
+
+
+def contents_isolated(
+    function: Callable[..., Any], path: Path, options: ReadOptions
+) -> tuple[Content, ...]:
+    """List the content of a file by the function of a format, in another process."""
+    with reader_process.opened(_contents, path, *_sent(function, options)) as parts:
+        return tuple(Content(**each) for each in next(parts))
+
+
+def _sent(function: Callable[..., Any], options: ReadOptions) -> tuple[Any, ...]:
+    width = None if options.bin_s is None else float(options.bin_s)
+    definitions = [os.fspath(each) for each in options.definitions]
+    return (
+        *(function.__module__, function.__name__),
+        *(options.select, definitions, width, options.keep),
+    )
+
+
+def _called(path: Path, *sent: Any) -> Any:
+    module, name, select, paths, bin_s, keep = sent
+    definitions = tuple(map(Path, paths))
+    options = ReadOptions(select, definitions=definitions, bin_s=bin_s, keep=tuple(keep))
+    return getattr(import_module(module), name)(path, options)
+
+
+def _recording(path: Path, *sent: Any) -> Iterator[dict[str, Any]]:
+    """Yield the facts of a stream, and its blocks."""
+    with _called(path, *sent) as stream:
+        facts = {**vars(stream), "path": os.fspath(stream.path)}
+        blocks = facts.pop("blocks")
+        yield {**facts, "metadata": dict(stream.metadata)}
+        for block in blocks:
+            yield vars(block)
+
+
+def _contents(path: Path, *sent: Any) -> Iterator[list[dict[str, Any]]]:
+    yield [vars(each) for each in _called(path, *sent)]

@@ -18,8 +18,7 @@ from anisomap import io
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, DamagedError, FileError, MissingExtraError
 from anisomap.files import reader_process
-from anisomap.io.isolation import contents_isolated, open_isolated
-from anisomap.io.stream import assemble
+from anisomap.io.stream import assemble, contents_isolated, open_isolated
 
 READINGS = np.random.default_rng(3).random((50, 4)).round(3)
 WORKS = "sys.modules['anisomap.files.reader_process']._idle[os.getpid()][0]._process.pid"

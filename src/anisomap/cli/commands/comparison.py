@@ -74,7 +74,7 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
     error in spacings), and ``best stock``, ``best stock r`` and ``margin``: Mantel r of the first
     method of anisomap minus that of the best stock method.
     """
-    from anisomap.io.parsing.cells import guard_formula
+    from anisomap.io.parsing.tables import guard_formula
 
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")

@@ -36,7 +36,7 @@ Values: TypeAlias = NDArray[Any]
 
 _WIDTH, _HEAD = 12.0, 0.75  # inches
 _GAP = 1.0  # between groups, in widths of a method
-_SERIES_COLUMNS, _MAX_SERIES = 3, 12
+_COLUMNS, _MAX_SERIES = 3, 12
 _INSTANTS = 600  # of a series; the range of the readings in each is drawn
 _MAX_DOTS = 3_000  # pairs drawn as dots
 _MAX_SENSORS = 1_500  # sensors of which all pairs of distances are drawn
@@ -107,9 +107,7 @@ def curves_figure(
     panels: Sequence[CurvePanel],
     *,
     x_label: str,
-    y_label: str = "Mantel r",
     logarithmic: bool = False,
-    columns: int = 3,
     looks: Mapping[str, MethodLook] = METHOD_LOOKS,
 ) -> Figure:
     """Draw scores over a parameter: every run, and the mean over the runs.
@@ -118,7 +116,7 @@ def curves_figure(
     """
     if not panels:
         raise InputError("there are no curves to draw")
-    columns = min(columns, len(panels))
+    columns = min(_COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
     used = {method for panel in panels for method in panel.curves}
     with new_figure(max(4.2 * columns, 8.5), 0.9 + 3.0 * rows, title) as figure:
@@ -144,7 +142,7 @@ def curves_figure(
             axes.set_axisbelow(True)
             axes.set_xlabel(x_label)
             if i % columns == 0:
-                axes.set_ylabel(y_label)
+                axes.set_ylabel("Mantel r")
         return figure
 
 
@@ -347,10 +345,10 @@ def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figu
     if not doubted:
         raise InputError("there is no sensor to draw")
     shown = list(doubted)[:_MAX_SERIES]
-    rows = -(-len(shown) // _SERIES_COLUMNS)
+    rows = -(-len(shown) // _COLUMNS)
     with new_figure(10.0, 0.3 + 1.5 * rows, layout="constrained") as figure:
         for i, sensor in enumerate(shown):
-            axes = figure.add_subplot(rows, _SERIES_COLUMNS, i + 1)
+            axes = figure.add_subplot(rows, _COLUMNS, i + 1)
             readings = recording.readings[:, recording.names.index(sensor.name)]
             _draw_series(axes, readings, recording.rate_hz)
             set_title(axes, f"{printable(sensor.name)}: {sensor.status}")

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from anisomap.base.clocks import is_time
 from anisomap.base.wording import counted
 from anisomap.errors import FileError
-from anisomap.io.parsing.cells import guard_formula, is_number, parse_number, unguard_formula
 from anisomap.io.parsing.facts import (
     properties_of,
     read_comments,
@@ -40,7 +39,11 @@ from anisomap.io.parsing.tables import (
     empty_columns,
     field_error,
     find_delimiter,
+    guard_formula,
+    is_number,
+    parse_number,
     records,
+    unguard_formula,
 )
 from anisomap.io.recordings.delimited_text import MAP_TITLE
 from anisomap.placement.judgement import errors_in_mm

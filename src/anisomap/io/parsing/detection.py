@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from anisomap.base.wording import counted
 from anisomap.errors import FileError
-from anisomap.io.parsing.cells import is_clock, is_label, is_missing, is_number, parse_number
 from anisomap.io.parsing.lines import as_objects, find_template
 from anisomap.io.parsing.source import quote
 from anisomap.io.parsing.tables import (
@@ -30,7 +29,12 @@ from anisomap.io.parsing.tables import (
     empty_columns,
     find_delimiter,
     is_apart,
+    is_clock,
+    is_label,
+    is_missing,
+    is_number,
     is_skipped,
+    parse_number,
     records,
 )
 

@@ -19,7 +19,6 @@ from typing import Any
 
 from anisomap.base.clocks import parse_clock
 from anisomap.errors import InputError
-from anisomap.io.parsing.cells import is_clock
 from anisomap.io.parsing.source import quote
 
 _TIME = (
@@ -186,7 +185,9 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
         return None
     columns = list(zip(*alike, strict=True))
     clocks = frozenset(
-        i for i, tokens in enumerate(columns) if ":" in tokens[0] or is_clock(tokens[0])
+        i
+        for i, tokens in enumerate(columns)
+        if ":" in tokens[0] or parse_clock(tokens[0]) is not None
     )
     labels = [
         i for i in range(1, len(columns)) if _is_glued(raw, i) and _ENDS_LABEL.match(raw[i + 1])

@@ -15,10 +15,9 @@ from pathlib import Path
 
 from anisomap.base.clocks import words_of
 from anisomap.errors import FileError
-from anisomap.io.parsing.cells import is_number
 from anisomap.io.parsing.names import COUNTER_NAMES
 from anisomap.io.parsing.source import quote, quote_if_needed
-from anisomap.io.parsing.tables import Table, all_records, is_skipped
+from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
 
 _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")

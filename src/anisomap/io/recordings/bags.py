@@ -25,13 +25,13 @@ from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.recordings.bag_files import EXTRA, METADATA, prepare, register_definitions
-from anisomap.io.recordings.joined import join_streams
 from anisomap.io.stream import (
     Content,
     Frame,
     ReadOptions,
     Stream,
     choose,
+    join_streams,
     stack_frames,
 )
 

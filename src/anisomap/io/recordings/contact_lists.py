@@ -23,7 +23,6 @@ import numpy as np
 from anisomap.base.clocks import is_time, units_per_second, words_of
 from anisomap.base.wording import counted, noun_and_items
 from anisomap.errors import FileError
-from anisomap.io.parsing.cells import is_number, parse_number
 from anisomap.io.parsing.source import (
     lines_of,
     open_text,
@@ -38,6 +37,8 @@ from anisomap.io.parsing.tables import (
     LineError,
     field_error,
     find_delimiter,
+    is_number,
+    parse_number,
     parse_row,
     read_sample,
     read_undamaged,

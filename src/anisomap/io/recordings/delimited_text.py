@@ -29,7 +29,6 @@ from anisomap.base.clocks import continued, is_date, words_of
 from anisomap.base.wording import counted, join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
-from anisomap.io.parsing.cells import guard_formula, parse_number, unguard_formula
 from anisomap.io.parsing.detection import find_table, is_list, listed
 from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.lines import as_objects
@@ -55,11 +54,14 @@ from anisomap.io.parsing.tables import (
     LineError,
     Table,
     first_rows,
+    guard_formula,
     line_of,
+    parse_number,
     read_blocks,
     read_sample,
     read_undamaged,
     records,
+    unguard_formula,
 )
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.recordings import contact_lists, events

@@ -25,10 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.base.clocks import words_of
 from anisomap.errors import FileError
 from anisomap.files.budget import Budget
-from anisomap.io.parsing.cells import is_number, parse_number
 from anisomap.io.parsing.names import numbers_of
 from anisomap.io.parsing.source import read_lines, warn
-from anisomap.io.parsing.tables import find_delimiter, records
+from anisomap.io.parsing.tables import find_delimiter, is_number, parse_number, records
 from anisomap.io.stream import Stream, read_in_blocks
 from anisomap.recording import Scalar
 

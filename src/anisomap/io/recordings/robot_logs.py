@@ -44,13 +44,13 @@ from anisomap.io.parsing.tables import (
     read_undamaged,
 )
 from anisomap.io.recordings.events import EventList, Events, stream_events
-from anisomap.io.recordings.joined import join_streams
 from anisomap.io.stream import (
     Block,
     Content,
     ReadOptions,
     Stream,
     choose,
+    join_streams,
     refuse_selection,
     to_float32_if_exact,
 )
