@@ -411,3 +411,28 @@ def test_unsuitable_images(tmp_path: Path, pillow) -> None:
     one.resize((2, 2)).save(tmp_path / "sizes" / "b.png")
     with pytest.raises(FileError, match="size of the first, 4 x 3, but image 1 has 4 pixels"):
         io.read(tmp_path / "sizes")
+
+
+@pytest.mark.parametrize("suffix", ["npy", "h5"])
+@pytest.mark.parametrize(
+    ("clock", "what"), [(np.arange(300) / 50, "a time"), (np.arange(300) % 16, "a counter")]
+)
+def test_a_time_among_the_readings_is_left_out(tmp_path, suffix: str, clock, what: str) -> None:
+    path, values = tmp_path / f"skin.{suffix}", np.column_stack([clock, READINGS])
+    if suffix == "npy":
+        np.save(path, values)
+    else:
+        with h5py.File(path, "w") as file:
+            file["readings"] = values
+    with pytest.warns(AnisomapWarning, match=f"column 1: {what}"):
+        found = io.read(path)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names[0] == "s1", "the names are those of the columns"
+
+
+def test_fields_of_a_structure_of_matlab(tmp_path) -> None:
+    path = tmp_path / "run.mat"
+    scipy.io.savemat(path, {"run": {"skin": READINGS, "time": np.arange(300) / 50, "who": "me"}})
+    found = io.read(path)
+    np.testing.assert_array_equal(found.readings, READINGS)
+    assert (found.rate_hz, found.source) == (pytest.approx(50), "run.mat:run/skin")

@@ -151,9 +151,10 @@ def _by_values(
         if whole and not found and values.max() < 256 and values.min() >= 0:
             modulo = ((total - 2 * values) % 256 == 0).all(axis=0) & varying
             found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}
-    ends = () if names else (0, len(rest) - 1)
-    counters = [k for k in ends if rest[k] not in found and _kind(values[:, k]) == COUNTER]
-    found |= {rest[k]: COUNTER for k in counters}
+    for k in () if names else (0, len(rest) - 1):
+        what = _what_counts(values[:, k])
+        if what and rest[k] not in found:
+            found[rest[k]] = what
     for k, i in enumerate(rest):
         if i not in found and names and _is_odd(names, i) and (what := _kind(values[:, k])):
             found[i] = what
@@ -165,6 +166,15 @@ def _is_odd(names: Sequence[str], i: int) -> bool:
     forms = [re.sub(r"\d+", "#", name) for name in names]
     usual, count = Counter(forms).most_common(1)[0]
     return "#" in usual and count > _MAX_SHARE * len(forms) and forms[i] != usual
+
+
+def _what_counts(values: NDArray[Any]) -> str:
+    """Return whether a column without a name counts, or is a time: it rises in even steps."""
+    if _kind(values) == COUNTER:
+        return COUNTER
+    steps = np.diff(values)
+    even = np.abs(steps - np.median(steps)) <= np.median(steps) / 2
+    return "a time" if (steps > 0).all() and np.mean(even) > 1 - _MAX_SWITCHES else ""
 
 
 def _kind(values: NDArray[Any]) -> str:

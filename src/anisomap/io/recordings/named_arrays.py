@@ -377,6 +377,8 @@ def _open(path: Path) -> Iterator[tuple[str, list[Dataset], list[Lists]]]:
     ]
     cells = [name for name, _, kind in listed if kind in ("cell", "struct")]
     variables = _load(path, cells) if cells else {}
+    for name, value in variables.items():
+        datasets += _fields_of(name, value)
     lists = [found for name, value in variables.items() for found in _lists_in(name, value)]
     yield "MATLAB", datasets, [*lists, *find_spike_trains(path, datasets)]
 
@@ -441,6 +443,22 @@ def _load(path: Path, names: list[str]) -> dict[str, Any]:
     return {name: found[name] for name in names}
 
 
+def _fields_of(name: str, value: NDArray[Any]) -> Iterator[Dataset]:
+    """Yield the arrays of numbers in a single structure."""
+    if value.size != 1 or value.dtype.names is None:
+        return
+    for field in value.dtype.names:
+        array = value.ravel()[0][field]
+        if isinstance(array, np.ndarray) and array.dtype.kind in _REAL and array.size > 1:
+            read = functools.partial(_part, array)
+            kind = str(array.dtype)
+            yield Dataset(f"{name}/{field}", array.shape, kind, array.dtype.kind, read)
+
+
+def _part(array: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
+    return array[start:stop]
+
+
 def _lists_in(name: str, value: NDArray[Any]) -> Iterator[Lists]:
     """Find the contacts and spike trains in a cell array or structure."""
     items = [*value.ravel()]
@@ -455,6 +473,8 @@ def _lists_in(name: str, value: NDArray[Any]) -> Iterator[Lists]:
         columns = {f"{name}/{field}": [item[field] for item in items] for field in fields}
     for column, entries in columns.items():
         vectors = [_vector(entry) for entry in entries]
+        if len(entries) < _MIN_UNITS:
+            continue
         known = [vector for vector in vectors if vector is not None]
         if len(known) < len(entries) or max(map(len, known), default=0) < 2:
             continue
