@@ -39,6 +39,15 @@ def test_every_file_holds_the_map_and_its_verdict(made):
     assert "How the skin was touched" in page
 
 
+@pytest.mark.parametrize(("factor", "told"), [(1, False), (1000, True)])
+def test_a_spacing_that_the_true_positions_contradict_is_warned_of(run_map, skin_npz, factor, told):
+    """Such as one in metres that was given in millimetres."""
+    truth = anisomap.read(skin_npz)
+    spacing = factor * anisomap.evaluation.median_spacing(truth.positions)
+    done = run_map(skin_npz, "--spacing", f"{spacing}{truth.units}")
+    assert ("check --spacing" in done.err) == told
+
+
 def found_in(made):
     return anisomap.read_map(made / "map.npz").covariances
 

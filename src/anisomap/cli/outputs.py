@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anisomap import drawing, io
-from anisomap.cli.console import Printer, console, progress
+from anisomap.base.wording import number
+from anisomap.cli.console import Printer, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.cli.printing import (
     is_touched,
@@ -29,6 +30,7 @@ from anisomap.evaluation import Score, score
 from anisomap.files.paths import check_distinct, check_target, together
 from anisomap.health import TouchCoverage, touch_coverage
 from anisomap.placement.frames import in_millimetres
+from anisomap.placement.judgement import spacing_shown
 from anisomap.recording import Recording
 from anisomap.route import Examined
 from anisomap.sensor_map import UNSCALED, SensorMap
@@ -40,6 +42,9 @@ _NOT_MAPS = {
     **dict.fromkeys((".png", ".svg", ".pdf"), "pictures are written by --picture"),
     ".html": "reports are written by --report of anisomap map",
 }
+
+
+_ALIKE = 1.5  # factor between two spacings of one skin, above which a unit is wrong; by hand
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,12 @@ class Truth:
                 progress=report_progress,
             )
         print_score(printer, result, sensor_map, title)
+        spacing, unit = spacing_shown(sensor_map)
+        if unit == truth.units and not 1 / _ALIKE <= result.spacing / spacing <= _ALIKE:
+            print_warning(
+                f"neighbouring sensors are {number(result.spacing)} {unit} apart by the true "
+                f"positions, and {number(spacing)} {unit} on the map: check --spacing and the units"
+            )
         return result
 
 
