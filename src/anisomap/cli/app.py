@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from types import CodeType, FrameType, MappingProxyType
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
 from anisomap._version import __version__
 from anisomap.cli import INTERRUPTED, INTERRUPTION, end
@@ -109,7 +109,7 @@ def _report(error: Exception) -> int:
         case CycloptsError(__cause__=AnisomapError() as refused):
             return _failed(str(refused), BAD_INPUT)
         case CycloptsError():
-            return _failed(f"{error} (see --help)", BAD_INPUT)
+            return _failed(_misuse(error), BAD_INPUT)
         case AnisomapError():
             return _failed(str(error), BAD_INPUT)
         case MemoryError():
@@ -125,6 +125,15 @@ def _report(error: Exception) -> int:
         "ANISOMAP_DEBUG=1 in the environment prints",
         INTERNAL_ERROR,
     )
+
+
+def _misuse(error: CycloptsError) -> str:
+    """Say what is wrong with the arguments of a command."""
+    if not isinstance(error, MissingArgumentError) or error.argument is None:
+        return f"{str(error).rstrip('.')} (see --help)"
+    name = error.keyword or error.argument.name
+    what = f"{name} needs a value" if name.startswith("-") else f"{name} is missing"
+    return f"{what} (see anisomap {' '.join(error.command_chain or ())} --help)"
 
 
 def _run(given: list[str]) -> int:
