@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -205,3 +206,14 @@ def test_commands_say_where_to_touch_next(run, run_map, tmp_path):
     found = run_map("corner.npz", "-o", "m.csv", "--json").values["touches"]
     assert set(found["next"][0]["sensors"]) <= near
     assert found["contacts"].keys() == set(names)
+
+
+def test_a_warning_is_given_once(run, tmp_path):
+    """Two sessions that rest at other levels are joined for each question about them."""
+    skin, noise = flat_skin(), np.random.default_rng(1)
+    zero = np.ptp(skin.readings) * noise.uniform(-1, 1, skin.n_sensors)
+    for name, shift in (("a.npz", 0), ("b.npz", zero)):
+        noisy = skin.readings + noise.normal(0, 1e-3, skin.readings.shape)
+        anisomap.write(replace(skin, readings=noisy + shift), tmp_path / name)
+    said = run("map", "a.npz", "b.npz", "-o", "map.csv", "-d", 2).err
+    assert said.count("rest at other levels") == 1

@@ -141,7 +141,14 @@ def _run(given: list[str]) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
-        warnings.showwarning = lambda message, *_, **__: print_warning(str(message))
+        said = set[str]()
+
+        def say_once(message: Warning | str, *_: object, **__: object) -> None:
+            if str(message) not in said:
+                said.add(str(message))
+                print_warning(str(message))
+
+        warnings.showwarning = say_once
         if given and not given[0].startswith("-") and given[0] not in COMMANDS:
             near = get_close_matches(given[0], COMMANDS, n=1)
             hint = f"did you mean {near[0]}?" if near else "anisomap --help lists the commands"
