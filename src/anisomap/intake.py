@@ -82,7 +82,7 @@ def _sensors(readings: NDArray[Any], names: Sequence[str]) -> Taken:
     others = find_others(names, readings[:1000])
     if others:
         listed = join_items([f"{names[i]} ({what})" for i, what in others.items()])
-        _say(f"these columns are taken for no sensors and left out: {listed}")
+        _say(f"these columns do not look like sensors and are left out: {listed}")
     kept = [i for i in range(readings.shape[1]) if i not in others]
     names = tuple(names[i] for i in kept)
     taxels = find_taxels(names)

@@ -72,9 +72,10 @@ def _hidden_links(sensors: Sequence[str], total: int) -> str:
 
 
 def _unknown_pairs(count: int, sensors: Sequence[str]) -> str:
+    apart = " of sensors {were} never recorded together; {their} {distances} {follow} from other "
     return (
-        f"the sensors of {counted(count, 'pair')} were never recorded together, so their "
-        f"distances follow from other pairs only: {noun_and_items('sensor', sensors)}"
+        f"{counted(count, 'pair')}{agreed(count, apart)}pairs only: "
+        f"{noun_and_items('sensor', sensors)}"
     )
 
 
@@ -130,16 +131,17 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "two-dimensions": _two_dimensions,
         "three-dimensions": _three_dimensions,
         "apart": lambda apart, placed: (
-            f"it is unknown where {counted(apart, 'sensor', placed)} "
-            f"{agreed(apart, '{are}')} relative to the others: touch the skin where they join"
+            agreed(apart, "the {positions} of ")
+            + counted(apart, "sensor", placed)
+            + agreed(apart, " relative to the others {are} unknown: touch the skin where they join")
         ),
         "unlinked": lambda count, total: (
             f"{counted(count, 'sensor', total)} {agreed(count, '{have}')} no correlation with the "
             "others that exceeds noise: record longer"
         ),
         "halves-disagree": lambda agreement: (
-            f"halves of the recording show unlike similarities (their correlation is "
-            f"{agreement:.2f}): a few strong frames may make all of them; record more contacts"
+            f"similarities differ between halves of the recording (their correlation is "
+            f"{agreement:.2f}): they may be due to a few strong frames; record more contacts"
         ),
         "paired": lambda: (
             "sensors pair off: most resemble one other far more than the rest, as if two places "

@@ -93,6 +93,8 @@ _FOR_ONE = {
     "them": "it",
     "their": "its",
     "positions": "position",
+    "distances": "distance",
+    "follow": "follows",
 }
 _FOR_SEVERAL = {word: word for word in _FOR_ONE}
 

@@ -116,7 +116,7 @@ def _hum(finding: Finding) -> str:
 
 def _lags(finding: Finding) -> str:
     listed = join_items([f"{lag:+d}" for lag in finding.values["lags"]])
-    doubt = "" if finding.mendable else ", in part perhaps since what touches them moves"
+    doubt = "" if finding.mendable else ", perhaps in part because what touches them moves"
     return f"groups of sensors lag the largest group by {listed} frames{doubt}"
 
 
@@ -236,7 +236,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
                 f"frame {f.values['frame']} of {f.values['n_frames']} on"
             ),
             "wires were exchanged, or the body took another posture; map the frames before and "
-            "after by themselves",
+            "after separately",
         ),
         "separate-regions": _Words(
             "sensors touched with both",

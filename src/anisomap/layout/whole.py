@@ -73,7 +73,7 @@ class ScanOrder:
         if not self.step:
             return "the reverse order"
         count = "one place" if abs(self.step) == 1 else f"{abs(self.step)} places"
-        return f"an order that is shifted by {count} {'on' if self.step > 0 else 'back'}"
+        return f"an order that is shifted by {count} {'forwards' if self.step > 0 else 'backwards'}"
 
 
 @dataclass(frozen=True, eq=False)

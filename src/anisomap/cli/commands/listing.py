@@ -131,7 +131,7 @@ def _faults(printer: Printer) -> None:
         rows.append((name, affects, taken or "-", _first_line(function)))
     _print_rows(printer, "Faults", "name sensors parameters summary", rows)
     printer.line(
-        "All but lost frames take after=SHARE, from which share of the frames on they act."
+        "after=0.5 lets a fault begin half-way through the frames; lost frames do not take it."
     )
 
 

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
-from anisomap.base.wording import join_items, number, percent
+from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
@@ -259,8 +259,9 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
             f"(p = {found.p:.2g} against shuffled layouts)",
             "verdict": found.verdict
             if not found.findings
-            else f"{found.verdict}: the readings of {accused} sensors "
-            f"({percent(accused / found.n_tested)}) contradict their positions",
+            else f"{found.verdict}: the readings of {counted(accused, 'sensor')} "
+            f"({percent(accused / found.n_tested)}) contradict "
+            + agreed(accused, "{their} {positions}"),
         },
     )
     records = [_record(found, finding) for finding in found.findings]

@@ -14,6 +14,7 @@ from cyclopts.validators import Number
 import anisomap
 from anisomap import io
 from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS, STRESS_PERMUTATIONS
+from anisomap.base.wording import agreed, counted
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.errors import InputError
@@ -79,7 +80,8 @@ def info(
         print_warning(weakness)
     if examined.summary.missing:
         print_warning(
-            f"{examined.summary.missing} readings are NaN or infinite: "
+            f"{counted(examined.summary.missing, 'reading')} "
+            f"{agreed(examined.summary.missing, '{are}')} NaN or infinite: "
             "map them with --missing drop-frames or --missing interpolate"
         )
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from anisomap.base.wording import UNKNOWN, join_items, number, percent, printable
+from anisomap.base.wording import UNKNOWN, counted, join_items, number, percent, printable
 from anisomap.drawing.report.interactive import interactive_views
 from anisomap.drawing.view import checked_kind, drawn_components, ellipses_differ, layout_notes
 from anisomap.errors import import_extra
@@ -95,7 +95,7 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     if len(sizes) > 1:
         sentences.append(
             f"Only {sizes[0]} {kind}s are placed relative to one another: the others are in "
-            f"{len(sizes) - 1} separate component{'s' if len(sizes) > 2 else ''}."
+            f"{counted(len(sizes) - 1, 'separate component')}."
         )
     fitted = "" if score is None else ", and was fitted to the true positions"
     return [*sentences, f"The map is {sensor_map.pose}{fitted}."]
