@@ -15,7 +15,7 @@ OF_ONE = [
     ("few-frames", {"count": 1, "least": 80}),
 ]
 SINGULAR = re.compile(r"\b1 (sensor|pair|frame)\b|\b1 of 48 sensors\b")
-PLURAL = re.compile(r"\b(are|were|have|they|their|positions|distances)\b")
+PLURAL = re.compile(r"\b(are|were|have|their|positions|distances)\b")
 
 
 @pytest.mark.parametrize(("kind", "values"), OF_ONE)
