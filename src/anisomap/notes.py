@@ -51,7 +51,7 @@ def scaled_note(note: str, spacing: float, unit: str) -> str:
 
     spacing: Length of a spacing.
     """
-    if not isinstance(note, Note) or note.kind not in ("chance", "second-map"):
+    if not isinstance(note, Note) or note.kind not in ("chance", "second-map", "if-flat"):
         return note
     return Note(note.kind, **{**note.values, "size": spacing * note.values["size"], "unit": unit})
 
@@ -163,9 +163,9 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"a second map, assuming even spacing, disagrees by {size:.2f} {unit}"
             + (": contacts may be elongated or differ in size from place to place" if much else "")
         ),
-        "worse-of-both": lambda dimensions: (
-            "the readings do not show whether the skin is flat: this is the verdict on the map in "
-            f"{dimensions} dimensions, the worse of both; choose their number (-d 2 or -d 3)"
+        "if-flat": lambda size, unit="spacings": (
+            "the readings do not show whether the skin is flat: if it is, positions are off by "
+            f"{size:.2f} {unit}; choose the number of dimensions (-d 2 or -d 3)"
         ),
         "not-examined": lambda: "the map was not examined",
         "other-readings": lambda: "a verdict needs the readings that the map was made from",

@@ -59,6 +59,15 @@ def test_worse_evidence_never_improves_a_verdict(chances, differences, apart, fa
     assert rank(judge(evidence(chance[0], difference[0], fatal=("no skin",)))) == 0
 
 
+@given(ERRORS, ERRORS, ERRORS)
+def test_an_error_if_the_skin_is_flat_is_expected(chance, difference, if_flat):
+    clear = judge(evidence(chance, difference))
+    unclear = judge(evidence(chance, difference, if_flat=if_flat, regions_if_flat=if_flat / 2))
+    assert unclear.expected_error == pytest.approx(math.hypot(clear.expected_error, if_flat))
+    assert unclear.expected_error_high >= if_flat
+    assert rank(unclear) <= rank(clear)
+
+
 @given(ERRORS, ERRORS)
 def test_every_verdict_has_reasons_and_intervals_around_its_numbers(chance, difference):
     found = judge(evidence(chance, difference))
@@ -216,6 +225,20 @@ def test_maps_of_noise_are_not_usable():
 
 def verdict(made, recording):
     return diagnose(made, recording).verdict
+
+
+@quiet
+def test_a_map_of_unclear_dimensions_is_not_usable_if_a_flat_one_differs():
+    """A flat skin with readings on and off, of which the map has three dimensions."""
+    with np.load(FOLDER / "readings" / "binary.npz") as stored:
+        readings = stored["readings"]
+    made = reconstruct(readings)
+    assert made.dimensions == 3
+    found = diagnose(made, readings).verdict
+    flat = reconstruct(readings, dimensions=2)
+    assert found.level != "usable"
+    assert any(reason.kind == "if-flat" for reason in found.reasons)
+    assert diagnose(flat, readings).verdict.level == "usable"
 
 
 @quiet

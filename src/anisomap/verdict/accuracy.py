@@ -34,6 +34,10 @@ class Estimate:
     low: float
     high: float
 
+    def plus(self, size: float) -> Estimate:
+        """Return the estimate of the error that another, of a known size, is independent of."""
+        return Estimate(*(math.hypot(one, size) for one in (self.value, self.low, self.high)))
+
 
 BY_CHANCE, BY_DIFFERENCE = 0.42, 0.42
 """Expected error per RMS difference of resamples, and per difference from the map of steps."""

@@ -19,16 +19,16 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.method.dimensions import PLANE, SPATIAL
+from anisomap.method.dimensions import PLANE
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
-from anisomap.method.pipeline import Stages, reconstruct_with_stages
+from anisomap.method.pipeline import Stages, reconstruct, reconstruct_with_stages
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.reliability.pairs import sensors_pair_off
 from anisomap.recording import Recording, as_runs, join_runs, select_sensors
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import LEVELS, UNKNOWN, Verdict
+from anisomap.usability import Verdict
 from anisomap.verdict.accuracy import (
     expected_error,
     extent_in_spacings,
@@ -136,28 +136,22 @@ def diagnose(
     if with_verdict:
         complete = [run.complete() for run in select_sensors(runs, joined.names)]
 
-        def judged(
-            one: SensorMap, made: Stages | None
-        ) -> tuple[Verdict, NDArray[np.float64] | None]:
-            measured, covariances = examine(
-                one,
-                complete,
-                options=options,
-                rng=rng,
-                progress=progress,
-                stages=made,
-                faults=faults,
-            )
-            return judge(measured), covariances
-
-        verdict, found = judged(sensor_map, stages)
+        measured, found = examine(
+            sensor_map,
+            complete,
+            options=options,
+            rng=rng,
+            progress=progress,
+            stages=stages,
+            faults=faults,
+        )
         if Note("unclear-dimensions") in sensor_map.notes:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", AnisomapWarning)
-                flat = reconstruct_with_stages(
-                    runs, sensor_map.method, PLANE, options=options, drop=drop
-                )
-            verdict = _worse(verdict, judged(*flat)[0])
+                flat = reconstruct(runs, sensor_map.method, PLANE, options=options, drop=drop)
+            whole, regions = _errors_if_flat(sensor_map, flat)
+            measured = replace(measured, if_flat=whole, regions_if_flat=regions)
+        verdict = judge(measured)
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -234,16 +228,15 @@ def examine(
     return measured, found
 
 
-def _worse(spatial: Verdict, flat: Verdict) -> Verdict:
-    """Return the worse of the verdicts on the maps of a skin that may be flat, and say which."""
-    ranks = (UNKNOWN, *LEVELS)
+def _errors_if_flat(spatial: SensorMap, flat: SensorMap) -> tuple[float, float]:
+    """Return how far a map in 3 dimensions is off if the skin is flat, as a whole and in regions.
 
-    def quality(one: Verdict) -> tuple[int, float]:
-        return ranks.index(one.level), -one.expected_error
-
-    worse, dimensions = (flat, PLANE) if quality(flat) < quality(spatial) else (spatial, SPATIAL)
-    note = Note("worse-of-both", dimensions=dimensions)
-    return replace(worse, reasons=(*worse.reasons[:1], note, *worse.reasons[1:]))
+    Of the sensors in the largest components of both maps, in spacings.
+    """
+    both = (spatial.component == 0) & (flat.component == 0)
+    positions = spatial.positions[both]
+    differences = align(flat.positions[both], positions).aligned - positions
+    return rms_in_spacings(differences, positions), regional_difference(differences, positions)
 
 
 def _rarely_touched(sensor_map: SensorMap, runs: Sequence[Recording]) -> int:

@@ -43,6 +43,8 @@ class Measurements:
     repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
     difference: RMS difference from a map of evenly spaced sensors, in spacings.
     regional: The same of regions, each aligned by itself.
+    if_flat: RMS difference from the map in 2 dimensions, in spacings, where the readings do not
+        show whether the skin is flat; else 0. The same of regions: regions_if_flat.
     extent: RMS distance of the sensors from their centre, in spacings.
     agreement: Of two halves of the recording: see `agreement_of_halves`.
     paired: Whether the sensors pair off: see `sensors_pair_off`.
@@ -59,6 +61,8 @@ class Measurements:
     repeatability: float = math.nan
     difference: float = math.nan
     regional: float = math.nan
+    if_flat: float = 0.0
+    regions_if_flat: float = 0.0
     extent: float = math.inf
     agreement: float = 1.0
     paired: bool = False
@@ -97,8 +101,9 @@ def judge(measured: Measurements) -> Verdict:
     sizes = measured.repeatability, measured.difference
     if measured.unknown or any(map(math.isnan, (*sizes, measured.regional))):
         return Verdict(reasons=(measured.unknown or Note("not-examined"), *limits))
-    error = expected_error(*sizes)
+    error = expected_error(*sizes).plus(measured.if_flat)
     region = region_error(measured.repeatability, measured.regional, error.value)
+    region = region.plus(measured.regions_if_flat)
     kept = neighbours_kept(region.value)
     small = error.high < MAX_ERROR and error.value >= MAX_RELATIVE * measured.extent
     if error.high < MAX_ERROR and not small and not limits:
@@ -114,6 +119,8 @@ def judge(measured: Measurements) -> Verdict:
         level = "not usable"
     if small:
         limits.append(Note("small-body", extent=measured.extent))
+    if measured.if_flat:
+        limits.append(Note("if-flat", size=measured.if_flat))
     if level != "usable":
         limits += measured.faults
     return Verdict(
