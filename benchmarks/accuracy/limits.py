@@ -100,7 +100,7 @@ def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
     evidence = Evidence.of(
         [part], recipe.similarity_of([part]), bins=options.entropy_bins, with_variance=True
     )
-    metric = np.asarray(recipe.metric(recipe.dissimilarity_of(evidence, options)))
+    metric = np.asarray(recipe.lengths_of(evidence, options))
     start = places * best_scale(places, metric)[0]
     refined = refine(evidence, metric, start, options)
     found = start if refined is None else refined.positions

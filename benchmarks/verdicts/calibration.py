@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from benchmarks.harness import keyed_table
-from benchmarks.verdicts.trust import closeness, read_outcomes
+from benchmarks.verdicts.trust import MAX_ERROR, closeness, read_outcomes
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -38,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def usable(outcomes: Any) -> Any:
-    """Keep outcomes of known errors, unless something else speaks against the map."""
+    """Keep outcomes with errors of at most a spacing, unless something else excludes the map."""
     known = np.isfinite(outcomes[["error", "r", "difference", "regional"]]).all(axis=1)
-    kept = outcomes[known & (outcomes.excluded == 0)]
+    kept = outcomes[known & (outcomes.excluded == 0) & (outcomes.error <= MAX_ERROR)]
     measured = ["repeatability", "difference", "regional"]
     return kept.assign(**{name: kept[name].clip(0.01, _LARGEST) for name in measured})
 

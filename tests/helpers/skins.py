@@ -91,12 +91,11 @@ def stages(readings, method="covariogram", options=None):
     recipe, chosen = find_method(method), options or MethodOptions()
     runs, refined = [Recording(readings)], recipe.refine is not None
     evidence = Evidence.of(runs, recipe.similarity, bins=chosen.entropy_bins, with_variance=refined)
-    dissimilarity = recipe.dissimilarity_of(evidence, chosen)
     return SimpleNamespace(
         evidence=evidence,
         similarity=evidence.similarity,
-        dissimilarity=dissimilarity,
-        metric=recipe.metric(dissimilarity),
+        dissimilarity=recipe.dissimilarity_of(evidence, chosen),
+        metric=recipe.lengths_of(evidence, chosen),
     )
 
 

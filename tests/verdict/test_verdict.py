@@ -99,7 +99,7 @@ def test_regions_show_noise_as_the_whole_does_but_not_a_slow_change_of_scale():
 def test_a_map_that_is_stretched_slowly_has_right_neighbours():
     found = judge(evidence(0.05, 1.5, regional=0.4))
     assert found.level == "usable for neighbours"
-    assert judge(evidence(0.05, 2.5, regional=2.4)).level == "not usable"
+    assert judge(evidence(0.05, 1.5, regional=1.4)).level == "not usable"
 
 
 def test_only_faults_that_no_measurement_shows_exclude_usable_maps():

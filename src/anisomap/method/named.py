@@ -27,7 +27,7 @@ from anisomap.numerics.graph.dissimilarity import (
     information_distance,
     regularised_reciprocal,
 )
-from anisomap.numerics.graph.metric import metricise
+from anisomap.numerics.graph.metric import metricise, with_bounded_stems
 from anisomap.numerics.graph.neighbour_graphs import (
     neighbour_graph,
     smallest_connected_neighbour_graph,
@@ -84,6 +84,13 @@ class Method:
             dissimilarity[~evidence.known] = np.inf
             np.fill_diagonal(dissimilarity, 0)
         return dissimilarity
+
+    def lengths_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
+        """Compute D, shape (n, n)."""
+        lengths = self.metric(self.dissimilarity_of(evidence, options))
+        if self.refine is None:
+            return lengths
+        return with_bounded_stems(lengths, evidence.groups.hidden)
 
     def similarity_of(self, runs: Sequence[Recording]) -> str:
         """Return the key of the similarity for some recordings."""

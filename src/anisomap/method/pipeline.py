@@ -6,7 +6,7 @@ from a precomputed stage; both pass these stages:
 =============  ===================================  ========================================
 S              `Evidence.of`                        similarity of all pairs of sensors
 M              `Method.dissimilarity_of`            dissimilarity of all pairs of sensors
-D              `Method.metric`                      metric: shortest path lengths
+D              `Method.lengths_of`                  metric: shortest path lengths
 dimensions     `plan_dimensions`                    their number, given or chosen
 positions      `configuration.scale`                scaling by SMACOF
 refinement     `refinement.refine`                  positions refined by S
@@ -206,7 +206,7 @@ def compute_stages(
         bins=options.entropy_bins,
         with_variance=recipe.refine is not None,
     )
-    metric = recipe.metric(recipe.dissimilarity_of(evidence, options))
+    metric = recipe.lengths_of(evidence, options)
     if recipe.shows_dimensions:
         choice = plan_dimensions(
             dimensions, metric, evidence.weights, common_share=evidence.common_share
@@ -360,10 +360,11 @@ def reconstruct_from(
         )
     with limited_blas(len(matrix)):
         if evidence is not None:
-            matrix = recipe.dissimilarity_of(evidence, options)
+            lengths = recipe.lengths_of(evidence, options)
             check_unlike(evidence.similarity, rows_of=np.transpose)
-        semi_metric = check_semi_metric(matrix)
-        lengths = semi_metric if stage == "metric" else recipe.metric(semi_metric)
+        else:
+            semi_metric = check_semi_metric(matrix)
+            lengths = semi_metric if stage == "metric" else recipe.metric(semi_metric)
         shown = _showing_dimensions(lengths, evidence, recipe, options)
         examine = dimensions == AUTO or (evidence is not None and recipe.shows_dimensions)
         choice = plan_dimensions(dimensions, shown if examine else None, pair_weights)
@@ -404,4 +405,4 @@ def _showing_dimensions(
     if recipe.similarity == "mutual-information":
         return None
     default = METHODS[DEFAULT_METHOD]
-    return default.metric(default.dissimilarity_of(evidence, options))
+    return default.lengths_of(evidence, options)

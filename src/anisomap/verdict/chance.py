@@ -81,7 +81,7 @@ def deviations_by_chance(
     made = []
     for resample in part.evidence.resamples(_N_RESAMPLES, STEP, rng):
         # The metric, towards which the fit is drawn, has errors by chance as well.
-        metric = recipe.metric(recipe.dissimilarity_of(resample, options))
+        metric = recipe.lengths_of(resample, options)
         lengths = metric / (best_scale(start, metric)[0] or 1.0)
         found = recipe.refine(resample, lengths, start, few, fit) if recipe.refine else None
         made.append(start if found is None else found.positions)

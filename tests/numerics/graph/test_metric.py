@@ -7,12 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.sparse.csgraph import csgraph_from_dense, floyd_warshall
-from scipy.spatial.distance import pdist, squareform
+from scipy.spatial.distance import cdist, pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.graphs import SIDE
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
-from anisomap.numerics.graph.metric import metricise, minimax_paths, shortest_paths
+from anisomap.numerics.graph.metric import (
+    metricise,
+    minimax_paths,
+    shortest_paths,
+    with_bounded_stems,
+)
 from anisomap.numerics.graph.neighbour_graphs import components
 from skins import lattice
 
@@ -209,3 +214,26 @@ def test_results_do_not_depend_on_the_number_of_threads(monkeypatch):
         monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", n_threads)
         results.append(shortest_paths(lengths))
     np.testing.assert_array_equal(*results)
+
+
+@given(
+    st.integers(4, 20).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, n // 2))),
+    st.floats(0, 100),
+    st.integers(0, 99),
+)
+def test_stems_end_where_the_others_do(sizes, stem, seed):
+    """Nodes at the end of a stem of any length come to the extent of the others, but no nearer."""
+    n_others, n_hidden = sizes
+    points = np.random.default_rng(seed).random((n_others + n_hidden, 2))
+    stems = np.where(np.arange(len(points)) < n_others, 0, stem)
+    lengths = cdist(points, points) + np.add.outer(stems, stems)
+    np.fill_diagonal(lengths, 0)
+    hidden = np.arange(n_others, len(points))
+    found = with_bounded_stems(lengths, hidden)
+    among = np.ix_(np.arange(n_others), np.arange(n_others))
+    np.testing.assert_array_equal(found[among], lengths[among])
+    np.testing.assert_array_equal(found, found.T)
+    extent = np.quantile(lengths[among], 0.9)
+    nearest, before = (x[hidden, :n_others].min(axis=1) for x in (found, lengths))
+    np.testing.assert_allclose(nearest, np.minimum(before, extent), atol=1e-9)
+    assert (found <= lengths + 1e-9).all()

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
@@ -16,7 +16,29 @@ from anisomap.numerics.precision import Floats, Reals, mirror, slices_of
 
 _TILE_ROWS = 4  # rows of tiles per task; few enough for many threads
 _TILE_MIDDLES = 2  # blocks of nodes through which a tile is lowered while it is in the cache
+_EXTENT = 0.9  # quantile of lengths: the longest are outliers themselves
 _CACHE_LINE = 64  # bytes, of current processors
+
+
+def with_bounded_stems(lengths: Reals, hidden: NDArray[np.intp]) -> Reals:
+    """Bring nodes whose links noise hides to where the others end. lengths (N, N), hidden (H,).
+
+    Their links are long, but do not say how long. By as much as the shortest way from such a node
+    to any other one exceeds the extent of the others, all ways from it are shortened. Nothing
+    changes where the others are a minority, whose extent is not that of the skin.
+    """
+    n_nodes = len(lengths)
+    if not 0 < 2 * hidden.size < n_nodes:
+        return lengths
+    others = np.setdiff1d(np.arange(n_nodes), hidden)
+    among = lengths[np.ix_(others, others)]
+    extent = np.quantile(among[np.isfinite(among)], _EXTENT)
+    nearest = lengths[np.ix_(hidden, others)].min(axis=1)
+    excess = np.zeros(n_nodes, dtype=lengths.dtype)
+    excess[hidden] = np.where(np.isfinite(nearest), np.maximum(nearest - extent, 0), 0)
+    shortened = np.maximum(lengths - np.add.outer(excess, excess), np.minimum(lengths, extent))
+    np.fill_diagonal(shortened, 0)
+    return np.asarray(shortened, dtype=lengths.dtype)
 
 
 def shortest_paths(lengths: Reals) -> Reals:
