@@ -156,20 +156,19 @@ def count_shared(
 
 
 @loop()
-def keep_greatest(
-    block: Singles, left: int, own: Ints, groups: Ints, greatest: tuple[Ints, Singles]
-) -> None:
+def keep_greatest(block: Singles, start: tuple[int, int], greatest: tuple[Ints, Singles]) -> None:
     """Update the greatest entries of each row, in decreasing order, with a block of columns.
 
-    The block begins at column `left`. Columns of the row's `own` group are skipped.
+    The block begins at the row and column `start`. Entries on the diagonal are skipped.
     """
+    top, left = start
     ends, values = greatest
     count = ends.shape[1]
     for i in range(len(block)):
         row, kept, places = block[i], values[i], ends[i]
         least = kept[count - 1]
         for j in range(len(row)):
-            if row[j] > least and groups[left + j] != own[i]:
+            if row[j] > least and left + j != top + i:
                 place = count - 1
                 while place > 0 and kept[place - 1] < row[j]:
                     kept[place] = kept[place - 1]

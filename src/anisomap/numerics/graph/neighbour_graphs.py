@@ -126,40 +126,35 @@ NO_SENSOR = -1
 
 
 def most_similar(
-    rows: NDArray[np.float32],
-    count: int,
-    *,
-    groups: ArrayLike | None = None,
-    sensors: ArrayLike | None = None,
-    whole: NDArray[np.float32] | None = None,
+    rows: NDArray[np.float32], count: int, *, whole: NDArray[np.float32] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Find, for each sensor, the sensors with the greatest inner products of rows.
 
     whole (N, N): The products of all rows, if they are known.
     """
     n_sensors = len(rows)
-    queries = np.arange(n_sensors) if sensors is None else np.asarray(sensors, dtype=np.int64)
-    labels = np.arange(n_sensors) if groups is None else np.asarray(groups, dtype=np.int64)
     if n_sensors < MIN_COMPILED_ROWS:
-        return _most_similar_of_few(rows, count, labels, queries, whole)
-    found = np.full((len(queries), count), NO_SENSOR, dtype=np.int64)
+        return _most_similar_of_few(rows, count, whole)
+    found = np.full((n_sensors, count), NO_SENSOR, dtype=np.int64)
     products = np.full(found.shape, -np.inf, dtype=np.float32)
 
     # One BLAS thread, so that sums do not depend on the number of threads.
-    with limited_blas(1), parallel_map(len(queries)) as map_threads:
-        if whole is None and sensors is None and n_sensors <= MAX_WHOLE:
+    with limited_blas(1), parallel_map(n_sensors) as map_threads:
+        if whole is None and n_sensors <= MAX_WHOLE:
             whole = all_products(rows)
 
         def search(begin: int) -> None:
             part = slice(begin, begin + ROWS)
-            mine = rows[queries[part]]
             for left in range(0, n_sensors, COLUMNS):
                 columns = slice(left, left + COLUMNS)
-                block = mine @ rows[columns].T if whole is None else whole[queries[part], columns]
+                if whole is None:
+                    block = rows[part] @ rows[columns].T
+                else:
+                    block = whole[part, columns].copy()
                 kept = found[part], products[part]
-                load_loops("graphs").keep_greatest(block, left, labels[queries[part]], labels, kept)
+                load_loops("graphs").keep_greatest(block, (begin, left), kept)
 
-        map_threads(search, range(0, len(queries), ROWS))
+        map_threads(search, range(0, n_sensors, ROWS))
     return found, products
 
 
@@ -169,16 +164,12 @@ def all_products(rows: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _most_similar_of_few(
-    rows: NDArray[np.float32],
-    count: int,
-    labels: NDArray[np.int64],
-    queries: NDArray[np.int64],
-    whole: NDArray[np.float32] | None,
+    rows: NDArray[np.float32], count: int, whole: NDArray[np.float32] | None
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Sort all products, which takes less time than loading a compiled loop."""
     with limited_blas(1):
-        products = (all_products(rows) if whole is None else whole)[queries]
-    products[labels[queries][:, None] == labels] = -np.inf
+        products = np.array(all_products(rows) if whole is None else whole)
+    np.fill_diagonal(products, -np.inf)
     missing = max(0, count - len(rows))
     products = np.pad(products, ((0, 0), (0, missing)), constant_values=-np.inf)
     order = np.argsort(-products, axis=1, kind="stable")[:, :count]
