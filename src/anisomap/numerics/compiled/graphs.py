@@ -96,42 +96,6 @@ def lower_rows(tiles: Reals, inwards: Reals, outwards: Reals, rows: Range) -> No
 
 
 @loop()
-def relax_from(
-    tile: Singles, sources: Ints, order: Ints, edges: tuple[Ints, Ints, Singles]
-) -> None:
-    """Fill ``tile[u, s]`` with the length of the shortest path from ``sources[s]`` to node u.
-
-    Bellman-Ford: sweeps over the nodes in alternating `order` until no path becomes shorter.
-    Neighbours that have not improved since the last visit are skipped, by ``stamps``.
-    """
-    offsets, ends, lengths = edges
-    tile[:] = np.inf
-    stamps = np.zeros((len(tile), 2), np.int64)
-    for column in range(len(sources)):
-        tile[sources[column], column] = 0
-        stamps[sources[column], 0] = 1
-    clock, step, any_shorter = 1, 1, True
-    while any_shorter:
-        any_shorter = False
-        for node in order[::step]:
-            clock += 1
-            row = tile[node]
-            shorter = 0
-            for edge in range(offsets[node], offsets[node + 1]):
-                if stamps[ends[edge], 0] > stamps[node, 1]:
-                    other, length = tile[ends[edge]], lengths[edge]
-                    for source in range(len(row)):
-                        through = other[source] + length
-                        shorter |= through < row[source]
-                        row[source] = min(row[source], through)
-            stamps[node, 1] = clock
-            if shorter:
-                stamps[node, 0] = clock
-                any_shorter = True
-        step = -step
-
-
-@loop()
 def count_shared(
     offsets: NDArray[np.int64], ends: NDArray[np.uint32], shared: NDArray[np.int64]
 ) -> None:

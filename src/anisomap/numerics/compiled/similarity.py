@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.compiled.parallel import loop
-from anisomap.numerics.compiled.stress import REORDERED, Floats, Ints, Reals, Singles
+from anisomap.numerics.compiled.stress import Ints, Reals
 
 
 @loop()
@@ -225,33 +225,3 @@ def sum_logarithms(
                 total += logs[alone]
                 neither -= marginals[p]
             joint[i, j] = total + logs[neither]
-
-
-@loop(fastmath=REORDERED)
-def add_pair_products(
-    series: Singles,
-    still: NDArray[np.bool_],
-    pairs: tuple[Ints, Ints],
-    totals: Floats,
-    part: tuple[int, int],
-) -> None:
-    """Add inner products of pairs of rows to `totals`; rows that are `still` are constant."""
-    firsts, seconds = pairs
-    n_frames = series.shape[1]
-    for pair in range(part[0], part[1]):
-        i, j = firsts[pair], seconds[pair]
-        if still[i] and still[j]:
-            totals[pair] += n_frames * np.float64(series[i, 0]) * series[j, 0]
-            continue
-        if still[i]:
-            i, j = j, i
-        left, right = series[i], series[j]
-        total = np.float32(0)
-        if still[j]:
-            for t in range(n_frames):
-                total += left[t]
-            total *= right[0]
-        else:
-            for t in range(n_frames):
-                total += left[t] * right[t]
-        totals[pair] += total

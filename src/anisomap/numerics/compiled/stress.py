@@ -1,4 +1,4 @@
-"""Compiled loops of the raw stress and its gradient: of all pairs, of anchors, and of edges."""
+"""Compiled loops of the raw stress and its gradient."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from anisomap.numerics.compiled.parallel import loop
 
 Reals = NDArray[np.floating[Any]]
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
@@ -119,70 +118,4 @@ def add_spatial_stress(
             slope[0, i + 1] += pull_x2
             slope[1, i + 1] += pull_y2
             slope[2, i + 1] += pull_z2
-    return total
-
-
-@loop(fastmath=REORDERED, error_model="numpy")
-def add_rows_stress(
-    points: Singles, anchors: Singles, targets: Singles, rows: Range, slopes: tuple[Floats, Floats]
-) -> float:
-    """Sum the raw stress of points i in `rows` with all anchors; add half its gradient to `slopes`.
-
-    points (k, N), anchors (k, L), targets (N, L), slopes by points (k, N) and by anchors (k, L).
-    """
-    slope, pulled = slopes
-    dimensions, n_anchors = anchors.shape
-    factors = np.empty(n_anchors, np.float32)
-    pulls = np.zeros((dimensions, n_anchors), np.float32)
-    one, tiny = np.float32(1), np.float32(1e-30)
-    total = 0.0
-    for i in range(rows[0], rows[1]):
-        target = targets[i]
-        factors[:] = tiny
-        for axis in range(dimensions):
-            mine, theirs = points[axis, i], anchors[axis]
-            for j in range(n_anchors):
-                factors[j] += (mine - theirs[j]) * (mine - theirs[j])
-        partial = np.float32(0)
-        for j in range(n_anchors):
-            inverse = one / np.sqrt(factors[j])
-            excess = factors[j] * inverse - target[j]
-            partial += excess * excess
-            factors[j] = excess * inverse
-        total += float(partial)
-        for axis in range(dimensions):
-            mine, theirs, back = points[axis, i], anchors[axis], pulls[axis]
-            pull = np.float32(0)
-            for j in range(n_anchors):
-                share = factors[j] * (mine - theirs[j])
-                pull += share
-                back[j] -= share
-            slope[axis, i] += pull
-        if i % 256 == 255 or i == rows[1] - 1:  # bounds the rounding error of float32 sums
-            pulled += pulls
-            pulls[:] = 0
-    return total
-
-
-@loop()
-def add_edges_stress(
-    points: Floats, edges: tuple[Ints, Ints, Singles], weight: float, slope: Floats, rows: Range
-) -> float:
-    """Sum the weighted raw stress of edges, each from both ends; add half its gradient."""
-    offsets, ends, lengths = edges
-    dimensions = len(points)
-    total = 0.0
-    for i in range(rows[0], rows[1]):
-        for edge in range(offsets[i], offsets[i + 1]):
-            j = ends[edge]
-            square = 0.0
-            for axis in range(dimensions):
-                square += (points[axis, i] - points[axis, j]) ** 2
-            distance = np.sqrt(square)
-            excess = distance - lengths[edge]
-            total += weight * excess * excess / 2
-            if distance > 1e-150:
-                for axis in range(dimensions):
-                    away = points[axis, i] - points[axis, j]
-                    slope[axis, i] += weight * excess / distance * away
     return total
