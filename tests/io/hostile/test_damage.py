@@ -12,7 +12,7 @@ import pytest
 import scipy
 
 from anisomap import io
-from anisomap.errors import AnisomapError
+from anisomap.errors import AnisomapError, AnisomapWarning
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from example_files import save_pages
@@ -45,6 +45,19 @@ def test_a_truncated_log_loses_only_the_truncated_line(tmp_path: Path) -> None:
         complete = whole[:end].count(")")
         assert found.n_frames == complete
         np.testing.assert_array_equal(found.readings[:, 1], [i % 7 + 0.5 for i in range(complete)])
+
+
+@pytest.mark.filterwarnings("error::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("suffix", ["csv", "tsv"])
+def test_a_cut_number_of_a_written_recording_is_no_reading(tmp_path: Path, suffix: str) -> None:
+    path, readings = tmp_path / f"skin.{suffix}", np.arange(60.0).reshape(20, 3) / 7
+    io.write(Recording(readings), path)
+    whole = path.read_bytes()
+    for end in range(whole.rstrip().rindex(b"\n") + 2, len(whole)):
+        path.write_bytes(whole[:end])
+        with pytest.warns(AnisomapWarning, match="the last line is truncated and dropped"):
+            found = io.read(path)
+        np.testing.assert_array_equal(found.readings, readings[:-1])
 
 
 @pytest.mark.parametrize("whole", ["(((" * 50_000, "[" * 100_000, '{"a":' * 100_000, '"' * 300_000])

@@ -95,7 +95,7 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
     others, text may stand around the numbers: see `anisomap.io.parsing.lines`.
     """
     if own_delimiter:
-        return _find_columns(path, sample, 0, own_delimiter)
+        return replace(_find_columns(path, sample, 0, own_delimiter), ended=True)
     found = _find_objects(path, sample) or _find_nested(path, sample) or _find_blocks(path, sample)
     if found:
         return found

@@ -192,6 +192,7 @@ class Table:
     numeric: The delimiter of cleaned lines.
     skipped: What was skipped above the first line.
     above: Stripped lines above the first one, which a recorder that starts again writes again.
+    ended: Whether every line has a line end, so that one without is cut short.
     doubt: What to ask if it is not clear how the file is meant.
     """
 
@@ -210,6 +211,7 @@ class Table:
     numeric: str | None = ""
     skipped: str = ""
     above: frozenset[str] = frozenset()
+    ended: bool = False
     doubt: str = ""
 
     def is_skipped(self, line: str) -> bool:
@@ -232,6 +234,8 @@ def _single_lines(
     """Yield the lines, but for those that repeat one above the first."""
     again = list[int]()
     for number, line in numbered:
+        if table.ended and not line.endswith(("\n", "\r")):
+            raise LineError(table.path, number, " has no end")
         if table.above and line.strip() in table.above:
             again.append(number)
         else:
