@@ -125,6 +125,8 @@ def test_maps_at_chance_are_left_out_and_counted():
     assert found["a"].value == pytest.approx(0.8)
     assert claim.verdict(found) == "reproduced; at chance: b"
     assert claim.verdict(claim.check({"b": chance})) == "not clear; at chance: b"
+    one_of_three = np.array([0.7, np.nan, np.nan])
+    assert claim.verdict(claim.check({"a": one_of_three})) == "not clear; at chance: a"
     score = as_in_the_paper
     beaten = tables(lambda *of: 0.01 if of[1] == "isomap" else score(*of), good=True)
     rows = claims_table(Settings(), beaten).__next__().records()

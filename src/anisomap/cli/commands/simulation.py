@@ -246,7 +246,7 @@ def paper(
     --------
     anisomap paper --quick
     anisomap paper --recordings recordings/ -o paper-out
-    anisomap paper --only rolling
+    anisomap paper --only figure-4
     """
     from anisomap.paper import Settings, Status, reproduce
     from anisomap.paper.cases import parse_changes
