@@ -36,6 +36,7 @@ PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
 MARKERS = ("o", "s", "^", "D")
 """Markers that go with `PALETTE`, for printing in black and white."""
 
+_CORNER = 0.15  # of an axis, without ticks
 _SHORT = 0.6  # of the longest axis
 _NOTE, _TITLE = 0.05, 0.09  # of the height of a figure
 _MARGIN, _EDGE = 0.2, 0.12  # inches beside texts, and above or below them
@@ -141,8 +142,14 @@ def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
     """Limit the number of ticks to about `count`, on short axes to two. extents (k,)."""
     locator = load("matplotlib.ticker").MaxNLocator
     for name, extent in zip("xyz", extents, strict=False):
-        long = extent > _SHORT * extents.max()
-        getattr(axes, f"{name}axis").set_major_locator(locator(count if long else 2))
+        chosen = locator(count if extent > _SHORT * extents.max() else 2)
+        axis = getattr(axes, f"{name}axis")
+        axis.set_major_locator(chosen)
+        if len(extents) == 3 and name != "x":
+            # A label in the corner of two axes would overlap one of the axis before.
+            low, high = axis.get_view_interval()
+            ticks = chosen.tick_values(low, high)
+            axis.set_ticks(ticks[(ticks > low + _CORNER * extent) & (ticks < high)])
 
 
 def set_title(axes: Axes, title: str) -> None:
