@@ -34,6 +34,9 @@ NULL = {"whislo": -0.1, "q1": 0, "med": 0, "q3": 0, "whishi": 0.1, "fliers": []}
 GROUPS = [charts.ScoreGroup("run", SCORES, {"isomap": NULL})]
 VALUES = np.array([[0.1, np.nan], [np.nan, np.nan]])
 CURVES = charts.CurvePanel("title", np.array([1.0, 2]), {"isomap": VALUES})
+COUNTS = charts.CountPanel(
+    "runs", ["a", "b"], np.array([[2, 1], [0, 0]]), np.array([[2, 3], [4, 0]])
+)
 
 
 def difference(k):
@@ -84,7 +87,8 @@ FIGURES = {
     "placement": lambda: fig.plot_placement(*placed(3), TRIANGLE).figure,
     "layout": lambda: fig.plot_layout(checked(2)).figure,
     "scores": lambda: charts.scores_figure("title", [GROUPS]),
-    "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x", logarithmic=True),
+    "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x"),
+    "counts": lambda: charts.counts_figure("title", [COUNTS], ["first", "second"], "note"),
     "gallery": lambda: maps.gallery_figure("title", [maps.truth_panel("", TRUTH)], 1, "note"),
     "stress": lambda: fig.stress_figure(
         "title", shepard(WANTED, TRUTH), SHARES_OF_STRESS, NAMES, TEST
@@ -137,6 +141,12 @@ def test_charts_show_every_score_mean_and_null():
     assert axes.get_ylabel() == "Mantel r"
 
 
+def test_counts_are_drawn_unless_their_total_is_0_and_framed_where_whole():
+    (axes,) = FIGURES["counts"]().axes
+    assert [text.get_text() for text in axes.texts] == ["2/2", "1/3", "0/4"]
+    assert len(axes.patches) == 1
+
+
 def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
     panel = maps.map_panel("", MAPS[3], SCORE, TRUTH)
     np.testing.assert_allclose(panel.points[SCORE.sensors], SCORE.alignment.aligned)
@@ -169,6 +179,7 @@ def test_legends_count_the_sensors_of_each_kind(k):
         lambda: maps.gallery_figure("title", [], 2),
         lambda: charts.scores_figure("title", [[]]),
         lambda: charts.curves_figure("title", [], x_label="x"),
+        lambda: charts.counts_figure("title", [], [], "note"),
         lambda: scenes.bodies_figure("title", [SCENE], []),
         lambda: fig.series_figure(RECORDING, []),
     ],

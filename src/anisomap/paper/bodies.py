@@ -14,7 +14,7 @@ from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment, mean_by
 from anisomap.paper.map_scores import SCORE_COLUMNS, draw_run
 from anisomap.paper.shapes import sphericity
-from anisomap.simulation import find_body, run_simulation
+from anisomap.simulation import run_simulation
 
 _NOTE = (
     "A sensor has the same colour in all panels; lines join true neighbours. Maps are aligned with "
@@ -133,7 +133,7 @@ def figure_7(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     rows: list[Row] = []
     for body in bodies:
         scores = [row for row in _scores(tables, Case(body)) if row["dimensions"] == 3]
-        means, truth = mean_by(scores, "method", "sphericity"), find_body(body).positions
+        means, truth = mean_by(scores, "method", "sphericity"), Case(body).shape(settings).positions
         rows.append((body, sphericity(truth), *(means[method] for method in METHODS)))
     yield Table("figure-7", "Sphericity of the maps.", ROUNDNESS_COLUMNS, rows)
 
@@ -156,7 +156,7 @@ _MAX_FRAMES = 400  # enough to find a frame with many contacts
 )
 def figure_5(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw the four bodies."""
-    bodies = [find_body(case.body) for case in BOMBARDED]
+    bodies = [case.shape(settings) for case in BOMBARDED]
     scenes = [
         run_simulation(body, "bombardment", n_frames=1, seed=settings.seed).scene for body in bodies
     ]
@@ -180,7 +180,8 @@ def figure_6(settings: Settings, _: Tables) -> Iterator[Picture]:
     """Draw every scenario."""
     n_frames = min(settings.n_frames, _MAX_FRAMES)
     for case in CASES:
-        run = run_simulation(case.body, case.scenario, n_frames=n_frames, seed=settings.seed)
+        body, parameters = case.shape(settings), case.parameters(settings)
+        run = run_simulation(body, case.scenario, n_frames, settings.seed, **parameters)
         caption = (
             f"{case.body}, {case.scenario}, seed {settings.seed}: the frame with the most contacts "
             f"of {n_frames}, the body, and all readings."

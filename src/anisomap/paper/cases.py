@@ -26,6 +26,7 @@ from anisomap.simulation import (
     solids,
 )
 from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS
+from anisomap.simulation.body import Body
 
 METHODS = PAPER_METHODS
 """In the order of all figures and tables."""
@@ -70,10 +71,14 @@ def parse_changes(texts: Iterable[str]) -> tuple[tuple[str, float], ...]:
 
 @dataclass(frozen=True)
 class Case:
-    """A body and a scenario: keys of `anisomap.simulation.BODIES` and `SCENARIOS`."""
+    """A body and a scenario: keys of `anisomap.simulation.BODIES` and `SCENARIOS`.
+
+    n_sensors: If not that of the body.
+    """
 
     body: str
     scenario: str = "bombardment"
+    n_sensors: int | None = None
 
     @property
     def name(self) -> str:
@@ -89,39 +94,54 @@ class Case:
         """Return the name of a run in tables of scores."""
         return self.name + (", 2D" if dimensions == 2 else "")
 
-    def record(self, settings: Settings, seed: int, **parameters: Any) -> Recording:
-        """Simulate a run; `parameters` are those of the scenario, and ``n_frames``."""
-        changed = {
+    def shape(self, settings: Settings) -> Body:
+        """Return the body."""
+        is_cylinder = self.body == "cylinder"
+        length = settings.value(_LENGTH, _USUAL_LENGTH) if is_cylinder else _USUAL_LENGTH
+        return _shape(self.body, self.n_sensors, length / _USUAL_LENGTH)
+
+    def parameters(self, settings: Settings) -> dict[str, Any]:
+        """Return the parameters of the scenario that differ from its defaults."""
+        found: dict[str, Any] = {
             key.partition(".")[2]: int(value) if key in _WHOLE else value
-            for key, value in settings.changes
+            for key, value in settings.chosen.items()
             if key.startswith(f"{self.scenario}.")
         }
-        if "correlation" in changed:  # smaller bumps have finer cells, and are less high
-            usual, longest = LocomotionOptions(), changed["correlation"]
-            changed = {
+        if "correlation" in found:  # smaller bumps have finer cells, and are less high
+            usual, longest = LocomotionOptions(), found["correlation"]
+            found = {
                 "cell": min(usual.cell, longest / 2),
                 "roughness": min(usual.roughness, _STEEPEST * longest),
-            } | changed
-        chosen = {"n_frames": settings.n_frames, **changed, **parameters}
-        length = settings.changed(_LENGTH, _USUAL_LENGTH) if self.body == "cylinder" else 0.0
-        return _simulated(self.body, self.scenario, seed, length, tuple(chosen.items()))
+            } | found
+        return found
+
+    def record(self, settings: Settings, seed: int, n_frames: int | None = None) -> Recording:
+        """Simulate a run."""
+        chosen = tuple(self.parameters(settings).items())
+        return _simulated(
+            self.shape(settings), self.scenario, n_frames or settings.n_frames, seed, chosen
+        )
+
+
+@lru_cache(maxsize=16)
+def _shape(name: str, n_sensors: int | None, stretched: float) -> Body:
+    body = find_body(name, n_sensors)
+    if stretched == 1:
+        return body
+    solid = solids.cylinder(CYLINDER_RADIUS, stretched * CYLINDER_LENGTH / 2)
+    return replace(body, positions=body.positions * [1, 1, stretched], solids=[solid])
 
 
 @lru_cache(maxsize=16)  # several experiments of one worker use the same runs
 def _simulated(
-    name: str, scenario: str, seed: int, length: float, chosen: tuple[tuple[str, Any], ...]
+    body: Body, scenario: str, n_frames: int, seed: int, chosen: tuple[tuple[str, Any], ...]
 ) -> Recording:
-    body = find_body(name)
-    if length and length != _USUAL_LENGTH:
-        factor, radius = length / _USUAL_LENGTH, CYLINDER_RADIUS
-        solid = solids.cylinder(radius, length * radius / 2)
-        body = replace(body, positions=body.positions * [1, 1, factor], solids=[solid])
-    return simulate(body, scenario, seed=seed, **dict(chosen))
+    return simulate(body, scenario, n_frames=n_frames, seed=seed, **dict(chosen))
 
 
 BOMBARDED = tuple(map(Case, ("sphere", "cylinder", "y-shape", "plane")))
 CASES = (*BOMBARDED, Case("sphere", "locomotion"), Case("cylinder", "locomotion"))
-PATCH = Case("hexagon", "rubbing")
+PATCH = Case("hexagon", "rubbing", 72)
 
 PATCH_FRAMES = (1120, 1054, 1487, 2128, 2105)
 """Frames of the paper's five hardware runs."""
@@ -129,10 +149,10 @@ PATCH_FRAMES = (1120, 1054, 1487, 2128, 2105)
 PATCH_RUNS = range(1, len(PATCH_FRAMES) + 1)
 FAILED_RUNS = PATCH_RUNS[3:]
 
-SILENT = tuple(f"t5p{pad}" for pad in range(12) if pad not in (6, 10))
+SILENT = tuple(f"t5p{pad}" for pad in range(12))
 """Sensors of the triangle that never responds."""
 
-FAILING = "t3p0"
+FAILING = "t2p6"
 """Sensor 30 of the patch, counted from 0; the paper's sensor 30 fails."""
 
 
@@ -156,7 +176,7 @@ def patch_run(
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
     recording = inject(PATCH.record(settings, seed, n_frames=n_frames), "dead", SILENT)
-    span = settings.changed(_SPAN, _USUAL_SPAN)
+    span = settings.value(_SPAN, _USUAL_SPAN)
     if number in FAILED_RUNS if fails is None else fails:
         recording = inject(recording, "saturating", [failing], rng=seed, mean_span=span)
     return replace(

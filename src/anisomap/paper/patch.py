@@ -26,9 +26,9 @@ from anisomap.paper.map_scores import (
 
 _LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
 _NOTE = (
-    "Six triangles of ten pads each, rubbed by a hand; one triangle (rings) is silent in all runs. "
-    f"Sensor 30 ({FAILING}, square) saturates intermittently from run 4 on. It is included in the "
-    "maps and excluded from the scores."
+    "Six triangles of twelve pads each, rubbed by a hand; one triangle (rings) is silent in all "
+    f"runs. Sensor 30 ({FAILING}, square) saturates intermittently from run 4 on. It is included "
+    "in the maps and excluded from the scores."
 )
 
 
@@ -39,9 +39,9 @@ _NOTE = (
     f"{', '.join(map(str, PATCH_FRAMES[:-1]))} and {PATCH_FRAMES[-1]} frames. One of its six "
     "triangles did not respond. Sensor 30 failed between runs 3 and 4: it saturated "
     "intermittently, whether touched or not. According to the paper, r-ANISOMAP isolates it.\n\n"
-    "Here the patch is simulated with the same numbers of triangles, frames and failures. The "
-    "paper counts 12 sensors per triangle. Two of these 12 pads measure temperature, so 10 are "
-    "simulated, and 50 of 60 respond.",
+    "Here the patch is simulated with the same numbers of triangles, sensors, frames and "
+    "failures. (On later skins of this kind, two of the 12 pads of a triangle measure "
+    "temperature.)",
     cost=12,
 )
 def figure_2(settings: Settings, _: Tables) -> Iterator[Picture]:

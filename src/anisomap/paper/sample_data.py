@@ -12,10 +12,10 @@ from tempfile import TemporaryDirectory
 from anisomap import io
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning
-from anisomap.paper.cases import FAILING, SILENT, Case, patch_runs
+from anisomap.paper.cases import FAILING, PATCH, SILENT, Case, patch_runs
 from anisomap.paper.experiment import Document, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
-from anisomap.simulation import find_body, find_scenario
+from anisomap.simulation import find_scenario
 from anisomap.simulation.options import meanings_of, options_for
 
 _WIDTH = 100
@@ -52,7 +52,9 @@ def sample_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
         text = _text_of(recording)
         yield Document(f"data-s{i}.txt", f"Data S{i}: {what}, seed {seed}.", text)
         rows.append((f"data-s{i}.txt", what, seed, recording.n_frames, recording.n_sensors))
-    yield Document("text-s1.txt", "Text S1: the simulation and its parameters.", _text_s1(cases))
+    yield Document(
+        "text-s1.txt", "Text S1: the simulation and its parameters.", _text_s1(cases, settings)
+    )
     yield Table("data-s1-s6", "Sample runs of all scenarios.", _COLUMNS, rows)
 
 
@@ -71,7 +73,7 @@ def sample_patch(settings: Settings, _: Tables) -> Iterator[Document | Table]:
         text = _text_of(recording)
         yield Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text)
         rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
-    yield Document("text-s2.txt", "Text S2: the patch and its files.", _text_s2())
+    yield Document("text-s2.txt", "Text S2: the patch and its files.", _text_s2(settings))
     yield Table("data-s7-s11", "The five runs of the simulated patch.", _COLUMNS, rows)
 
 
@@ -96,12 +98,11 @@ def _text_of(recording: Recording) -> str:
         return path.read_text(encoding="utf-8")
 
 
-def _text_s1(cases: Iterable[Case]) -> str:
+def _text_s1(cases: Iterable[Case], settings: Settings) -> str:
     parts = [
         "Text S1. Summary of the simulation",
-        f"Simulated with the default parameters of anisomap {__version__}; the paper's parameters "
-        "were not available to us. Lengths are in metres. Each data file repeats the parameters of "
-        "its run.",
+        f"Simulated with anisomap {__version__}; the paper's parameters were not available to us. "
+        "Lengths are in metres. Each data file repeats the parameters of its run.",
         _FORMAT.strip(),
         "A sensor is a point on the surface of a rigid body, surrounded by a detection sphere. Its "
         "reading is the depth in metres to which the nearest detectable object enters this sphere, "
@@ -111,30 +112,30 @@ def _text_s1(cases: Iterable[Case]) -> str:
         "too: on Y-shape and plane, a third of the non-zero readings come from balls behind the "
         "surface alone. With one_sided = 1, sensors feel balls in front of the skin only.",
     ]
-    parts += [_describe(case) for case in cases]
+    parts += [_describe(case, settings) for case in cases]
     return "\n\n".join(_wrapped(part) for part in parts) + "\n"
 
 
-def _text_s2() -> str:
+def _text_s2(settings: Settings) -> str:
     parts = [
         "Text S2. The patch and the format of its data",
         "The five runs are simulated, not recorded from hardware. Six triangles of the skin of the "
-        "Italian Institute of Technology lie around a vertex. Each has 10 pads that measure "
-        "pressure and 2 that measure temperature. A hand rubs them along lines and circles.",
+        "Italian Institute of Technology lie around a vertex. Each has 12 pads, as in the paper. A "
+        "hand rubs them along lines and circles.",
         _FORMAT.strip(),
         f"Sensors are named by triangle and pad. The triangle of {SILENT[0]} to {SILENT[-1]} is "
         "silent: its readings are 0 in all runs. From run 4 on, sensor 30 (counted from 0: "
         f"{FAILING}) intermittently jumps to the highest reading of the run, whether touched or "
         "not.",
-        _describe(Case("hexagon", "rubbing")),
+        _describe(PATCH, settings),
     ]
     return "\n\n".join(_wrapped(part) for part in parts) + "\n"
 
 
-def _describe(case: Case) -> str:
+def _describe(case: Case, settings: Settings) -> str:
     """Describe a body, a scenario and all its parameters."""
-    entry, body = find_scenario(case.scenario), find_body(case.body)
-    options = options_for(entry.options, body)
+    entry, body = find_scenario(case.scenario), case.shape(settings)
+    options = options_for(entry.options, body, case.parameters(settings))
     lines = [
         f"{case.body}, {case.scenario}",
         f"    {entry.summary}.",

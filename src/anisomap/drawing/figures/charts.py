@@ -19,6 +19,7 @@ from anisomap.drawing.figures.backend import (
     PALETTE,
     Axes,
     add_legend,
+    load,
     new_figure,
     panel,
     set_title,
@@ -42,6 +43,8 @@ _MAX_DOTS = 3_000  # pairs drawn as dots
 _MAX_SENSORS = 1_500  # sensors of which all pairs of distances are drawn
 _N_LABELS = 6  # of the sensors with the greatest stress
 _LINE = 0.05  # height of a name, relative to the greatest share
+_CELL, _ROW_LABEL, _COLUMN_LABEL = (0.4, 0.34), 5.0, 2.6  # of counts, in inches
+_DARK = 0.5  # share below which a cell is dark
 _SPREAD = 0.22  # of the scores of a method, in its width
 
 
@@ -80,14 +83,24 @@ class CurvePanel:
     """Curves of several methods over a parameter x (L,).
 
     curves (L, S): One value per run, by method; NaN where there is none.
-    default, marked: Values of the parameter marked by a line and by stars.
     """
 
     title: str
     x: Values
     curves: Mapping[str, Values]
-    default: float | None = None
-    marked: Sequence[float] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class CountPanel:
+    """Columns of counts, (rows, columns): how many of a total; nothing is drawn for a total of 0.
+
+    labels: Of the columns.
+    """
+
+    title: str
+    labels: Sequence[str]
+    held: Values
+    totals: Values
 
 
 def scores_figure(title: str, rows: Sequence[Sequence[ScoreGroup]]) -> Figure:
@@ -107,7 +120,6 @@ def curves_figure(
     panels: Sequence[CurvePanel],
     *,
     x_label: str,
-    logarithmic: bool = False,
     looks: Mapping[str, MethodLook] = METHOD_LOOKS,
 ) -> Figure:
     """Draw scores over a parameter: every run, and the mean over the runs.
@@ -125,17 +137,9 @@ def curves_figure(
         for i, panel in enumerate(panels):
             axes = figure.add_subplot(rows, columns, i + 1, sharey=first)
             first = first or axes
-            if panel.default is not None and panel.x.min() <= panel.default <= panel.x.max():
-                axes.axvline(panel.default, color=FAINT, linewidth=0.9, linestyle=":")
             for method, values in panel.curves.items():
                 _draw_runs(axes, panel.x, values, looks[method].colour, looks[method].marker)
-            if panel.marked:
-                low: Any = {"transform": axes.get_xaxis_transform()}
-                heights = [0.04] * len(panel.marked)
-                axes.plot(panel.marked, heights, "*", color=INK, markersize=9, **low)
             set_title(axes, panel.title)
-            if logarithmic:
-                axes.set_xscale("log")
             axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x])
             axes.minorticks_off()
             axes.grid()
@@ -143,6 +147,36 @@ def curves_figure(
             axes.set_xlabel(x_label)
             if i % columns == 0:
                 axes.set_ylabel("Mantel r")
+        return figure
+
+
+def counts_figure(
+    title: str, panels: Sequence[CountPanel], rows: Sequence[str], note: str
+) -> Figure:
+    """Draw tables of counts, coloured by their share of the total and framed where it is whole."""
+    if not panels:
+        raise InputError("there are no counts to draw")
+    n_columns = [len(panel.labels) for panel in panels]
+    width, height = _ROW_LABEL + _CELL[0] * (sum(n_columns) + len(panels)), _CELL[1] * len(rows)
+    with new_figure(width, height + _COLUMN_LABEL + 1.2, title, [note]) as figure:
+        figure.set_layout_engine("constrained", rect=(0, 0.04, 1, 0.92))
+        axes = figure.subplots(1, len(panels), sharey=True, width_ratios=n_columns, squeeze=False)
+        for ax, panel in zip(axes[0], panels, strict=True):
+            shares = np.where(panel.totals > 0, panel.held / np.maximum(panel.totals, 1), np.nan)
+            ax.imshow(shares, cmap="cividis", vmin=0, vmax=1, aspect="auto")
+            for i, j in np.argwhere(panel.totals > 0):
+                text = f"{panel.held[i, j]}/{panel.totals[i, j]}"
+                look = {"ha": "center", "va": "center", "fontsize": 7}
+                ax.text(j, i, text, color="white" if shares[i, j] < _DARK else INK, **look)
+                if shares[i, j] == 1:
+                    box = {"fill": False, "edgecolor": INK, "linewidth": 1.5}
+                    ax.add_patch(
+                        load("matplotlib.patches").Rectangle((j - 0.5, i - 0.5), 1, 1, **box)
+                    )
+            set_title(ax, panel.title)
+            ax.set_xticks(range(len(panel.labels)), panel.labels, rotation=90, fontsize=8)
+            ax.set_yticks(range(len(rows)), rows, fontsize=8)
+            ax.tick_params(length=0)
         return figure
 
 
