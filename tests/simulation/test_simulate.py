@@ -75,6 +75,13 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(body, scenari
         assert getattr(again, name) == getattr(recording, name)
 
 
+@pytest.mark.parametrize("scenario", ["bombardment", "locomotion"])
+def test_at_a_smaller_detection_radius_readings_are_less_by_the_difference(scenario):
+    wide, narrow = (short("sphere", scenario, detection_radius=r).readings for r in (0.5, 0.3))
+    np.testing.assert_allclose(narrow, np.maximum(wide - 0.2, 0), atol=1e-6)
+    assert narrow.any()
+
+
 def test_effective_parameters_are_in_the_metadata():
     given = {"n_balls": np.int64(7), "detection_radius": 0.3, "frame_interval": 0.04}
     options = BombardmentOptions(**given)

@@ -50,7 +50,7 @@ class Group:
             tuple(zip(self.values, each, strict=True)) for each in product(*self.values.values())
         ]
         all_points = [(), found[0][:1], *found, *((*found[0], other) for other in self.others)]
-        return all_points[:2] if settings.quick else all_points
+        return all_points[:1] if settings.quick else all_points
 
 
 GROUPS = (
@@ -190,7 +190,7 @@ _BEST_COLUMNS = {
     "cases": "cases that hold",
     **{group.name: f"settings of {group.name}" for group in GROUPS},
 }
-_N_BEST = 20
+_N_BEST = 5
 _LINE = 80  # characters of a line of a claim in the figure
 
 
