@@ -239,3 +239,10 @@ def test_an_inertial_unit_is_no_layout(put) -> None:
     text = "time,x,y,z\n" + "".join(f"{t / 50},{t % 3},{t % 5},9.8\n" for t in range(50))
     with pytest.raises(FileError, match=r"holds times .*'time'.* no list of positions"):
         io.read_map(put("imu.csv", text))
+
+
+def test_a_remark_is_no_header(put) -> None:
+    rows = PRESSED[:, :3]
+    found = io.read(put("log.txt", "# left foot pressure\n" + table(rows, " ", None)))
+    np.testing.assert_array_equal(found.readings, rows)
+    assert found.names == ("s0", "s1", "s2")

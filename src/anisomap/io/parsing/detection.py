@@ -50,6 +50,7 @@ _MAX_UNIT = 12  # characters
 # frames follow each other and .5 where they do not; recordings of presses .25 (simulated).
 _CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
+_MAX_REMARK = 8  # words
 _COMMENT, _MARKED = re.compile(r"\s*(?:#|%|//)+\s*"), re.compile(r"\s*(?:%|//)")
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 
@@ -128,7 +129,9 @@ def _with_header(sample: Sequence[str]) -> Sequence[str]:
     delimiter = find_delimiter(below)
     widths = {len(fields) for _, fields in all_records(below, delimiter)}
     names = next((fields for _, fields in all_records([header], delimiter)), [])
-    few = len(names) < _MIN_LISTED  # it may be a remark of as many words
+    numbered = all(_DIGITS.search(name) for name in names)
+    # A remark may have as many words as the table has columns.
+    few = len(names) < (_MIN_LISTED if delimiter or numbered else _MAX_REMARK)
     if few or widths != {len(names)} or any(is_number(name, delimiter) for name in names):
         return ["" if _MARKED.match(line) else line for line in marked] + [*sample[len(marked) :]]
     return [*("\n" for _ in marked[:-1]), header, *sample[len(marked) :]]
