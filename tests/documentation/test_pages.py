@@ -15,7 +15,7 @@ from benchmarks.placing import placement
 from benchmarks.verdicts import faults, trust
 
 from anisomap.cli.commands import comparison as comparison_tables
-from anisomap.paper import accuracy, bodies, claims
+from anisomap.paper import accuracy, bodies, claims, sensitivity
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "anisomap"
@@ -97,6 +97,8 @@ HEADERS = {
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": comparison_tables.columns([name_of(one) for one in COMPARED]),
+    "settings": sensitivity.SETTINGS_COLUMNS,
+    "settings-best": sensitivity.BEST_COLUMNS,
     "trust": trust.COLUMNS,
 }
 

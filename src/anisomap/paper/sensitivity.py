@@ -177,7 +177,7 @@ def _across(tables: Tables, bombarded: Point, rolling: Point) -> Counts:
     return _counts({**one, **other}) - _counts(one) - _counts(other)
 
 
-_COLUMNS = {
+SETTINGS_COLUMNS = {
     "runs": "runs that the settings affect",
     "settings": "values; all others are usual",
     "claim": "claim of the paper",
@@ -185,7 +185,7 @@ _COLUMNS = {
     "judged": "cases that can be judged",
     "at_chance": "cases whose maps are at chance",
 }
-_BEST_COLUMNS = {
+BEST_COLUMNS = {
     "claims": "claims of which all cases hold that can be judged",
     "cases": "cases that hold",
     **{group.name: f"settings of {group.name}" for group in GROUPS},
@@ -241,7 +241,7 @@ def settings_map(settings: Settings, tables: Tables) -> Iterator[Picture | Table
         for point, each in found.items()
         for text, count in zip(texts, each, strict=True)
     ]
-    yield Table("settings", caption, _COLUMNS, rows, shown=False)
+    yield Table("settings", caption, SETTINGS_COLUMNS, rows, shown=False)
     real = _counts({name: table for name, table in tables.items() if name.endswith("-real")})
     best: list[tuple[int, int, str, str, str]] = []
     for (b, r), compared in across.items():
@@ -252,4 +252,4 @@ def settings_map(settings: Settings, tables: Tables) -> Iterator[Picture | Table
                 best.append((in_full, int(held.sum()), _label(b), _label(r), _label(p)))
     caption = "The combinations of settings at which most claims hold, on these seeds."
     best = sorted(best, key=lambda row: row[:2], reverse=True)[:_N_BEST]
-    yield Table("settings-best", caption, _BEST_COLUMNS, best)
+    yield Table("settings-best", caption, BEST_COLUMNS, best)
