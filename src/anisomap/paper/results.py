@@ -47,7 +47,7 @@ def save(folder: Path, name: str, found: Iterable[Result], inputs: str, seconds:
                 contents[f"{one.name}.{kind}"] = figure_bytes(one.figure, kind)
         elif isinstance(one, Table):
             record["tables"].append(entry | {"columns": dict(one.columns), "shown": one.shown})
-            contents[f"{one.name}.csv"] = _to_csv(one).encode()
+            contents[f"{one.name}.csv"] = to_csv(one).encode()
         else:
             record["documents"].append(entry)
             contents[one.name] = one.text.encode()
@@ -79,7 +79,7 @@ def load(folder: Path, name: str, inputs: str) -> dict[str, Any] | None:
         return None
 
 
-def _to_csv(table: Table) -> str:
+def to_csv(table: Table) -> str:
     """Write a table as CSV; floats with six significant digits."""
     buffer = io.StringIO()
     lines = csv.writer(buffer, lineterminator="\n")
