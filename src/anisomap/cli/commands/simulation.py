@@ -243,9 +243,9 @@ def paper(
     only
         Experiment to run, and what it needs. May be repeated. All by default.
     experiment
-        TOML file of an experiment of your own, which is run instead: body, scenario, methods,
-        seeds, scores, n_frames, dimensions, and a table of settings of the scenario. Its scores
-        are written to a CSV file of the same name in the folder for the results.
+        TOML file of your own experiment, to run instead. Body, scenario, methods, seeds, scores,
+        n_frames, dimensions, and a table of settings of the scenario. The scores are written to a
+        CSV file of the same name in the folder for the results.
 
     Examples
     --------
