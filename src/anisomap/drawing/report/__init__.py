@@ -42,10 +42,8 @@ _PROVENANCE = {
     "runs": "recordings",
     "frames": "frames",
     "similarity": "similarity",
-    "dimensions_because": "dimensions, because",
+    "dimensions_because": "reason for the dimensions",
     "repaired": "mended",
-    "spacing": "spacing given",
-    "updated_by": "updated by",
 }
 """What readers need of the provenance of a map, in their words; the map file holds all of it."""
 
@@ -236,7 +234,7 @@ def _provenance(
         ("method", sensor_map.method or "not recorded"),
         ("dimensions", sensor_map.dimensions),
         ("units of the map", sensor_map.units),
-        *([("permutations of the null", len(score.mantel.null))] if score is not None else ()),
+        *([("random permutations", len(score.mantel.null))] if score is not None else ()),
         *((words, known[name]) for name, words in _PROVENANCE.items() if name in known),
     ]
 
