@@ -197,7 +197,6 @@ _N_BLOCKS = 16  # of a recording, an even number; it may change after every seco
 _MIN_BLOCK = 40  # frames; of 25, two of 127 recordings without a change are accused
 _MAX_COMPARED = 16_384  # of which ranks are correlated
 _MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
-_OWN_CONTACT = 0.2  # of the deepest contact of a sensor
 _MIN_SENSORS = 8  # that have these contacts
 _MIN_REPEATED = 0.7  # median agreement of parts that chance divides: else sensors resemble nothing
 _MIN_KEPT, _LOST = 2 / 3, 1 / 2  # of this agreement: below, sensors count, and are named
@@ -258,19 +257,15 @@ def find_change(recording: Recording) -> Iterator[Found]:
 def _of_blocks(readings: NDArray[Any]) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
     """Return sums of products of ranks, (blocks, n + 1, n + 1), and contacts, (blocks, n).
 
-    readings (T, n). A column of ones turns products into sums and counts as well. Readings within
-    a quarter of the deepest contact of a sensor count as rest: another sensor may leak into it.
+    readings (T, n). A column of ones turns products into sums and counts as well.
     """
-    pieces = [(piece, Signals(piece)) for piece in np.array_split(readings, _N_BLOCKS // 2)]
-    deepest = np.max([np.abs(x - s.rest.value).max(axis=0) for x, s in pieces], axis=0)
     moments, contacts = [], []
-    for piece, signals in pieces:
-        own = signals.touched & (np.abs(piece - signals.rest.value) > _OWN_CONTACT * deepest)
-        deep = np.where(own, piece, signals.rest.value).astype(piece.dtype)
-        ranks = ranks_of_depths(deep, signals.rest, single=True)
+    for piece in np.array_split(readings, _N_BLOCKS // 2):
+        signals = Signals(piece)
+        ranks = ranks_of_depths(piece, signals.rest, single=True)
         values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])
         moments += [block.T @ block for block in np.array_split(values, 2)]
-        contacts += [count_contacts(block) for block in np.array_split(own, 2)]
+        contacts += [count_contacts(block) for block in np.array_split(signals.touched, 2)]
     return np.array(moments), np.array(contacts)
 
 
