@@ -101,3 +101,18 @@ def test_a_map_is_a_montage(cap):
     np.testing.assert_allclose(found["ch_pos"]["O2"], cap["O2"] / 1000)
     with pytest.raises(InputError, match="scale the map"):
         SensorMap(np.zeros((3, 3))).to_montage()
+
+
+def test_channels_that_are_marked_as_bad_are_left_out(tmp_path):
+    info = mne.create_info(["Fp1", "Fp2", "Cz"], 200, "eeg")
+    raw = mne.io.RawArray(SAMPLES.T * 0.5e-6, info, verbose="ERROR")
+    raw.info["bads"] = ["Fp2"]
+    raw.save(tmp_path / "run_raw.fif", verbose="ERROR")
+    with pytest.warns(AnisomapWarning, match="marked as bad are left out: Fp2"):
+        found = io.read(tmp_path / "run_raw.fif")
+    assert found.names == ("Fp1", "Cz")
+    np.testing.assert_allclose(found.readings, SAMPLES[:, [0, 2]] * 0.5e-6, rtol=1e-6)
+    raw.info["bads"] = raw.ch_names
+    raw.save(tmp_path / "run_raw.fif", overwrite=True, verbose="ERROR")
+    with pytest.raises(FileError, match="all channels of type eeg are marked as bad"):
+        io.read(tmp_path / "run_raw.fif")

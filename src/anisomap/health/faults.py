@@ -149,7 +149,7 @@ def find_faults(
 
 
 def _examined(recording: Recording) -> Repair:
-    findings = []
+    findings = list[Finding]()
     scaled, unit = in_range(recording)
     with limited_blas(recording.n_sensors):
         current = scaled

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted
+from anisomap.base.wording import counted, join_items
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular, read_small
 from anisomap.io.parsing.source import is_gzipped, open_binary, quote, read_head, warn
@@ -64,7 +64,13 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open the channels of type `options.select`, or of the only type of sensors."""
     with _open(path) as raw:
         chosen = choose(path, _contents(raw), options.select, "type of channels").name
-        picked = [i for i, kind in enumerate(raw.get_channel_types()) if kind == chosen]
+        bad = set(raw.info["bads"])
+        of_kind = [i for i, kind in enumerate(raw.get_channel_types()) if kind == chosen]
+        picked = [i for i in of_kind if raw.ch_names[i] not in bad]
+        if not picked:
+            raise FileError(f"{path}: all channels of type {chosen} are marked as bad")
+        if left_out := [raw.ch_names[i] for i in of_kind if raw.ch_names[i] in bad]:
+            warn(path, f"channels marked as bad are left out: {join_items(left_out)}")
         places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
         known = np.isfinite(places).all(axis=1) & places.any(axis=1)
 
