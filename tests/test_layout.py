@@ -374,3 +374,11 @@ def test_the_triangles_of_the_leg_that_were_corrected(recordings_folder):
     assert modules == set(old.module[wrong].tolist())
     np.testing.assert_array_equal(old.accused, wrong)
     np.testing.assert_allclose(old.corrected.positions, right["positions"], atol=1e-5)
+
+
+def test_a_consistent_body_without_modules_says_that_their_orientations_were_not_tested():
+    recording = anisomap.simulate("sphere", "bombardment", n_frames=1500, seed=5)
+    layout = SensorMap(recording.positions, names=recording.names, units="m")
+    found = check_layout(layout, recording)
+    assert found.consistent
+    assert any("orientations were not tested" in note for note in found.notes)

@@ -386,6 +386,11 @@ class _Checked:
                 f"the recording says too little about the orientation of {count}: "
                 f"{join_items(unsure, _MAX_NAMED)}",
             )
+        if not len(self.mounting.members) and self.positions.shape[1] == 3:
+            self.notes += (
+                "no modules were recognised, so their orientations were not tested: if there are "
+                "modules, state them (--module-size, and --module-layout if they are bent)",
+            )
         n_images = own_images(self.positions, self.spacing)
         if n_images:
             self.notes += (
