@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.skins.corrections import read_corrected
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
@@ -348,6 +349,23 @@ def test_two_triangles_of_the_torso_are_turned(recordings_folder):
     senses = {found.names(f)[0]: f.explanation.split()[-1] for f in found.findings}
     assert senses == {"taxel3073": "clockwise", "taxel3121": "counterclockwise"}
     assert check_layout(found.corrected, whole, modules=12, statistics=statistics).consistent
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("patch", [(34, 35, 40, 41, 42, 43), (1, 3, 4, 5, 37, 38)])
+def test_a_patch_that_is_mirrored_as_one_is_named(recordings_folder, patch):
+    """Triangles of the torso, mirrored together about the long axis of the patch."""
+    whole = read_corrected(recordings_folder / "icub_torso.npz")
+    right = np.asarray(whole.positions)
+    inside = np.concatenate([np.arange(10 * module, 10 * module + 10) for module in patch])
+    middle = right[inside].mean(axis=0)
+    apart = right[inside] - middle
+    axis = np.linalg.svd(apart, full_matrices=False)[2][0]
+    stated = right.copy()
+    stated[inside] = middle + 2 * np.outer(apart @ axis, axis) - apart
+    found = check_layout(SensorMap(stated, names=whole.names, units="mm"), whole, modules=12)
+    assert {finding.kind for finding in found.findings} == {"mirrored"}
+    np.testing.assert_array_equal(np.unique(np.flatnonzero(found.accused) // 10), patch)
 
 
 @pytest.mark.slow

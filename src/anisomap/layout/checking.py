@@ -503,7 +503,7 @@ class _Checked:
         """Explain the new places, keep what the final evidence supports, and return the places."""
         proposed = search.evidence.positions.copy()
         for kind, text, changes in explain_modules(
-            search.changes, self.mounting, self.names, self.usable
+            search.changes, search.mounting, self.names, self.usable
         ):
             self._add_modules(kind, text, changes, search.evidence)
         explained = explain(

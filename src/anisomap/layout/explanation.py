@@ -17,6 +17,7 @@ from anisomap.layout.evidence import Move
 from anisomap.layout.joint import Change
 from anisomap.layout.modules import Mounting
 from anisomap.layout.sensors import shifted_moves
+from anisomap.numerics.procrustes import fit_similarity
 
 _SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
 _MIN_RUN = 4  # sensors; fewer are swaps and cycles
@@ -96,7 +97,10 @@ def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, flo
     by_kind: dict[tuple[str, float], list[Change]] = {}
     found = []
     for change in changes:
-        if set(change.slots) == set(change.modules) == set(change.modules[:1]):
+        if change.together:
+            kind, angle = _motion(change.stated, change.move.places)
+            found.append((kind, angle, [change]))
+        elif set(change.slots) == set(change.modules) == set(change.modules[:1]):
             orientation = mounting.orientations[change.turns[0]]
             frame = mounting.frames[change.modules[0]]
             # Adjacent modules in space have the same side to the outside.
@@ -121,8 +125,10 @@ def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, flo
 def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence[str]) -> str:
     move, before = group[0].move, group[0].stated
     turn = turn_in_words(before, move.places, abs(angle))
-    if len(group) > 1:
+    if len(listed) > 1:
         modules = f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} of one patch are"
+        if group[0].together:
+            return f"{modules} {kind} together{'' if kind == 'mirrored' else f' by {turn}'}"
         if kind == "mirrored":
             return f"{modules} mirrored in their places"
         if before.shape[1] > 2:  # each about an axis of its own
@@ -131,6 +137,16 @@ def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence
     if kind == "mirrored":
         return f"module {listed[0]} is a mirror image of what is stated"
     return f"module {listed[0]} is turned by {turn}"
+
+
+def _motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[str, float]:
+    """Return whether places (m, k) were turned or mirrored, and the angle of a turn in degrees."""
+    fit = fit_similarity(before, after, scaling=False, reflection=None)
+    k = before.shape[1]
+    if np.linalg.det(fit.rotation) < 0:
+        return "mirrored", 0.0
+    cosine = (np.trace(fit.rotation) - (k - 2)) / 2
+    return "turned", float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
 def _targets(

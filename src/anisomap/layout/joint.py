@@ -32,7 +32,7 @@ Placed: TypeAlias = tuple[int, int, int]
 class Change:
     """Modules at other places, or in another orientation at their own.
 
-    modules: One, or several of which each has the place of the next.
+    modules: One, or several of which each has the place of the next, or that move together.
     slots, turns: The proposed ones of these modules.
     stated: Places before, (m, k).
     move: From the stated places to the proposed ones.
@@ -46,6 +46,7 @@ class Change:
     move: Move
     second: Move
     verdict: Verdict
+    together: bool = False
 
 
 class JointSearch:

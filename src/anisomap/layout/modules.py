@@ -265,11 +265,19 @@ class Mounting:
             found[inside] = self.places(m, m, 0)
         return found
 
+    def moved(self, modules: Sequence[int], positions: NDArray[np.float64]) -> Mounting:
+        """Return the same with some modules at other positions (n, k), and new free places."""
+        frames, centres = self.frames.copy(), self.centres.copy()
+        for m in modules:
+            pads = self.orientations[0].places[self.pads[m]]
+            frames[m], centres[m], _ = _fit(pads, positions[self.members[m]], self.pitch)
+        return replace(self, frames=frames, centres=centres).with_free_slots(positions)
+
     def with_free_slots(self, positions: NDArray[np.float64]) -> Mounting:
-        """Add the free places beside modules, where others are relative to others."""
+        """Return the same with the free places beside modules, as others are beside others."""
         if self.n_modules < 2:
             return self
-        centres, frames = self.centres, self.frames
+        centres, frames = self.centres[: self.n_modules], self.frames[: self.n_modules]
         middle = np.nanmean(self.orientations[0].places, axis=0)
         first, second = np.nonzero(self.adjacent)
         inverse = frames[first].transpose(0, 2, 1)
@@ -295,12 +303,10 @@ class Mounting:
                     continue
                 free_frames.append(frame)
                 free_centres.append(centre)
-        if not free_frames:
-            return self
         return replace(
             self,
-            frames=np.concatenate([frames, free_frames]),
-            centres=np.concatenate([centres, free_centres]),
+            frames=np.concatenate([frames, *(frame[None] for frame in free_frames)]),
+            centres=np.vstack([centres, *free_centres]),
         )
 
 

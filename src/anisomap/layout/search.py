@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
 from anisomap.layout.joint import Change, JointSearch
-from anisomap.layout.judging import Judge, Verdict
+from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import (
     is_possible,
@@ -19,6 +20,7 @@ from anisomap.layout.patches import (
     without_smaller_patches,
 )
 from anisomap.layout.sensors import cable_shifts, cycles, half_swaps, swaps
+from anisomap.layout.turned import TurnedPatch, turned_patches
 
 _MAX_ROUNDS = 12
 _LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
@@ -45,13 +47,14 @@ class Search:
 
     evidence: With modules unbent at their stated places; after a search, with all changes.
     arranged: After the search of modules.
-    changes: Of modules.
+    mounting: Where modules are, patches turned as proposed.
+    changes: Of patches and modules.
     unsure: Modules whose orientation the readings hardly tell.
     rigid: Groups of sensors that were moved to places where no sensor is.
     """
 
     def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
-        self._mounting, self.judge = mounting, judge
+        self.mounting, self.judge = mounting, judge
         self.arranged = self.evidence = evidence
         self.rigid: list[NDArray[np.intp]] = []
         self.changes: list[Change] = []
@@ -59,14 +62,44 @@ class Search:
         self._explained: set[int] = set()
 
     def run_modules(self) -> Evidence:
-        """Change modules, and return the evidence then."""
-        joint = JointSearch(self.evidence, self._mounting, self.judge)
+        """Change modules and patches of them, and return the evidence then."""
+        start = self.evidence
+        joint = JointSearch(start, self.mounting, self.judge)
         self.evidence, self.changes = joint.run()
+        patches: list[Change] = []
+        for _ in range(_MAX_ROUNDS):
+            for patch in turned_patches(start, self.mounting):
+                turned = start.moved(patch.move)
+                mounting = self.mounting.moved(patch.modules, turned.positions)
+                other = JointSearch(turned, mounting, self.judge)
+                evidence, changes = other.run()
+                change = self._turned(evidence, start, patch)
+                # Both sums count each pair twice.
+                fit = replace(evidence, falloff=self.evidence.falloff).likelihood.sum() / 2
+                better = fit - self.evidence.likelihood.sum() / 2 >= MIN_GROUP_GAIN
+                if better and change.verdict.holds:
+                    patches.append(change)
+                    start, joint, self.mounting = turned, other, mounting
+                    self.evidence, self.changes = evidence, changes
+                    break
+            else:
+                break
+        self.changes = patches + self.changes
         self.unsure = joint.unsure()
         for change in self.changes:
             self._explained.update(change.move.sensors.tolist())
         self.arranged = self.evidence
         return self.evidence
+
+    def _turned(self, evidence: Evidence, start: Evidence, patch: TurnedPatch) -> Change:
+        """Weigh a turn of a patch, with all other modules as proposed after it."""
+        stated = start.positions[patch.move.sensors]
+        before = evidence.moved(Move(patch.move.sensors, stated))
+        _, second, *_ = patch.tried
+        verdict = self.judge.weigh(before, patch.move, patch.tried, rigid=True)
+        return Change(
+            patch.modules, patch.modules, (), stated, patch.move, second, verdict, together=True
+        )
 
     def run_sensors(self) -> None:
         """Move patches, runs of channels, and single sensors that no module explains."""
