@@ -19,10 +19,11 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.method.configuration import configure
 from anisomap.method.dimensions import PLANE
-from anisomap.method.named import METHODS
+from anisomap.method.named import METHODS, Method
 from anisomap.method.options import MethodOptions
-from anisomap.method.pipeline import Stages, reconstruct, reconstruct_with_stages
+from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.reliability.pairs import sensors_pair_off
@@ -145,12 +146,6 @@ def diagnose(
             stages=stages,
             faults=faults,
         )
-        if Note("unclear-dimensions") in sensor_map.notes:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", AnisomapWarning)
-                flat = reconstruct(runs, sensor_map.method, PLANE, options=options, drop=drop)
-            whole, regions = _errors_if_flat(sensor_map, flat)
-            measured = replace(measured, if_flat=whole, regions_if_flat=regions)
         verdict = judge(measured)
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
@@ -221,6 +216,9 @@ def examine(
                 paired=sensors_pair_off(part.evidence.similarity),
                 agreement=agreement_of_halves(part.evidence, generator),
             )
+            if Note("unclear-dimensions") in sensor_map.notes:
+                whole, regions = _errors_if_flat(stages, recipe, options)
+                measured = replace(measured, if_flat=whole, regions_if_flat=regions)
         error = expected_error(repeatability, difference).value
         if math.isfinite(error):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
@@ -228,11 +226,14 @@ def examine(
     return measured, found
 
 
-def _errors_if_flat(spatial: SensorMap, flat: SensorMap) -> tuple[float, float]:
+def _errors_if_flat(stages: Stages, recipe: Method, options: MethodOptions) -> tuple[float, float]:
     """Return how far a map in 3 dimensions is off if the skin is flat, as a whole and in regions.
 
     Of the sensors in the largest components of both maps, in spacings.
     """
+    spatial, evidence = stages.configuration, stages.evidence
+    with limited_blas(len(stages.metric)):
+        flat = configure(stages.metric, evidence, PLANE, recipe, options, weights=evidence.weights)
     both = (spatial.component == 0) & (flat.component == 0)
     positions = spatial.positions[both]
     differences = align(flat.positions[both], positions).aligned - positions
