@@ -22,7 +22,8 @@ from anisomap.base.columns import find_others, find_taxels, without_units
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 
-_CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
+CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
+"""Types of channels of mne that are sensors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,24 +142,26 @@ def _of_xarray(array: Any) -> Taken:
 
 
 def _of_mne(raw: Any) -> Taken:
-    kinds, bad = raw.get_channel_types(), set(raw.info["bads"])
-    counts = Counter(kind for kind in kinds if kind in _CHANNELS)
+    counts = Counter(kind for kind in raw.get_channel_types() if kind in CHANNELS)
     if len(counts) != 1:
         raise InputError(
             f"the recording has channels of {join_items(list(counts)) or 'no sensor'}; choose one "
             "type, as in raw.copy().pick('eeg')"
         )
-    kind = next(iter(counts))
-    picked = [
-        i
-        for i, (name, its) in enumerate(zip(raw.ch_names, kinds, strict=True))
-        if its == kind and name not in bad
-    ]
-    if bad:
-        _say(f"channels marked as bad are left out: {join_items(sorted(bad))}")
+    picked, _ = good_channels(raw, next(iter(counts)))
+    if bad := raw.info["bads"]:
+        _say(f"channels marked as bad are left out: {join_items(sorted(set(bad)))}")
     readings = np.ascontiguousarray(raw.get_data(picks=picked, verbose="ERROR").T)
     names = tuple(raw.ch_names[i] for i in picked)
     return Taken(readings, names, rate_hz=float(raw.info["sfreq"]))
+
+
+def good_channels(raw: Any, kind: str) -> tuple[list[int], list[str]]:
+    """Return the channels of a type in a recording of mne, and the names of those marked as bad."""
+    bad = set(raw.info["bads"])
+    of_kind = [i for i, own in enumerate(raw.get_channel_types()) if own == kind]
+    left_out = [raw.ch_names[i] for i in of_kind if raw.ch_names[i] in bad]
+    return [i for i in of_kind if raw.ch_names[i] not in bad], left_out
 
 
 def _floats(array: NDArray[Any]) -> NDArray[np.floating]:

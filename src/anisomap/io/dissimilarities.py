@@ -266,8 +266,8 @@ def _stored_vector(file: Path) -> NDArray[np.float64] | None:
         header = npz.read_header(stream, "the array")
         if len(header.shape) != 1 or header.dtype.kind not in "biuf":
             return None
-        Budget(file).check(header.shape[0] * header.dtype.itemsize, "the array")
         n_bytes = header.shape[0] * header.dtype.itemsize
+        Budget(file).check(n_bytes, "the array")
         if len(content := stream.read(n_bytes)) < n_bytes:
             raise FileError(f"{file} is cut short: its array lacks {n_bytes - len(content)} bytes")
         return np.frombuffer(content, header.dtype).astype(np.float64)

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import FileError, InputError
 from anisomap.evaluation import Score, score
 from anisomap.files.paths import read_small
-from anisomap.method.named import METHODS, find_method
+from anisomap.method.named import find_method
 from anisomap.method.pipeline import reconstruct
 from anisomap.paper.cases import true_positions
 from anisomap.paper.experiment import Row, Table
 from anisomap.simulation import find_body, find_scenario, simulate
-from anisomap.simulation.body import Body
 
 SCORES: Mapping[str, tuple[str, Callable[[Score], float]]] = MappingProxyType(
     {
@@ -58,24 +58,19 @@ class OwnExperiment:
 
     body: str
     scenario: str
-    methods: tuple[str, ...] = tuple(METHODS)[:1]
+    methods: tuple[str, ...] = (DEFAULT_METHOD,)
     seeds: tuple[int, ...] = (1,)
     scores: tuple[str, ...] = tuple(SCORES)
     n_frames: int = 2000
     dimensions: int = 3
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def shape(self) -> Body:
-        """The body."""
-        return find_body(self.body)
-
     def run(self, name: str, progress: Callable[[float], None]) -> Table:
         """Simulate, map and score; return a table with a row for each seed and method."""
         rows, total = list[Row](), len(self.seeds) * len(self.methods)
         for seed in self.seeds:
             recording = simulate(
-                self.shape, self.scenario, n_frames=self.n_frames, seed=seed, **self.settings
+                self.body, self.scenario, n_frames=self.n_frames, seed=seed, **self.settings
             )
             truth = true_positions(recording, self.dimensions)
             for method in self.methods:
@@ -127,7 +122,7 @@ def read_experiment(path: Path) -> OwnExperiment:
     found = OwnExperiment(**(given | lists))
     _check(path, found.dimensions in (2, 3), f"dimensions must be 2 or 3, got {found.dimensions}")
     try:
-        scenario, _ = find_scenario(found.scenario), found.shape
+        scenario, _ = find_scenario(found.scenario), find_body(found.body)
         for method in found.methods:
             find_method(method)
     except InputError as error:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from anisomap.base.wording import counted, join_items
 from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import check_regular, read_small
+from anisomap.intake import CHANNELS, good_channels
 from anisomap.io.parsing.source import is_gzipped, open_binary, quote, read_head, warn
 from anisomap.io.stream import (
     Content,
@@ -33,7 +34,6 @@ from anisomap.io.stream import (
 
 EXTRA = "mne"
 
-_SENSORS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
 _FIF = bytes((0, 0, 0, 100, 0, 0, 0, 31))  # kind and type of the first tag, the id of the file
 _BRAINVISION = (b"Brain Vision Data Exchange Header", b"BrainVision Data Exchange Header")
 _MARKS = {_FIF: (".fif", "fif"), b"\xffBIOSEMI": (".bdf", "bdf"), b"0       ": (".edf", "edf")}
@@ -64,12 +64,10 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open the channels of type `options.select`, or of the only type of sensors."""
     with _open(path) as raw:
         chosen = choose(path, _contents(raw), options.select, "type of channels").name
-        bad = set(raw.info["bads"])
-        of_kind = [i for i, kind in enumerate(raw.get_channel_types()) if kind == chosen]
-        picked = [i for i in of_kind if raw.ch_names[i] not in bad]
+        picked, left_out = good_channels(raw, chosen)
         if not picked:
             raise FileError(f"{path}: all channels of type {chosen} are marked as bad")
-        if left_out := [raw.ch_names[i] for i in of_kind if raw.ch_names[i] in bad]:
+        if left_out:
             warn(path, f"channels marked as bad are left out: {join_items(left_out)}")
         places = np.array([raw.info["chs"][i]["loc"][:_N_LOC] for i in picked])
         known = np.isfinite(places).all(axis=1) & places.any(axis=1)
@@ -164,7 +162,7 @@ def _contents(raw: Any) -> tuple[Content, ...]:
         Content(
             kind,
             f"{counted(count, 'channel')} x {counted(raw.n_times, 'sample')}",
-            usable=kind in _SENSORS,
+            usable=kind in CHANNELS,
         )
         for kind, count in counts.items()
     )

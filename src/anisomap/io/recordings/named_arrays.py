@@ -391,9 +391,8 @@ def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
         found = list[Any]()
 
         def collect(_: str | bytes, item: Any) -> None:
-            if (
-                _name_of(item).count("/") > _MAX_DEPTH + 1
-            ):  # names of deeper ones take quadratic time
+            # Names of deeper groups take quadratic time.
+            if _name_of(item).count("/") > _MAX_DEPTH + 1:
                 raise FileError(f"{path}: groups are more than {_MAX_DEPTH} deep; it is damaged")
             found.append(item)
 
