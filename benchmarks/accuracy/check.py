@@ -113,6 +113,7 @@ def checks(
     for finding in untouched.findings:
         print(f"  {finding.kind}: {finding.explanation}")
     right = untouched.corrected
+    mounted = Mounting.of(modules, right.positions, right.units).members  # without pads elsewhere
     for share in SHARES:
         length = round(share * whole.n_frames)
         for seed in seeds if share < 1 else seeds[:1]:
@@ -127,7 +128,7 @@ def checks(
                 placed = fault(right, modules, rng)
                 spoilt = right.positions.copy()
                 for m, places in placed.items():
-                    spoilt[modules.members(m)] = places
+                    spoilt[mounted[m]] = places
                 found = check_layout(
                     replace(right, positions=spoilt), part, modules=modules, statistics=statistics
                 )
