@@ -203,7 +203,7 @@ HOLED[7, 3] = np.nan
             ({"recording": nonsense}, r"shape \(T, N\) \(frames x sensors\)")
             for nonsense in (3, np.zeros(7))
         ),
-        *(({"recording": nonsense}, ".") for nonsense in (None, {})),
+        *(({"recording": nonsense}, "must be real numbers") for nonsense in (None, {})),
     ],
 )
 def test_invalid_arguments_are_refused(arguments, message):
