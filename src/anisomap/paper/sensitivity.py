@@ -16,7 +16,7 @@ from anisomap.errors import InputError
 from anisomap.paper.accuracy import case_tables, patch_tables
 from anisomap.paper.cases import BOMBARDED, CASES, PATCH, Case
 from anisomap.paper.claims import CLAIMS, Evidence
-from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment
+from anisomap.paper.experiment import INFERRED, Picture, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
 
 _KINDS = ("scores", "ablations", "responses", "failures")
@@ -30,26 +30,30 @@ Counts = NDArray[np.int_]
 Point = tuple[tuple[str, float], ...]
 """Values of settings."""
 
+_LESS_MU: Point = (("mu", 0.1),)
+
 
 @dataclass(frozen=True)
 class Group:
     """Runs that share settings.
 
     values: Of settings that are combined.
-    others: Further settings, each with the first values of all others.
+    others: Further settings; what they leave open is as inferred.
     """
 
     name: str
     cases: tuple[Case, ...]
     values: Mapping[str, tuple[float, ...]]
-    others: Point = ()
+    others: tuple[Point, ...]
 
     def points(self, settings: Settings) -> list[Point]:
         """All defaults, a change of the first setting alone, all combinations, and others."""
         found = [
             tuple(zip(self.values, each, strict=True)) for each in product(*self.values.values())
         ]
-        all_points = [(), found[0][:1], *found, *((*found[0], other) for other in self.others)]
+        inferred = {name: INFERRED[name] for name in self.values}
+        others = [tuple((inferred | dict(other)).items()) for other in self.others]
+        all_points = [(), found[0][:1], *found, *others]
         return all_points[:1] if settings.quick else all_points
 
 
@@ -58,7 +62,12 @@ GROUPS = (
         "bombardment",
         BOMBARDED,
         {_LENGTH: (2,), f"bombardment.{_RADIUS}": (0.44, 0.55, 0.3)},
-        (("bombardment.one_sided", 1),),
+        (
+            ((f"bombardment.{_RADIUS}", 0.44), ("bombardment.one_sided", 1)),
+            (("bombardment.n_balls", 20),),
+            (("bombardment.n_balls", 80),),
+            _LESS_MU,
+        ),
     ),
     Group(
         "locomotion",
@@ -68,6 +77,7 @@ GROUPS = (
             "locomotion.correlation": (0.5, 0.3),
             f"locomotion.{_RADIUS}": (0.44, 0.25, 0.15),
         },
+        (_LESS_MU,),
     ),
     Group(
         "patch",
@@ -77,6 +87,7 @@ GROUPS = (
             f"rubbing.{_RADIUS}": (0.022,),
             "patch.mean_span": (20, 100),
         },
+        (_LESS_MU,),
     ),
 )
 
@@ -246,7 +257,7 @@ def settings_map(settings: Settings, tables: Tables) -> Iterator[Picture | Table
     best: list[tuple[int, int, str, str, str]] = []
     for (b, r), compared in across.items():
         for p, of_patch in patch.items():
-            if len({dict(point).get("mu") for point in (b, r, p)}) == 1:
+            if not any("mu" in dict(point) for point in (b, r, p)):  # real skin has one mu
                 held, judged, _ = (bombardment[b] + locomotion[r] + compared + of_patch + real).T
                 in_full = int(((held == judged) & (held > 0)).sum())
                 best.append((in_full, int(held.sum()), _label(b), _label(r), _label(p)))
