@@ -1,4 +1,4 @@
-"""The paper in plain numpy, as on its page, gives the metrics of the package."""
+"""The paper in plain numpy, as on its page, gives the metrics and the maps of the package."""
 
 import re
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from anisomap import reconstruct
 from anisomap.numerics.graph.dissimilarity import information_distance, regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.graph.neighbour_graphs import smallest_connected_neighbour_graph
@@ -17,7 +18,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "paper-in-numpy.md"
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_metrics_are_equal(seed):
+def test_metrics_and_maps_are_equal(seed):
     code, _ = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     page = {}
     exec(code, page)  # noqa: S102
@@ -44,3 +45,6 @@ def test_metrics_are_equal(seed):
     )
     for method, ours, theirs in zip(METHODS, found, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12, err_msg=method)
+        scaled = page["distances"](page["smacof"](ours, 2, iterations=3000))
+        mapped = page["distances"](reconstruct(touched, method, 2).positions)
+        np.testing.assert_allclose(scaled, mapped, atol=0.01 * mapped.mean(), err_msg=method)

@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from anisomap import reconstruct
 from anisomap.paper import Settings
 from anisomap.paper.cases import METHODS
 from anisomap.paper.map_scores import (
     SCORE_COLUMNS,
+    SMACOF,
     map_and_score,
     null_box,
     score_rows,
@@ -32,6 +34,16 @@ def test_box_plots_keep_every_value_beyond_the_whiskers():
     assert len(box["fliers"]) == len(drawn["fliers"]) > 10
     np.testing.assert_allclose(box["fliers"], np.sort(drawn["fliers"]), atol=1e-4)
     assert all(box[end] == drawn[end] for end in ("whislo", "whishi"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_maps_of_the_reproduction_are_those_of_the_methods(method):
+    recording = flat_skin(n_frames=300)
+    for dimensions in (2, 3):
+        ours = reconstruct(recording, method, dimensions)
+        theirs = map_and_score(recording, method, dimensions).sensor_map
+        assert ours.provenance["solver"] == theirs.provenance["solver"] == SMACOF.solver
+        np.testing.assert_allclose(ours.positions, theirs.positions, atol=1e-9)
 
 
 @pytest.mark.parametrize("quantile", [0.25, 0.5, 1.0])

@@ -352,7 +352,7 @@ def reconstruct_on_device(
         raise InputError("on a device, regularisation must be above 0, which joins all sensors")
     if readings.ndim != 2:
         raise InputError(f"readings must be of shape (T, N), got {tuple(readings.shape)}")
-    xp, similarity = array_namespace(readings), find_method(method).similarity
+    xp, recipe = array_namespace(readings), find_method(method)
     n_frames, n_sensors = readings.shape
     names = tuple(names) or default_names(n_sensors)
     check_names(names, n_sensors)
@@ -368,20 +368,20 @@ def reconstruct_on_device(
     metric = metricise(regularised_reciprocal(compared, chosen.regularisation))
     del compared
     logger.info("scaling %d sensors into %d dimensions", metric.shape[0], dimensions)
-    scaling = scale(metric, int(dimensions), chosen.smacof)
+    scaling = scale(metric, int(dimensions), recipe.scaling_of(metric.shape[0], chosen.smacof))
     placed, n_iterations = np.zeros(len(scaling.positions), np.intp), len(scaling.trace) - 1
     configuration = Configuration(
         scaling.positions, placed, scaling.stress, scaling.converged, n_iterations
     )
     library = xp.__name__.rpartition(".")[2]
-    facts = {"frames": int(n_frames), "similarity": similarity, "array_library": library}
-    provenance = parameters_of(method, chosen) | facts
+    facts = {"frames": int(n_frames), "similarity": recipe.similarity, "array_library": library}
+    provenance = parameters_of(method, chosen, metric.shape[0]) | facts
     return as_map(
         configuration,
         names,
         varying,
         method=method,
-        similarity=similarity,
+        similarity=recipe.similarity,
         notes=caveats(configuration, None, names),
         provenance=provenance,
     )

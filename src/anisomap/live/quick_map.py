@@ -21,9 +21,11 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
+from anisomap.method.options import MethodOptions
 from anisomap.method.pipeline import reconstruct_from
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.sampling import sample_of
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.rest import Rest
@@ -100,6 +102,8 @@ def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence
 
 QUICK_METHOD = "r-anisomap"
 """The method of the quick map; it needs nothing but Pearson's r."""
+
+_QUICK = MethodOptions(smacof=SmacofOptions(solver="lbfgs"))
 
 MAX_SENSORS = 4000
 """Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
@@ -197,6 +201,7 @@ class QuickMapper:
                 dimensions=self.dimensions,
                 names=self.names,
                 drop=sorted(self.drop | set(np.flatnonzero(~recording.varying()).tolist())),
+                options=_QUICK,
                 start=None if before is None else warm_start(before, correlation),
                 statistic="pearson",
             )

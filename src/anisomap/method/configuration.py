@@ -61,9 +61,10 @@ def configure(
 
     metric (n, n), weights (n, n), start (n, k).
     """
+    chosen = recipe.scaling_of(len(metric), options.smacof)
     if recipe.refine is None or evidence is None:
-        return scale(metric, dimensions, start=start, weights=weights, options=options.smacof)
-    near = replace(options.smacof, tolerance=max(options.smacof.tolerance, _START_TOLERANCE))
+        return scale(metric, dimensions, start=start, weights=weights, options=chosen)
+    near = replace(chosen, tolerance=max(chosen.tolerance, _START_TOLERANCE))
     scaled = scale(metric, dimensions, start=start, weights=weights, options=near)
     return refine_components(scaled, metric, evidence, recipe, options)
 

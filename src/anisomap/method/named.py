@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -34,10 +34,17 @@ from anisomap.numerics.graph.neighbour_graphs import (
 )
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import remove_insignificant_links
+from anisomap.numerics.scaling.multidimensional_scaling import AUTO_SOLVER, SmacofOptions
 from anisomap.numerics.similarity.contact_agreement import shows_single_contacts
 from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
+
+_PUBLISHED = "majorization"  # the paper's SMACOF
+
+MAX_MAJORIZED = 500
+"""Largest number of sensors that the paper's methods scale by majorization, as the paper did (up to
+169): above, it takes minutes, and L-BFGS seconds."""
 
 _MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
 
@@ -63,6 +70,8 @@ class Method:
     contact_similarity : str, optional
         Similarity that takes the place of `similarity` for readings that are on or off and show
         one contact at a time.
+    solver : str
+        Solver of the scaling of up to `MAX_MAJORIZED` sensors, if the options choose none.
     """
 
     summary: str
@@ -71,6 +80,7 @@ class Method:
     metric: Callable[[Reals], Reals]
     refine: Refine | None = None
     contact_similarity: str | None = None
+    solver: str = AUTO_SOLVER
 
     @property
     def shows_dimensions(self) -> bool:
@@ -91,6 +101,11 @@ class Method:
         if self.refine is None:
             return lengths
         return with_bounded_stems(lengths, evidence.groups.hidden)
+
+    def scaling_of(self, n_sensors: int, options: SmacofOptions) -> SmacofOptions:
+        """Return how a number of sensors is scaled."""
+        chosen = options.solver != AUTO_SOLVER or n_sensors > MAX_MAJORIZED
+        return options if chosen else replace(options, solver=self.solver)
 
     def similarity_of(self, runs: Sequence[Recording]) -> str:
         """Return the key of the similarity for some recordings."""
@@ -136,8 +151,8 @@ def _identity(dissimilarity: Reals) -> Reals:
     return dissimilarity
 
 
-def _anisomap(similarity: str, summary: str) -> Method:
-    return Method(summary, similarity, _reciprocal, metricise)
+def _anisomap(similarity: str, summary: str, solver: str = AUTO_SOLVER) -> Method:
+    return Method(summary, similarity, _reciprocal, metricise, solver=solver)
 
 
 PAPER_METHODS = ("r-anisomap", "i-anisomap", "information-distance", "isomap")
@@ -153,19 +168,21 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             refine,
             contact_similarity="contact-agreement",
         ),
-        "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation"),
-        "i-anisomap": _anisomap("mutual-information", "ANISOMAP on mutual information"),
+        "r-anisomap": _anisomap("pearson", "ANISOMAP on linear correlation", _PUBLISHED),
+        "i-anisomap": _anisomap("mutual-information", "ANISOMAP on mutual information", _PUBLISHED),
         "information-distance": Method(
             "information distance, scaled without shortest paths",
             "mutual-information",
             _information_distance,
             _identity,
+            solver=_PUBLISHED,
         ),
         "isomap": Method(
             "ISOMAP: shortest paths of information distance between neighbours",
             "mutual-information",
             _neighbour_edges,
             metricise,
+            solver=_PUBLISHED,
         ),
         "spearman-anisomap": _anisomap("spearman", "ANISOMAP on rank correlation"),
         "co-activation-anisomap": _anisomap("co-activation", "ANISOMAP on binary contact (phi)"),

@@ -177,7 +177,7 @@ def reconstruct_with_stages(
         stages = compute_stages(complete, recipe, dimensions, options)
     configuration, evidence = stages.configuration, stages.evidence
     check_related(configuration.component, options)
-    facts = parameters_of(method, options) | stages.choice.facts()
+    facts = parameters_of(method, options, len(names)) | stages.choice.facts()
     facts |= {"source": joined.source, "frames": joined.n_frames, "similarity": evidence.statistic}
     made = as_map(
         configuration,
@@ -382,7 +382,7 @@ def reconstruct_from(
     notes = [*choice.notes(objects=objects), *caveats(configuration, evidence, names)]
     if recipe.refine is not None and evidence is None:
         notes.append(Note("not-refined", method=method))
-    facts = parameters_of(method, options) | choice.facts(objects=objects)
+    facts = parameters_of(method, options, len(matrix)) | choice.facts(objects=objects)
     facts |= {"similarity": statistic} if statistic else {"precomputed": stage}
     return as_map(
         configuration,

@@ -91,8 +91,8 @@ def unknown_pairs(evidence: Evidence, names: Sequence[str]) -> Iterator[Note]:
         yield Note("unknown-pairs", count=pairs, sensors=affected)
 
 
-def parameters_of(method: str, options: MethodOptions) -> dict[str, Scalar]:
-    """Return the version and the parameters with which a map can be reproduced."""
+def parameters_of(method: str, options: MethodOptions, n_sensors: int) -> dict[str, Scalar]:
+    """Return the version and the parameters with which a map of n sensors can be reproduced."""
     recipe, defaults = find_method(method), MethodOptions()
     facts: dict[str, Scalar] = {
         "anisomap": __version__,
@@ -108,4 +108,4 @@ def parameters_of(method: str, options: MethodOptions) -> dict[str, Scalar]:
     for name in ("independent_frames", "min_sensors"):
         if getattr(options, name) != getattr(defaults, name):
             facts[name] = getattr(options, name)
-    return facts | asdict(options.smacof)
+    return facts | asdict(recipe.scaling_of(n_sensors, options.smacof))

@@ -30,7 +30,7 @@ MORE_BINS = (6, 8)
 """Other numbers of bins that the paper tried."""
 
 SMACOF = SmacofOptions(solver="majorization")
-"""The paper's algorithm; the default is faster."""
+"""The paper's algorithm, which its methods take."""
 
 _WHISKER = 1.5  # interquartile ranges, as in the paper's Figure 3
 
@@ -71,7 +71,7 @@ def map_and_score(
         similarity=similarity_of(recording, method) if similarity is None else similarity,
         method=method,
         dimensions=dimensions,
-        options=MethodOptions(smacof=SMACOF, regularisation=mu),
+        options=MethodOptions(regularisation=mu),
         names=recording.names,
         drop=[recording.names[i] for i in np.flatnonzero(~recording.varying())],
     )
