@@ -2,7 +2,7 @@
 
 import pytest
 
-from anisomap.cli.app import COMMANDS, app
+from anisomap.cli.app import BAD_INPUT, COMMANDS, app
 from command_line import call
 
 MAX_OPTIONS = 150
@@ -21,6 +21,12 @@ def test_the_help_of_a_command_fits_a_screen_and_names_all_options(tmp_path, com
     assert shown.count("  anisomap ") == 3
     names = [one.name for one in options_of(command)]
     assert not [name for name in names if name not in shown.replace("--no-", "--")]
+
+
+@pytest.mark.parametrize("command", sorted({*COMMANDS} - {"live", "paper", "demo"}))
+def test_a_missing_argument_is_called_as_the_help_calls_it(tmp_path, command):
+    name = call(tmp_path, command, code=BAD_INPUT).err.split()[1]
+    assert name in call(tmp_path, command, "--help").out.partition("\n")[0].split()
 
 
 def options_of(command):

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.placement import surface_normals
-from anisomap.placement.judgement import headline
+from anisomap.placement.judgement import judgement
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 
@@ -215,13 +215,15 @@ def test_comments_state_method_verdict_and_notes(suffix: str, tmp_path: Path) ->
     assert "60 sensors in metres, right-handed" in comments[0]
     assert f"known up to {skin.known_up_to}" in comments
     assert "method: r-anisomap" in comments
-    assert headline(skin).endswith(" mm")
-    assert f"verdict: {headline(skin)}; the halves agree" in comments
+    said = judgement(skin)
+    assert " mm" in said[0]
+    assert "The halves agree." in said
+    assert set(said) < set(comments)
     assert "note: sensors 3- -5 & <7> were rarely touched-" in comments
     assert "note: a?b c" in comments
-    assert len(comments) == 7
+    assert len(comments) == 6 + len(said)
     io.write(dome(), path)
-    assert "<!-- verdict: cannot tell -->" in path.read_text(encoding="utf-8")
+    assert "<!-- Verdict: cannot tell. -->" in path.read_text(encoding="utf-8")
 
 
 def test_many_frames_give_a_warning(tmp_path: Path) -> None:

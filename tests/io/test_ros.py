@@ -1,5 +1,6 @@
 """ROS 1 and ROS 2 bags and MCAP: all message types of tactile sensors, and truncated files."""
 
+import re
 import sqlite3
 import warnings
 from collections.abc import Iterable, Iterator
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anisomap import io
+from anisomap import SensorMap, io
 from anisomap.errors import AnisomapWarning, FileError
 from bags import DEFINITIONS, Bag
 
@@ -40,10 +41,21 @@ def test_arrays(bag: Bag, tmp_path: Path) -> None:
         bag.add("/log", bag.make("std_msgs/String", data="all is well"), i)
     found = io.read(written(bag, tmp_path, "/skin", map(bag.array, READINGS)))
     np.testing.assert_array_equal(found.readings, READINGS)
+    assert found.names == ("s0", "s1", "s2", "s3", "s4", "s5")
     assert found.source == f"run.{bag.kind}:/skin"
     # Without a stamp, the time of a message is that of its receipt.
     expected = np.arange(60) / 50 + 1e-3 * (np.arange(60) % 3)
     np.testing.assert_allclose(found.times, expected, atol=1e-8)
+
+
+def test_links_of_a_map_of_a_bag_have_names(tmp_path: Path) -> None:
+    """Frames of a robot that are called 0, 1, 2 would tell nothing, and collide."""
+    bag = Bag("mcap")
+    skin = io.read(written(bag, tmp_path, "/skin", map(bag.array, READINGS)))
+    places = np.random.default_rng(0).normal(size=(6, 3))
+    io.write(SensorMap(places, names=skin.names, units="m"), tmp_path / "skin.urdf")
+    links = re.findall('<link name="(.+?)"', (tmp_path / "skin.urdf").read_text())
+    assert links == ["skin", *(f"s{i}" for i in range(6))]
 
 
 def tactile_states(bag: Bag) -> Iterator[Any]:
@@ -79,7 +91,14 @@ def test_xela_counters_overflow(bag: Bag, tmp_path: Path, start: int) -> None:
     with pytest.warns(AnisomapWarning, match="6 taxels with three axes: z is read"):
         found = io.read(path)
     np.testing.assert_array_equal(found.readings, 40 * (READINGS - READINGS[0]))
-    assert found.names == ("1.0", "1.1", "1.2", "1.3", "2.0", "2.1")
+    assert found.names == (
+        "sensor1.0",
+        "sensor1.1",
+        "sensor1.2",
+        "sensor1.3",
+        "sensor2.0",
+        "sensor2.1",
+    )
     other = io.read(path, options=select("/xServTopic:sensors.taxels.y"))
     assert not other.readings.any()
 
@@ -93,8 +112,8 @@ def test_biotac(bag: Bag, tmp_path: Path) -> None:
     path = written(bag, tmp_path, "/rh/tactile", starmap(message, enumerate(electrodes)))
     found = io.read(path)
     np.testing.assert_array_equal(found.readings, electrodes.reshape(40, 95))
-    assert found.names[:2] == ("0.0", "0.1")
-    assert found.names[-1] == "4.18"
+    assert found.names[:2] == ("tactile0.0", "tactile0.1")
+    assert found.names[-1] == "tactile4.18"
     assert (io.read(path, options=select("/rh/tactile:tactiles.pdc")).readings == 7).all()
 
 
@@ -112,7 +131,7 @@ def test_one_message_per_skin_cell(bag: Bag, tmp_path: Path) -> None:
             )
             bag.add("/patch1", message, 2 * i + (cell == 2), rate=100.0)
     found = io.read(bag.write(tmp_path / f"run.{bag.kind}"))
-    assert found.names == ("7.0", "7.1", "7.2", "2.0", "2.1", "2.2")
+    assert found.names == ("cell7.0", "cell7.1", "cell7.2", "cell2.0", "cell2.1", "cell2.2")
     held = READINGS.copy()
     held[31, cells[7]] = held[30, cells[7]]
     assert 57 <= found.n_frames <= 60

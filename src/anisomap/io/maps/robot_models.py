@@ -24,7 +24,7 @@ from anisomap.errors import AnisomapWarning, FileError, error_reason, import_ext
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import quote
 from anisomap.placement import METRES, Taxels, to_taxels
-from anisomap.placement.judgement import headline
+from anisomap.placement.judgement import judgement
 from anisomap.sensor_map import SensorMap
 
 EXTRA = "xml"
@@ -158,7 +158,7 @@ def _document(
         + (", estimated from the positions" if sensor_map.normals is None else ""),
         sensor_map.pose,
         f"method: {sensor_map.method or 'unknown'}",
-        "; ".join([f"verdict: {headline(sensor_map)}", *sensor_map.verdict.reasons[:1]]),
+        *judgement(sensor_map),
         *(f"note: {note}" for note in sensor_map.notes),
     ]
     if np.isfinite(sensor_map.errors).any():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,7 +35,8 @@ from anisomap.io.stream import (
     stack_frames,
 )
 
-_LABELS = ("name", "sensor_pos", "cellId", "cell_id")
+_CELLS = ("cellId", "cell_id")
+_LABELS = ("name", "sensor_pos", *_CELLS)
 _CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}
 _DEPTHS = {"U": "u", "S": "i", "F": "f"}
 _WRAP = 1 << 16
@@ -52,13 +53,10 @@ def names_at(message: Any, path: str) -> tuple[str, ...]:
     """Name the numbers at a path by the list items that hold them; empty without unique names."""
     names = []
     for label, value in _walk(message, path):
-        size = np.size(value)
-        if np.ndim(value):
-            names += [f"{label}.{i}" if label else str(i) for i in range(size)]
-        else:
-            names.append(label)
-    labelled = any("." in name for name in names) or all(names)
-    return tuple(names) if labelled and len(set(names)) == len(names) else ()
+        names += [f"{label}.{i}" for i in range(np.size(value))] if np.ndim(value) else [label]
+        if not label:
+            return ()
+    return tuple(names) if len(set(names)) == len(names) else ()
 
 
 @dataclass(frozen=True)
@@ -86,8 +84,7 @@ def unwrap_counters(values: NDArray[Any], first: NDArray[Any]) -> NDArray[np.flo
 
 def cell_of(message: Any) -> str:
     """Return the skin cell of a message."""
-    found = (str(getattr(message, name)) for name in _LABELS[2:] if hasattr(message, name))
-    return next(found, "")
+    return _label(message, _CELLS, "", "")
 
 
 def kind_of(message_type: str, fields: list[str]) -> Kind | None:
@@ -105,16 +102,26 @@ def is_tactile(message_type: str) -> bool:
     return kind_of(message_type, []) is not None or message_type.endswith("MultiArray")
 
 
-def _walk(value: Any, path: str, label: str = "") -> Iterator[tuple[str, Any]]:
+def _walk(value: Any, path: str, label: str = "", part: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, list | tuple):
         for index, item in enumerate(value):
-            own = next((getattr(item, name) for name in _LABELS if hasattr(item, name)), index)
-            yield from _walk(item, path, f"{label}.{own}" if label else str(own))
+            own = _label(item, _LABELS, "" if label else part, index)
+            yield from _walk(item, path, f"{label}.{own}" if label else own)
     elif path:
         field, _, rest = path.partition(".")
-        yield from _walk(getattr(value, field), rest, label)
+        yield from _walk(getattr(value, field), rest, label, field.removesuffix("s"))
     else:
         yield label, value
+
+
+def _label(message: Any, names: Iterable[str], part: str, index: object) -> str:
+    """Return the first of some fields that a message has, or else its index in a list.
+
+    A number follows the name of the part, as links and frames of robots need names.
+    """
+    name = next((name for name in names if hasattr(message, name)), "")
+    label = str(getattr(message, name) if name else index)
+    return f"{'cell' if name in _CELLS else part}{label}" if label.isdecimal() else label
 
 
 def _pixels(message: Any, _: str) -> NDArray[Any]:
