@@ -116,7 +116,7 @@ place map.csv --spacing 6                                 | is not a length
 place placed.csv --anchors anchors.csv -o a.csv           | in the frame of the robot already
 repair nothing.npz                                        | there is no file nothing.npz
 repair skin.npz -o skin.npz                               | another file
-repair skin.npz -o a.csv                                  | .npz
+repair skin.npz -o a.h5                                   | known suffixes: .npz, .csv
 live                                                      | give either a source or --simulate BODY
 live skin.csv --drop s1-s99 --headless                    | there is no sensor 's1-s99'
 live skin.csv --simulate hand                             | give either a source or --simulate BODY
@@ -149,7 +149,7 @@ simulate part.obj                                  | part.obj is a mesh
 simulate sphere -p n_balls                         | write NAME=VALUE
 simulate sphere -p n_balls=many                    | 'many' is not a number
 simulate sphere -p n_bals=3                        | has no parameter 'n_bals'
-simulate sphere -o run.csv                         | csv
+simulate sphere -o run.h5                          | known suffixes: .npz, .csv
 simulate sphere -o nowhere/run.npz                 | nowhere
 simulate sphere --picture run.bmp                  | must end in .png, .svg or .pdf
 list scenarios rain                                | no scenario 'rain'

@@ -28,6 +28,22 @@ def test_a_body_is_simulated_and_drawn(run, tmp_path):
         assert said in outcome.out
 
 
+def test_text_of_a_simulation_is_mapped_and_scored_by_itself(run):
+    body = "hexagon -s rubbing --sensors 72 --frames 400"
+    run(f"simulate {body} -o run.npz")
+    assert "cannot store distances along the surface" in run(f"simulate {body} -o run.txt").err
+    binary, text = anisomap.read("run.npz"), anisomap.read("run.txt")
+    np.testing.assert_array_equal(text.readings, binary.readings)
+    np.testing.assert_array_equal(text.positions, binary.positions)
+    np.testing.assert_array_equal(text.normals, binary.normals)
+    assert (text.names, text.units) == (binary.names, binary.units)
+    run("map run.txt -d 2 -o map.csv")
+    by_text, by_binary = (run(f"score map.csv {file}").out for file in ("run.txt", "run.npz"))
+    assert by_text.splitlines()[1:] == by_binary.splitlines()[1:]
+    run("repair run.txt -o mended.txt")
+    np.testing.assert_array_equal(anisomap.read("mended.txt").positions, binary.positions)
+
+
 def test_the_positions_of_a_robot_part_become_a_body(run, tmp_path):
     places = 0.2 * find_body("sphere", 41).positions
     names = [f"n{i}" for i in range(len(places))]

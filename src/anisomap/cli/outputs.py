@@ -111,7 +111,7 @@ class Outputs:
     """Files to write, and the inputs, which none may be; checked before anything is computed.
 
     maps: Maps, in any format.
-    recording: An NPZ file.
+    recording: NPZ or text.
     others: Files whose formats are not checked here.
     placing: Scale and frame of the maps; if None, they are written as they are.
     """
@@ -131,10 +131,10 @@ class Outputs:
             if hint := _NOT_MAPS.get(path.suffix.lower()):
                 raise FileError(f"cannot write a map to {path}: {hint}")
             io.check_writable(path)
-        for other in filter(None, (self.recording, *self.others)):
+        for other in filter(None, self.others):
             check_target(other)
-        if self.recording and self.recording.suffix.lower() != ".npz":
-            raise FileError(f"recordings are written as NPZ: {self.recording} must end in .npz")
+        if self.recording:
+            io.check_writable(self.recording, recording=True)
         if self.picture:
             drawing.figures.check_writable(self.picture)
         if self.report:

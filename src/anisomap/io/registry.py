@@ -543,8 +543,8 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     path : path-like
         Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
         ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``, ``.elc``,
-        ``.sfp``. Recordings: ``.csv``, ``.tsv``, ``.npz``. An existing file is replaced after
-        writing has succeeded.
+        ``.sfp``. Recordings: ``.npz``, ``.csv``, ``.tsv``, ``.txt``. An existing file is replaced
+        after writing has succeeded.
 
     Raises
     ------
@@ -610,9 +610,9 @@ def write_components(
     return files
 
 
-def check_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before a long computation, that a map can be written to a file."""
-    _format_of(check_target(path))
+def check_writable(path: str | os.PathLike[str], *, recording: bool = False) -> None:
+    """Check, before a long computation, that a map or a recording can be written to a file."""
+    _format_of(check_target(path), "write_recording" if recording else "write_map")
 
 
 def needs_scale(path: str | os.PathLike[str]) -> bool:

@@ -102,7 +102,7 @@ def repair(
     Parameters
     ----------
     output
-        NPZ file to write. Default: NAME.repaired.npz in the current folder.
+        .npz or .txt file to write. Default: NAME.repaired.npz in the current folder.
 
     Examples
     --------

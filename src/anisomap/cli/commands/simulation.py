@@ -45,7 +45,7 @@ def simulate_body(
     scenario
         Scenario: see `anisomap list scenarios`.
     output
-        NPZ file to write [BODY-SCENARIO.npz].
+        .npz or .txt file to write [BODY-SCENARIO.npz].
     frames
         Number of frames to record.
     sensors

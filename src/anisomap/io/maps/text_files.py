@@ -45,7 +45,8 @@ from anisomap.io.parsing.tables import (
     records,
     unguard_formula,
 )
-from anisomap.io.recordings.delimited_text import MAP_TITLE
+from anisomap.io.recordings.delimited_text import MAP_TITLE, TITLE, open_recording
+from anisomap.io.stream import ReadOptions
 from anisomap.placement.judgement import errors_in_mm
 from anisomap.placement.modules import Modules, modules_by_name
 from anisomap.recording import Scalar
@@ -65,9 +66,9 @@ _SEVERAL = {"reason": "reasons", "note": "notes"}  # comments with a line for ea
 def read_text(path: Path) -> SensorMap:
     """Read a map, or true positions; units come from the comments or the header (``x [mm]``)."""
     lines = read_lines(path)
-    wide = (line for line in lines if len(line) > _MAX_COLUMNS and not line.startswith("#"))
-    if any(sum(map(line.count, ",;\t ")) > _MAX_COLUMNS for line in wide):
-        raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
+    if lines and lines[0].startswith(f"# {TITLE}"):
+        return _positions_of(path)
+    _refuse_wide(path, lines)
     delimiter = find_delimiter(lines)
     rows = list(records(lines, delimiter))
     if not rows:
@@ -118,6 +119,20 @@ def read_text(path: Path) -> SensorMap:
         normals=numbers(*normals).T if len(normals) == len(_NORMAL) else None,
         **(_read_comments(lines, units) if own else {"units": units}),
     )
+
+
+def _refuse_wide(path: Path, lines: Sequence[str]) -> None:
+    wide = (line for line in lines if len(line) > _MAX_COLUMNS and not line.startswith("#"))
+    if any(sum(map(line.count, ",;\t ")) > _MAX_COLUMNS for line in wide):
+        raise FileError(f"{path} has a line of more than {_MAX_COLUMNS} columns; it is not a map")
+
+
+def _positions_of(path: Path) -> SensorMap:
+    """Return the true positions of a recording."""
+    with open_recording(path, ReadOptions()) as stream:
+        if stream.positions is None:
+            raise FileError(f"{path} is a recording without positions")
+        return SensorMap(stream.positions, names=stream.names, units=stream.units)
 
 
 def _electrodes(rows: list[Record]) -> list[Record]:
