@@ -1,4 +1,8 @@
-"""Pictures of a session: ``python -m benchmarks.live.film -o film -- --simulate hand --coached``.
+"""Pictures of a session.
+
+::
+
+    python -m benchmarks.live.film -o film --seconds 90 -- --simulate sphere --coached
 
 A session runs with a headless Chromium as its viewer. Screenshots are taken at the beginning, in
 the middle and at the end, each in two sizes, and a film (WebP) of all of it. Arguments after ``--``
