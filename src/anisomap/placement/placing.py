@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.scene import Mesh
-from anisomap.base.wording import agreed, counted, join_items
+from anisomap.base.wording import agreed, counted, join_items, noun_and_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
@@ -326,11 +326,11 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
         raise InputError("anchors on a mesh must have three coordinates")
     rows = match_names(anchors.names, sensor_map.names)
     if (rows < 0).any():
-        unknown = [anchors.names[i] for i in np.flatnonzero(rows < 0)]
         names = sensor_map.names
+        unknown = noun_and_items("sensor", [anchors.names[i] for i in np.flatnonzero(rows < 0)])
         raise InputError(
-            f"anchor {join_items(unknown)} is no sensor of the map; names are {names[0]} ... "
-            f"{names[-1]}"
+            f"anchors must be sensors of the map, and it has no {unknown}: "
+            f"names are {names[0]} ... {names[-1]}"
         )
     return rows
 

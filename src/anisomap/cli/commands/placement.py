@@ -14,7 +14,7 @@ from cyclopts import Group, Parameter
 import anisomap
 from anisomap import drawing, io, placement
 from anisomap.base.scene import Mesh
-from anisomap.base.wording import join_items, number
+from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
@@ -124,7 +124,7 @@ def place_map(
 
     if suggest:
         names = placement.suggest_anchors(io.read_map(map_file), suggest)
-        printer.line(f"measure the positions of {join_items(names, len(names))}")
+        printer.line(f"measure the positions of {','.join(names)}")
         printer.record(suggested=names)
         return
     outputs = Outputs(
