@@ -76,7 +76,8 @@ def available_profiles() -> dict[str, Profile]:
 
 def lowest_pins(project: Path = ROOT / "pyproject.toml") -> dict[str, str]:
     """Return the lowest supported minor version of each of `LOWERED`, such as ``2.1.*``."""
-    listed = tomllib.loads(project.read_text("utf-8"))["project"]["dependencies"]
+    stated = tomllib.loads(project.read_text("utf-8"))["project"]
+    listed = stated["dependencies"] + stated["optional-dependencies"]["fast"]
     pins = dict(re.findall(r"^([\w-]+)>=(\d+\.\d+)", "\n".join(listed), re.MULTILINE))
     return {name: f"{pins[name]}.*" for name in LOWERED}
 

@@ -97,7 +97,7 @@ def test_every_public_name_can_be_had():
 
 WITHOUT_EXTRAS = """
 import json, sys
-for name in ("mujoco", "matplotlib", "jinja2"):
+for name in ("mujoco", "matplotlib", "jinja2", "numba"):
     sys.modules[name] = None
 from anisomap.cli import main
 for arguments in json.loads(sys.argv[1]):
@@ -118,6 +118,30 @@ def test_the_core_does_without_the_extras(installed, tmp_path):
     assert (tmp_path / "m.csv").exists()
     assert [words.split()[0] for words in refused] == ["2", "2"]
     assert done.stderr.count("[report]'") == 2
+
+
+LARGE = """
+import sys
+sys.modules["numba"] = None
+import numpy as np
+from anisomap import reconstruct
+from anisomap.errors import MissingExtraError
+from anisomap.method.named import METHODS
+touches = np.random.default_rng(0).uniform(size=(600, 1))
+readings = np.maximum(0, 0.02 - abs(touches - np.linspace(0, 1, 500)))
+for method in METHODS:
+    try:
+        reconstruct(readings, method, 2)
+    except MissingExtraError as error:
+        assert error.extra == "fast"
+    else:
+        raise AssertionError(method)
+"""
+
+
+def test_many_sensors_need_compiled_loops(tmp_path):
+    """Whatever is installed, a map is the same: without numba there is none of many sensors."""
+    subprocess.run([sys.executable, "-c", LARGE], check=True, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ from typing import Any, Protocol, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+from anisomap.errors import import_extra
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Loop = TypeVar("Loop", bound=Callable[..., Any])
@@ -33,7 +35,7 @@ class MapFunction(Protocol):
 
 def loop(**flags: Any) -> Callable[[Loop], Loop]:
     """Compile a function on its first call, without the global interpreter lock, and cache it."""
-    njit = import_module("numba").njit
+    njit = _numba().njit
 
     def compiled(function: Loop) -> Loop:
         try:
@@ -55,7 +57,11 @@ def thread_count() -> int:
 
     The environment variable ``NUMBA_NUM_THREADS`` sets it; joblib sets it for its workers.
     """
-    return int(import_module("numba").config.NUMBA_NUM_THREADS)
+    return int(_numba().config.NUMBA_NUM_THREADS)
+
+
+def _numba() -> Any:
+    return import_extra("numba", "mapping this many sensors", "fast")
 
 
 def is_parallel(n_rows: int) -> bool:
