@@ -34,9 +34,10 @@ demo: $(READY)  ## simulate a skin, map it and score the map, in demo/
 paper: $(READY)  ## reproduce the paper, in paper-out/ (RECORDINGS=folder adds real recordings)
 	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER) $(if $(RECORDINGS),--recordings $(RECORDINGS))
 
-numbers: paper  ## update the numbers in the docs: settings from seeds 1 to 10, all else from seeds 11 to 20
+numbers: paper  ## update the numbers of the paper in the docs, on seeds 1 to 10 and 11 to 20
 	@$(BIN)/anisomap paper --output-dir $(OUT_PAPER)/unseen --first-seed 11 $(if $(RECORDINGS),--recordings $(RECORDINGS)) \
 		--only claims --only figure-3 --only figure-4 --only figure-7 --only ablations
+	cp $(OUT_PAPER)/claims/claims.csv docs/results/claims-seeds-1-to-10.csv
 	cp $(OUT_PAPER)/settings/settings.csv $(OUT_PAPER)/settings/settings-best.csv docs/results/
 	cp $(OUT_PAPER)/settings/settings.png docs/_static/
 	$(BIN)/python -m benchmarks.numbers $(OUT_PAPER)/unseen docs/results docs/explanation/paper.md

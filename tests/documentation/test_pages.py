@@ -85,6 +85,7 @@ HEADERS = {
     "ablations": accuracy.ABLATIONS_COLUMNS,
     "check": columns(check.Result),
     "claims": claims.COLUMNS,
+    "claims-seeds-1-to-10": claims.COLUMNS,
     "coach": columns(coach.Row),
     "coach-summary": columns(coach.Goal),
     "dimension": columns(dimension.Row),

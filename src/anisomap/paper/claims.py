@@ -456,8 +456,8 @@ COLUMNS = {
     "maps are left out are counted as at chance. Of 36 cases, about two intervals miss the mean by "
     "chance, so a single case of many that is not clear, or just refuted, means little.\n\nThe "
     "paper's supplement with the parameters of its simulation was not available to us. A claim "
-    "that is not reproduced may therefore depend on these parameters; the last sections show their "
-    "effects.",
+    "that is not reproduced may therefore depend on these parameters; the section on what the "
+    "paper leaves open shows their effects.",
     needs=RUNS,
 )
 def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
