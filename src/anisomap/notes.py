@@ -5,6 +5,7 @@ Decisions test the kind of a note, never its text.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -41,6 +42,9 @@ def _note(kind: str, values: Mapping[str, Any]) -> Note:
     return Note(kind, **values)
 
 
+_SIZE = re.compile(r"\bby (\d+\.\d+) spacings")
+
+
 def kind_of(note: str) -> str:
     """Return the kind of a note; empty for one that was read from a file."""
     return note.kind if isinstance(note, Note) else ""
@@ -51,7 +55,9 @@ def scaled_note(note: str, spacing: float, unit: str) -> str:
 
     spacing: Length of a spacing.
     """
-    if not isinstance(note, Note) or note.kind not in ("chance", "second-map", "if-flat"):
+    if not isinstance(note, Note):  # it was read from a file
+        return _SIZE.sub(lambda size: f"by {spacing * float(size[1]):.2f} {unit}", note)
+    if note.kind not in ("chance", "second-map", "if-flat"):
         return note
     return Note(note.kind, **{**note.values, "size": spacing * note.values["size"], "unit": unit})
 

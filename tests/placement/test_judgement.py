@@ -36,7 +36,9 @@ def test_every_error_is_in_millimetres_once_the_scale_is_known(judged, tmp_path)
     anisomap.write(scaled, tmp_path / "map.json")
     stated = json.loads((tmp_path / "map.json").read_text())["verdict"]
     assert stated["expected_error_mm"] == pytest.approx(6.5 * stated["expected_error"])
-    assert anisomap.read_map(tmp_path / "map.json").verdict.expected_error == 0.2
+    again = anisomap.read_map(tmp_path / "map.json")
+    assert again.verdict.expected_error == 0.2
+    assert judgement(again) == told
 
 
 def test_the_error_of_a_sensor_holds_nine_of_ten(judged):
