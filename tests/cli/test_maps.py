@@ -59,6 +59,18 @@ def files(tmp_path):
     return tmp_path
 
 
+def test_a_far_electrode_does_not_keep_the_others_from_a_file(run, tmp_path):
+    """It is a component of its own, which a format with one frame cannot hold."""
+    places = np.random.default_rng(0).normal(size=(12, 3))
+    cap = SensorMap(places, names=[f"E{i}" for i in range(12)], component=[0] * 11 + [1], units="m")
+    anisomap.write(cap, tmp_path / "cap.csv")
+    assert "--drop" in run("convert", "cap.csv", "cap.sfp", code=2).err
+    run("convert", "cap.csv", "cap.sfp", "--drop", "E11")
+    lines = (tmp_path / "cap.sfp").read_text().splitlines()
+    assert [line.split()[0] for line in lines] == [f"E{i}" for i in range(11)]
+    assert "leaves out all" in run("convert", "cap.csv", "cap.sfp", "--drop", "E0-E11", code=2).err
+
+
 def test_from_a_wrong_layout_to_a_corrected_one(run, files):
     pytest.importorskip("matplotlib", reason="needs the extra 'report'")
     outputs = "-o fixed.icub.txt --picture check.png"

@@ -159,7 +159,7 @@ class Outputs:
                     raise InputError(
                         f"{path} has one frame, but the map has {n_components} components with "
                         "unknown relative positions; write each to a file of its own with "
-                        "--split-components"
+                        "--split-components, or leave out the sensors of the others with --drop"
                     )
                 else:
                     io.write(sensor_map, path)

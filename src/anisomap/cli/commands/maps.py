@@ -16,6 +16,8 @@ from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
+from anisomap.recording import sensor_mask
+from anisomap.route import split_names
 
 if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding
@@ -29,6 +31,7 @@ def convert(
     /,
     *,
     placing: options.PlacingOptions = options.DEFAULT_PLACING,
+    drop: options.Drop = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Write a map in another format: for robot software, a viewer, a table.
@@ -39,12 +42,16 @@ def convert(
     --------
     anisomap convert skin.map.csv skin.ply
     anisomap convert skin.map.csv skin.urdf --spacing 6.5mm --frame torso
-    anisomap convert skin.map.csv skin.icub.txt --spacing 6.5mm --mirror
+    anisomap convert skin.map.csv skin.icub.txt --drop s3,c0-c35 --mirror
     """
     from anisomap.cli.outputs import Outputs
 
     outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)
     sensor_map = io.read_map(map_file)
+    left_out = sensor_mask(sensor_map.names, split_names(drop, sensor_map.names))
+    if left_out.all():
+        raise InputError("--drop leaves out all sensors; keep at least one")
+    sensor_map = sensor_map.select(~left_out)
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
     n_placed, spacing = int(placed.placed.sum()), None
