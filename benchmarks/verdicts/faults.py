@@ -38,7 +38,7 @@ FOUND = {
     "swapped": "changed", "shifted": "changed", "modules": "changed", "posture": "changed",
     "mounting": "changed drift", "inverted": "inverted", "copied": "copies", "shorted": "copies",
     "saturating": "saturation", "leak": "leak", "gain-drift": "drift changed",
-    "common-noise": "common-noise", "spikes": "spikes glitches", "frozen": "gaps changed",
+    "common-noise": "common-noise", "spikes": "spikes glitches", "frozen": "frozen",
     "steps": "drift changed", "gaps": "gaps", "lags": "lags",
 }  # fmt: skip
 """Kinds of findings that are right, by damage."""

@@ -1,6 +1,7 @@
 """Faults of whole recordings: each is found by its name, and no other, and mended."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -525,6 +526,45 @@ def test_missing_readings_are_estimated_from_neighbours():
     np.testing.assert_array_equal(filled[~lost], clean.readings[~lost])
     errors = [np.std((r - clean.readings)[lost]) for r in (filled, lines)]
     assert errors[0] < errors[1]
+
+
+def noisy_skin(seed, level=0.01):
+    recording = wired_at_random(seed)
+    noise = np.random.default_rng(seed).normal(0, level, recording.readings.shape)
+    return replace(recording, readings=recording.readings + noise)
+
+
+@pytest.mark.parametrize("seed", [0, 301])
+def test_frames_that_repeat_are_left_out(seed):
+    sound = noisy_skin(seed)
+    bad = spoilt(sound, "freezing:*,mean_gap=200,mean_span=40", seed=seed)
+    found = repair(bad)
+    assert kinds(found.findings) == {"frozen"}
+    # What is left are frames of the sound recording, all but short spans' of them once.
+    rows = {row.tobytes() for row in sound.readings}
+    left = [row.tobytes() for row in found.recording.readings]
+    assert set(left) <= rows
+    assert len(set(left)) >= 0.99 * len(left)
+    assert find_faults(found.recording) == ()
+
+
+def test_sensors_that_repeat_their_readings_are_named_and_no_others():
+    sound = noisy_skin(0)
+    bad = spoilt(sound, "freezing:10%,mean_span=40")
+    changed = {sound.names[i] for i in np.flatnonzero((bad.readings != sound.readings).any(axis=0))}
+    (found,) = find_faults(bad)
+    assert found.kind == "frozen"
+    assert set(found.sensors) == changed
+    assert not found.mendable
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_still_contacts_are_not_frozen_readings(form):
+    """Frames of a still contact repeat if readings have no noise, and do not if they have."""
+    case = Case("plane", "presses", "exact", 60, 800)
+    held = np.repeat(case.draw(3).readings[::20], 20, axis=0)
+    readings = FORMS[form](held.astype(np.float64), np.random.default_rng(3))
+    assert list(CHECKS["frozen"](Recording(readings))) == []
 
 
 def test_where_all_sensors_are_lost_readings_lie_on_lines():

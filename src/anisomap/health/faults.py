@@ -18,7 +18,7 @@ from anisomap.health.recording_faults import Found
 from anisomap.health.recording_faults.common_signals import find_common_noise, find_hum
 from anisomap.health.recording_faults.copies import find_copied
 from anisomap.health.recording_faults.drift import find_drift
-from anisomap.health.recording_faults.gaps import find_gaps
+from anisomap.health.recording_faults.gaps import find_frozen, find_gaps
 from anisomap.health.recording_faults.lags import find_lags
 from anisomap.health.recording_faults.leaks import find_leak
 from anisomap.health.recording_faults.stimulation import (
@@ -34,6 +34,7 @@ from anisomap.recording import Recording, as_runs, in_range
 CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
     {
         "gaps": find_gaps,
+        "frozen": find_frozen,
         "glitches": find_glitches,
         "hum": find_hum,
         "one-period": find_one_period,
@@ -99,13 +100,13 @@ def repair(recording: Recording | ArrayLike) -> Repair:
     -------
     Repair
         The recording itself, if nothing was mended. Copies are left out, so it may have fewer
-        sensors, and, after lags, fewer frames.
+        sensors, and, after lags or spans of equal frames, fewer frames.
 
     Notes
     -----
-    Copies, lags, inverted sensors, hum, noise of boards and gaps are mended. Leaks, drift, limited
-    ranges, glitches, spikes and noise of all sensors are named only: to subtract or replace what
-    is estimated of them harms more maps than it mends.
+    Copies, lags, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. Leaks,
+    drift, limited ranges, glitches, spikes and noise of all sensors are named only: to subtract or
+    replace what is estimated of them harms more maps than it mends.
 
     Examples
     --------

@@ -143,6 +143,15 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
             lambda _: "these readings were estimated from the most similar sensors, or on lines",
         ),
+        "frozen": _Words(
+            "share of the frames",
+            lambda f: (
+                f"the readings of {_of_all(f)} repeat frame after frame in spans that make up "
+                f"{f.size:.0%} of the recording"
+            ),
+            "contacts in these spans are lost, and the ones before them count too often",
+            lambda _: "these frames were left out",
+        ),
         "glitches": _Words(
             "readings",
             lambda f: (

@@ -1,9 +1,10 @@
-"""Gaps: readings that are lost, or that something interpolated."""
+"""Gaps: readings that are lost, that something interpolated, or that repeat the ones before."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,10 @@ _MIN_MIXED = 0.15  # share of the lines against the direction of the other lines
 _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
 _MAX_FITTED = 20_000  # of a fit
 _MIN_PRESENT = 0.5  # share of the weight of similar sensors that have readings
+# Share of the other readings that repeat: of more, contacts are still, and no noise tells. Also of
+# those of the typical sensor, if all must repeat. By hand.
+_MAX_STILL, _MAX_STILL_EACH = 0.05, 1 / 3
+_MAX_FROZEN = 0.5  # of the frames; more are a rest
 
 
 def find_gaps(recording: Recording) -> Iterator[Found]:
@@ -141,3 +146,61 @@ def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
         if np.sum((estimate[held] - true) ** 2) < np.sum((lines - true) ** 2):
             completed[gap & present, i] = estimate[gap & present]
     return np.asarray(completed)
+
+
+def find_frozen(recording: Recording) -> Iterator[Found]:
+    """Find frames in which all sensors, or else some, repeat their readings.
+
+    If a share p of the other readings repeats the one before, n in succession do so with
+    probability N T p^n at most, in T frames of N sensors. Where readings often repeat, no noise
+    shows that time passes: a still contact looks the same, and nothing is found. Nor are readings
+    at rest, or at an end of the range.
+    """
+    varying = np.flatnonzero(recording.varying())
+    readings = recording.readings[:, varying]
+    if varying.size < 2 or len(readings) < 2 * _MIN_LINE:
+        return
+    repeats = np.zeros(readings.shape, dtype=bool)
+    np.equal(readings[1:], readings[:-1], out=repeats[1:])
+    share = repeats.mean(axis=0)
+    whole = _long_spans(np.asarray(repeats.all(axis=1)), readings, 1)
+    if whole is not None and np.median(share) <= whole.mean() + _MAX_STILL_EACH:
+        kept = np.flatnonzero(~whole)
+
+        def left(recording: Recording) -> Recording:
+            times = None if recording.times is None else recording.times[kept]
+            return replace(recording, readings=recording.readings[kept], times=times)
+
+        yield Found(varying, float(whole.mean()), {"n_sensors": varying.size}, left)
+        return
+    some = np.flatnonzero((share >= _MIN_MISSING) & (share <= _MAX_FROZEN))
+    found = [_long_spans(repeats[:, i], readings[:, [i]], varying.size) for i in some]
+    sizes = [0.0 if spans is None else float(spans.mean()) for spans in found]
+    if any(sizes):
+        sensors = varying[some[np.array(sizes) > 0]]
+        size = float(np.median([one for one in sizes if one > 0]))
+        yield Found(sensors, size, {"n_sensors": varying.size})
+
+
+def _long_spans(
+    repeats: NDArray[np.bool_], readings: NDArray[Any], n_tests: int
+) -> NDArray[np.bool_] | None:
+    """Mark the frames, (T,), in long spans of repeated readings, (T, n); None without any."""
+    start, stop = np.flatnonzero(np.diff(repeats, prepend=False, append=False)).reshape(-1, 2).T
+    long = stop - start >= _MIN_LINE
+    if not long.any():
+        return None
+    others = np.repeat(True, len(repeats))
+    others[np.flatnonzero(repeats)] = np.repeat(~long, stop - start)
+    usual = readings[start] == estimate_rest(readings[others]).value.astype(readings.dtype)
+    if readings.shape[1] == 1:
+        usual |= (readings[start] == readings.min()) | (readings[start] == readings.max())
+    long &= ~usual.all(axis=1)
+    n_others = len(repeats) - int((stop - start)[long].sum())
+    share = max(n_others - int(np.count_nonzero(~repeats)), 1) / n_others
+    if share > _MAX_STILL:
+        return None
+    long &= stop - start >= math.log(len(repeats) * n_tests / _FALSE_ALARMS) / -math.log(share)
+    found = np.zeros_like(repeats)
+    found[np.flatnonzero(repeats)] = np.repeat(long, stop - start)
+    return found if found.mean() >= _MIN_MISSING else None
