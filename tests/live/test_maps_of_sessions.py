@@ -210,7 +210,7 @@ def hand():
 
 @pytest.mark.slow
 def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
-    options = ExaminationOptions(**OPTIONS)
+    options = ExaminationOptions(**OPTIONS, spacing_mm=4.5)
     source = Given(Batch(hand), description=PORT)
     with LiveSession(source, tmp_path / "r.csv", options) as session:
         wait_for_maps(session, lambda maps: maps.quick)
@@ -223,6 +223,7 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     assert np.isfinite(quick.positions[PADS]).all()
     assert list(final.sensor_map.names) == NAMES
     assert "--preset icub" in command
+    assert "--spacing 4.5mm" in command
     np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, hand)
     read = io.read(tmp_path / "r.csv", options=io.ReadOptions(preset="icub"))
     again = anisomap.reconstruct(read, "r-anisomap", 2)

@@ -50,7 +50,7 @@ def map_of(examination: Examination | None) -> SensorMap:
     return examination.sensor_map
 
 
-def command_for(recording: Path, options: ExaminationOptions, *, gaps: bool) -> str:
+def command_for(recording: Path, options: ExaminationOptions, gaps: bool) -> str:
     """Return the command that makes the final map of a session again."""
     words = ["anisomap", "map", str(recording)]
     if options.dimensions != AUTO:
@@ -63,4 +63,6 @@ def command_for(recording: Path, options: ExaminationOptions, *, gaps: bool) -> 
         words += ["--drop", name]
     if gaps:
         words += ["--missing", "interpolate"]
+    if options.spacing_mm:
+        words += ["--spacing", f"{options.spacing_mm:g}mm"]
     return shlex.join(words)

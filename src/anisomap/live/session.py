@@ -485,7 +485,7 @@ class LiveSession:
         unknown = self.maps.unknown
         drop = tuple(text for text in self.maps.options.drop if text not in unknown)
         options = replace(self.maps.options, drop=drop)
-        return command_for(self.segment.path, options, gaps=self.recorder.has_gaps)
+        return command_for(self.segment.path, options, self.recorder.has_gaps)
 
     def notify(self, text: str) -> None:
         """Add a sentence for the user; of one kind, only one in some seconds."""

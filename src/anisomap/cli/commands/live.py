@@ -273,7 +273,7 @@ def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool
                 told = note.seconds
         facts = _facts(session)
         printer.event(facts)
-        printer.say(_in_words(facts))
+        printer.say(_in_words(facts, session.maps.spacing))
 
 
 def _facts(session: LiveSession) -> dict[str, Any]:
@@ -294,7 +294,7 @@ def _facts(session: LiveSession) -> dict[str, Any]:
     }
 
 
-def _in_words(facts: dict[str, Any]) -> str:
+def _in_words(facts: dict[str, Any], spacing: tuple[float, str]) -> str:
     if not facts["frames"]:
         return f"{facts['seconds']:.0f} s, no frame yet"
     parts = [
@@ -304,7 +304,7 @@ def _in_words(facts: dict[str, Any]) -> str:
         if facts["share_touched"] is None
         else f"{percent(facts['share_touched'])} of {facts['sensors']} sensors touched, map "
         f"{facts['map_age']:.1f} s old{', lags' if facts['lags'] else ''}",
-        f"verdict: {Verdict(**facts['verdict']).summary}",
+        f"verdict: {Verdict(**facts['verdict']).headline(*spacing)}",
     ]
     if facts["faulty"]:
         parts.append("faulty: " + ", ".join(f"{n} ({s})" for n, s in facts["faulty"].items()))
