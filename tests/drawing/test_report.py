@@ -144,7 +144,7 @@ def test_exchanged_sensors_are_named():
 @pytest.mark.parametrize("with_score", [True, False])
 @pytest.mark.parametrize("with_health", [True, False])
 def test_the_table_lists_every_sensor_and_the_worst_first(with_score, with_health):
-    statuses = (["ok"] * 5 + list(STATUSES))[:12]
+    statuses = ["ok"] * (12 - len(STATUSES)) + list(STATUSES)
     sensor_map, scored = example(3 if with_score else None, health=statuses)
     health = assessed(sensor_map) if with_health else ()
     page = page_of(sensor_map, scored, health=health)

@@ -56,6 +56,44 @@ def test_a_faulty_sensor_is_found_and_no_other(fault, seed):
     assert found.status == {"dead": "silent"}.get(fault, fault)
 
 
+def noisy_skin(seed):
+    """Return a skin with noise of 1 % of a contact, and other levels at rest."""
+    rng, readings = np.random.default_rng(seed), flat_skin(seed=seed, n_frames=3000).readings
+    return readings + rng.normal(0, 0.01, readings.shape) + rng.uniform(0, 3, readings.shape[1])
+
+
+@given(seed=st.integers(0, 99), share=st.floats(0.2, 0.7), length=st.integers(12, 30))
+@settings(max_examples=8)
+def test_a_sensor_that_drops_out_is_intermittent_and_no_other(seed, share, length):
+    readings, rng = noisy_skin(seed), np.random.default_rng(seed)
+    out = np.repeat(
+        rng.permutation(len(readings) // length) < share * len(readings) / length, length
+    )
+    readings[: out.size, SENSOR][out] = readings[:, SENSOR].min()
+    called = {one.name: one.status for one in assess(Recording(readings)) if one.status != "ok"}
+    assert called == {f"s{SENSOR}": "intermittent"}
+
+
+@given(seed=st.integers(0, 99), share=st.floats(0.1, 0.9))
+@settings(max_examples=8)
+def test_sensors_that_a_range_cuts_off_are_not_intermittent(seed, share):
+    """A third of the sensors lie below the range in a share of the frames without contact."""
+    readings = noisy_skin(seed)
+    readings[:, ::3] = np.maximum(readings[:, ::3], np.quantile(readings[:, ::3], share, axis=0))
+    assert "intermittent" not in {one.status for one in assess(Recording(readings))}
+
+
+@given(seed=st.integers(0, 99), bit=st.integers(2, 5))
+@settings(max_examples=8)
+def test_a_sensor_with_a_stuck_bit_is_named_and_no_other(seed, bit):
+    codes = np.round(300 * noisy_skin(seed)).astype(int)
+    sound = Recording(codes)
+    assert {one.status for one in assess(sound)} == {"ok"}
+    codes[:, SENSOR] |= 2**bit
+    called = {one.name: one.status for one in assess(Recording(codes)) if one.status != "ok"}
+    assert called == {f"s{SENSOR}": "stuck bit"}
+
+
 def thresholded(seed):
     return Recording(flat_skin(seed=seed).readings > 0.5)
 

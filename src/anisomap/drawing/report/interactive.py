@@ -25,6 +25,7 @@ STATUS_COLOURS = {
     SILENT: "#000000",
     FEW_CONTACTS: "#f0e442",
     "stuck": "#d55e00",
+    "intermittent": "#cc79a7",
     "saturating": "#e69f00",
     "noisy": "#009e73",
     "isolated": "#56b4e9",
