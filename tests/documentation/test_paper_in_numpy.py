@@ -17,6 +17,15 @@ from anisomap.paper.cases import METHODS
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "paper-in-numpy.md"
 
 
+def test_the_example_prints_the_same_scores_twice(capsys):
+    code, example = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    exec(code + example, {})  # noqa: S102
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [method for method, _, _ in printed] == list(METHODS)
+    for _, page, package in printed:
+        assert float(page) == pytest.approx(float(package), abs=0.002)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_metrics_and_maps_are_equal(seed):
     code, _ = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
