@@ -141,7 +141,7 @@ def test_titles_and_notes_say_what_is_drawn():
     sensor_map, scored = compared(30, 3, 3)
     said = texts(map_figure(sensor_map, scored))
     assert f"r-anisomap, 30 sensors, Mantel r {scored.mantel.r:.3f}" in said
-    assert f"null, 95 %: {scored.mantel.quantiles()[0.95]:.2f}" in said
+    assert f"null, 95%: {scored.mantel.quantiles()[0.95]:.2f}" in said
     assert f"{scored.rms:.3g} mm" in said
     with pytest.raises(InputError, match="no sensor of the map has a position"):
         map_figure(SensorMap(np.full((5, 3), np.nan)))

@@ -98,7 +98,7 @@ def test_ellipses_are_offered_only_where_they_differ():
         page = page_of(made, scored)
         assert ("ellipses" in scene_of(page)[0]) == offered
         assert ("ellipses" in page.values("name")) == offered
-        assert ("95 % (mm)" in page.header) == offered
+        assert ("95% (mm)" in page.header) == offered
     checked = [name for tag, name, _ in page.attributes if tag == "input" and name == "checked"]
     assert len(checked) == 1, "only neighbours are shown at first"
     metres = replace(
@@ -186,7 +186,7 @@ def test_the_verdict_comes_first_and_nothing_is_said_twice():
     assert good.text.index("Verdict: cannot tell.") < good.text.index("Mantel r")
     for part in (
         f"{scored.mantel.r:.3f}",
-        f"{scored.mantel.quantiles()[0.95]:.3f} at most in 95 % of random permutations",
+        f"{scored.mantel.quantiles()[0.95]:.3f} at most in 95% of random permutations",
         f"{number(scored.rms)} mm",
         number(scored.rms_in_spacings, 3),
         "known up to rotation, translation, scale and reflection",

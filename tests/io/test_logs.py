@@ -237,7 +237,7 @@ def test_meshes_are_no_tables(put, name: str) -> None:
 
 def test_an_inertial_unit_is_no_layout(put) -> None:
     text = "time,x,y,z\n" + "".join(f"{t / 50},{t % 3},{t % 5},9.8\n" for t in range(50))
-    with pytest.raises(FileError, match=r"holds times .*'time'.* no list of positions"):
+    with pytest.raises(FileError, match=r"holds times .*'time'.* not a list of positions"):
         io.read_map(put("imu.csv", text))
 
 

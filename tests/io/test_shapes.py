@@ -129,7 +129,7 @@ def test_rows_of_a_grid(put) -> None:
     found = io.read(path, options=ReadOptions(grid=(6, 4)))
     np.testing.assert_array_equal(found.readings, frames.reshape(50, -1))
     assert found.names[5] == "r1c1"
-    with pytest.raises(FileError, match="no multiple of 7"):
+    with pytest.raises(FileError, match="not a multiple of the 7 rows"):
         io.read(path, options=ReadOptions(grid=(7, 4)))
 
 

@@ -204,7 +204,7 @@ def test_a_recording_that_was_cut_is_continued(recorder, tmp_path):
 
 def test_what_is_no_recording_of_a_session_is_not_continued(tmp_path):
     (tmp_path / "skin.csv").write_text("a,b\n1,2\n3,5\n4,1\n")
-    with pytest.raises(FileError, match="no recording of a live session"):
+    with pytest.raises(FileError, match="not a recording of a live session"):
         Journal.of(tmp_path / "skin.csv")
 
 

@@ -106,7 +106,8 @@ def print_health(
         printer.say(f"  {join_items(names)}: {reason}")
     if len(faulty) > len(shown):
         printer.line(
-            f"  ... and {len(faulty) - len(shown)} more sensors: anisomap info --all lists them"
+            f"  ... and {counted(len(faulty) - len(shown), 'more sensor')}: "
+            "anisomap info --all lists them all"
         )
 
 
@@ -131,7 +132,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     """Print what a map places, and how well it fits."""
     n_placed, dimensions = int(np.count_nonzero(sensor_map.placed)), sensor_map.dimensions
     kind, sizes, order = sensor_map.kind, sensor_map.component_sizes, _order(sensor_map)
-    placed = f"{n_placed} of {sensor_map.n_sensors}, in {dimensions} dimensions"
+    placed = f"{n_placed} of {sensor_map.n_sensors}, in {counted(dimensions, 'dimension')}"
     components, means = str(len(sizes)), "0 is a perfect fit of the metric"
     if len(sizes) > 1:
         placed += f", of which {sizes[0]} relative to one another"

@@ -10,6 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from anisomap.base.defaults import LEVEL
 from anisomap.base.immutable import Immutable
+from anisomap.base.wording import counted
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
 from anisomap.numerics.neighbours import nearest_others, padded
@@ -149,7 +150,8 @@ def compare_maps(before: SensorMap, after: SensorMap, *, level: float = LEVEL) -
     left_out = int(np.count_nonzero(pair.placed.all(axis=0) & ~compared))
     if left_out:
         notes.append(
-            f"{left_out} sensors not compared: their components share fewer than {MIN_COMPARED}"
+            f"{counted(left_out, 'sensor')} not compared: their components share fewer than "
+            f"{MIN_COMPARED}"
         )
     here = pair.placed & pair.working
     return Difference(

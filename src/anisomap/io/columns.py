@@ -73,7 +73,7 @@ def _say_others(path: Path, names: tuple[str, ...], others: dict[int, str]) -> N
         label = quote_if_needed(names[i]) if names else f"column {i + 1}"
         kinds.setdefault(what, []).append(label)
     said = "; ".join(f"{join_items(labels, _FEW)}: {what}" for what, labels in kinds.items())
-    warn(path, f"left out as no sensors: {said}. Give --keep to choose the sensors yourself")
+    warn(path, f"columns that are not sensors are left out ({said}); give --keep to choose others")
 
 
 def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
@@ -96,7 +96,7 @@ def _one_axis(stream: Stream, axis: str) -> Stream:
     problem = f"{len(places)} taxels with three axes: {what} is read"
     if taxels.incomplete:
         labels = join_items([stream.names[i] for i in taxels.incomplete], _FEW)
-        problem += f", and left out is what lacks an axis ({labels})"
+        problem += f"; taxels that lack an axis are left out ({labels})"
     warn(stream.path, f"{problem}; choose with --axis z, norm, x, y, or all for each by itself")
     names = (*taxels.columns, *(stream.names[i] for i in others))
     if len(set(names)) < len(names):

@@ -299,8 +299,8 @@ def _of_phylip(file: Path, lines: Sequence[str]) -> Rows:
     if len(found) != n + n * (n - 1) // 2:
         if len(words) > 1 and len(words[1]) > 1 and _number(words[1][0]) is None:
             raise FileError(
-                f"{file} announces {n} objects, but what follows is no square or lower triangle of "
-                f"them: {len(found)} names and numbers; names must not hold blanks"
+                f"{file} announces {n} objects, but what follows is neither a square nor a lower "
+                f"triangle of them: {len(found)} names and numbers; names must not hold blanks"
             )
         return []
     rows, start = Rows(), 0

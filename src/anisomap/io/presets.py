@@ -74,7 +74,7 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
             n_frames, left = divmod(len(block.readings), rows)
             if left:
                 raise FileError(
-                    f"{stream.path}: its rows are no multiple of {rows}, the rows of a frame"
+                    f"{stream.path}: its rows are not a multiple of the {rows} rows of a frame"
                 )
             yield replace(
                 block.part(0, None),

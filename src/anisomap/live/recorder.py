@@ -82,7 +82,7 @@ class Journal:
         except OSError as error:
             raise FileError(f"cannot read {path}: {error.strerror or error}") from error
         if not names or not is_timed:
-            raise FileError(f"{path} is no recording of a live session: it lacks names or times")
+            raise FileError(f"{path} is not a recording of a live session: it lacks names or times")
         return cls(tuple(names), header_bytes, size, n_frames, float(last), has_gaps)
 
 

@@ -287,7 +287,7 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
         for one in records[:MAX_SHOWN]:
             printer.say(f"  {one['kind']}: {one['explanation']}")
         if len(records) > MAX_SHOWN:
-            printer.line(f"  ... and {len(records) - MAX_SHOWN} more findings")
+            printer.line(f"  ... and {counted(len(records) - MAX_SHOWN, 'more finding')}")
     printer.notes(found.notes)
     printer.record(
         found,

@@ -281,7 +281,7 @@ def draw_distances(axes: Axes, score: Score) -> None:
     axes.set_xlabel(axis_title("true distance", score.units), parse_math=False, color=INK)
     axes.set_ylabel(axis_title("distance on the map", score.units), parse_math=False, color=INK)
     axes.locator_params(nbins=5)
-    null = f" (null, 95 %: {quantiles[0.95]:.2f})" if quantiles else ""
+    null = f" (null, 95%: {quantiles[0.95]:.2f})" if quantiles else ""
     set_title(axes, f"Distances: Mantel r {score.mantel.r:.3f}{null}\n{label}")
 
 

@@ -522,7 +522,7 @@ def plot_placement(
     title, note = f"Placed in {placed.frame}: {placement.methods[0]}", ""
     if np.isfinite(placed.errors).any():
         error = f"{float(np.nanmedian(placed.errors)):.2g} {placed.units}"
-        note = f"90 % of the sensors are within their error, {error} in the median."
+        note = f"90% of the sensors are within their error, {error} in the median."
     with panel(ax, span_dimensions(placement.map.positions), title, note, legend=4) as axes:
         _draw_displacements(axes, placed.positions, nowhere, kinds, labels, units=placed.units)
         if mesh is not None and axes.name == "3d":

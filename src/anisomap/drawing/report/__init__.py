@@ -116,7 +116,7 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
         null, mantel = score.mantel.quantiles(), score.mantel
         meaning = "correlation of the distances on the map with the true distances; at most 1"
         if null:
-            meaning += f"; {null[0.95]:.3f} at most in 95 % of random permutations"
+            meaning += f"; {null[0.95]:.3f} at most in 95% of random permutations"
             meaning += f", p = {number(mantel.p_value, 2)}"
         in_spacings = (
             f"or {number(score.rms_in_spacings, 3)} spacings of "
@@ -193,7 +193,7 @@ def _sensor_table(
         unit = "" if units in UNSCALED else f" ({units})"
         radii = scale * ellipses(sensor_map.covariances[shown])[0].max(axis=1)
         cells = [_cell(radius) for radius in radii.tolist()]
-        columns[f"95 %{unit}"] = "longest half axis of the 95 % ellipse", cells
+        columns[f"95%{unit}"] = "longest half axis of the 95% ellipse", cells
     if health:
         known = [assessed.get(sensor_map.names[i]) for i in shown]
         for title, (meaning, attribute, written) in _MEASURED.items():

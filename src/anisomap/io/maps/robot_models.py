@@ -162,7 +162,7 @@ def _document(
         *(f"note: {note}" for note in sensor_map.notes),
     ]
     if np.isfinite(sensor_map.errors).any():
-        lines.append("90 % of the sensors are within their error, in metres:")
+        lines.append("90% of the sensors are within their error, in metres:")
         lines += [
             f"error of {name}: {error * METRES[sensor_map.units]:.3g}"
             for name, error in zip(sensor_map.names, sensor_map.errors.tolist(), strict=True)

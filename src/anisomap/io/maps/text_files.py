@@ -155,7 +155,7 @@ def _find_columns(
     if found:
         header = {word: i for i, word in reversed(list(enumerate(words)))}
         if clocks := [word for word, i in header.items() if is_time(word, i)]:
-            problem = "so it is a recording and no list of positions"
+            problem = "so it is a recording, not a list of positions"
             raise FileError(f"{path} holds times (column {quote(clocks[0])}), {problem}")
         return [i for i, _ in found], header, found[0][1]
     start = 0 if is_number(fields[0], None) else 1

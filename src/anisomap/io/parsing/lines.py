@@ -120,7 +120,7 @@ class Template:
 
 def _seconds(token: str) -> str:
     if (at := parse_clock(token)) is None:
-        raise MisfitError(f"{quote(token)} is no time of the day")
+        raise MisfitError(f"{quote(token)} is not a time of day")
     return repr(at)
 
 

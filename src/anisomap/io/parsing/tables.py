@@ -241,8 +241,8 @@ def _single_lines(
         else:
             yield number, line
     if again and not quietly:
-        count = f"{len(again)} lines, from line {again[0]} on, repeat lines"
-        problem = count if len(again) > 1 else f"line {again[0]} repeats a line"
+        count = f"{len(again)} lines, from line {again[0]} on, repeat earlier lines"
+        problem = count if len(again) > 1 else f"line {again[0]} repeats an earlier line"
         warn(table.path, f"skipped: {problem} above the first frame; the recorder restarted")
 
 

@@ -304,7 +304,7 @@ class _Bag:
         connections = [each for each in self.reader.connections if each.topic == topic]
         for connection, stamp, raw in self.reader.messages(connections):
             if not isinstance(stamp, int):  # a database holds any type
-                raise DamagedError(f"{self.path}: the stamp of a message is no whole number")
+                raise DamagedError(f"{self.path}: the stamp of a message is not a whole number")
             yield self.reader.deserialize(raw, connection.msgtype), stamp
 
     def array_fields(self, message_type: str, depth: int = 0) -> list[str]:
