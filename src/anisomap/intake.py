@@ -148,9 +148,12 @@ def _of_mne(raw: Any) -> Taken:
             f"the recording has channels of {join_items(list(counts)) or 'no sensor'}; choose one "
             "type, as in raw.copy().pick('eeg')"
         )
-    picked, _ = good_channels(raw, next(iter(counts)))
-    if bad := raw.info["bads"]:
-        _say(f"channels marked as bad are left out: {join_items(sorted(set(bad)))}")
+    (kind,) = counts
+    picked, left_out = good_channels(raw, kind)
+    if not picked:
+        raise InputError(f"all channels of type {kind} are marked as bad")
+    if left_out:
+        _say(f"channels marked as bad are left out: {join_items(left_out)}")
     readings = np.ascontiguousarray(raw.get_data(picks=picked, verbose="ERROR").T)
     names = tuple(raw.ch_names[i] for i in picked)
     return Taken(readings, names, rate_hz=float(raw.info["sfreq"]))

@@ -264,11 +264,14 @@ def test_raw_recordings_of_mne() -> None:
     kinds = ["eeg"] * N_SENSORS + ["stim"]
     info = mne.create_info([*NAMES, "STI"], 250.0, kinds)
     raw = mne.io.RawArray(np.vstack([PRESSED.T, np.zeros(N_FRAMES)]), info, verbose="ERROR")
-    raw.info["bads"] = ["c3"]
-    with pytest.warns(AnisomapWarning, match="marked as bad are left out: c3"):
+    raw.info["bads"] = ["c3", "STI"]
+    with pytest.warns(AnisomapWarning, match="marked as bad are left out: c3$"):
         found = Recording(raw)
     np.testing.assert_array_equal(found.readings, np.delete(PRESSED, 3, axis=1))
     assert (found.names[3], found.rate_hz) == ("c4", 250)
+    raw.info["bads"] = list(NAMES)
+    with pytest.raises(InputError, match="all channels of type eeg are marked as bad"):
+        Recording(raw)
 
 
 @pytest.mark.parametrize(
