@@ -18,7 +18,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
 from anisomap._version import __version__
 from anisomap.cli import INTERRUPTED, INTERRUPTION, end
-from anisomap.cli.brief import HELP_ALL, command_page, commands_page, name_of
+from anisomap.cli.brief import HELP_ALL, command_page, commands_page
 from anisomap.cli.console import (
     Printer,
     console,
@@ -131,7 +131,7 @@ def _misuse(error: CycloptsError) -> str:
     """Say what is wrong with the arguments of a command."""
     if not isinstance(error, MissingArgumentError) or error.argument is None:
         return f"{str(error).rstrip('.')} (see --help)"
-    name = error.keyword or name_of(error.argument)
+    name = error.keyword or error.argument.name
     what = f"{name} needs a value" if name.startswith("-") else f"{name} is missing"
     return f"{what} (see anisomap {' '.join(error.command_chain or ())} --help)"
 

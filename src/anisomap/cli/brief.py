@@ -75,13 +75,8 @@ def _sentence(text: str) -> str:
     return first.replace("`", "").removesuffix(".")
 
 
-def name_of(argument: Argument) -> str:
-    """Return the name of an argument, of a list that of one value."""
-    return argument.name.removesuffix("S") if _is_list(argument) else argument.name
-
-
 def _positional(argument: Argument) -> str:
-    name = name_of(argument) + (" ..." if _is_list(argument) else "")
+    name = f"{argument.name} ..." if _is_list(argument) else argument.name
     return name if argument.required else f"[{name}]"
 
 

@@ -135,7 +135,8 @@ def compare(
     recordings: Annotated[
         list[Path],
         Parameter(
-            help="Recordings with known positions, or folders of such recordings as NPZ files."
+            name="RECORDING",
+            help="Recordings with known positions, or folders of such recordings as NPZ files.",
         ),
         options.existing,
     ],

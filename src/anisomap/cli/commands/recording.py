@@ -207,7 +207,9 @@ class MappingOptions:
 
 def map_recording(
     recordings: Annotated[
-        list[Path], Parameter(help="Recording files of one skin."), options.existing
+        list[Path],
+        Parameter(name="RECORDING", help="Recording files of one skin."),
+        options.existing,
     ],
     /,
     *,
