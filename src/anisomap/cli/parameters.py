@@ -48,9 +48,9 @@ class ReadingOptions:
         /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics or
         ports are separated by commas.
     positions
-        File of true positions, for a score. They are matched by the names of the sensors or the
-        numbers at their ends. Sensors that a list of contacts or spikes does not mention are added:
-        they were silent.
+        File of true positions of the sensors. They are matched by the names or the numbers at their
+        ends, and maps are scored against them. Sensors that a list of contacts or spikes does not
+        mention are added: they were silent.
     grid
         Rows and columns of an array in row-major order, as in 32x64. They give the true positions.
     preset
