@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
+from importlib.util import find_spec
 from sys import modules
 from typing import Any, Protocol, TypeVar
 
@@ -52,6 +53,11 @@ def load_loops(name: str) -> Any:
     return import_module(f"anisomap.numerics.compiled.{name}")
 
 
+def has_loops() -> bool:
+    """Return whether loops can be compiled, for what is merely faster by them."""
+    return find_spec("numba") is not None
+
+
 def thread_count() -> int:
     """Return the number of threads for compiled loops.
 
@@ -66,7 +72,7 @@ def _numba() -> Any:
 
 def is_parallel(n_rows: int) -> bool:
     """Return whether `parallel_map` uses threads for `n_rows` rows."""
-    return n_rows >= MIN_PARALLEL_ROWS and thread_count() > 1
+    return n_rows >= MIN_PARALLEL_ROWS and has_loops() and thread_count() > 1
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
+    has_loops,
     limited_blas,
     load_loops,
     parallel_map,
@@ -133,7 +134,7 @@ def most_similar(
     whole (N, N): The products of all rows, if they are known.
     """
     n_sensors = len(rows)
-    if n_sensors < MIN_COMPILED_ROWS:
+    if n_sensors < MIN_COMPILED_ROWS or not has_loops():
         return _most_similar_of_few(rows, count, whole)
     found = np.full((n_sensors, count), NO_SENSOR, dtype=np.int64)
     products = np.full(found.shape, -np.inf, dtype=np.float32)

@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_array
 
 from anisomap.numerics.columns import centred_rows, ranked
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
+from anisomap.numerics.compiled.parallel import (
+    MIN_COMPILED_ROWS,
+    has_loops,
+    load_loops,
+    parallel_map,
+)
 from anisomap.numerics.precision import MAX_SQUARED, Floats, Reals, float_type, mirror, row_blocks
 from anisomap.numerics.similarity.co_occurrence import (
     CHUNK_FRAMES,
@@ -129,7 +134,7 @@ class Moments:
 
     @classmethod
     def _of_chunk(cls, chunk: NDArray[np.generic], single: bool) -> Moments:
-        if chunk.shape[1] >= MIN_COMPILED_ROWS and is_sparse(chunk):
+        if chunk.shape[1] >= MIN_COMPILED_ROWS and has_loops() and is_sparse(chunk):
             return cls(len(chunk), *sparse_comoments(chunk))
         if single and (found := _float32_deviations(chunk)) is not None:
             centre, small = found
