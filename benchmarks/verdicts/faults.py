@@ -35,11 +35,12 @@ WAYS = ("", *(one for one in DAMAGES if one != "swapped"))  # all the time: maps
 OK = "ok"
 
 FOUND = {
-    "swapped": "changed", "shifted": "changed", "modules": "changed", "posture": "changed",
+    "swapped": "changed steps", "shifted": "changed steps", "modules": "changed steps",
+    "posture": "changed",
     "mounting": "changed drift", "inverted": "inverted", "copied": "copies", "shorted": "copies",
     "saturating": "saturation", "leak": "leak", "gain-drift": "drift changed",
     "common-noise": "common-noise", "spikes": "spikes glitches", "frozen": "frozen",
-    "steps": "drift changed", "gaps": "gaps", "lags": "lags",
+    "steps": "steps drift", "gaps": "gaps", "lags": "lags",
 }  # fmt: skip
 """Kinds of findings that are right, by damage."""
 

@@ -558,6 +558,36 @@ def test_sensors_that_repeat_their_readings_are_named_and_no_others():
     assert not found.mendable
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_sensors_whose_rest_steps_are_named_with_a_frame_and_no_others(seed):
+    rng, sound = np.random.default_rng(seed), noisy_skin(seed)
+    some, readings = rng.permutation(72)[:12], np.array(sound.readings)
+    assert "steps" not in kinds(find_faults(sound))
+    for frame in (500, 1100):
+        readings[frame:, some] += 0.4 * rng.permutation([*[-1, 1] * 6]) * rng.uniform(1, 2, 12)
+    (found,) = (
+        one for one in find_faults(replace(sound, readings=readings)) if one.kind == "steps"
+    )
+    assert set(found.values["frames"]) <= {500, 1100}
+    assert set(found.sensors) <= {sound.names[i] for i in some}
+    assert len(found.sensors) >= 6
+
+
+@pytest.mark.parametrize("noise", [0, 0.01])
+@pytest.mark.parametrize("seed", range(8))
+def test_blocks_that_are_moved_at_once_and_held_are_no_steps(noise, seed):
+    rng, places = np.random.default_rng(seed), lattice(9, 9)
+    lengths = rng.integers(30, 200, 40)
+    held = [
+        (np.linalg.norm(places - rng.uniform(0, 8, 2), axis=1) < rng.uniform(1, 6))
+        * rng.uniform(0.5, 1, 81)
+        for _ in lengths
+    ]
+    readings = np.repeat(held, lengths, axis=0)
+    readings = readings + noise * rng.normal(size=readings.shape)
+    assert list(CHECKS["steps"](Recording(readings))) == []
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_still_contacts_are_not_frozen_readings(form):
     """Frames of a still contact repeat if readings have no noise, and do not if they have."""

@@ -21,6 +21,7 @@ from anisomap.health.recording_faults.drift import find_drift
 from anisomap.health.recording_faults.gaps import find_frozen, find_gaps
 from anisomap.health.recording_faults.lags import find_lags
 from anisomap.health.recording_faults.leaks import find_leak
+from anisomap.health.recording_faults.steps import find_steps
 from anisomap.health.recording_faults.stimulation import (
     find_clipped,
     find_one_period,
@@ -41,6 +42,7 @@ CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
         "common-noise": find_common_noise,
         "spikes": find_spikes,
         "drift": find_drift,
+        "steps": find_steps,
         "saturation": find_clipped,
         "inverted": find_inverted,
         "lags": find_lags,
@@ -105,8 +107,8 @@ def repair(recording: Recording | ArrayLike) -> Repair:
     Notes
     -----
     Copies, lags, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. Leaks,
-    drift, limited ranges, glitches, spikes and noise of all sensors are named only: to subtract or
-    replace what is estimated of them harms more maps than it mends.
+    drift, steps, limited ranges, glitches, spikes and noise of all sensors are named only: to
+    subtract or replace what is estimated of them harms more maps than it mends.
 
     Examples
     --------

@@ -201,6 +201,14 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             ),
             "sensors that drift alike look related, and contacts are hidden",
         ),
+        "steps": _Words(
+            "share of the sensors",
+            lambda f: (
+                f"the level at rest of {_of_all(f)} steps at "
+                f"{noun_and_items('frame', f.values['frames'])}"
+            ),
+            "sensors that step alike look related, and contacts are hidden",
+        ),
         "saturation": _Words(
             "share of the frames",
             lambda f: (
