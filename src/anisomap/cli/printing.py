@@ -278,10 +278,12 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
     if coverage.untouched.size:
         told.append(f"{counted(coverage.untouched.size, 'sensor', len(counts))} untouched")
     if apart:
-        told.append(f"{apart} of {len(coverage.pairs)} pairs of neighbours never touched together")
+        told.append(
+            f"{apart} of {len(coverage.pairs)} pairs of neighbours were never touched together"
+        )
     around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
     untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
-    enough = f"no place stands out: all neighbours had about {ENOUGH_CONTACTS} contacts together"
+    enough = f"no place: neighbours were touched together about {ENOUGH_CONTACTS} times or more"
     return {
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),
