@@ -16,8 +16,6 @@ from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
-from anisomap.recording import sensor_mask
-from anisomap.route import split_names
 
 if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding
@@ -45,6 +43,8 @@ def convert(
     anisomap convert skin.map.csv skin.icub.txt --drop s3,c0-c35 --mirror
     """
     from anisomap.cli.outputs import Outputs
+    from anisomap.recording import sensor_mask
+    from anisomap.route import split_names
 
     outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)
     sensor_map = io.read_map(map_file)
