@@ -3,9 +3,10 @@
 The layout of each recording is checked as it is, with all frames, and corrected by what was found,
 which is printed. Then modules of the corrected layout are turned, mirrored, exchanged in pairs, or
 moved to a free place (a tenth of the modules, at least one), or six neighbours are mirrored in
-their places; each fault is checked against windows of an eighth of the frames to all. Counted are
-wrong modules that are named (half of their wrong sensors are accused, or more), wrong modules that
-are corrected (to half a spacing), and right modules of which any sensor is accused. ``--picture
+their places, or turned or mirrored as one to where no other pads are; each fault is checked against
+windows of an eighth of the frames to all. Counted are wrong modules that are named (half of their
+wrong sensors are accused, or more), wrong modules that are corrected (to half a spacing), and right
+modules of which any sensor is accused. ``--picture
 docs/_static/check-torso.png`` draws the check of the first layout as it is.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 import anisomap
 from anisomap.drawing.figures import plot_layout
@@ -33,7 +35,11 @@ from benchmarks.harness import frame, keyed_table, options, quietly, read_rows, 
 FIRST_SEED = 2001
 SHARES = (1.0, 0.5, 0.25, 0.125)
 WRONG = 0.1  # of the modules
-PATCH = 6  # modules that are mirrored together
+PATCH = 6  # modules that are turned or mirrored together
+TURN = 60.0  # degrees, of which patches are turned by a multiple
+TRIES = 200
+GAP = 0.6  # of the spacing of pads: pads of a turned patch nearer to others are in their way
+IN_THE_WAY = 0.1  # share of the pads of a patch
 SIZE = 12  # channels of a module
 Points = NDArray[np.float64]
 Placed = dict[int, Points]
@@ -177,6 +183,35 @@ def turned(
     return {int(m): mounting.places(int(m), int(m), int(rng.choice(turns))) for m in chosen}
 
 
+def turned_together(
+    layout: anisomap.SensorMap, modules: Modules, rng: np.random.Generator
+) -> Placed:
+    """Turn or mirror neighbours as one about their middle, where they are not in others' way."""
+    mounting = Mounting.of(modules, layout.positions, layout.units)
+    k = layout.dimensions
+    for _ in range(TRIES):
+        first = int(rng.integers(mounting.n_modules))
+        away = np.linalg.norm(mounting.middles - mounting.middles[first], axis=1)
+        chosen = np.argsort(away)[:PATCH].tolist()
+        sensors = np.concatenate([mounting.members[m] for m in chosen])
+        centre = layout.positions[sensors].mean(axis=0)
+        apart = layout.positions[sensors] - centre
+        axes = np.linalg.svd(apart, full_matrices=False)[2]
+        angle, hand = np.radians(TURN * rng.integers(6)), rng.choice([1.0, -1.0])
+        turn = np.eye(k)
+        cos, sin = np.cos(angle), np.sin(angle)
+        turn[:2, :2] = [[cos, -hand * sin], [sin, hand * cos]]
+        places = apart @ axes.T @ turn.T @ axes + centre
+        others = np.delete(layout.positions, sensors, axis=0)
+        nearest = KDTree(others).query(places)[0]
+        far = np.linalg.norm(places - layout.positions[sensors], axis=1)
+        free = np.mean(nearest < GAP * mounting.pitch) <= IN_THE_WAY
+        if free and np.median(far) > mounting.pitch:
+            ends = np.cumsum([len(mounting.members[m]) for m in chosen])[:-1]
+            return dict(zip(chosen, np.split(places, ends), strict=True))
+    return {}
+
+
 def exchanged(layout: anisomap.SensorMap, modules: Modules, rng: np.random.Generator) -> Placed:
     """Exchange pairs of modules, each turned at random."""
     mounting = Mounting.of(modules, layout.positions, layout.units)
@@ -205,6 +240,7 @@ FAULTS: dict[str, Callable[[anisomap.SensorMap, Modules, np.random.Generator], P
     "patch mirrored": lambda layout, modules, rng: turned(
         layout, modules, rng, reflected=True, patch=PATCH
     ),
+    "patch as one": turned_together,
     "exchanged": exchanged,
     "moved": moved,
 }

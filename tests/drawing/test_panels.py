@@ -12,8 +12,7 @@ from anisomap.drawing.figures import charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import NullTest, compare_maps, score, shepard, stress_per_point
 from anisomap.health import SensorHealth
-from anisomap.layout import LayoutCheck
-from anisomap.layout.checking import LayoutFinding
+from anisomap.layout import LayoutCheck, LayoutFinding
 from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap

@@ -73,6 +73,45 @@ def test_a_mirrored_patch_is_one_finding(statistics):
     assert finding.z > 3
 
 
+@pytest.mark.parametrize(
+    ("patch", "angle", "hand", "words"),
+    [
+        ((1, 2, 3, 6, 7, 8), 60, 1, "turned together by 60 degrees clockwise"),
+        ((1, 2, 3, 6, 7, 8), 0, -1, "mirrored together"),
+        ((6, 7, 8, 9), 180, 1, "turned together by 180 degrees"),
+        ((7, 8, 9, 10, 11), 0, -1, "mirrored together"),
+    ],
+)
+def test_a_patch_that_is_turned_or_mirrored_as_one_is_one_finding(patch, angle, hand, words):
+    recording = Recording(rubbed(TRUTH, 4000, seed=431), names=NAMES)
+    inside = np.concatenate([MOUNTING.members[m] for m in patch])
+    cos, sin = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    turn = np.array([[cos, -hand * sin], [sin, hand * cos]])
+    centre = TRUTH[inside].mean(axis=0)
+    stated = TRUTH.copy()
+    stated[inside] = (TRUTH[inside] - centre) @ turn.T + centre
+    layout = replace(RIGHT, positions=stated)
+    found = check_layout(layout, recording, modules=MODULES)
+    (finding,) = (one for one in found.findings if one.kind != "dead")
+    assert named(found) == set(patch)
+    assert finding.explanation.endswith(f"of one patch are {words}")
+    assert check_layout(found.corrected, recording, modules=MODULES).consistent
+
+
+def test_that_nothing_tells_how_a_separate_patch_lies_is_said():
+    """No contact reaches both patches."""
+    second = TRUTH @ np.diag([1, -1]) + [30, 0]
+    names = tuple(f"taxel{i}" for i in range(2 * len(TRUTH)))
+    modules = modules_by_size(names, 10, first=0).with_template(TEMPLATE)
+    readings = np.zeros((5000, len(names)))
+    readings[:2500, : len(TRUTH)] = rubbed(TRUTH, 2500, seed=430)
+    readings[2500:, len(TRUTH) :] = rubbed(TRUTH, 2500, seed=431)
+    layout = SensorMap(np.vstack([TRUTH, second]), names=names, units="mm")
+    found = check_layout(layout, Recording(readings, names=names), modules=modules)
+    assert found.consistent
+    assert "apart from others, those that begin with taxel120 to taxel129" in " ".join(found.notes)
+
+
 def test_a_turn_by_the_symmetry_of_a_layout_is_not_found(statistics):
     """Distances between all places stay as they are."""
     angle = np.deg2rad(77)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from anisomap.layout.borders import AGREEING, border
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
 from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
 from anisomap.layout.modules import Mounting
@@ -152,11 +153,13 @@ class JointSearch:
             evidence, move = self._arranged(), self._move(placed)
             holds = evidence.gain(move) >= MIN_GROUP_GAIN
             if holds and len(placed) == 1:
-                # A free place is near anything, and must be right by all criteria.
+                # A free place is near anything, and must be right by all criteria; and those around
+                # its stated place may be wrong themselves.
                 m, slot, _ = placed[0]
+                elsewhere = border(evidence, self._members, [m]) < -AGREEING
                 turns = range(len(self._mounting.orientations))
                 every = [self._move([(m, slot, turn)]) for turn in turns]
-                holds = self._judge.weigh(evidence, move, every, rigid=True).holds
+                holds = elsewhere and self._judge.weigh(evidence, move, every, rigid=True).holds
             if holds:
                 changed |= modules
                 for m, slot, turn in placed:

@@ -121,7 +121,7 @@ def _translated(evidence: Evidence) -> list[Proposal]:
         close = np.linalg.norm(offsets - offset, axis=1) <= _VOTE_RADIUS * evidence.falloff.spacing
         grown = _grown(evidence, offset, np.unique(voters[close]))
         proposals += [
-            refined(evidence, patch, evidence.positions[patch] + offset)
+            _refined(evidence, patch, evidence.positions[patch] + offset)
             for patch in _held_together(evidence, grown)
             if _MIN_PATCH <= len(patch) <= largest
         ]
@@ -207,11 +207,11 @@ def _best_place(evidence: Evidence, patch: NDArray[np.intp]) -> Proposal | None:
         hands = (False, True) if here.shape[1] == 2 else (False,)
         fits = [fit_similarity(here, targets, known, scaling=False, reflection=h) for h in hands]
         chosen += [fit.apply(here) for fit in fits]
-    found = [refined(evidence, patch, places) for places in chosen]
-    return max(found, key=lambda proposal: proposal.gain) if found else None
+    refined = [_refined(evidence, patch, places) for places in chosen]
+    return max(refined, key=lambda proposal: proposal.gain) if refined else None
 
 
-def refined(evidence: Evidence, patch: NDArray[np.intp], guess: NDArray[np.float64]) -> Proposal:
+def _refined(evidence: Evidence, patch: NDArray[np.intp], guess: NDArray[np.float64]) -> Proposal:
     """Refine the place, and the rotation of three and more sensors, from a first guess."""
     spacing, dimensions = evidence.falloff.spacing, guess.shape[1]
     centre = guess.mean(axis=0)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.layout.borders import AGREEING, border
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
 from anisomap.layout.joint import Change, JointSearch
-from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
+from anisomap.layout.judging import MIN_GROUP_GAIN, MIN_Z, Judge, Verdict
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import (
     is_possible,
@@ -74,10 +74,11 @@ class Search:
                 other = JointSearch(turned, mounting, self.judge)
                 evidence, changes = other.run()
                 change = self._turned(evidence, start, patch)
-                # Both sums count each pair twice.
-                fit = replace(evidence, falloff=self.evidence.falloff).likelihood.sum() / 2
-                better = fit - self.evidence.likelihood.sum() / 2 >= MIN_GROUP_GAIN
-                if better and change.verdict.holds:
+                simpler = len(changes) + 1 < len(self.changes)
+                # Few pads are at the border: their agreement with others tells less than all pads.
+                told = change.verdict.gain >= change.verdict.least and change.verdict.z >= MIN_Z
+                beside = border(evidence, mounting.members, patch.modules) > AGREEING
+                if told and beside and self._better(evidence, simpler=simpler):
                     patches.append(change)
                     start, joint, self.mounting = turned, other, mounting
                     self.evidence, self.changes = evidence, changes
@@ -90,6 +91,14 @@ class Search:
             self._explained.update(change.move.sensors.tolist())
         self.arranged = self.evidence
         return self.evidence
+
+    def _better(self, evidence: Evidence, *, simpler: bool) -> bool:
+        """Return whether other places explain the readings better, or by less and as well."""
+        changed = np.flatnonzero((evidence.positions != self.evidence.positions).any(axis=1))
+        move = Move(changed, evidence.positions[changed])
+        if simpler and self.evidence.gain(move) > -MIN_GROUP_GAIN:
+            return True
+        return self.judge.certainly_gains(self.evidence, move)
 
     def _turned(self, evidence: Evidence, start: Evidence, patch: TurnedPatch) -> Change:
         """Weigh a turn of a patch, with all other modules as proposed after it."""

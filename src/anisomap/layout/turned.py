@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
-from anisomap.layout.evidence import Evidence, Move
+from anisomap.layout.borders import AGREEING, bonds
+from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
+from anisomap.layout.judging import MIN_GROUP_GAIN
 from anisomap.layout.modules import Mounting
-from anisomap.layout.patches import refined
-
-_AGREEING = 0.35
-"""Least evidence that two modules are adjacent, as a share of what is expected if they are.
-
-In right layouts of the iCub's torso it is 0.5 and more, around a turned patch 0.05 and less.
-"""
 
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is turned against
-_N_ANGLES = 12  # turns, and as many reflections, from which the best are refined
-_N_STARTS = 3
+_N_ANGLES = 72  # turns, and as many reflections
+_N_BEST = 3  # patches that are tried
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
+_FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are hardly told
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,42 +30,58 @@ class TurnedPatch:
     """
 
     modules: tuple[int, ...]
-    move: Move
     tried: tuple[Move, ...]
 
+    @property
+    def move(self) -> Move:
+        """The best move."""
+        return self.tried[0]
 
-def bonds(evidence: Evidence, mounting: Mounting) -> tuple[NDArray[np.float64], ...]:
-    """Return the evidence that modules are adjacent, and what is expected if they are, (M, M).
 
-    It is the log-likelihood ratio of the similarities of near pads to those of distant pads.
-    """
-    falloff, bins = evidence.falloff, evidence.bins
-    near = evidence.known & (cdist(evidence.positions, evidence.positions) <= evidence.reach)
-    first, second = np.nonzero(near)
-    here = bins[first, second]
-    far = np.full_like(here, len(falloff.level) - 1)
-    inside = np.zeros((mounting.n_modules, len(near)))
-    for m, members in enumerate(mounting.members):
-        inside[m, members] = 1
+def turned_patches(evidence: Evidence, mounting: Mounting) -> list[TurnedPatch]:
+    """Propose patches that fit better turned or mirrored about their middle, the best first."""
+    largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     found = []
-    for similarity in (evidence.similarity[first, second], falloff.level[here]):
-        ratio = np.zeros(near.shape)
-        ratio[first, second] = falloff.log_likelihood(similarity, here)
-        ratio[first, second] -= falloff.log_likelihood(similarity, far)
-        total = inside @ ratio @ inside.T
-        np.fill_diagonal(total, 0)
-        found.append(total)
-    return tuple(found)
+    for group in _contradicted(evidence, mounting):
+        if sum(len(mounting.members[m]) for m in group) > largest:
+            continue
+        moves = _turned(evidence, mounting, group)
+        if (gain := evidence.gain(moves[0])) >= MIN_GROUP_GAIN:
+            found.append((gain, group, moves))
+    found.sort(key=lambda one: -one[0])
+    best = [_on_places(evidence, mounting, group, moves) for _, group, moves in found[:_N_BEST]]
+    return [patch for patch in best if patch is not None]
 
 
-def held_together(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
-    """Divide modules into patches whose readings agree with the layout, the largest first.
+def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
+    """Return the patches apart from a larger one that fit nearly as well turned or mirrored."""
+    if mounting.n_modules < 2:
+        return []
+    graph: Any = csr_array(mounting.adjacent)
+    n_groups, label = connected_components(graph, directed=False)
+    groups = [np.flatnonzero(label == k).tolist() for k in range(n_groups)]
+    least = _FAR * evidence.falloff.spacing
+    found = []
+    for group in sorted(groups, key=lambda one: -len(one))[1:]:
+        far = [
+            move
+            for move in _turned(evidence, mounting, group)
+            if np.linalg.norm(move.places - evidence.positions[move.sensors], axis=1).max() > least
+        ]
+        if len(group) > 1 and far and evidence.gain(far[0]) > -MIN_GAIN:
+            found.append(group)
+    return found
+
+
+def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
+    """Return the groups of modules that agree with each other, but with none around them.
 
     Greedy additive edge contraction: Keuper et al. (2015), ICCV, 1751-1759.
     """
-    found, expected = bonds(evidence, mounting)
-    weights = found - _AGREEING * expected
+    found, expected = bonds(evidence, mounting.members)
+    weights = found - AGREEING * expected
     groups = [[m] for m in range(mounting.n_modules)]
+    contradicted = []
     while len(groups) > 1:
         np.fill_diagonal(weights, -np.inf)
         a, b = sorted(map(int, np.unravel_index(weights.argmax(), weights.shape)))
@@ -77,25 +91,18 @@ def held_together(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
         weights[a] += weights[b]
         weights[:, a] = weights[a]
         weights = np.delete(np.delete(weights, b, 0), b, 1)
-    return sorted(groups, key=lambda group: -len(group))
+        if np.delete(found[groups[a]], groups[a], axis=1).sum() < 0:
+            contradicted.append(groups[a])
+    return contradicted
 
 
-def turned_patches(evidence: Evidence, mounting: Mounting) -> list[TurnedPatch]:
-    """Propose the best orientation of each patch of two modules and more about its middle."""
-    found = []
-    for group in held_together(evidence, mounting)[1:]:
-        sensors = np.concatenate([mounting.members[m] for m in group])
-        if len(group) < 2 or len(sensors) > _MAX_SHARE * np.count_nonzero(evidence.usable):
-            continue
-        here = evidence.positions[sensors]
-        before = evidence.likelihood_at(sensors, here)
-        moves = [Move(sensors, places) for places in _turns(here)]
-        moves.sort(key=lambda move: -evidence.gain(move, before))
-        best = [refined(evidence, sensors, move.places).move for move in moves[:_N_STARTS]]
-        best = [Move(sensors, _on_places(mounting, group, move.places)) for move in best]
-        best.sort(key=lambda move: -evidence.gain(move, before))
-        found.append(TurnedPatch(tuple(group), best[0], (*best, *moves)))
-    return found
+def _turned(evidence: Evidence, mounting: Mounting, modules: list[int]) -> list[Move]:
+    """Turn and mirror modules about their middle, the best first."""
+    sensors = np.concatenate([mounting.members[m] for m in modules])
+    here = evidence.positions[sensors]
+    before = evidence.likelihood_at(sensors, here)
+    moves = [Move(sensors, places) for places in _turns(here)]
+    return sorted(moves, key=lambda move: -evidence.gain(move, before))
 
 
 def _turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -115,20 +122,28 @@ def _turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _on_places(
-    mounting: Mounting, modules: list[int], places: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the places of modules of the patch if each has that of one, else places as given."""
-    found, taken = [], set()
+    evidence: Evidence, mounting: Mounting, modules: list[int], moves: list[Move]
+) -> TurnedPatch | None:
+    """Return the best move, with each module on a place of one of them if all are near one.
+
+    None if that is its own: then each module is turned by itself.
+    """
+    sensors, slots, found = moves[0].sensors, [], []
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
-    for m, there in zip(modules, np.split(places, ends), strict=True):
+    for m, there in zip(modules, np.split(moves[0].places, ends), strict=True):
         options = [
             (float(np.sqrt(((at - there) ** 2).sum(axis=1).mean())), slot, at)
             for slot in modules
             for at in (mounting.places(m, slot, o) for o in range(len(mounting.orientations)))
         ]
         off, slot, at = min(options, key=lambda option: option[0])
-        if off > _SAME * mounting.pitch or slot in taken:
-            return places
-        taken.add(slot)
-        found.append(at)
-    return np.concatenate(found)
+        if off <= _SAME * mounting.pitch:
+            slots.append(slot)
+            found.append(at)
+    if slots == modules:
+        return None
+    if set(slots) == set(modules):
+        onto = Move(sensors, np.concatenate(found))
+        if evidence.gain(onto) > evidence.gain(moves[0]) - MIN_GAIN:
+            moves = [onto, *moves]
+    return TurnedPatch(tuple(modules), tuple(moves))

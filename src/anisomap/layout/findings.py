@@ -1,0 +1,187 @@
+"""Results of a check of a layout."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anisomap.base.wording import html_table
+from anisomap.sensor_map import SensorMap
+
+OK = "ok"
+"""Status of a tested sensor that reads as its place says."""
+
+NOT_TESTED = "not tested"
+DEAD = "dead"
+"""Status of a sensor without evidence in the recording, or without a stated position."""
+
+KINDS: Mapping[str, str] = MappingProxyType(
+    {
+        "turned": "a module that is rotated on its own places",
+        "mirrored": "a module that is a mirror image of what the layout states",
+        "exchanged": "modules that have each other's places",
+        "reversed": "all sensors in the reverse order",
+        "shifted": "a run of consecutive sensors that each have the place of the next",
+        "swapped": "two sensors that have each other's places",
+        "cycle": "three and more sensors that each have the place of another of them",
+        "moved": "sensors that belong to a place where no other sensor is",
+        "doubled": "a sensor that repeats the readings of another",
+        "dead": "a sensor that stays constant while its neighbours are touched",
+    }
+)
+"""Kinds of findings."""
+
+
+CONSISTENT, NOT_CONSISTENT = "consistent", "not consistent"
+CONTRADICTED, UNKNOWN = "contradicted as a whole", "unknown"
+"""Verdicts on a layout; after the last two, no single sensor is accused."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutFinding:
+    """Sensors whose readings contradict their positions, and what would explain this.
+
+    Attributes
+    ----------
+    kind : str
+        A key of `KINDS`.
+    sensors : ndarray of int
+        Rows of the layout.
+    explanation : str
+    displacement : float
+        Median distance between the stated and the proposed places, in units of the layout; NaN if
+        no place is proposed.
+    agreement_stated, agreement_proposed, agreement_second : float
+        Mean similarity of the sensors to those around their stated, their proposed, and their
+        second best places; NaN if there are none, or no second best ones.
+    chance : float
+        Largest gain of agreement by a free choice of places after circular shifts in time; NaN
+        if no place is proposed.
+    gain : float
+        Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
+    z : float
+        `gain` in standard errors, from ten parts of the recording that are each left out once;
+        NaN if no place is proposed.
+    """
+
+    kind: str
+    sensors: NDArray[np.intp]
+    explanation: str
+    displacement: float = float("nan")
+    agreement_stated: float = float("nan")
+    agreement_proposed: float = float("nan")
+    agreement_second: float = float("nan")
+    chance: float = float("nan")
+    gain: float = float("nan")
+    z: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LayoutCheck:
+    """Result of `check_layout`.
+
+    Attributes
+    ----------
+    layout : SensorMap
+        The layout that was checked.
+    corrected : SensorMap
+        The same with the proposed places; equal if none are proposed.
+    status : tuple of str
+        Of each sensor of the layout: a key of `KINDS`, ``"ok"``, or ``"not tested"``.
+    findings : tuple of LayoutFinding
+        Ordered by kind as in `KINDS`, then by the first sensor.
+    agreement : ndarray of shape (N,)
+        Mean similarity of each sensor to those around its stated place; NaN if it is not tested
+        or has no neighbour within 2.6 spacings.
+    module : ndarray of int, shape (N,)
+        Module of each sensor, from 0; -1 without one.
+    spacing : float
+        Median distance between neighbours, in units of the layout.
+    p : float
+        Probability that a layout whose sensors are shuffled agrees with the readings as well.
+    explained : float
+        Agreement of the layout beyond that of shuffled ones, over the highest possible: about 1 for
+        a right layout, 0 for a shuffled one, 0.25 if half of the sensors are shuffled.
+    verdict : str
+        ``"consistent"``, ``"not consistent"``: readings contradict the positions of the sensors in
+        findings; ``"contradicted as a whole"``: those of half of the sensors or more, which makes
+        single sensors uncertain; or ``"unknown"``: the readings say too little.
+    notes : tuple of str
+        What was not tested, and other caveats.
+    """
+
+    layout: SensorMap
+    corrected: SensorMap
+    status: tuple[str, ...]
+    findings: tuple[LayoutFinding, ...]
+    agreement: NDArray[np.float64]
+    module: NDArray[np.intp]
+    spacing: float
+    p: float = float("nan")
+    explained: float = float("nan")
+    verdict: str = CONSISTENT
+    notes: tuple[str, ...] = ()
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the layout explains the readings, and nothing was found."""
+        return self.verdict == CONSISTENT
+
+    @property
+    def n_tested(self) -> int:
+        """Number of sensors that were tested."""
+        return sum(status != NOT_TESTED for status in self.status)
+
+    @property
+    def n_modules(self) -> int:
+        """Number of modules."""
+        return int(self.module.max(initial=-1)) + 1
+
+    @property
+    def accused(self) -> NDArray[np.bool_]:
+        """Mask of the sensors in findings on places and wires, not of dead ones, shape (N,)."""
+        return np.array([status not in (OK, NOT_TESTED, DEAD) for status in self.status], bool)
+
+    def names(self, finding: LayoutFinding) -> tuple[str, ...]:
+        """Return the names of the sensors of a finding."""
+        return tuple(self.layout.names[i] for i in finding.sensors)
+
+    def __repr__(self) -> str:
+        return (
+            f"<LayoutCheck: {self.verdict}, {int(self.accused.sum())} of {self.n_tested} tested "
+            f"sensors accused, {self.layout.n_sensors} in the layout>"
+        )
+
+    def _repr_html_(self) -> str:
+        rows: dict[str, object] = {
+            "sensors tested": f"{self.n_tested} of {self.layout.n_sensors}",
+            "modules": self.n_modules,
+            "verdict": self.verdict,
+        }
+        rows |= {
+            f"{i}: {finding.kind}": finding.explanation
+            for i, finding in enumerate(self.findings, 1)
+        }
+        return html_table("LayoutCheck", rows)
+
+
+def at_positions(layout: SensorMap, positions: NDArray[np.float64]) -> SensorMap:
+    """Return a layout with other positions for the sensors that have one.
+
+    A sensor with another position takes the normal of the nearest stated place, if normals are
+    known.
+    """
+    normals = layout.normals
+    placed = np.flatnonzero(layout.placed)
+    changed = placed[(positions[placed] != layout.positions[placed]).any(axis=1)]
+    if normals is not None and changed.size:
+        nearest = KDTree(layout.positions[placed]).query(positions[changed])[1]
+        normals = normals.copy()
+        normals[changed] = normals[placed[nearest]]
+    moved = np.where(layout.placed[:, None], positions, np.nan)
+    return replace(layout, positions=moved, normals=normals)
