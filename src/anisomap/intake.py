@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -28,12 +28,13 @@ CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "c
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """Readings, (T, N), with names, times in seconds and a rate if the object tells them."""
+    """Readings, (T, N), and what the object tells of them: names, times in seconds, a rate."""
 
     readings: NDArray[np.floating]
     names: tuple[str, ...] = ()
     times: NDArray[np.float64] | None = None
     rate_hz: float | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)  # as from a file of the same content
 
 
 def take(values: Any) -> Taken:
@@ -156,7 +157,8 @@ def _of_mne(raw: Any) -> Taken:
         _say(f"channels marked as bad are left out: {join_items(left_out)}")
     readings = np.ascontiguousarray(raw.get_data(picks=picked, verbose="ERROR").T)
     names = tuple(raw.ch_names[i] for i in picked)
-    return Taken(readings, names, rate_hz=float(raw.info["sfreq"]))
+    told = {"format": "mne", "channels": kind}
+    return Taken(readings, names, rate_hz=float(raw.info["sfreq"]), metadata=told)
 
 
 def good_channels(raw: Any, kind: str) -> tuple[list[int], list[str]]:

@@ -42,6 +42,16 @@ def _note(kind: str, values: Mapping[str, Any]) -> Note:
     return Note(kind, **values)
 
 
+_TOUCHED = ("apart", "paired", "few-sensors", "chance", "halves-disagree")
+
+
+def untouched(note: str) -> str:
+    """Return a note with advice for electrodes, which nobody touches."""
+    if isinstance(note, Note) and note.kind in _TOUCHED:
+        return Note(note.kind, **note.values, touched=False)
+    return note
+
+
 _SIZE = re.compile(r"\bby (\d+\.\d+) spacings")
 
 
@@ -136,22 +146,28 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "line": _line,
         "two-dimensions": _two_dimensions,
         "three-dimensions": _three_dimensions,
-        "apart": lambda apart, placed: (
+        "apart": lambda apart, placed, touched=True: (
             agreed(apart, "the {positions} of ")
             + counted(apart, "sensor", placed)
-            + agreed(apart, " relative to the others {are} unknown: touch the skin where they join")
+            + agreed(apart, " relative to the others {are} unknown: ")
+            + ("touch the skin where they join" if touched else "record longer")
         ),
         "unlinked": lambda count, total: (
             f"{counted(count, 'sensor', total)} {agreed(count, '{have}')} no correlation with the "
             "others that exceeds noise: record longer"
         ),
-        "halves-disagree": lambda agreement: (
+        "halves-disagree": lambda agreement, touched=True: (
             f"similarities differ between halves of the recording (their correlation is "
-            f"{agreement:.2f}): they may be due to a few strong frames; record more contacts"
+            f"{agreement:.2f}): they may be due to a few strong frames; record "
+            + ("more contacts" if touched else "longer")
         ),
-        "paired": lambda: (
-            "sensors pair off: most resemble one other far more than the rest, as if two places "
-            "were always touched together; touch each place by itself"
+        "paired": lambda touched=True: (
+            "sensors pair off: most resemble one other far more than the rest"
+            + (
+                ", as if two places were always touched together; touch each place by itself"
+                if touched
+                else ""
+            )
         ),
         "rarely-touched": lambda count, total: (
             f"{counted(count, 'sensor', total)} had too few contacts for a position: touch all of "
@@ -161,9 +177,10 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"the sensors are only {extent:.1f} spacings from their centre (RMS), so that errors "
             "of this size change the shape"
         ),
-        "chance": lambda size, much, unit="spacings": (
+        "chance": lambda size, much, unit="spacings", touched=True: (
             f"maps of resampled recordings differ by {size:.2f} {unit}"
-            + (": record longer, and touch all of the skin" if much else "")
+            + (": record longer" if much and not touched else "")
+            + (": record longer, and touch all of the skin" if much and touched else "")
         ),
         "second-map": lambda size, much, unit="spacings": (
             f"a second map, assuming even spacing, disagrees by {size:.2f} {unit}"
@@ -179,9 +196,9 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "no-common-sensors": lambda least: (
             f"the recordings have fewer than {least} sensors in common: map one of them"
         ),
-        "few-sensors": lambda count, least: (
+        "few-sensors": lambda count, least, touched=True: (
             f"only {counted(count, 'sensor')} {agreed(count, '{are}')} related, and a verdict "
-            f"needs {least}: touch more of the skin"
+            f"needs {least}: {'touch more of the skin' if touched else 'record more of them'}"
         ),
         "many-sensors": lambda most: (
             f"resampling more than {most:,} sensors takes too much memory: map parts of the skin"

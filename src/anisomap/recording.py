@@ -114,7 +114,10 @@ class Recording(Immutable):
                 raise InputError(f"{name} must be of shape {shapes}, got {array.shape}")
             if name != "surface_distances" and np.isinf(array).any():
                 raise InputError(f"{name} must be finite, or NaN where they are unknown")
-        self.set_fields(readings=readings, names=names, times=times, rate_hz=rate_hz, **known)
+        told = {**taken.metadata, **self.metadata}
+        self.set_fields(
+            readings=readings, names=names, times=times, rate_hz=rate_hz, metadata=told, **known
+        )
 
     def __repr__(self) -> str:
         details = [counted(self.n_frames, "frame"), counted(self.n_sensors, "sensor")]
@@ -136,6 +139,11 @@ class Recording(Immutable):
             "source": self.source or "unknown",
         }
         return html_table("Recording", rows)
+
+    @property
+    def touched(self) -> bool:
+        """Whether sensors are touched: electrodes, whose potentials mne reads, are not."""
+        return self.metadata.get("format") != "mne"
 
     @property
     def n_frames(self) -> int:

@@ -59,6 +59,19 @@ def files(tmp_path):
     return tmp_path
 
 
+@pytest.mark.parametrize("n_frames", [60, 600])
+def test_nobody_is_told_to_touch_electrodes(n_frames, run, tmp_path):
+    mne = pytest.importorskip("mne")
+    rng = np.random.default_rng(5)
+    potentials = rng.normal(size=(n_frames, 14)) @ rng.normal(size=(14, 14)) * 1e-5
+    info = mne.create_info([f"E{i}" for i in range(14)], 250.0, "eeg")
+    raw = mne.io.RawArray(potentials.T, info, verbose="ERROR")
+    raw.save(tmp_path / "run_raw.fif", verbose="ERROR")
+    told = run("map", "run_raw.fif")
+    assert "the verdict follows" in told.out
+    assert "touch" not in told.out + told.err
+
+
 def test_a_far_electrode_does_not_keep_the_others_from_a_file(run, tmp_path):
     """It is a component of its own, which a format with one frame cannot hold."""
     places = np.random.default_rng(0).normal(size=(12, 3))

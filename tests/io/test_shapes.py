@@ -269,6 +269,7 @@ def test_raw_recordings_of_mne() -> None:
         found = Recording(raw)
     np.testing.assert_array_equal(found.readings, np.delete(PRESSED, 3, axis=1))
     assert (found.names[3], found.rate_hz) == ("c4", 250)
+    assert not found.touched
     raw.info["bads"] = list(NAMES)
     with pytest.raises(InputError, match="all channels of type eeg are marked as bad"):
         Recording(raw)

@@ -16,7 +16,6 @@ from anisomap.base.wording import number
 from anisomap.cli.console import Printer, console, print_warning, progress
 from anisomap.cli.parameters import DEFAULT_PLACING, PlacingOptions
 from anisomap.cli.printing import (
-    is_touched,
     print_health,
     print_map,
     print_score,
@@ -240,7 +239,7 @@ def finish(
     write_others: Writes other files together with the map, and returns them.
     """
     placed = (outputs.placing or DEFAULT_PLACING).applied
-    touched = is_touched(examined.recording)
+    touched = examined.recording.touched
     coverage = touch_coverage(sensor_map, examined.runs) if touched else None
     with together():
         others = write_others()

@@ -248,14 +248,9 @@ _PLACES_TOLD = 3
 _QUICK_METHOD = "r-anisomap"  # the fastest; neighbours suffice
 
 
-def is_touched(recording: Recording) -> bool:
-    """Return whether sensors are touched: electrodes, which mne reads, are not."""
-    return recording.metadata.get("format") != "mne"
-
-
 def coverage_without_map(recording: Recording) -> TouchCoverage | None:
     """Return how a skin was touched, by its true positions or by a quick map; None without one."""
-    if not is_touched(recording):
+    if not recording.touched:
         return None
     if recording.positions is not None:
         return touch_coverage(SensorMap(recording.positions, names=recording.names), recording)

@@ -21,7 +21,7 @@ _CLEAR_R = 0.6  # median of the highest correlations, above which none is due to
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
-    "never varied, so {they} {are} dead or {were} never touched; touch {them}": (SILENT,),
+    "never varied, so {they} {are} dead or {were} never touched": (SILENT,),
     f"had fewer than {MIN_CONTACTS} contacts, so {{their}} {{positions}} {{are}} unreliable; "
     "touch {them} again":
     (FEW_CONTACTS,),
@@ -129,7 +129,7 @@ def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str
         return []
     return [
         f"do not trust a map of this recording: {share:.0%} of the sensors have no significant "
-        "correlation with another; record more contacts"
+        f"correlation with another; record {'more contacts' if recording.touched else 'longer'}"
     ]
 
 
@@ -146,7 +146,7 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
     found += _unrelated(recording, health)
     for meaning, statuses in _MEANINGS.items():
         names = [sensor.name for sensor in health if sensor.status in statuses]
-        if names:
+        if names and (recording.touched or statuses != (FEW_CONTACTS,)):
             before = caution if all(map(is_faulty, statuses)) else ""
             some = counted(len(names), "sensor", len(health))
             found.append(f"{before}{some} {agreed(len(names), meaning)}: {join_items(names)}")

@@ -24,7 +24,7 @@ from anisomap.method.dimensions import PLANE
 from anisomap.method.named import METHODS, Method
 from anisomap.method.options import MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
-from anisomap.notes import Note
+from anisomap.notes import Note, untouched
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.reliability.pairs import sensors_pair_off
 from anisomap.recording import Recording, as_runs, join_runs, select_sensors
@@ -147,6 +147,8 @@ def diagnose(
             faults=faults,
         )
         verdict = judge(measured)
+        if not all(run.touched for run in runs):
+            verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
     notes = [note for note in notes if note not in sensor_map.notes]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
@@ -241,7 +243,9 @@ def _errors_if_flat(stages: Stages, recipe: Method, options: MethodOptions) -> t
 
 
 def _rarely_touched(sensor_map: SensorMap, runs: Sequence[Recording]) -> int:
-    """Count the placed sensors with few contacts in each run."""
+    """Count the placed sensors with few contacts in each run, if they are touched at all."""
+    if not all(run.touched for run in runs):
+        return 0
     most = dict.fromkeys(sensor_map.names, 0)
     for run in runs:
         for name, count in zip(run.names, run.signals.contacts.tolist(), strict=True):
