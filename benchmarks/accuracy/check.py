@@ -3,10 +3,10 @@
 The layout of each recording is checked as it is, with all frames, and corrected by what was found,
 which is printed. Then modules of the corrected layout are turned, mirrored, exchanged in pairs, or
 moved to a free place (a tenth of the modules, at least one), or six neighbours are mirrored in
-their places, or turned or mirrored as one to where no other pads are; each fault is checked against
-windows of an eighth of the frames to all. Counted are wrong modules that are named (half of their
-wrong sensors are accused, or more), wrong modules that are corrected (to half a spacing), and right
-modules of which any sensor is accused. ``--picture
+their places, or up to six are turned or mirrored as one to where no other pads are; each fault is
+checked against windows of an eighth of the frames to all. Counted are wrong modules that are named
+(half of their wrong sensors are accused, or more), wrong modules that are corrected (to half a
+spacing), and right modules of which any sensor is accused. ``--picture
 docs/_static/check-torso.png`` draws the check of the first layout as it is.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 import anisomap
@@ -186,13 +188,21 @@ def turned(
 def turned_together(
     layout: anisomap.SensorMap, modules: Modules, rng: np.random.Generator
 ) -> Placed:
-    """Turn or mirror neighbours as one about their middle, where they are not in others' way."""
+    """Turn or mirror neighbours as one about their middle, where they are not in others' way.
+
+    They are fewer than the others that are adjacent to them: readings tell how both lie to each
+    other, not which of them is turned.
+    """
     mounting = Mounting.of(modules, layout.positions, layout.units)
-    k = layout.dimensions
+    graph: Any = csr_array(mounting.adjacent)
+    k, label = layout.dimensions, connected_components(graph, directed=False)[1]
     for _ in range(TRIES):
         first = int(rng.integers(mounting.n_modules))
         away = np.linalg.norm(mounting.middles - mounting.middles[first], axis=1)
-        chosen = np.argsort(away)[:PATCH].tolist()
+        size = min(PATCH, (int(np.count_nonzero(label == label[first])) - 1) // 2)
+        if size < 2:
+            continue
+        chosen = np.argsort(away)[:size].tolist()
         sensors = np.concatenate([mounting.members[m] for m in chosen])
         centre = layout.positions[sensors].mean(axis=0)
         apart = layout.positions[sensors] - centre

@@ -52,10 +52,10 @@ def border(
 ) -> float:
     """Return the evidence that some modules are beside the others, over what is expected.
 
-    It is about 1 if they are, and about -1 if they are elsewhere; 0 without any others near.
+    It is about 1 if they are, and about -1 if they are elsewhere; NaN without any others near.
     """
     found, expected = (
         float(np.delete(one[list(modules)], modules, axis=1).sum())
         for one in bonds(evidence, members)
     )
-    return found / expected if expected > 0 else 0.0
+    return found / expected if expected > 0 else float("nan")

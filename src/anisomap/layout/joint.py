@@ -153,10 +153,10 @@ class JointSearch:
             evidence, move = self._arranged(), self._move(placed)
             holds = evidence.gain(move) >= MIN_GROUP_GAIN
             if holds and len(placed) == 1:
-                # A free place is near anything, and must be right by all criteria; and those around
-                # its stated place may be wrong themselves.
+                # A free place is near anything, and must be right by all criteria. A module that
+                # agrees with those around it stays.
                 m, slot, _ = placed[0]
-                elsewhere = border(evidence, self._members, [m]) < -AGREEING
+                elsewhere = not border(evidence, self._members, [m]) > -AGREEING
                 turns = range(len(self._mounting.orientations))
                 every = [self._move([(m, slot, turn)]) for turn in turns]
                 holds = elsewhere and self._judge.weigh(evidence, move, every, rigid=True).holds

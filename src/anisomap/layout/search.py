@@ -104,11 +104,9 @@ class Search:
         """Weigh a turn of a patch, with all other modules as proposed after it."""
         stated = start.positions[patch.move.sensors]
         before = evidence.moved(Move(patch.move.sensors, stated))
-        _, second, *_ = patch.tried
         verdict = self.judge.weigh(before, patch.move, patch.tried, rigid=True)
-        return Change(
-            patch.modules, patch.modules, (), stated, patch.move, second, verdict, together=True
-        )
+        modules, move = patch.modules, patch.move
+        return Change(modules, modules, (), stated, move, patch.second, verdict, together=True)
 
     def run_sensors(self) -> None:
         """Move patches, runs of channels, and single sensors that no module explains."""

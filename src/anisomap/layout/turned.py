@@ -27,10 +27,12 @@ class TurnedPatch:
     """A patch in the orientation that explains the readings best.
 
     tried: Moves among which it was chosen, the best first.
+    second: The best of those that differ from it by more than readings hardly tell.
     """
 
     modules: tuple[int, ...]
     tried: tuple[Move, ...]
+    second: Move
 
     @property
     def move(self) -> Move:
@@ -66,7 +68,7 @@ def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
         far = [
             move
             for move in _turned(evidence, mounting, group)
-            if np.linalg.norm(move.places - evidence.positions[move.sensors], axis=1).max() > least
+            if _farthest(move.places, evidence.positions[move.sensors]) > least
         ]
         if len(group) > 1 and far and evidence.gain(far[0]) > -MIN_GAIN:
             found.append(group)
@@ -146,4 +148,11 @@ def _on_places(
         onto = Move(sensors, np.concatenate(found))
         if evidence.gain(onto) > evidence.gain(moves[0]) - MIN_GAIN:
             moves = [onto, *moves]
-    return TurnedPatch(tuple(modules), tuple(moves))
+    least = _FAR * evidence.falloff.spacing
+    others = [move for move in moves if _farthest(move.places, moves[0].places) > least]
+    return TurnedPatch(tuple(modules), tuple(moves), (others or moves[1:])[0])
+
+
+def _farthest(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
+    """Return the largest distance between two places of a sensor."""
+    return float(np.linalg.norm(places - others, axis=1).max())
