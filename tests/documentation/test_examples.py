@@ -1,11 +1,14 @@
 """The scripts in examples/."""
 
+import csv
 import importlib.util
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+import anisomap
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("PIL")
@@ -42,3 +45,21 @@ def test_neighbours_in_the_examples_are_the_most_similar(name):
     assert 1 - r[near].mean() < (1 - r[far].mean()) / 3
     np.testing.assert_array_equal(record(400, 1).readings, recording.readings)
     assert (record(400, 2).readings != recording.readings).any()
+
+
+def test_an_experiment_scores_the_maps_of_its_recordings(tmp_path, monkeypatch):
+    pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
+    example = load("experiment")
+    settings = {"n_frames": 200, "hand_size": 0.6}
+    for name, value in {"BODY": "plane", "SCENARIO": "rubbing", "DIMENSIONS": 2}.items():
+        monkeypatch.setattr(example, name, value)
+    monkeypatch.setattr(example, "SETTINGS", settings)
+    example.main(str(tmp_path / "scores.csv"), seeds=[5])
+    with (tmp_path / "scores.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows] == list(example.METHODS)
+    recording = anisomap.simulate("plane", "rubbing", seed=5, **settings)
+    made = anisomap.reconstruct(recording, example.METHODS[-1], 2)
+    found = anisomap.score(made, recording.positions[:, :2], permutations=0)
+    assert float(rows[-1]["mantel_r"]) == pytest.approx(found.mantel.r)
+    assert float(rows[-1]["error_in_spacings"]) == pytest.approx(found.rms_in_spacings)

@@ -17,7 +17,7 @@ from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, errors, progress
 from anisomap.errors import FileError, InputError, import_extra
-from anisomap.files.paths import atomic_write, together
+from anisomap.files.paths import together
 
 _MESHES = (".glb", ".obj", ".off", ".stl")  # lines of .obj would be read as a table
 
@@ -218,7 +218,6 @@ def paper(
     recordings: Path | None = None,
     set_: Annotated[list[str] | None, Parameter(name="--set")] = None,
     only: list[str] | None = None,
-    experiment: Path | None = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
     """Reproduce the figures, tables and claims of the paper.
@@ -242,10 +241,6 @@ def paper(
         locomotion.detection_radius=.25.
     only
         Experiment to run, and what it needs. May be repeated. All by default.
-    experiment
-        TOML file of your own experiment, to run instead. Body, scenario, methods, seeds, scores,
-        n_frames, dimensions, and a table of settings of the scenario. The scores are written to a
-        CSV file of the same name in the folder for the results.
 
     Examples
     --------
@@ -257,9 +252,6 @@ def paper(
     from anisomap.paper.cases import parse_changes
     from anisomap.paper.results import PAGE
 
-    if experiment is not None:
-        _run_own(experiment, output_dir, printer)
-        return
     settings = Settings(
         seed=first_seed,
         quick=quick,
@@ -281,24 +273,3 @@ def paper(
     )
     printer.record(experiments=[asdict(status) for status in found], page=output_dir / PAGE)
     printer.line(f"\nOpen {output_dir / PAGE}")
-
-
-def _run_own(path: Path, output_dir: Path, printer: Printer) -> None:
-    """Run an experiment from a TOML file, and write and show its scores."""
-    from anisomap.paper.own import read_experiment
-    from anisomap.paper.results import to_csv
-
-    chosen = read_experiment(path)
-    with progress("running the experiment") as show:
-        table = chosen.run(path.stem, show)
-    output_dir.mkdir(parents=True, exist_ok=True)
-    target = output_dir / f"{path.stem}.csv"
-    with atomic_write(target) as aside:
-        aside.write_text(to_csv(table), encoding="utf-8")
-    rows = [
-        (method, *(number(value) for value in medians))
-        for method, medians in chosen.medians(table).items()
-    ]
-    printer.table(f"Medians over {len(chosen.seeds)} seeds", ("method", *chosen.scores), rows)
-    printer.record(scores=table.records(), file=target)
-    printer.line(f"\nWrote {target}")
