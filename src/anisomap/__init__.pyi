@@ -13,16 +13,12 @@ from .estimators import Anisomap as Anisomap
 from .estimators import SensorMapper as SensorMapper
 from .evaluation import align as align
 from .evaluation import mantel as mantel
-from .evaluation import permutation_test as permutation_test
 from .evaluation import score as score
-from .evaluation import shepard as shepard
-from .evaluation import stress_per_point as stress_per_point
 from .health import assess as assess
 from .health import find_faults as find_faults
 from .health import repair as repair
 from .health import summarise as summarise
 from .io import read as read
-from .io import read_dissimilarities as read_dissimilarities
 from .io import read_map as read_map
 from .io import write as write
 from .layout import check_layout as check_layout

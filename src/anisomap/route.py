@@ -12,9 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from anisomap import io
 from anisomap.base.wording import as_text, printable
-from anisomap.errors import AnisomapWarning, InputError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.health import (
     Finding,
     RecordingSummary,
@@ -33,6 +36,9 @@ from anisomap.verdict.diagnosis import diagnose
 
 MAX_READINGS = 1 << 27
 """Readings above which a recording is sampled: 512 MiB of float32."""
+
+_LEAST_OBJECTS = 4  # smaller matrices look like many tables
+_ROUNDING = 1e-6  # of values that were printed with 7 digits, relative to the largest
 
 logger = logging.getLogger(__name__)
 
@@ -66,7 +72,25 @@ def read(
     """Read a recording; the default of its source is the file name."""
     logger.info("reading %s", printable(path.name))
     recording = io.read(path, options=how, max_readings=max_readings, progress=progress)
+    _refuse_dissimilarities(path, recording.readings)
     return replace(recording, source=recording.source or as_text(path.name))
+
+
+def _refuse_dissimilarities(path: Path, readings: NDArray[np.floating]) -> None:
+    """Refuse a square matrix of which most pairs are symmetric, with 0 on the diagonal only."""
+    n = len(readings)
+    if n < _LEAST_OBJECTS or readings.shape != (n, n):
+        return
+    largest = np.abs(readings).max(where=np.isfinite(readings), initial=0)
+    rounding = _ROUNDING * largest
+    is_zero = np.abs(readings) <= rounding
+    symmetric = np.abs(readings - readings.T) <= rounding
+    if np.array_equal(is_zero, np.eye(n, dtype=bool)) and 2 * symmetric.sum() > n * n:
+        raise FileError(
+            f"{path} holds dissimilarities ({n} x {n}, symmetric, 0 on the diagonal), not a "
+            f"recording; map them in Python: d = anisomap.read({str(path)!r}).readings; "
+            'anisomap.Anisomap(metric="precomputed").fit_transform((d + d.T) / 2)'
+        )
 
 
 def read_runs(

@@ -53,12 +53,6 @@ map skin.csv --grid 0x3                                   | two whole numbers of
 map constant.csv -o old.csv                               | got 0 of 3
 map empty -o a.csv                                        | is a folder without
 map book.xlsx -o a.csv                                    | is a spreadsheet; save its table as CSV
-map apart.csv --dissimilarities                           | connect D, E, F with the other objects
-map objects.csv --repair                                  | leave out other files, --repair
-map objects.csv -m covariogram                            | choose from anisomap, mds, ordinal
-map objects.csv --drop A                                  | at least 3 objects, got 2
-map objects.csv --drop D                                  | there is no object 'D'
-map objects.csv --no-dissimilarities --weights w.csv      | give --dissimilarities as well
 score map.csv cap.elc                                     | is written, but not read
 map two.csv -o old.csv                                    | got 2 of 2
 map gaps.csv -o old.csv                                   | sensor s1, frame 9
@@ -199,8 +193,6 @@ def folder(tmp_path_factory):
         "strangers.csv": "name,x,y\na,0,0\nb,1,0\nc,0,1\n",
         "rows.csv": "a,b,c\n1,2,3\n4,5\n",
         **TOO_LITTLE,
-        "apart.csv": "A,B,1\nB,C,1\nD,E,1\nE,F,1\n",
-        "objects.csv": "A,B,1\nB,C,1\nA,C,1.5\n",
         "old.csv": "mine",
         "empty.csv": "",
         "header.csv": "x,y\n",

@@ -10,7 +10,7 @@ from anisomap.base.scene import Mesh
 from anisomap.drawing import figures as fig
 from anisomap.drawing.figures import charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.evaluation import NullTest, compare_maps, score, shepard, stress_per_point
+from anisomap.evaluation import compare_maps, score
 from anisomap.health import SensorHealth
 from anisomap.layout import LayoutCheck, LayoutFinding
 from anisomap.placement import Anchors, place
@@ -23,7 +23,6 @@ TRUTH = np.random.default_rng(0).normal(size=(20, 3))
 NAMES = (*UNFRIENDLY, *(f"s{i}" for i in range(len(UNFRIENDLY), 20)))
 MAPS = {k: SensorMap(TRUTH[:, :k], names=NAMES) for k in (2, 3)}
 SCORE = score(MAPS[3], TRUTH, exclude=[NAMES[3]], units="mm", permutations=0)
-WANTED = np.linalg.norm(TRUTH[:, None, :2] - TRUTH[:, :2], axis=2)
 RECORDING = Recording(np.random.default_rng(1).uniform(size=(50, 20)) > 0.8, names=NAMES)
 DOUBTED = [SensorHealth(NAMES[0], "noisy", "", 0, 1, 2, 0.1, 3, 0.2, 0.3)]
 TRIANGLE = Mesh(np.eye(3), [[0, 1, 2]])
@@ -64,11 +63,8 @@ def checked(k):
     return LayoutCheck(MAPS[k], right, status, findings, nothing, np.zeros(20, int), 1.0)
 
 
-SHARES_OF_STRESS = stress_per_point(WANTED, TRUTH)
-TEST = NullTest(0.1, np.arange(9.0), 0.1)
 PANELS = {
     "plot_distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
-    "plot_shepard": (2, lambda ax: fig.plot_shepard(shepard(WANTED, TRUTH), units="mm", ax=ax)),
 } | {
     f"{name} in {k}D": (k, lambda ax, k=k, plot=plot: plot(k, ax))
     for k in (2, 3)
@@ -89,9 +85,6 @@ FIGURES = {
     "curves": lambda: charts.curves_figure("title", [CURVES], x_label="x"),
     "counts": lambda: charts.counts_figure("title", [COUNTS], ["first", "second"], "note"),
     "gallery": lambda: maps.gallery_figure("title", [maps.truth_panel("", TRUTH)], 1, "note"),
-    "stress": lambda: fig.stress_figure(
-        "title", shepard(WANTED, TRUTH), SHARES_OF_STRESS, NAMES, TEST
-    ),
     "scene": lambda: scenes.scene_figure(SCENE),
     "bodies": lambda: scenes.bodies_figure("title", [SCENE], ["body"]),
 }

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scipy.spatial import procrustes
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import ortho_group, pearsonr
-from sklearn.isotonic import IsotonicRegression
 
 from anisomap import Recording, SensorMap
 from anisomap.errors import AnisomapWarning, InputError
@@ -17,10 +16,7 @@ from anisomap.evaluation import (
     mantel,
     neighbour_agreement,
     score,
-    shepard,
-    stress_per_point,
 )
-from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from skins import lattice, moved_freely
 
 seeds = st.integers(0, 10_000)
@@ -254,60 +250,3 @@ def test_a_recording_with_positions_is_a_truth():
         score(made, Recording(np.eye(12)))
     with pytest.raises(InputError, match="SensorMap first, got ndarray"):
         score(truth, truth)
-
-
-def distances(rng, n=9, k=3):
-    return squareform(pdist(rng.normal(size=(n, k))))
-
-
-@given(seeds, st.booleans())
-@settings(max_examples=10)
-def test_stress_per_point_is_the_mean_of_the_residuals_of_a_point(seed, weighted):
-    """The definition of ``spp`` in R's smacof, point by point."""
-    rng = np.random.default_rng(seed)
-    wanted, positions = distances(rng), rng.normal(size=(9, 2))
-    weights = squareform(rng.uniform(size=36)) if weighted else np.ones((9, 9))
-    residuals = weights * (wanted - squareform(pdist(positions))) ** 2
-    expected = [np.mean(np.delete(residuals[i], i)) for i in range(9)]
-    found = stress_per_point(wanted, positions, weights=weights if weighted else None)
-    np.testing.assert_allclose(found, expected / np.sum(expected))
-    assert found.sum() == pytest.approx(1)
-
-
-def test_the_misplaced_point_has_the_greatest_stress():
-    points = np.stack(np.meshgrid(range(5), range(5)), -1).reshape(-1, 2).astype(float)
-    wanted = squareform(pdist(points))
-    turned = points @ [[0.6, 0.8], [-0.8, 0.6]]
-    for same in (points, turned):  # rounding errors are no stress
-        assert stress_per_point(wanted, same) == pytest.approx(np.full(25, 0.04))
-    points[7] += 3
-    assert stress_per_point(wanted, points).argmax() == 7
-    wanted[7], wanted[:, 7] = np.inf, np.inf
-    wanted[7, 7] = 0
-    points[3] += 1
-    assert stress_per_point(wanted, points)[7] == 0
-
-
-@given(seeds)
-@settings(max_examples=15)
-def test_the_shepard_diagram_is_an_isotonic_regression(seed):
-    rng = np.random.default_rng(seed)
-    wanted, positions = distances(rng), rng.normal(size=(9, 2))
-    found = shepard(wanted, positions)
-    expected = IsotonicRegression().fit_transform(squareform(wanted), pdist(positions))
-    order = np.argsort(squareform(wanted))
-    np.testing.assert_allclose(found.disparities, expected[order], atol=1e-9)
-    residual = np.sum((expected - pdist(positions)) ** 2) / np.sum(pdist(positions) ** 2)
-    assert found.nonmetric_stress == pytest.approx(np.sqrt(residual), abs=1e-9)
-    monotone = shepard(np.sqrt(squareform(pdist(positions))), positions)
-    assert monotone.nonmetric_stress == pytest.approx(0, abs=1e-6)
-    assert (monotone.nonmetric_fit, monotone.linear_fit) == pytest.approx((1, 1))
-
-
-def test_nonmetric_stress_is_at_most_the_metric_stress():
-    wanted = distances(np.random.default_rng(2), n=20, k=4)
-    scaled = smacof(wanted, dimensions=2)
-    found = shepard(wanted, scaled.positions)
-    assert 0 < found.nonmetric_stress < scaled.stress
-    with pytest.raises(InputError, match="at least 2 known pairs"):
-        shepard([[0, 1], [1, 0]], [[0.0], [1.0]])

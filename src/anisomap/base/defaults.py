@@ -14,9 +14,6 @@ TOLERANCE, MAX_ITERATIONS = 1e-8, 3000
 PERMUTATIONS = 10_000
 """Size of the null distribution, as in Figure 3 of the paper."""
 
-STRESS_PERMUTATIONS = 99
-"""Size of the null distribution of the stress; each permutation is scaled."""
-
 LEVEL = 0.01
 """Probability that chance alone marks any sensor as moved."""
 

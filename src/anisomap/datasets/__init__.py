@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from sklearn.utils import Bunch
 
-from anisomap.io import read, read_dissimilarities
+from anisomap.io import read
 
 _DATA = Path(__file__).parent / "data"
 
@@ -112,8 +113,11 @@ def load_eurodist() -> Bunch:
 
 
 def _dissimilarities(name: str, description: str) -> Bunch:
-    found = read_dissimilarities(_DATA / f"{name}.csv")
-    return Bunch(dissimilarities=found.values, names=found.names, DESCR=description)
+    lines = (_DATA / f"{name}.csv").read_text().splitlines()
+    names, cells = zip(*(line.split(",", 1) for line in lines), strict=True)
+    values = np.zeros((len(names), len(names)))
+    values[np.tril_indices(len(names))] = ",".join(cells).split(",")
+    return Bunch(dissimilarities=values + values.T, names=names, DESCR=description)
 
 
 def _recording(name: str, where: str, scenario: str, touched: str) -> Bunch:

@@ -11,29 +11,17 @@ from anisomap.evaluation.scoring import (
     neighbour_agreement,
     score,
 )
-from anisomap.evaluation.stress import (
-    NullTest,
-    Shepard,
-    permutation_test,
-    shepard,
-    stress_per_point,
-)
 
 __all__ = [
     "PERMUTATIONS",
     "Alignment",
     "Difference",
     "Mantel",
-    "NullTest",
     "Score",
-    "Shepard",
     "align",
     "compare_maps",
     "mantel",
     "median_spacing",
     "neighbour_agreement",
-    "permutation_test",
     "score",
-    "shepard",
-    "stress_per_point",
 ]

@@ -1,7 +1,3 @@
-from .dissimilarities import Dissimilarities as Dissimilarities
-from .dissimilarities import find_dissimilarities as find_dissimilarities
-from .dissimilarities import read_dissimilarities as read_dissimilarities
-from .dissimilarities import read_pair_weights as read_pair_weights
 from .maps.point_files import to_montage as to_montage
 from .maps.text_files import read_modules as read_modules
 from .presets import apply_preset as apply_preset

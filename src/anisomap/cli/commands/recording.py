@@ -13,14 +13,13 @@ from cyclopts.validators import Number
 
 import anisomap
 from anisomap import io
-from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS, STRESS_PERMUTATIONS
+from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.base.wording import agreed, counted
 from anisomap.cli import parameters as options
-from anisomap.cli.console import Printer, print_warning, progress
+from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
 
 if TYPE_CHECKING:
-    from anisomap.cli.outputs import Outputs, Truth
     from anisomap.route import Examined
 
 
@@ -49,17 +48,8 @@ def info(
     """
     from anisomap import route
     from anisomap.cli import printing
-    from anisomap.cli.commands import dissimilarities as objects
-    from anisomap.io.dissimilarities import doubt_of
 
     how = reading.checked()
-    try:
-        table, doubt = objects.find([recording], wanted=None, weights=None), ""
-    except InputError as error:
-        table, doubt = None, str(error)
-    if table is not None:
-        objects.print_pairs(printer, table)
-        return
     printing.print_contents(printer, recording, how)
     try:
         with progress(f"reading {recording.name}") as report_progress:
@@ -67,8 +57,6 @@ def info(
     except io.ChoiceError as error:
         print_warning(str(error))  # the contents are listed; the user must select one
         return
-    if doubt := doubt or doubt_of(recording, found.readings):
-        print_warning(doubt)
     with progress("assessing sensors"):
         examined = route.examine([found])
     printing.doubt_orientation(examined.summary)
@@ -128,26 +116,6 @@ def repair(
 
 
 _READINGS_PER_MIB = 1 << 18  # of 4 bytes
-
-
-@Parameter(name="*", group=options.expert_group)
-@dataclass(frozen=True)
-class ObjectOptions:
-    """Objects that are mapped by their dissimilarities.
-
-    Parameters
-    ----------
-    dissimilarities
-        The file holds dissimilarities, or --no-dissimilarities, a recording. They are a square
-        matrix, a triangle, or lines of two names and a value. --method is then anisomap (distances
-        are shortest paths), mds (they are the dissimilarities) or ordinal (they have their order),
-        and --picture shepard and --picture stress draw NAME.shepard.png and NAME.stress.png.
-    weights
-        File of the weights of pairs, in the form of the dissimilarities; 0 leaves a pair out.
-    """
-
-    dissimilarities: Annotated[bool | None, Parameter(negative="--no-dissimilarities")] = None
-    weights: Path | None = None
 
 
 @Parameter(name="*", group=options.expert_group)
@@ -219,27 +187,22 @@ def map_recording(
     placing: options.PlacingOptions = options.DEFAULT_PLACING,
     mapping: MappingOptions = MappingOptions(),
     reading: options.ReadingOptions = options.DEFAULT_READING,
-    objects: ObjectOptions = ObjectOptions(),
     judging: VerdictOptions = VerdictOptions(),
     truth: options.Truth = None,
     permutations: Annotated[
-        int | None,
+        int,
         Parameter(
             group=options.expert_group,
             validator=Number(gte=0),
-            help="Size of the null distribution of Mantel r, or of the stress of dissimilarities; "
-            "0 skips it.",
-            show_default=f"{PERMUTATIONS}, or {STRESS_PERMUTATIONS} of the stress",
+            help="Size of the null distribution of Mantel r; 0 skips it.",
         ),
-    ] = None,
+    ] = PERMUTATIONS,
     printer: options.Printing = options.PRINTER,
 ) -> int:
     """Make a map of a skin from one or several recordings.
 
     Sensors of several recordings are matched by name; recordings may lack some sensors. Of readings
     above 512 MiB, frames are sampled evenly in time, and the map says so.
-
-    A square symmetric matrix with a zero diagonal is mapped as dissimilarities of objects.
 
     Parameters
     ----------
@@ -253,76 +216,24 @@ def map_recording(
     anisomap map monday.csv tuesday.csv --drop s3,s7 -o skin.ply
     anisomap map skin.csv --spacing 6.5mm --mirror -o skin.urdf
     """
-    from anisomap.cli.commands.dissimilarities import PICTURES, find, map_objects
-    from anisomap.cli.outputs import Outputs, Truth, read_reference
+    from anisomap import route
+    from anisomap.cli import printing
+    from anisomap.cli.outputs import Outputs, Truth, finish, read_reference
+    from anisomap.method.named import find_method
+    from anisomap.placement.judgement import headline
 
-    table = find(recordings, wanted=objects.dissimilarities, weights=objects.weights)
-    drawn = str(picture) if table is not None and str(picture) in PICTURES else ""
     files = Outputs(
         maps=output or [options.beside(recordings[0], ".map.csv")],
-        picture=options.beside(recordings[0], f".{drawn}.png") if drawn else picture,
+        picture=picture,
         report=report,
-        inputs=(*recordings, *reading.inputs, truth, objects.weights),
+        inputs=(*recordings, *reading.inputs, truth),
         placing=placing,
     )
     placing.check(files.maps)
     reference = None if truth is None else read_reference(truth)
-    scored = Truth(PERMUTATIONS if permutations is None else permutations, judging.seed, reference)
-    if table is None:
-        return _map_runs(
-            printer,
-            files,
-            scored,
-            recordings,
-            how=reading.checked(),
-            mapping=mapping,
-            judging=judging,
-            doubted=objects.dissimilarities is None,
-        )
-    if len(recordings) > 1 or mapping.repair or judging.min_quality:
-        raise InputError(
-            "dissimilarities are read from one file, and get no verdict: leave out other files, "
-            "--repair and --min-quality"
-        )
-    map_objects(
-        printer,
-        files,
-        scored,
-        table,
-        picture=drawn,
-        weights=objects.weights,
-        drop=mapping.drop,
-        method=mapping.method,
-        dimensions=mapping.dimensions,
-        permutations=STRESS_PERMUTATIONS if permutations is None else permutations,
-    )
-    return 0
-
-
-def _map_runs(
-    printer: Printer,
-    files: Outputs,
-    truth: Truth,
-    recordings: Sequence[Path],
-    *,
-    how: io.ReadOptions,
-    mapping: MappingOptions,
-    judging: VerdictOptions,
-    doubted: bool,
-) -> int:
-    """Map recordings of one skin, write all files, and print the results; return the exit code.
-
-    doubted: Whether to ask if a single file may hold dissimilarities.
-    """
-    from anisomap import route
-    from anisomap.cli import printing
-    from anisomap.cli.outputs import finish
-    from anisomap.method.named import find_method
-    from anisomap.placement.judgement import headline
-
     by = mapping.method or DEFAULT_METHOD
     refined = find_method(by).refine is not None  # an unknown one is refused before files are read
-    examined = _examined(recordings, how, mapping, doubted=doubted)
+    examined = _examined(recordings, reading.checked(), mapping)
     printing.doubt_orientation(examined.summary, judged=judging.verdict and refined)
     with progress("making the map"):
         made, stages = route.make_map(examined, by, mapping.dimensions)
@@ -331,7 +242,8 @@ def _map_runs(
     printing.print_findings(printer, faults, repaired=mapping.repair)
     judge = partial(route.judge, examined, stages=stages, seed=judging.seed)
     wanted = judge if judging.verdict else None
-    shown = finish(printer, files, made, examined, truth, judge=wanted)
+    scored = Truth(permutations, judging.seed, reference)
+    shown = finish(printer, files, made, examined, scored, judge=wanted)
     least = judging.min_quality
     if not least or shown.verdict.is_at_least(least.replace("-", " ")):
         return 0
@@ -339,18 +251,13 @@ def _map_runs(
     return 1
 
 
-def _examined(
-    recordings: Sequence[Path], how: io.ReadOptions, mapping: MappingOptions, *, doubted: bool
-) -> Examined:
+def _examined(recordings: Sequence[Path], how: io.ReadOptions, mapping: MappingOptions) -> Examined:
     """Read recordings of one skin, mend them if wanted, and assess them."""
     from anisomap import route
-    from anisomap.io.dissimilarities import doubt_of
 
     limit = mapping.memory * _READINGS_PER_MIB
     with progress("reading") as report_progress:
         runs = route.read_runs(recordings, how, max_readings=limit, progress=report_progress)
-    if doubted and len(runs) == 1 and (doubt := doubt_of(recordings[0], runs[0].readings)):
-        raise InputError(doubt)
     mended = None
     if mapping.repair:
         with progress("repairing the recording"):

@@ -5,9 +5,7 @@ from anisomap.drawing.figures.backend import check_writable as check_writable
 from anisomap.drawing.figures.backend import figure_bytes as figure_bytes
 from anisomap.drawing.figures.backend import save_figure as save_figure
 from anisomap.drawing.figures.charts import plot_distances as plot_distances
-from anisomap.drawing.figures.charts import plot_shepard as plot_shepard
 from anisomap.drawing.figures.charts import series_figure as series_figure
-from anisomap.drawing.figures.charts import stress_figure as stress_figure
 from anisomap.drawing.figures.maps import map_figure as map_figure
 from anisomap.drawing.figures.maps import plot as plot
 from anisomap.drawing.figures.maps import plot_difference as plot_difference

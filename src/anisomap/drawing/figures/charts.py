@@ -26,7 +26,7 @@ from anisomap.drawing.figures.backend import (
 )
 from anisomap.drawing.view import axis_title
 from anisomap.errors import InputError
-from anisomap.evaluation import NullTest, Score, Shepard
+from anisomap.evaluation import Score
 from anisomap.health import SensorHealth
 from anisomap.recording import Recording
 
@@ -41,8 +41,6 @@ _COLUMNS, _MAX_SERIES = 3, 12
 _INSTANTS = 600  # of a series; the range of the readings in each is drawn
 _MAX_DOTS = 3_000  # pairs drawn as dots
 _MAX_SENSORS = 1_500  # sensors of which all pairs of distances are drawn
-_N_LABELS = 6  # of the sensors with the greatest stress
-_LINE = 0.05  # height of a name, relative to the greatest share
 _CELL, _ROW_LABEL, _COLUMN_LABEL = (0.4, 0.34), 5.0, 2.6  # of counts, in inches
 _DARK = 0.5  # share below which a cell is dark
 _SPREAD = 0.22  # of the scores of a method, in its width
@@ -283,95 +281,6 @@ def draw_distances(axes: Axes, score: Score) -> None:
     axes.locator_params(nbins=5)
     null = f" (null, 95%: {quantiles[0.95]:.2f})" if quantiles else ""
     set_title(axes, f"Distances: Mantel r {score.mantel.r:.3f}{null}\n{label}")
-
-
-def stress_figure(
-    title: str,
-    diagram: Shepard,
-    shares: Sequence[float] | NDArray[np.float64],
-    names: Sequence[str],
-    test: NullTest,
-) -> Figure:
-    """Draw how well a map fits its dissimilarities: Shepard diagram, stress per point, test.
-
-    Parameters
-    ----------
-    title : str
-    diagram : Shepard
-        From `anisomap.evaluation.shepard`.
-    shares : sequence of float
-        From `anisomap.evaluation.stress_per_point`.
-    names : sequence of str
-        Names of the objects.
-    test : NullTest
-        Test of Stress-1; not drawn if its null is empty.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    n_panels = 2 + bool(test.null.size)
-    with new_figure(4.6 * n_panels, 4.6, title) as figure:
-        figure.set_layout_engine("constrained", rect=(0, 0, 1, 0.91))
-        axes = [figure.add_subplot(1, n_panels, i + 1) for i in range(n_panels)]
-        plot_shepard(diagram, ax=axes[0])
-        _draw_shares(axes[1], np.asarray(shares, dtype=np.float64), names)
-        if test.null.size:
-            axes[2].hist(test.null, bins="auto", color=PALETTE[0], alpha=0.6, label=test.hypothesis)
-            axes[2].axvline(test.observed, color=PALETTE[1], linewidth=1.6, label="observed")
-            axes[2].set(xlabel="Stress-1", ylabel="number of cases")
-            axes[2].legend(frameon=False, fontsize=8)
-            set_title(axes[2], f"{test.hypothesis.capitalize()}: p = {test.p_value:.3g}")
-        return figure
-
-
-def _draw_shares(axes: Axes, shares: NDArray[np.float64], names: Sequence[str]) -> None:
-    """Draw the share of each object in the stress, the greatest first, and name the greatest."""
-    values = 100 * shares
-    order = np.argsort(-values, kind="stable")
-    axes.plot(np.arange(1, len(order) + 1), values[order], ".", color=PALETTE[0], markersize=5)
-    # Names stand in a column above all points to their right, and one above another.
-    named, height, step = order[:_N_LABELS].tolist(), 0.0, _LINE * values.max()
-    column = len(named) + 0.05 * len(order)
-    for rank, i in reversed(list(enumerate(named, start=1))):
-        height = max(height, values[i]) + step
-        axes.annotate(
-            printable(names[i]), (rank, values[i]), (column, height), fontsize=7, color=INK,
-            va="center", parse_math=False,
-            arrowprops={"arrowstyle": "-", "color": FAINT, "linewidth": 0.5, "relpos": (0, 0.5)},
-        )  # fmt: skip
-    axes.set_xlim(right=max(1.04 * len(order), 2 * len(named)))
-    axes.axhline(100 / len(values), color=FAINT, linewidth=0.8, linestyle=":")
-    axes.set(xlabel="rank of the object", ylabel="share of the stress, %")
-    axes.set_ylim(0, height + step)
-    set_title(axes, "Stress per point (dotted: equal shares)")
-
-
-def plot_shepard(found: Shepard, *, units: str = "", ax: Axes | None = None) -> Axes:
-    """Plot a Shepard diagram: distances against dissimilarities, and the monotone fit.
-
-    Parameters
-    ----------
-    found : Shepard
-        From `anisomap.evaluation.shepard`. Of more than 3000 pairs, evenly chosen ones are drawn.
-    units : str
-        Unit of the positions.
-    ax : matplotlib Axes, optional
-        See `plot_map`, as for what is returned and raised.
-    """
-    some = slice(None, None, -(-len(found.distances) // _MAX_DOTS))
-    with panel(ax, 2) as axes:
-        axes.plot(
-            found.dissimilarities[some], found.distances[some], ".", color=PALETTE[0], alpha=0.4,
-            markersize=3, markeredgewidth=0,
-        )  # fmt: skip
-        steps = {"where": "post", "color": PALETTE[1], "linewidth": 1.4}
-        axes.step(found.dissimilarities, found.disparities, **steps)
-        axes.set(xlabel="dissimilarity", xlim=(0, None), ylim=(0, None))
-        axes.set_ylabel(axis_title("distance on the map", units), parse_math=False)
-        fit = f"monotone fit: R squared {found.nonmetric_fit:.3f}, linear {found.linear_fit:.3f}"
-        set_title(axes, f"Shepard diagram ({fit})")
-    return axes
 
 
 def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
