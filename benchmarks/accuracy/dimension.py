@@ -15,9 +15,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 import anisomap
-from anisomap.base.defaults import MIN_TOUCHES
 from anisomap.errors import InputError
-from anisomap.evaluation.compare import spanned_dimensions, touched
+from benchmarks.accuracy.compare import MIN_TOUCHES, spanned_dimensions, touched
 from benchmarks.harness import columns, files_in, markdown_table, options, stream
 from benchmarks.skins.independent import FLAT, SOLID, Case, drawn, make
 

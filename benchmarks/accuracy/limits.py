@@ -27,15 +27,15 @@ from scipy.spatial.distance import pdist
 from sklearn.isotonic import IsotonicRegression
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.evaluation import mantel
-from anisomap.evaluation.compare import compare_methods, spanned_dimensions, touched
 from anisomap.method.configuration import best_scale
 from anisomap.method.evidence import Evidence
 from anisomap.method.named import METHODS
 from anisomap.method.options import MethodOptions
 from anisomap.method.refinement import refine
 from anisomap.recording import Recording
+from benchmarks.accuracy.compare import MIN_TOUCHES, compare_methods, spanned_dimensions, touched
 from benchmarks.accuracy.rivals import RIVALS
 from benchmarks.harness import files_in, keyed_table, markdown_table, measured, options, publish
 from benchmarks.skins.corrections import read_corrected

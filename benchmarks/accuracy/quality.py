@@ -18,10 +18,9 @@ from matplotlib.figure import Figure
 
 import anisomap
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.cli.commands import comparison as comparison_tables
-from anisomap.evaluation.compare import Comparison, compare_methods
 from anisomap.method.named import METHODS
-from benchmarks.accuracy.rivals import BY_NAME, COMPARED
+from benchmarks.accuracy.compare import COMPARED, Comparison, compare_methods, to_csv, to_markdown
+from benchmarks.accuracy.rivals import RIVALS
 from benchmarks.harness import (
     COLOURS,
     files_in,
@@ -56,7 +55,7 @@ MORE_SCENARIOS = (
     ("plane", "pulses"),
 )
 DEFAULT_FRAMES = 2000
-METHOD_NAMES = (DEFAULT_METHOD, "r-anisomap", "spearman-anisomap", *BY_NAME)
+METHOD_NAMES = (DEFAULT_METHOD, "r-anisomap", "spearman-anisomap", *RIVALS)
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class Result:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Reconstruct all maps and write the results."""
     parser = options(__doc__, "quality", seeds=10, workers=True)
-    parser.add_argument("--methods", nargs="+", default=METHOD_NAMES, choices=(*METHODS, *BY_NAME))
+    parser.add_argument("--methods", nargs="+", default=METHOD_NAMES, choices=(*METHODS, *RIVALS))
     chosen = parser.parse_args(arguments)
     chosen.output.mkdir(parents=True, exist_ok=True)
     files = files_in(chosen.recordings)
@@ -107,8 +106,8 @@ def write(
     """Write all tables and the figure, and print the tables."""
     texts = {}
     if comparisons:
-        texts["recordings-table.md"] = comparison_tables.to_markdown(comparisons)
-        texts["recordings.csv"] = comparison_tables.to_csv(comparisons)
+        texts["recordings-table.md"] = to_markdown(comparisons)
+        texts["recordings.csv"] = to_csv(comparisons)
     if simulated:
         texts["quality-table.md"] = tables(simulated)
         draw(simulated, folder / "quality.png")
@@ -128,8 +127,7 @@ def score_simulation(
     results = []
     for length in lengths:
         beginning = anisomap.Recording(whole.readings[:length], positions=whole.positions)
-        named = [BY_NAME.get(name, name) for name in methods]
-        compared = compare_methods(beginning, named, 3, name=f"{body}, {scenario}", seed=seed)
+        compared = compare_methods(beginning, methods, 3, name=f"{body}, {scenario}", seed=seed)
         results += all_scores(compared, seed)
     return results
 
@@ -177,7 +175,7 @@ def tables(results: Sequence[Result]) -> str:
             losses += [f"{name}, {n_frames:,} frames ({lost})"] if lost else []
         n_rows += len(rows)
         lines += [f"### {n_frames:,} frames", "", *markdown_table(header, rows), ""]
-    if DEFAULT_METHOD in methods and any(method in BY_NAME for method in methods):
+    if DEFAULT_METHOD in methods and any(method in RIVALS for method in methods):
         named = f": {'; '.join(losses)}" if losses else ""
         lines.append(
             f"On average over the seeds, a stock method is better than {DEFAULT_METHOD} on "
@@ -201,7 +199,7 @@ def tables(results: Sequence[Result]) -> str:
 
 def best(r: Any, *, stock: bool) -> str:
     """Return the stock method, or the method of anisomap, with the largest mean; empty if none."""
-    means = r[[m for m in r if (m in BY_NAME) is stock]].mean()
+    means = r[[m for m in r if (m in RIVALS) is stock]].mean()
     return str(means.idxmax()) if len(means) else ""
 
 
@@ -242,9 +240,9 @@ def draw(results: Sequence[Result], path: Path) -> None:
         name = f"{body}, {scenario}"
         for method, group in scored[scored.recording == name].groupby("method", sort=False):
             errors = (1 - group.mantel_r).groupby(group.n_frames).quantile([0, 0.5, 1]).unstack()
-            style, look = "s--" if method in BY_NAME else "o-", {"color": looks[method]}
+            style, look = "s--" if method in RIVALS else "o-", {"color": looks[method]}
             axes.loglog(errors.index, errors[0.5], style, label=method, lw=1.5, ms=4, **look)
-            if method not in BY_NAME:
+            if method not in RIVALS:
                 axes.fill_between(errors.index, errors[0.0], errors[1.0], alpha=0.15, **look)
         axes.set_title(name, fontsize=10)
         axes.set_xticks(FRAMES, [f"{n:,}" for n in FRAMES])

@@ -1,19 +1,27 @@
-"""Rivals of anisomap that scikit-learn does not have: a self-organising map, and PHATE."""
+"""Stock methods, which see the correlations of sensors alone: rivals of anisomap.
+
+They are estimators of scikit-learn and umap-learn, and two that neither has: a self-organising map,
+and PHATE. They are not tuned. To add one, add one line to `RIVALS`.
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.special import entr
 from sklearn.base import BaseEstimator
+from threadpoolctl import threadpool_limits
 
-from anisomap.evaluation import compare
-from anisomap.evaluation.rivals import RIVALS as STOCK
-from anisomap.evaluation.rivals import Method, name_of
+from anisomap import Recording, SensorMap
+from anisomap.errors import InputError
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
 
 _NODES = 5  # x the square root of the number of points, by Vesanto & Alhoniemi (2000)
@@ -99,8 +107,114 @@ def _knee(values: Array) -> int:
     return 1 + int(np.argmin(errors))
 
 
-MORE: tuple[Method, ...] = (("som-on-r", SelfOrganisingMap()), ("phate-on-r", Phate()))
-RIVALS: tuple[Method, ...] = (*STOCK, *MORE)
-COMPARED: tuple[Method, ...] = (*compare.COMPARED, *MORE)
-BY_NAME: Mapping[str, Method] = {name_of(method): method for method in RIVALS}
-"""`RIVALS` by name."""
+class Rival(NamedTuple):
+    """A stock method: module and class of the estimator, and its settings."""
+
+    summary: str
+    kind: str
+    settings: Mapping[str, Any]
+
+
+_DISTANCES = {"metric": "precomputed"}
+
+RIVALS: Mapping[str, Rival] = MappingProxyType(
+    {
+        "isomap-on-r": Rival(
+            "Isomap on sqrt(2 (1 - r)), 8 neighbours (scikit-learn)",
+            "sklearn.manifold.Isomap",
+            # Five neighbours, the default, leave skins in several pieces. The dense solver is
+            # deterministic; ARPACK would start at a random vector.
+            _DISTANCES | {"n_neighbors": 8, "eigen_solver": "dense"},
+        ),
+        "umap-on-r": Rival(
+            "UMAP on sqrt(2 (1 - r)) (umap-learn)",
+            "umap.UMAP",
+            _DISTANCES | {"n_neighbors": 15, "n_jobs": 1},
+        ),
+        "tsne-on-r": Rival(
+            "t-SNE on sqrt(2 (1 - r)) (scikit-learn)",
+            "sklearn.manifold.TSNE",
+            _DISTANCES | {"perplexity": 30.0, "init": "random", "n_jobs": 1},
+        ),
+        "pca-on-r": Rival(
+            "principal components of standardised sensors (scikit-learn)",
+            "sklearn.decomposition.KernelPCA",
+            {"kernel": "precomputed", "eigen_solver": "dense"},
+        ),
+        "laplacian-on-r": Rival(
+            "Laplacian eigenmaps on max(r, 0) (scikit-learn)",
+            "sklearn.manifold.SpectralEmbedding",
+            {"affinity": "precomputed"},
+        ),
+        "som-on-r": Rival("self-organising map", f"{__name__}.SelfOrganisingMap", {}),
+        "phate-on-r": Rival("PHATE on sqrt(2 (1 - r))", f"{__name__}.Phate", {}),
+    }
+)
+"""Name of each stock method; ``-on-r`` tells them from the methods of anisomap."""
+
+
+def map_by_rival(recording: Recording, name: str, dimensions: int, *, seed: int = 0) -> SensorMap:
+    """Map a recording by a stock method, with one thread.
+
+    Parameters
+    ----------
+    recording : Recording
+        Complete readings.
+    name : str
+        A key of `RIVALS`.
+    dimensions : int
+        Number of coordinates.
+    seed : int
+        Seed of t-SNE, UMAP and Laplacian eigenmaps.
+
+    Returns
+    -------
+    SensorMap
+        One component; constant sensors have no position.
+
+    Raises
+    ------
+    InputError
+        If the method cannot place these sensors in as many dimensions.
+    ImportError
+        If its library is not installed.
+
+    Notes
+    -----
+    Isomap: Tenenbaum et al. (2000), doi:10.1126/science.290.5500.2319. UMAP: McInnes et al. (2018),
+    arXiv:1802.03426. t-SNE: van der Maaten & Hinton (2008), JMLR 9: 2579-2605. Laplacian eigenmaps:
+    Belkin & Niyogi (2003), doi:10.1162/089976603321780317. Where a graph of neighbours is not
+    connected, scikit-learn joins its pieces.
+    """
+    rival = RIVALS[name]
+    varying = recording.varying()
+    readings = recording.readings[:, varying].astype(np.float64)
+    positions = np.full((recording.n_sensors, dimensions), np.nan)
+    # Warnings concern the libraries: an optional dependency, a graph that they have joined.
+    with warnings.catch_warnings(), threadpool_limits(1):
+        warnings.simplefilter("ignore")
+        module, _, kind = rival.kind.rpartition(".")
+        estimator = getattr(import_module(module), kind)(**rival.settings)
+        known = estimator.get_params()
+        wanted: dict[str, float] = {"n_components": dimensions, "random_state": seed}
+        if known.get("perplexity", 0) >= len(readings.T):
+            wanted["perplexity"] = (len(readings.T) - 1) / 3  # its maximum
+        estimator.set_params(**{key: wanted[key] for key in wanted.keys() & known.keys()})
+        try:
+            positions[varying] = estimator.fit_transform(_input(readings, known))
+        except (ValueError, TypeError, ArithmeticError, np.linalg.LinAlgError) as error:
+            raise InputError(
+                f"{name} cannot map {len(readings.T)} sensors in {dimensions} dimensions"
+            ) from error
+    return SensorMap(positions, names=recording.names, method=name, similarity="pearson")
+
+
+def _input(readings: NDArray[np.float64], settings: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Return what an estimator with some settings is given. readings (T, N) -> (N, N)."""
+    r = np.corrcoef(readings.T)
+    r = np.clip((r + r.T) / 2, -1, 1)
+    if settings.get("metric") == "precomputed":
+        distances = np.sqrt(np.maximum(2 * (1 - r), 0))
+        np.fill_diagonal(distances, 0)
+        return distances
+    return np.maximum(r, 0) if settings.get("affinity") == "precomputed" else r

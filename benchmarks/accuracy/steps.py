@@ -19,13 +19,13 @@ from unittest.mock import patch
 import numpy as np
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
-from anisomap.evaluation.compare import spanned_dimensions, touched
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.method import evidence
 from anisomap.method.named import METHODS, Method
 from anisomap.method.pipeline import reconstruct_with_stages
 from anisomap.method.refinement import Refinement, refine
 from anisomap.recording import Recording
+from benchmarks.accuracy.compare import MIN_TOUCHES, spanned_dimensions, touched
 from benchmarks.harness import files_in, frame, markdown_table, measured, options, publish
 from benchmarks.skins.corrections import read_corrected
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 import anisomap
 from anisomap import Recording
 from anisomap.errors import InputError
-from anisomap.evaluation.rivals import map_by_rival
 from anisomap.method.pipeline import reconstruct_with_stages
+from benchmarks.accuracy.rivals import map_by_rival
 from benchmarks.harness import frame, machine, markdown_table, options, quietly, write_rows
 from benchmarks.skins.inputs import directions, sphere
 

@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 
 import anisomap
-from anisomap.evaluation.compare import spanned_dimensions
 from anisomap.sensor_map import is_faulty
+from benchmarks.accuracy.compare import spanned_dimensions
 from benchmarks.harness import files_in, frame, keyed_table, measured, options, write_rows
 from benchmarks.skins.independent import FLAT, SOLID, Case, damaged, drawn, make
 from benchmarks.verdicts.suite import DAMAGES

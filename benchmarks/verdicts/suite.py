@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import anisomap
-from anisomap.base.defaults import MIN_TOUCHES
-from anisomap.evaluation.compare import spanned_dimensions, touched
 from anisomap.simulation import BODIES, SCENARIOS, find_body
+from benchmarks.accuracy.compare import MIN_TOUCHES, spanned_dimensions, touched
 from benchmarks.skins.independent import damaged, drawn, make
 from benchmarks.skins.readout import NOISES, noise
 

@@ -1,7 +1,6 @@
 """What cannot be done: one sentence, exit code 2, and no file is written, changed or lost."""
 
 import os
-import sys
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -56,16 +55,12 @@ map book.xlsx -o a.csv                                    | is a spreadsheet; sa
 score map.csv cap.elc                                     | is written, but not read
 map two.csv -o old.csv                                    | got 2 of 2
 map gaps.csv -o old.csv                                   | sensor s1, frame 9
-compare infinite.csv                                      | sensor s2, frame 9
 info rows.csv                                             | line 3
 info cut.npz                                              | cut.npz
-compare rows.csv                                          | line 3
 info nothing.npz                                          | nothing.npz
 info skin.csv --bin-width 0                                     | --bin-width must be a time above 0
 info skin.csv --bin-width nan                                   | --bin-width must be a time above 0
 info skin.csv --bin-width {"9" * 400}                           | --bin-width must be a time above 0
-compare skin.csv                                          | no true positions
-compare skin.npz -o skin.npz                              | .md
 score map.csv                                             | REFERENCE_FILE
 score map.csv truth.csv --picture truth.csv               | another file
 score map.csv empty.csv                                   | empty.csv
@@ -289,7 +284,6 @@ def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, tmp_path_fact
     libraries = tmp_path_factory.mktemp("libraries")
     (libraries / "trimesh.py").write_text("raise ImportError")
     monkeypatch.syspath_prepend(libraries)  # also of the process for readers
-    monkeypatch.setitem(sys.modules, "umap", None)
     mesh = ("--anchors", folder / "anchors.csv", "--mesh", "part.stl")
     reader_process.stop_all()
     try:
@@ -297,8 +291,6 @@ def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, tmp_path_fact
     finally:
         reader_process.stop_all()
     assert f"reading a mesh needs an extra: {install_command('mesh')}" in told
-    told = refused(tmp_path, "compare", folder / "skin.npz", "-m", "umap-on-r")
-    assert install_command("umap") in told
 
 
 @pytest.mark.parametrize(
@@ -317,7 +309,6 @@ def test_links_that_lead_nowhere(tmp_path, command):
     [
         "convert map.csv {}.csv",
         "place map.csv --spacing 5mm -o {}.csv",
-        "compare skin.npz -m r-anisomap -o {}.csv",
         "repair skin.npz -o {}.npz",
         "score map.csv map.csv --picture {}.png",
         "score map.csv map.csv --report {}.html",

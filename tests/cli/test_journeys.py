@@ -1,6 +1,5 @@
 """Journeys through the other commands: summaries, scores, comparisons, lists and help."""
 
-import csv
 import hashlib
 import re
 import socket
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.errors import install_command
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
 from anisomap.placement import median_spacing
@@ -61,52 +59,6 @@ def test_the_worst_sensors_of_a_map_are_named(run, truth_csv, tmp_path):
     assert {worst["sensor"] for worst in found["worst"][:2]} == {"s3", "s40"}
     assert found["worst"][0]["error"] > 10 * found["median_error"]
     assert "s40 " in run("score", "swapped.csv", truth_csv).out
-
-
-def test_methods_are_compared_with_stock_methods_in_tables(run, skin_npz, tmp_path):
-    (tmp_path / "skins").mkdir()
-    skin_npz.rename(tmp_path / "skins" / "skin.npz")
-    anisomap.write(flat_skin(seed=1), "other.npz")
-    anisomap.write(anisomap.Recording(flat_skin().readings), tmp_path / "skins" / "unknown.npz")
-    chosen = ("information-distance", "isomap", "isomap-on-r", "pca-on-r")
-    words = [word for name in chosen for word in ("-m", name)]
-    found = run("compare", "skins", "other.npz", *words, "-o", "t.md", "-o", "t.csv")
-    assert "skipped: " in found.err
-    assert "no true positions" in found.err
-    table = (tmp_path / "t.md").read_text().splitlines()
-    assert table[0] == f"| recording | sensors x frames | map | scored | {' | '.join(chosen)} |"
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table[2:4]]
-    numbers = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
-    for name, row, values in zip(("skin", "other"), rows, numbers, strict=True):
-        assert row[:4] == [name, "42 x 1500", "2D", "42"]
-        scores = {method: float(values[method]) for method in chosen}
-        own, stock = (max(part, key=scores.get) for part in (chosen[:2], chosen[2:]))
-        bold = {method for method, cell in zip(chosen, row[4:], strict=True) if "**" in cell}
-        assert bold == {own, stock}
-        for method, cell in zip(chosen, row[4:], strict=True):
-            r, error = re.findall(r"\d\.\d+", cell)
-            assert scores[method] == pytest.approx(float(r), abs=0.0006)
-            assert float(values[f"{method}: error"]) == pytest.approx(float(error), abs=0.006)
-        assert values["best stock"] == stock
-        margin = scores["information-distance"] - scores[stock]
-        assert float(values["margin"]) == pytest.approx(margin, abs=8e-4)
-    losses = sum(float(values["margin"]) < -0.0005 for values in numbers)
-    verdict = next(line for line in table if "stock method is better" in line)
-    assert f"on {losses} of 2 maps" in verdict
-    assert verdict in found.out
-    lost = re.findall(r"(?:skin|other) in 2D \(0\.\d{3} against 0\.\d{3} of isomap-on-r\)", verdict)
-    assert len(lost) == losses
-
-
-def test_without_umap_the_table_says_how_to_install_it(run, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "umap", None)
-    anisomap.write(flat_skin(n_frames=120), tmp_path / "skin.npz")
-    found = run("compare", "skin.npz", "-o", "t.md")
-    for said in (found.out, (tmp_path / "t.md").read_text()):
-        assert f"umap-on-r: not installed: {install_command('umap')}" in said
-    header, _, row, *_ = (tmp_path / "t.md").read_text().splitlines()
-    column = header.split("|").index(" umap-on-r ")
-    assert row.split("|")[column].strip() == "-"
 
 
 def test_the_demo_ends_with_a_picture_and_a_report(run, tmp_path):

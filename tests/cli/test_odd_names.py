@@ -1,6 +1,5 @@
 """Names from files and of files appear as text: no terminal escapes, no markup, no exit code 70."""
 
-import csv
 import io
 import json
 import os
@@ -13,7 +12,6 @@ import pytest
 import anisomap
 from anisomap.base.wording import printable
 from anisomap.cli.app import run as run_here
-from skins import flat_skin
 
 HOSTILE = "\x1b[31m\x9b2J\x07\u202egnp.\u2066[/bold][red]\r\n"
 
@@ -64,21 +62,6 @@ def test_files_with_markup_in_their_names(run_map, skin_npz: Path) -> None:
     for path in outputs:
         assert f"d[/{path.name}" in done.out
         assert path.exists()
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows allows no such names")
-def test_tables_of_methods_show_file_names_as_text(run, tmp_path: Path) -> None:
-    odd = tmp_path / "=1|<b>\u202e.npz"
-    anisomap.write(flat_skin(n_frames=200), odd)
-    methods = ("-m", "information-distance", "-m", "isomap-on-r", "-d", 2)
-    run("compare", odd, *methods, "-o", "t.md", "-o", "t.csv")
-    text = (tmp_path / "t.md").read_text(encoding="utf-8")
-    assert "| =1\\|&lt;b&gt;\\u202e | 42 x 200 |" in text
-    assert "<" not in text
-    assert not unsafe(text.replace("\n", ""))
-    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
-    row = next(csv.DictReader(lines))
-    assert row["recording"] == "'=1|<b>\\u202e"
 
 
 def test_file_names_that_are_not_utf_8(

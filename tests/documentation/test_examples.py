@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import anisomap
+from skins import flat_skin
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("PIL")
@@ -63,3 +64,16 @@ def test_an_experiment_scores_the_maps_of_its_recordings(tmp_path, monkeypatch):
     found = anisomap.score(made, recording.positions[:, :2], permutations=0)
     assert float(rows[-1]["mantel_r"]) == pytest.approx(found.mantel.r)
     assert float(rows[-1]["error_in_spacings"]) == pytest.approx(found.rms_in_spacings)
+
+
+def test_methods_are_compared_on_a_recording_with_known_positions(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "skin.npz"
+    anisomap.write(flat_skin(), path)
+    monkeypatch.setattr(sys, "argv", ["compare", str(path)])
+    load("compare").main()
+    scores = {
+        line.split()[0]: float(line.split()[3].strip(","))
+        for line in capsys.readouterr().out.splitlines()
+    }
+    assert scores.keys() == {*anisomap.METHODS, "isomap-on-r"}
+    assert scores["covariogram"] > 0.9

@@ -7,14 +7,12 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from benchmarks.accuracy import check, dimension, limits, quality
-from benchmarks.accuracy.rivals import COMPARED, name_of
+from benchmarks.accuracy import check, compare, dimension, limits, quality
 from benchmarks.harness import columns
 from benchmarks.live import coach, session
 from benchmarks.placing import placement
 from benchmarks.verdicts import faults, trust
 
-from anisomap.cli.commands import comparison as comparison_tables
 from anisomap.paper import accuracy, bodies, claims, sensitivity
 
 ROOT = Path(__file__).parents[2]
@@ -97,7 +95,7 @@ HEADERS = {
     "live-memory": session.MEMORY_COLUMNS,
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
-    "recordings": comparison_tables.columns([name_of(one) for one in COMPARED]),
+    "recordings": compare.columns(compare.COMPARED),
     "settings": sensitivity.SETTINGS_COLUMNS,
     "settings-best": sensitivity.BEST_COLUMNS,
     "trust": trust.COLUMNS,

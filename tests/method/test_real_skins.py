@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.accuracy.compare import compare_methods
 from benchmarks.skins.inputs import tiled_places, tiled_torso
 
 from anisomap import io, reconstruct, reconstruct_from
 from anisomap.evaluation import mantel
-from anisomap.evaluation.compare import compare_methods
 from anisomap.method.options import MethodOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import pearson

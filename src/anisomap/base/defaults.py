@@ -19,10 +19,3 @@ LEVEL = 0.01
 
 N_SHIFTS = 19
 """Number of circular shifts: an unrelated sensor exceeds all of them with probability 1/20."""
-
-MIN_TOUCHES = 5
-"""Frames in which a sensor must differ from rest to be mapped.
-
-Fewer say almost nothing about its place, and a few such sensors ruin the map of all others; the
-value is that of the published comparisons on Nao's skin.
-"""

@@ -54,18 +54,14 @@ def list_kind(
 
 
 def _methods(printer: Printer) -> None:
-    from anisomap.evaluation.rivals import RIVALS
     from anisomap.method.named import PAPER_METHODS
 
     own = [
         (name, method.summary, "the paper" if name in PAPER_METHODS else "anisomap")
         for name, method in anisomap.METHODS.items()
     ]
-    stock = [(name, rival.summary, rival.extra or "-") for name, rival in RIVALS.items()]
     similarities = [(name, one.summary) for name, one in anisomap.SIMILARITIES.items()]
     _print_rows(printer, "Methods", "name summary source", own)
-    title = "Stock methods, for comparison only (anisomap compare)"
-    _print_rows(printer, title, "name summary extra", stock)
     _print_rows(printer, "Similarities", "name summary", similarities)
 
 

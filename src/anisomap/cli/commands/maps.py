@@ -1,4 +1,4 @@
-"""``anisomap convert``, ``diff`` and ``check``: maps rewritten, compared, checked."""
+"""``anisomap convert``, ``diff``, ``score`` and ``check``: maps rewritten, compared, checked."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
+from anisomap.base.defaults import PERMUTATIONS
 from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
@@ -161,6 +162,47 @@ def _print_difference(printer: Printer, found: anisomap.evaluation.Difference, t
         median_spacing=spacing,
         reflected=found.reflected,
     )
+
+
+def score_map(
+    map_file: options.MapFile,
+    reference_file: Annotated[
+        Path,
+        Parameter(
+            help="File of reference positions: true positions (x, y[, z] and names), a recording "
+            "with positions, or another map."
+        ),
+        options.existing,
+    ],
+    /,
+    *,
+    units: options.Units = None,
+    exclude: options.Exclude = None,
+    report: options.Report = None,
+    picture: options.Picture = None,
+    permutations: options.Permutations = PERMUTATIONS,
+    printer: options.Printing = options.PRINTER,
+) -> None:
+    """Score a map against known positions, and name the worst sensors.
+
+    Sensors are matched by name, or by order if no name is shared.
+
+    Examples
+    --------
+    anisomap score skin.map.csv truth.csv
+    anisomap score skin.map.csv truth.csv --units mm --report score.html
+    anisomap score skin.map.csv layout.csv --exclude s3,c0-c35
+    """
+    from anisomap.cli.outputs import Outputs, Truth, read_reference
+    from anisomap.route import split_names
+
+    outputs = Outputs(picture=picture, report=report, inputs=(map_file, reference_file))
+    sensor_map, reference = io.read_map(map_file), read_reference(reference_file, units)
+    left_out = split_names(exclude, sensor_map.names)
+    kind = "the map " if reference.method else ""
+    title = f"Score of {map_file.name} against {kind}{reference_file.name}"
+    scored = Truth(permutations, reference=reference, exclude=left_out)
+    printer.files(outputs.write_all(sensor_map, scored.score(printer, sensor_map, title)))
 
 
 INCONSISTENT = 1

@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from io import StringIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.defaults import DEFAULT_METHOD, MIN_TOUCHES
-from anisomap.base.immutable import Immutable
-from anisomap.errors import AnisomapWarning, InputError, MissingExtraError, install_command
-from anisomap.evaluation import score
+from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct, score
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.errors import InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
-from anisomap.evaluation.rivals import RIVALS, Method, check_methods, map_by_rival, name_of
 from anisomap.method.named import METHODS, PAPER_METHODS
-from anisomap.method.pipeline import reconstruct
-from anisomap.recording import Recording
-from anisomap.sensor_map import SensorMap
+from benchmarks.accuracy.rivals import RIVALS, map_by_rival
 
 COMPARED = (DEFAULT_METHOD, *PAPER_METHODS, *RIVALS)
-"""Methods that are compared by default: the default method, its refinement by contacts, the paper's
-methods, and the stock methods."""
+"""The default method, the paper's methods, and the stock methods."""
 
+MIN_TOUCHES = 5
+"""Frames in which a sensor must differ from rest to be compared.
+
+Fewer say almost nothing about its place, and a few such sensors ruin the map of all others; the
+value is that of the published comparisons on Nao's skin.
+"""
+
+_FACTS = ("recording", "sensors x frames", "map", "scored")
+_LEGEND = (
+    "Each cell holds Mantel r and, in brackets, the RMS error in spacings of neighbouring sensors. "
+    "All methods of a row are scored on the same sensors. Bold marks the best method of anisomap "
+    "and the best stock method."
+)
 _FLAT = 0.02  # relative singular value of positions below which a direction is not spanned
 _MIN_SHARE = 0.5  # two maps that both place more than half of the sensors share some of them
 
@@ -62,7 +72,7 @@ class MethodScore:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(Immutable):
+class Comparison:
     """Scores of several methods on one recording.
 
     Attributes
@@ -106,13 +116,12 @@ class Comparison(Immutable):
 
 def compare_methods(
     recording: Recording,
-    methods: Sequence[Method] = COMPARED,
+    methods: Sequence[str] = COMPARED,
     dimensions: int | None = None,
     *,
     name: str = "",
     min_touches: int = MIN_TOUCHES,
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
 ) -> Comparison:
     """Map a recording by several methods, and score all maps on the same sensors.
 
@@ -120,10 +129,9 @@ def compare_methods(
     ----------
     recording : Recording
         Complete readings, with true positions.
-    methods : sequence of str, or of tuples of str and estimator
-        Keys of `anisomap.METHODS` and `anisomap.evaluation.compare.RIVALS`, or names with
-        estimators: see `map_by_rival`. A stock method whose library is not installed has no score,
-        but a reason.
+    methods : sequence of str
+        Keys of `anisomap.METHODS` and `RIVALS`. A stock method whose library is not installed has
+        no score, but a reason.
     dimensions : int, optional
         Number of coordinates; by default as many as the true positions span.
     name : str
@@ -132,8 +140,6 @@ def compare_methods(
         Sensors that differ from their median reading in fewer frames are left out of all maps.
     seed : int
         Seed of stock methods that are random.
-    progress : callable, optional
-        Called with the completed share, from 0 to 1.
 
     Returns
     -------
@@ -145,10 +151,8 @@ def compare_methods(
     Raises
     ------
     InputError
-        If the recording has no true positions, a method is unknown, or fewer than 4 sensors were
-        touched.
+        If the recording has no true positions, or fewer than 4 sensors were touched.
     """
-    check_methods([m for m in methods if m not in RIVALS or RIVALS[name_of(m)].installed])
     truth = recording.positions
     if truth is None:
         raise InputError("a comparison of methods requires true positions in the recording")
@@ -160,11 +164,7 @@ def compare_methods(
         )
     dimensions = dimensions or spanned_dimensions(truth)
     chosen = recording.select(kept)
-    made = []
-    for number, method in enumerate(methods):
-        made.append(_made(chosen, method, dimensions, seed))
-        if progress is not None:
-            progress((number + 1) / len(methods))
+    made = [_made(chosen, method, dimensions, seed) for method in methods]
     common = np.asarray(np.isfinite(truth[kept]).all(axis=1))
     for one in made:
         if one.sensor_map is not None and not one.reason:
@@ -188,19 +188,16 @@ def spanned_dimensions(positions: NDArray[np.float64]) -> int:
     return max(1, int(np.count_nonzero(extents > _FLAT * extents[0])))
 
 
-def _made(recording: Recording, method: Method, dimensions: int, seed: int) -> MethodScore:
+def _made(recording: Recording, name: str, dimensions: int, seed: int) -> MethodScore:
     """Make the map of one method; there is no score yet, but a reason if there will be none."""
-    name = name_of(method)
     try:
         if name in METHODS:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", AnisomapWarning)  # the notes remain on the map
                 sensor_map = reconstruct(recording, name, dimensions)
         else:
-            sensor_map = map_by_rival(recording, method, dimensions, seed=seed)
-    except MissingExtraError:
-        return MethodScore(name, reason=f"not installed: {install_command(RIVALS[name].extra)}")
-    except InputError as error:
+            sensor_map = map_by_rival(recording, name, dimensions, seed=seed)
+    except (ImportError, InputError) as error:
         return MethodScore(name, reason=str(error))
     n_placed, n_sensors = int(np.count_nonzero(sensor_map.component == 0)), recording.n_sensors
     reason = f"its largest component holds {n_placed} of {n_sensors} sensors"
@@ -220,3 +217,93 @@ def _scored(
     except InputError as error:
         return replace(made, reason=str(error))
     return replace(made, mantel_r=found.mantel.r, rms_in_spacings=found.rms_in_spacings)
+
+
+def to_markdown(comparisons: Sequence[Comparison]) -> str:
+    """Format comparisons of the same methods as a Markdown table, followed by its losses."""
+    methods = [s.method for s in comparisons[0].scores]
+    lines = [[*_FACTS, *methods], ["---"] * (len(_FACTS) + len(methods))]
+    for comparison in comparisons:
+        best = [comparison.best(stock=stock) for stock in (False, True)]
+        cells = [comparison.name, *_facts(comparison)]
+        for s in comparison.scores:
+            cell = (
+                f"{_number(s.mantel_r, '.3f')} ({s.rms_in_spacings:.2f})" if not s.reason else "-"
+            )
+            cells.append(f"**{cell}**" if s in best else cell)
+        lines.append(cells)
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    stock = "; ".join(f"{m}: {RIVALS[m].summary}" for m in methods if m in RIVALS)
+    said = [*sentences(comparisons), *([f"Stock methods: {stock}."] if stock else [])]
+    return "\n\n".join([table, _LEGEND, *said]) + "\n"
+
+
+def _facts(comparison: Comparison) -> tuple[str, str, str]:
+    """Describe a row of a table: its values below `_FACTS`, after the name."""
+    size = f"{comparison.n_sensors} x {comparison.n_frames}"
+    return size, f"{comparison.dimensions}D", str(len(comparison.sensors))
+
+
+def columns(methods: Sequence[str]) -> list[str]:
+    """Return the columns of `to_csv`."""
+    errors = [f"{method}: error" for method in methods]
+    return [*_FACTS, *methods, *errors, "best stock", "best stock r", "margin"]
+
+
+def to_csv(comparisons: Sequence[Comparison]) -> str:
+    """Format comparisons of the same methods as CSV, one line per recording.
+
+    The columns are named after the methods (Mantel r), after the methods with ``: error`` (RMS
+    error in spacings), and ``best stock``, ``best stock r`` and ``margin``: Mantel r of the first
+    method of anisomap minus that of the best stock method.
+    """
+    text = StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns([s.method for s in comparisons[0].scores]))
+    for comparison in comparisons:
+        stock = comparison.best(stock=True)
+        table.writerow(
+            [
+                comparison.name,
+                *_facts(comparison),
+                *(_number(s.mantel_r) for s in comparison.scores),
+                *(_number(s.rms_in_spacings) for s in comparison.scores),
+                *((stock.method, _number(stock.mantel_r)) if stock else "--"),
+                _number(comparison.margin, "+.3f"),
+            ]
+        )
+    return text.getvalue()
+
+
+def sentences(comparisons: Sequence[Comparison]) -> list[str]:
+    """Say on which recordings a stock method is better, and which methods have no score and why."""
+    said = []
+    losses, judged = [], 0
+    reasons: dict[tuple[str, str], list[str]] = {}
+    own = ""
+    for comparison in comparisons:
+        title = f"{comparison.name} in {comparison.dimensions}D"
+        if not math.isnan(comparison.margin):
+            judged += 1
+            first, stock = comparison.judged, comparison.best(stock=True)
+            r = math.nan if first is None else first.mantel_r
+            own = own or (first.method if first else "")
+            if round(comparison.margin, 3) < 0 and stock:
+                reached = "no map" if math.isnan(r) else f"{r:.3f}"
+                against = f"{stock.mantel_r:.3f} of {stock.method}"
+                losses.append(f"{title} ({reached} against {against})")
+        for s in comparison.scores:
+            if s.reason:
+                reasons.setdefault((s.method, s.reason), []).append(title)
+    if judged:
+        named = f": {', '.join(losses)}" if losses else ""
+        count = f"{len(losses)} of {judged} maps"
+        said.append(f"A stock method is better than {own} on {count}{named}.")
+    for (method, reason), names in reasons.items():
+        everywhere = "" if len(names) == len(comparisons) else f" on {', '.join(names)}"
+        said.append(f"No score of {method}{everywhere}: {reason}.")
+    return said
+
+
+def _number(value: float, form: str = ".4f") -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}"
