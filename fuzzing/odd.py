@@ -101,27 +101,6 @@ def odd_hdf5(rng: Generator) -> bytes:
     return stream.getvalue()
 
 
-def odd_table(rng: Generator) -> bytes:
-    """Make a Parquet file with nested, repeated, missing and textual columns."""
-    arrow = import_module("pyarrow")
-    n = int(rng.choice([0, 1, 24]))
-    kinds = (
-        rng.random(n),
-        [None] * n,
-        [[1.0] * int(rng.integers(4)) for _ in range(n)],
-        [[[1, 2], []]] * n,
-        [{"a": 1, "b": [2.0]}] * n,
-        ["x"] * n,
-        np.arange(n).astype("M8[ns]"),
-    )
-    columns = [arrow.array(kinds[rng.integers(len(kinds))]) for _ in range(int(rng.integers(1, 6)))]
-    names = [str(rng.choice([*_FIELDS, "a", "a", "", "timestamp", "\x1b[m"])) for _ in columns]
-    stream = BytesIO()
-    table = arrow.Table.from_arrays(columns, names=names)
-    import_module("pyarrow.parquet").write_table(table, stream)
-    return stream.getvalue()
-
-
 def odd_json(rng: Generator) -> bytes:
     """Make a JSON map with one to three values of other types."""
     document: dict[str, Any] = {
@@ -215,36 +194,11 @@ def bomb_hdf5(rng: Generator) -> bytes:
     return stream.getvalue()
 
 
-def bomb_table(rng: Generator) -> bytes:
-    """Compress columns of zeros."""
-    arrow = import_module("pyarrow")
-    column = arrow.array(np.zeros(BOMB_BYTES // 8 // 4))
-    table = arrow.table(dict.fromkeys("abcd", column))
-    stream = BytesIO()
-    if rng.integers(2):
-        import_module("pyarrow.feather").write_feather(table, stream, "zstd")
-    else:
-        import_module("pyarrow.parquet").write_table(table, stream, compression="zstd")
-    return stream.getvalue()
-
-
-def bomb_image(rng: Generator) -> bytes:
-    """Compress two large, black images."""
-    pillow = import_module("PIL.Image")
-    stream = BytesIO()
-    side = int(rng.choice([8000, 12000]))
-    page = pillow.new("L", (side, side))
-    pages = {"save_all": True, "append_images": [page]}
-    page.save(stream, "TIFF", compression="tiff_adobe_deflate", **pages)
-    return stream.getvalue()
-
-
 ODD: Mapping[str, Maker] = MappingProxyType(
     {
         "npz": odd_npz,
         "mat": odd_mat,
         "hdf5": odd_hdf5,
-        "parquet": odd_table,
         "json": odd_json,
         "maps": odd_positions,
     }
@@ -253,8 +207,6 @@ BOMBS: Mapping[str, Maker] = MappingProxyType(
     {
         "npz": bomb_npz,
         "hdf5": bomb_hdf5,
-        "parquet": bomb_table,
-        "images": bomb_image,
         "text": bomb_gzip,
         "yarp": bomb_gzip,
         "json": bomb_gzip,

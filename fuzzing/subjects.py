@@ -108,11 +108,6 @@ def _folders(folder: Path) -> Iterator[tuple[str, Path]]:
     (dump / "data.log").write_text("".join(stamped))
     (dump / "info.log").write_text("Type: Bottle;\n[0.0] /dumper [connected]\nStamp: tx; rx;\n")
     yield "yarp", dump
-    film, pillow = folder / "film", import_module("PIL.Image")
-    film.mkdir()
-    for i, row in enumerate((values * 255).astype(np.uint8)[:6]):
-        pillow.fromarray(row[None]).save(film / f"{i:03d}.png")
-    yield "images", film
     bag = import_module("bags").Bag("db3")
     for i, row in enumerate(values):
         bag.add("/skin", bag.array(row), i)

@@ -7,7 +7,7 @@ import pytest
 
 from anisomap import io
 
-for extra in ("h5py", "pyarrow", "rosbags", "mujoco", "trimesh", "PIL", "defusedxml"):
+for extra in ("h5py", "rosbags", "mujoco", "trimesh", "defusedxml"):
     pytest.importorskip(extra, reason="the fuzzer needs all extras that read files")
 pytest.importorskip("resource", reason="the fuzzer limits the memory of processes as Unix does")
 
@@ -18,8 +18,6 @@ from fuzzing.subjects import subjects
 from fuzzing.workers import run_case
 
 CORPUS = Path(__file__).parent / "corpus"
-LASTING = ("mne-22",)
-"""Files that are refused only after seconds, at the limit of memory."""
 
 
 @pytest.fixture(scope="module")
@@ -44,18 +42,12 @@ def problems(subject, tree, folder, capfd, use):
     return [*result.problems, *Path().iterdir()]
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name in LASTING else name
-        for name in sorted(path.name for path in CORPUS.iterdir())
-    ],
-)
+@pytest.mark.parametrize("case", sorted(path.name for path in CORPUS.iterdir()))
 def test_what_once_failed(formats, folder, capfd, case):
     named = {name.replace(" ", "-"): subject for name, subject in formats.items()}
     files = sorted(path for path in (CORPUS / case).rglob("*") if path.is_file())
     tree = {str(path.relative_to(CORPUS / case)): path.read_bytes() for path in files}
-    for use in (0, 3) if case in LASTING else range(8):
+    for use in range(8):
         assert not problems(named[case.rpartition("-")[0]], tree, folder, capfd, use)
 
 

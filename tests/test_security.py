@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap.errors import FileError
 from skins import flat_skin
 
 PAGE = Path(__file__).parents[1] / "SECURITY.md"
@@ -108,15 +107,3 @@ def test_each_promise_names_tests_that_exist():
     for file, function in promised():
         content = (TESTS.parent / file).read_text(encoding="utf-8")
         assert re.search(rf"^ *(def|class) {function}\b", content, re.M), f"{file}::{function}"
-
-
-@pytest.mark.parametrize("name", ["/etc/passwd", "../other.eeg", "..\\\\other.eeg"])
-@pytest.mark.parametrize("key", ["DataFile", "MarkerFile"])
-def test_headers_of_brainvision_name_no_files_elsewhere(tmp_path, name, key):
-    pytest.importorskip("mne", reason="needs the extra 'mne'")
-    path = tmp_path / "a.vhdr"
-    path.write_text(
-        f"Brain Vision Data Exchange Header File Version 1.0\n[Common Infos]\n{key}={name}\n"
-    )
-    with pytest.raises(FileError, match="must be in the same folder"):
-        anisomap.io.read(path)

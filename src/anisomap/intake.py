@@ -22,7 +22,7 @@ from anisomap.base.columns import find_others, find_taxels, without_units
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 
-CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
+_CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
 """Types of channels of mne that are sensors."""
 
 
@@ -143,14 +143,16 @@ def _of_xarray(array: Any) -> Taken:
 
 
 def _of_mne(raw: Any) -> Taken:
-    counts = Counter(kind for kind in raw.get_channel_types() if kind in CHANNELS)
+    counts = Counter(kind for kind in raw.get_channel_types() if kind in _CHANNELS)
     if len(counts) != 1:
         raise InputError(
             f"the recording has channels of {join_items(list(counts)) or 'no sensor'}; choose one "
             "type, as in raw.copy().pick('eeg')"
         )
     (kind,) = counts
-    picked, left_out = good_channels(raw, kind)
+    of_kind = [i for i, own in enumerate(raw.get_channel_types()) if own == kind]
+    picked = [i for i in of_kind if raw.ch_names[i] not in raw.info["bads"]]
+    left_out = [raw.ch_names[i] for i in of_kind if i not in picked]
     if not picked:
         raise InputError(f"all channels of type {kind} are marked as bad")
     if left_out:
@@ -159,14 +161,6 @@ def _of_mne(raw: Any) -> Taken:
     names = tuple(raw.ch_names[i] for i in picked)
     told = {"format": "mne", "channels": kind}
     return Taken(readings, names, rate_hz=float(raw.info["sfreq"]), metadata=told)
-
-
-def good_channels(raw: Any, kind: str) -> tuple[list[int], list[str]]:
-    """Return the channels of a type in a recording of mne, and the names of those marked as bad."""
-    bad = set(raw.info["bads"])
-    of_kind = [i for i, own in enumerate(raw.get_channel_types()) if own == kind]
-    left_out = [raw.ch_names[i] for i in of_kind if raw.ch_names[i] in bad]
-    return [i for i in of_kind if raw.ch_names[i] not in bad], left_out
 
 
 def _floats(array: NDArray[Any]) -> NDArray[np.floating]:

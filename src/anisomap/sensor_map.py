@@ -309,12 +309,6 @@ class SensorMap(Immutable):
 
         return anisomap.plot(self, truth, ax=ax)
 
-    def to_montage(self) -> Any:
-        """Convert the map to a montage of MNE: see `anisomap.io.to_montage`."""
-        import anisomap  # noqa: PLC0415, the formats import this module
-
-        return anisomap.io.to_montage(self)
-
     def to_dataframe(self) -> Any:
         """Return a table with one row per sensor.
 

@@ -52,7 +52,7 @@ map skin.csv --grid 0x3                                   | two whole numbers of
 map constant.csv -o old.csv                               | got 0 of 3
 map empty -o a.csv                                        | is a folder without
 map book.xlsx -o a.csv                                    | is a spreadsheet; save its table as CSV
-score map.csv cap.elc                                     | is written, but not read
+score map.csv tf.launch.xml                               | is written, but not read
 map two.csv -o old.csv                                    | got 2 of 2
 map gaps.csv -o old.csv                                   | sensor s1, frame 9
 info rows.csv                                             | line 3
@@ -194,7 +194,7 @@ def folder(tmp_path_factory):
         "words.csv": "x,y\n1,z\n",
         "ragged.csv": "x,y\n1,2\n3\n",
         "book.xlsx": "PK",
-        "cap.elc": "# ASA electrode file\n",
+        "tf.launch.xml": "<launch/>",
     }
     for name, text in texts.items():
         (folder / name).write_text(text)

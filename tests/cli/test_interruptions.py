@@ -319,7 +319,7 @@ def fail_to_write(outputs):
         write_both(outputs)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz", ".json", ".ply", ".pcd", ".urdf"])
+@pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz", ".json", ".ply", ".urdf"])
 def test_every_writer_removes_what_it_could_not_finish(folder, suffix):
     outputs = [folder / "m.xml", folder / f"n{suffix}"]
     for path in outputs:
@@ -386,7 +386,7 @@ def read_while_it_changes(path, done):
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 @pytest.mark.parametrize(
     "name",
-    ["skin.csv", "skin.npz", "skin.npy", "data.log", "skin.h5", "skin.parquet", "skin.feather"],
+    ["skin.csv", "skin.npz", "skin.npy", "data.log", "skin.h5"],
 )
 def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch, name):
     monkeypatch.setattr(example_files, "N_FRAMES", 10_000)  # readings that no buffer holds

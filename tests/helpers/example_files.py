@@ -4,8 +4,7 @@ import gzip
 import json
 import math
 import shutil
-import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -154,21 +153,6 @@ def _matlab(path: Path) -> None:
     scipy.io.savemat(path, contents, do_compression=True)
 
 
-def _robot_learning(path: Path, *, feather: bool = False) -> None:
-    arrow = pytest.importorskip("pyarrow")
-    values = arrow.array(_readings().ravel())
-    columns = {
-        "observation.tactile": arrow.FixedSizeListArray.from_arrays(values, N_SENSORS),
-        "timestamp": np.arange(N_FRAMES) / 50,
-        "frame_index": np.arange(N_FRAMES),
-    }
-    if feather:
-        pytest.importorskip("pyarrow.feather").write_feather(arrow.table(columns), path)
-    else:
-        parquet = pytest.importorskip("pyarrow.parquet")
-        parquet.write_table(arrow.table(columns), path, row_group_size=9)
-
-
 def _bag(path: Path) -> None:
     bags = pytest.importorskip("bags")
     bag = bags.Bag(path.suffix[1:])
@@ -277,16 +261,6 @@ def _calibration(path: Path) -> None:
     path.write_text(json.dumps({"info": {"file_version": 2}, "skin": skin}, indent="\t"))
 
 
-def _probes(path: Path) -> None:
-    """Two probes, as probeinterface writes them."""
-    positions = np.nan_to_num(example_map().positions).tolist()
-    probes = [
-        {"ndim": 3, "si_units": "um", "contact_positions": part, "contact_ids": [*map(str, ids)]}
-        for part, ids in ((positions[:3], range(3)), (positions[3:], range(2)))
-    ]
-    path.write_text(json.dumps({"specification": "probeinterface", "probes": probes}))
-
-
 def _display(path: Path) -> None:
     """Two triangles of a board, the second as seen from behind, and a comment."""
     path.write_text(
@@ -299,26 +273,6 @@ def _lists(path: Path) -> None:
     """All readings of a frame in one cell, beside a column that is no sensor."""
     rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
     path.write_text(f"Timestamp,Frame,Matrix_0,foot\n{rows}")
-
-
-def save_pages(path: Path, pages: Iterable[np.ndarray], compression: str | None = None) -> None:
-    """Write a file of images, one page per frame."""
-    pillow = pytest.importorskip("PIL.Image")
-    first, *others = map(pillow.fromarray, pages)
-    first.save(path, save_all=True, append_images=others, compression=compression)
-
-
-def _fif(path: Path) -> None:
-    """Electrodes on a line, beside a trigger channel."""
-    mne = pytest.importorskip("mne")
-    names = [f"E{k}" for k in range(N_SENSORS)]
-    info = mne.create_info([*names, "STI"], 50.0, ["eeg"] * N_SENSORS + ["stim"])
-    raw = mne.io.RawArray(np.vstack([_readings().T, np.zeros(N_FRAMES)]), info, verbose="ERROR")
-    places = {name: np.array([k, 0.0, 0.0]) / 10 for k, name in enumerate(names)}
-    raw.set_montage(mne.channels.make_dig_montage(places, coord_frame="head"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        raw.save(path, fmt="double", overwrite=True, verbose="ERROR")
 
 
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
@@ -339,7 +293,6 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "run.mcap": ("ros", _bag),
     "run.db3": ("ros", _bag),
     "mat.asf": ("mat-export", _mat_export),
-    "film.tif": ("images", lambda path: save_pages(path, _readings()[:, None].astype("f4"))),
     "contacts.csv": ("contacts", _contacts),
     "events.log": ("yarp", _skin_events),
     "events.npz": ("npz", _archived_contacts),
@@ -350,12 +303,9 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "hand.txt": ("cyskin", _cyskin),
     "gesture.txt": ("cyskin", _cyskin_of_driver),
     "lists.csv": ("text", _lists),
-    "skin_raw.fif": ("mne", _fif),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),
-    "skin.parquet": ("parquet", _robot_learning),
-    "skin.feather": ("parquet", lambda path: _robot_learning(path, feather=True)),
 }
 EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "contacts.csv": lambda values: values > 0,
@@ -374,11 +324,9 @@ MAPS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "map.tsv": ("text", own_map),
     "map.json": ("json", own_map),
     "map.ply": ("ply", own_map),
-    "map.pcd": ("pcd", own_map),
     "map.urdf": ("urdf", own_map),
     "map.mjcf": ("mjcf", own_map),
     "map.icub.txt": ("icub", own_map),
     "handle.json": ("cyskin-calibration", _calibration),
-    "probes.json": ("probeinterface", _probes),
     "arm.ini": ("icub-display", _display),
 }

@@ -1,4 +1,4 @@
-"""Binary files: HDF5, MATLAB, Parquet, Arrow, archives of events, and images."""
+"""Binary files: HDF5, MATLAB, and archives of events."""
 
 import warnings
 from collections.abc import Callable
@@ -11,11 +11,8 @@ import scipy
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
 from anisomap.recording import Recording
-from example_files import save_pages
 
 h5py = pytest.importorskip("h5py")
-arrow = pytest.importorskip("pyarrow")
-parquet = pytest.importorskip("pyarrow.parquet")
 
 READINGS = np.random.default_rng(3).integers(0, 9, (300, 6)).astype(np.float64)
 OTHER = np.random.default_rng(4).integers(0, 9, (200, 4))
@@ -138,86 +135,7 @@ def test_dtypes_in_matlab(tmp_path: Path, kind: str, version: str) -> None:
     assert found.rate_hz == 50
 
 
-def table(**columns: object) -> object:
-    return arrow.table({name.replace("__", "."): values for name, values in columns.items()})
-
-
-def fixed(values: np.ndarray) -> object:
-    return arrow.FixedSizeListArray.from_arrays(arrow.array(values.ravel()), values.shape[1])
-
-
-def test_episodes_give_a_rate_but_no_times(tmp_path: Path) -> None:
-    columns = table(
-        observation__tactile=fixed(READINGS),
-        observation__state=fixed(READINGS[:, :2]),
-        action=[[1.0]] * 300,
-        timestamp=np.arange(300) % 100 / 30,
-        episode_index=np.arange(300) // 100,
-    )
-    parquet.write_table(columns, tmp_path / "file-000.parquet", row_group_size=70)
-    with pytest.raises(io.ChoiceError, match="3 possible recordings"):
-        io.read(tmp_path / "file-000.parquet")
-    found = io.read(tmp_path / "file-000.parquet", options=select("observation.tactile"))
-    np.testing.assert_array_equal(found.readings, READINGS)
-    assert found.times is None
-    assert found.rate_hz == pytest.approx(30)
-
-
-@pytest.mark.parametrize("suffix", ["parquet", "feather", "arrows"])
-def test_one_column_per_sensor(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"skin.{suffix}"
-    columns = table(
-        frame=np.arange(300),
-        time=np.arange(300) / 25,
-        **{f"pad {i}": READINGS[:, i] for i in range(6)},
-        who=["me"] * 300,
-    )
-    if suffix == "parquet":
-        parquet.write_table(columns, path)
-    else:
-        writer = arrow.ipc.new_file if suffix == "feather" else arrow.ipc.new_stream
-        with arrow.OSFile(str(path), "wb") as sink, writer(sink, columns.schema) as out:
-            out.write_table(columns, max_chunksize=64)
-    found = io.read(path)
-    np.testing.assert_array_equal(found.readings, READINGS)
-    assert found.names == tuple(f"pad {i}" for i in range(6))
-    assert found.rate_hz == pytest.approx(25)
-
-
-def test_nested_and_ragged_lists(tmp_path: Path) -> None:
-    path = tmp_path / "skin.parquet"
-    parquet.write_table(table(a=READINGS.reshape(300, 3, 2).tolist()), path)
-    np.testing.assert_array_equal(io.read(path).readings, READINGS)
-    parquet.write_table(table(a=[[1.0, 2.0], [3.0], [4.0, 5.0]]), path)
-    with pytest.raises(FileError, match="differ in length"):
-        io.read(path)
-    parquet.write_table(table(a=[[1.0, 2.0], None, [4.0, 5.0]]), path)
-    with pytest.raises(FileError, match="a list in every row, got null"):
-        io.read(path)
-    parquet.write_table(table(a=[[1.0, 2.0], [None, 3.0], [4.0, 5.0]]), path)
-    np.testing.assert_array_equal(io.read(path).readings[1], [np.nan, 3])
-    parquet.write_table(table(a=["x", "y"]), path)
-    with pytest.raises(FileError, match=r"no column that can be a recording; it holds a"):
-        io.read(path)
-
-
-@pytest.mark.parametrize("suffix", ["parquet", "feather"])
-@pytest.mark.parametrize("values", [np.arange(6.0), [[1.0, 2.0]] * 6])
-def test_columns_of_the_same_name(tmp_path: Path, suffix: str, values) -> None:
-    columns = [arrow.array(values), arrow.array(range(6)), arrow.array(range(6))]
-    repeated = arrow.Table.from_arrays(columns, names=["a", "b", "b"])
-    path = tmp_path / f"skin.{suffix}"
-    if suffix == "parquet":
-        parquet.write_table(repeated, path)
-    else:
-        with arrow.ipc.new_file(str(path), repeated.schema) as writer:
-            writer.write_table(repeated)
-    with pytest.raises(FileError, match=r"skin\.\w+ has 2 columns with the name 'b'"):
-        io.read(path)
-
-
 TOUCHED = np.array([[1, 0, 1], [0, 0, 0], [0, 0, 1], [1, 1, 1]])
-FRAMES = np.random.default_rng(5).integers(0, 255, (30, 4, 3))
 OPTIONS = io.ReadOptions
 
 
@@ -376,41 +294,6 @@ class TestSpikeTrains:
         assert io.read(path).n_sensors == 4
         events = io.read(path, options=OPTIONS(select="events", bin_s=1.0))
         np.testing.assert_array_equal(events.readings, [[1, 1], [0, 1]])
-
-
-@pytest.fixture
-def pillow():
-    return pytest.importorskip("PIL.Image")
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
-def test_a_folder_of_images_in_the_order_of_their_numbers(tmp_path: Path, pillow, suffix) -> None:
-    for i, frame in enumerate(FRAMES):
-        pillow.fromarray(frame.astype(np.uint8)).save(tmp_path / f"touch{i}.{suffix}")
-    found = io.read(tmp_path)
-    np.testing.assert_array_equal(found.readings, FRAMES.reshape(30, 12))
-    assert found.units == "pixels"
-    assert found.names[-1] == "r3c2"
-
-
-def test_images_of_16_bits_and_in_colour(tmp_path: Path) -> None:
-    path = tmp_path / "film.tif"
-    save_pages(path, (257 * FRAMES).astype(np.uint16))
-    np.testing.assert_array_equal(io.read(path).readings, 257 * FRAMES.reshape(30, 12))
-    save_pages(path, np.repeat(FRAMES[..., None], 3, axis=3).astype(np.uint8))
-    np.testing.assert_array_equal(io.read(path).readings, FRAMES.reshape(30, 12))
-
-
-def test_unsuitable_images(tmp_path: Path, pillow) -> None:
-    one = pillow.fromarray(FRAMES[0].astype(np.uint8))
-    one.save(tmp_path / "one.tif")
-    with pytest.raises(FileError, match="a single image"):
-        io.read(tmp_path / "one.tif")
-    (tmp_path / "sizes").mkdir()
-    one.save(tmp_path / "sizes" / "a.png")
-    one.resize((2, 2)).save(tmp_path / "sizes" / "b.png")
-    with pytest.raises(FileError, match="size of the first, 4 x 3, but image 1 has 4 pixels"):
-        io.read(tmp_path / "sizes")
 
 
 @pytest.mark.parametrize("suffix", ["npy", "h5"])

@@ -19,12 +19,10 @@ from example_files import MAPS, RECORDINGS, example_map
 
 TIMELESS = {
     "mat.asf": 50,
-    "film.tif": None,
     "skin.npy": None,
     "printed.txt": None,
     "labels.txt": None,
     "touch.mat": None,
-    "skin_raw.fif": 50,
 }
 """Files without times, and their rates."""
 

@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags and MCAP: all message types of tactile sensors, and truncated files."""
+"""ROS 1 and ROS 2 bags and MCAP: all message types of tactile sensors, and files that were cut."""
 
 import re
 import sqlite3
@@ -281,55 +281,32 @@ def test_stamps_of_any_type_in_a_database_are_refused(tmp_path: Path, stamp: obj
     assert "operand" not in str(refused.value), "the message of an operation of the library"
 
 
-@pytest.mark.parametrize(
-    "kind", ["mcap", "bag", "bag LZ4", pytest.param("bag BZ2", marks=pytest.mark.slow)]
-)
-def test_truncated_bags_give_all_complete_records(tmp_path: Path, kind: str) -> None:
-    """A killed recorder leaves no index, no footer, and half a record."""
-    kind, _, packed = kind.partition(" ")
-    bag = Bag(kind)
-    rows = np.random.default_rng(0).random((4000, 100))
-    rows[:, 0] = np.arange(4000)
-    for i, row in enumerate(rows):
-        bag.add("/skin" if i else "/first", bag.array(row), i)
-    path = bag.write(tmp_path / f"run.{kind}", packed)
+@pytest.mark.parametrize("kind", KINDS)
+def test_bags_that_were_not_closed_name_the_tool_that_repairs(tmp_path: Path, kind: str) -> None:
+    path = written(Bag(kind), tmp_path, "/skin", map(Bag(kind).array, READINGS))
     whole = path.read_bytes()
-    n_whole = io.read(path, options=select("/skin")).n_frames
-    assert n_whole == 3999
-    read = []
-    for share in (0.4, 0.7, 0.999):
+    repair = {"bag": "rosbag reindex run.bag", "mcap": "mcap recover run.mcap"}[kind]
+    for share in (0.4, 0.7):
         path.write_bytes(whole[: int(share * len(whole))])
-        with pytest.warns(AnisomapWarning, match=r"not closed: .* the last \d+ of \d+"):
-            found = io.read(path, options=select("/skin"))
-        np.testing.assert_array_equal(found.readings, rows[1 : found.n_frames + 1])
-        read.append(found.n_frames)
-    assert read == sorted(read)
-    assert 0 < read[0] < read[1]
-    assert read[-1] > 0.5 * n_whole
-
-
-def test_unclosed_bags(tmp_path: Path) -> None:
-    bag = Bag("bag")
-    path = written(bag, tmp_path, "/skin", map(bag.array, READINGS))
-    whole = path.read_bytes()
-    at = whole.index(b"index_pos=") + len("index_pos=")
-    end = int.from_bytes(whole[at : at + 8], "little")
-    path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 : end])
-    with pytest.warns(AnisomapWarning, match="not closed: .* the last 0 of"):
-        np.testing.assert_array_equal(io.read(path).readings, READINGS)
+        with pytest.raises(FileError, match=repair):
+            io.read(path)
+    if kind == "bag":
+        at = whole.index(b"index_pos=") + len("index_pos=")
+        path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 :])
+        with pytest.raises(FileError, match=repair):
+            io.read(path)
 
 
 @pytest.mark.parametrize("packed", ["LZ4", "BZ2"])
-def test_damaged_chunks_of_truncated_bags(tmp_path: Path, packed: str) -> None:
-    """The first chunk is unpacked for its connections before rosbags opens the file."""
+def test_damaged_chunks(tmp_path: Path, packed: str) -> None:
     rng = np.random.default_rng(0)
     bag = Bag("bag")
     for i in range(40):
         bag.add("/skin", bag.array((rng.random(8000) < 0.1) * 1.0), i)
     path = bag.write(tmp_path / "run.bag", packed)
     whole = path.read_bytes()
-    for at in rng.integers(5000, len(whole) // 3, 20):
-        damaged = bytearray(whole[: int(0.9 * len(whole))])
+    for at in rng.integers(5000, len(whole) // 3, 10):
+        damaged = bytearray(whole)
         damaged[at] ^= 1 << int(rng.integers(8))
         path.write_bytes(damaged)
         with warnings.catch_warnings(), suppress(FileError):

@@ -230,7 +230,7 @@ def test_comments_padded_by_a_spreadsheet(tmp_path: Path, sensor_map: SensorMap)
     assert_same_map(io.read_map(path), sensor_map)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply", ".pcd"])
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".ply"])
 def test_the_reference_frame_is_always_written(
     tmp_path: Path, sensor_map: SensorMap, suffix: str
 ) -> None:

@@ -77,13 +77,6 @@ def _hdf5(readings: np.ndarray, path: Path) -> None:
         file.create_dataset("readings", data=readings, chunks=(64, 200), compression=1)
 
 
-def _parquet(readings: np.ndarray, path: Path) -> None:
-    arrow = pytest.importorskip("pyarrow")
-    lists = arrow.FixedSizeListArray.from_arrays(arrow.array(readings.ravel()), 200)
-    table = arrow.table({"a": lists})
-    pytest.importorskip("pyarrow.parquet").write_table(table, path, row_group_size=512)
-
-
 def _mcap(readings: np.ndarray, path: Path) -> None:
     bag = pytest.importorskip("bags").Bag("mcap")
     for i, row in enumerate(readings.astype(np.float64)):
@@ -96,10 +89,9 @@ LARGE = {
     "skin.npz": lambda readings, path: np.savez(path, readings=readings),
     "skin.npy": lambda readings, path: np.save(path, readings),
     "skin.h5": _hdf5,
-    "skin.parquet": _parquet,
     "skin.mcap": _mcap,
 }
-CHEAP = {"skin.npz", "skin.npy", "skin.h5", "skin.parquet"}
+CHEAP = {"skin.npz", "skin.npy", "skin.h5"}
 
 
 @pytest.mark.parametrize(

@@ -47,11 +47,7 @@ _OUT_OF_MEMORY = 99  # exit code
 _NO_SPACE = (errno.EFBIG, errno.ENOMEM)
 
 _SERVE = "from anisomap.files.reader_process import serve; serve()"
-_ENVIRONMENT = {
-    "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve memory in advance
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-}
+_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _ARRAY = "\0array"
 _OF_VALUES = (ValueError, ArithmeticError, OSError, EOFError)
 _OF_CODE = (TypeError, AttributeError, IndexError)  # their messages are about a library

@@ -1,4 +1,3 @@
-from .maps.point_files import to_montage as to_montage
 from .maps.text_files import read_modules as read_modules
 from .presets import apply_preset as apply_preset
 from .presets import numbering as numbering

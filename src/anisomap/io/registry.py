@@ -25,13 +25,12 @@ from anisomap.io.columns import sensors_of
 from anisomap.io.maps import point_files, robot_models, skin_displays, text_files
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names, natural_key
+from anisomap.io.parsing.refusals import refuse_foreign, remedy_of
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, in_grid, with_grid
 from anisomap.io.recordings import (
-    arrow,
     bag_files,
     bags,
-    biosignals,
     contact_lists,
     delimited_text,
     grids,
@@ -52,9 +51,6 @@ from anisomap.io.stream import (
 )
 from anisomap.recording import Recording, default_names, join_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
-
-_SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
-_MESHES = (".obj", ".off", ".stl", ".glb", ".gltf")
 
 
 @dataclass(frozen=True)
@@ -102,8 +98,6 @@ FORMATS = (
            magics=npz.MAGICS),
     Format("npy", (".npy",), "NumPy array, frames x sensors", None, npz.open_array,
            magics=(npz.ARRAY_MAGIC,)),
-    Format("probeinterface", (), "probes of probeinterface (JSON)", text_files.is_probe,
-           read_map=text_files.read_probe),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", text_files.is_calibration,
            read_map=text_files.read_calibration),
     Format("contacts-json", (), "list of contacts or spikes (JSON)",
@@ -115,8 +109,6 @@ FORMATS = (
            signature=text_files.SIGNATURE),
     Format("ply", (".ply",), "PLY point cloud (ASCII)", point_files.is_ply,
            read_map=point_files.read_ply, write_map=point_files.write_ply),
-    Format("pcd", (".pcd",), "PCD point cloud with normals (ASCII)", point_files.is_pcd,
-           read_map=point_files.read_pcd, write_map=point_files.write_pcd),
     Format("urdf", (".urdf", ".xacro"), "URDF: fixed frames and the tactile element",
            robot_models.has_root("robot"), read_map=robot_models.read_urdf,
            write_map=robot_models.write_urdf, extra=robot_models.EXTRA, in_metres=True),
@@ -140,21 +132,11 @@ FORMATS = (
     Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", named_arrays.is_hdf5,
            named_arrays.open_recording, contents=named_arrays.contents,
            extra=named_arrays.HDF5_EXTRA),
-    Format("parquet", (".parquet", ".arrow", ".feather"), "Parquet, Arrow, Feather",
-           arrow.recognises, arrow.open_recording, contents=arrow.contents, extra=arrow.EXTRA,
-           magics=arrow.MAGICS),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
            bags.open_recording, contents=bags.contents, extra=bag_files.EXTRA,
            magics=tuple(bag_files.MAGICS)),
-    Format("mne", (".edf", ".bdf", ".fif", ".vhdr"), "EDF, BDF, FIF, BrainVision", None,
-           biosignals.open_recording, contents=biosignals.contents, extra=biosignals.EXTRA,
-           magics=biosignals.MAGICS),
-    Format("elc", (".elc",), "electrodes (ASA)", write_map=point_files.write_elc, in_metres=True),
-    Format("sfp", (".sfp",), "electrodes (BESA)", write_map=point_files.write_sfp, in_metres=True),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            grids.is_mat_export, grids.open_mat_export),
-    Format("images", (".gif", ".tif", ".tiff"), "folder of images; multi-page TIFF or GIF",
-           grids.is_folder, grids.open_images, extra=grids.EXTRA, magics=grids.MAGICS),
     Format("contacts", (), "list of contacts or spikes: time, sensors", contact_lists.is_text,
            contact_lists.open_text_list),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
@@ -480,13 +462,7 @@ def _recognise(file: Path) -> Format:
     start = read_head(file)
     *marked, text_format = FORMATS
     suffix = next((s.lower() for s in reversed(file.suffixes) if s.lower() != ".gz"), None)
-    if suffix in _SPREADSHEETS:
-        raise FileError(f"{file} is a spreadsheet; save its table as CSV")
-    if suffix in _MESHES:
-        raise FileError(
-            f"{file} is a mesh, onto which anisomap place lays a map; to read its vertices as "
-            "positions of sensors, save them as CSV"
-        )
+    refuse_foreign(file, suffix or "", start)
     own = (f for f in FORMATS if f.signature and start.startswith(f.signature))
     by_content = (f for f in marked if f.matches(file, start))
     if chosen := next(itertools.chain(own, by_content), None):
@@ -530,7 +506,9 @@ def files_of(path: str | os.PathLike[str]) -> tuple[Path, ...]:
         paths = sorted(folder.iterdir(), key=lambda each: natural_key(each.name))
     files = [each for each in paths if each.name.lower().removesuffix(".gz").endswith(known)]
     if not files:
-        raise FileError(f"{folder} is a folder without data.log, bag or images; give a file")
+        for each in paths:
+            refuse_foreign(each, each.suffix.lower())
+        raise FileError(f"{folder} is a folder without a data.log, bag or table; give a file")
     return tuple(files)
 
 
@@ -541,10 +519,9 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     ----------
     data : SensorMap or Recording
     path : path-like
-        Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``, ``.pcd``; with a scale also
-        ``.urdf``, ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``, ``.elc``,
-        ``.sfp``. Recordings: ``.npz``, ``.csv``, ``.tsv``, ``.txt``. An existing file is replaced
-        after writing has succeeded.
+        Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``; with a scale also ``.urdf``,
+        ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``. Recordings: ``.npz``,
+        ``.csv``, ``.tsv``, ``.txt``. An existing file is replaced after writing has succeeded.
 
     Raises
     ------
@@ -626,7 +603,8 @@ def _format_of(file: Path, writer: str = "write_map") -> tuple[Format, str]:
     matching = [suffix for suffix in able if file.name.lower().endswith(suffix)]
     if not matching:
         problem = f"unknown suffix {file.suffix!r}" if file.suffix else "the name has no suffix"
-        raise FileError(f"cannot write {file}: {problem}; known suffixes: {', '.join(able)}")
+        known = remedy_of(file.suffix.lower()) or f"known suffixes: {', '.join(able)}"
+        raise FileError(f"cannot write {file}: {problem}; {known}")
     # Use the longest match, because .launch.xml also ends in .xml.
     suffix = max(matching, key=len)
     return able[suffix], suffix

@@ -60,7 +60,8 @@ HOSTILE = {
     "calibration.json": ('{"skin": {"taxels": [', '{"id": 1, "x": [0, 0, 0]},', '{"id": 2}]}}'),
     "brackets.json": ("", "[", ""),
     "map.json": ('{"a": "', "a", '"}'),
-    "points.pcd": ("VERSION 0.7\nFIELDS x y z\n", "# a: 1\n", "POINTS 1\nDATA ascii\n0 0 0\n"),
+    "points.pcd": ("", "# a: 1\n", "VERSION 0.7\nFIELDS x y z\n"),
+    "probes.json": ("", " ", '{"probes": []}'),
     "points.ply": ("ply\nformat ascii 1.0\n", "comment a: 1\n", "end_header\n"),
 }
 

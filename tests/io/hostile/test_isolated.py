@@ -149,7 +149,7 @@ def test_it_ends_with_the_process_that_asks(path: Path, number: int) -> None:
 
 
 def test_missing_libraries_name_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for library in ("h5py", "pyarrow", "rosbags", "PIL", "mne"):
+    for library in ("h5py", "rosbags"):
         (tmp_path / f"{library}.py").write_text("raise ImportError")
     monkeypatch.syspath_prepend(tmp_path)
     reader_process.stop_all()
@@ -157,10 +157,7 @@ def test_missing_libraries_name_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
         for extra, name, magic in (
             ("hdf5", "skin.h5", b"\x89HDF\r\n\x1a\n"),
             ("mat", "v73.mat", b"MATLAB 7.3 MAT-file"),
-            ("parquet", "a.feather", b"ARROW1\0\0"),
             ("ros", "run.bag", b"#ROSBAG V2.0\n"),
-            ("images", "film.gif", b"GIF89a"),
-            ("mne", "run.bdf", b"\xffBIOSEMI"),
         ):
             (tmp_path / name).write_bytes(magic)
             with pytest.raises(MissingExtraError, match=rf"pip install .*\[{extra}\]") as e:

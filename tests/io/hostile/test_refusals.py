@@ -151,7 +151,6 @@ RECORDINGS = [
     ("walk.asf", "ROWS 4\nCOLS 3\nFrame 1\n", "has no frame"),
     ("walk.asc", INSOLE, "line 16 has 2 fields, but the header names 5"),
     ("h.json", taxel(), "holds no recording"),
-    ("x.edf", "a,b\n1,2\n", "is not EDF, BDF, FIF or BrainVision"),
 ]
 
 MAP_HEADER = "name,x,y,component,health\n"
@@ -177,7 +176,7 @@ def joints(*names: str, parent: str = "a", origin: str = "0 0 0") -> str:
 
 TWO_BODIES = "<mujoco><body><site/></body><body name='b'><site/></body></mujoco>"
 ENTITY = "<!DOCTYPE m [<!ENTITY a 'aaaa'>]><mujoco><site name='&a;'/></mujoco>"
-PCD, ICUB = "VERSION 0.7\nFIELDS x y z\n", "taxel2Repr ( 0 )\n[calibration]\n"
+ICUB = "taxel2Repr ( 0 )\n[calibration]\n"
 POINT = "x must be three finite numbers"
 
 MAPS = [
@@ -244,11 +243,6 @@ MAPS = [
     ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
     ("a.xml", TWO_BODIES, "one body, got two"),
     ("a.xml", ENTITY, "damaged or cut short"),
-    ("a.pcd", PCD + "POINTS 1\nDATA binary\n", "line 4: PCD data must be ascii, got 'binary'"),
-    ("a.pcd", PCD + "POINTS 2\nDATA ascii\n0 0 0\n", "announces 2 points, but it has 1"),
-    ("a.pcd", PCD.replace(" z", "") + "POINTS 1\nDATA ascii\n0 0\n", "no points with"),
-    ("a.pcd", PCD + "POINTS 1\nDATA ascii\n0 0 w\n", "line 5, column 3"),
-    ("a.pcd", PCD, "ends within its PCD header"),
     ("a.txt", ICUB[:16], "lacks the line [calibration]"),
     ("a.txt", ICUB + "0 0 0 0 0 0\n", "holds no taxel"),
     ("a.txt", ICUB + "1 0 0\n", "line 3 has 3 fields"),

@@ -16,15 +16,6 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes n
 LOG = "".join(f"{i} {1.3e9 + i / 50:.2f} (1 {i % 7} 3)\n" for i in range(20))
 
 
-def test_pipes_in_a_folder_of_images(tmp_path: Path) -> None:
-    pillow = pytest.importorskip("PIL.Image")
-    for i in range(3):
-        pillow.fromarray(np.eye(4, dtype="u1")).save(tmp_path / f"a{i}.png")
-    os.mkfifo(tmp_path / "a3.png")
-    with pytest.raises(FileError, match=r"a3\.png is not a regular file"):
-        io.read(tmp_path)
-
-
 def test_pipes_beside_a_log(tmp_path: Path) -> None:
     for name in ("left", "right"):
         (tmp_path / name).mkdir()
@@ -72,16 +63,7 @@ def test_pipes_in_a_bag(tmp_path: Path) -> None:
         io.read(folder)
 
 
-def _arrow(path: Path, readings: np.ndarray) -> None:
-    arrow = pytest.importorskip("pyarrow")
-    lists = arrow.FixedSizeListArray.from_arrays(arrow.array(readings.ravel()), 50)
-    table = arrow.table({"a": lists})
-    with arrow.ipc.new_file(str(path), table.schema) as writer:
-        writer.write_table(table, max_chunksize=500)
-
-
 GROWING: dict[str, Callable[[Path, np.ndarray], None]] = {
-    "skin.feather": _arrow,
     "skin.npy": np.save,
     "columns.npy": lambda path, readings: np.save(path, np.asfortranarray(readings)),
 }
@@ -100,12 +82,3 @@ def test_a_file_that_is_cut_while_it_is_read(tmp_path: Path, name: str) -> None:
         with pytest.warns(AnisomapWarning, match="cut"):
             rest = sum(len(block.readings) for block in stream.blocks)
     assert 0 < rest < 59_000
-
-
-def test_pipes_beside_a_header_of_brainvision(tmp_path: Path) -> None:
-    pytest.importorskip("mne")
-    os.mkfifo(tmp_path / "run.eeg")
-    header = "Brain Vision Data Exchange Header File Version 1.0\n[Common Infos]\nDataFile=$b.eeg\n"
-    (tmp_path / "run.vhdr").write_text(header)
-    with pytest.raises(FileError, match=r"run\.eeg is not a regular file"):
-        io.read(tmp_path / "run.vhdr")

@@ -1,11 +1,10 @@
-"""Files of points: PLY, PCD, taxel positions of the iCub, electrodes, and montages of MNE.
+"""Files of points: PLY, and taxel positions of the iCub.
 
 They hold the placed sensors of a map of up to three dimensions. ASCII point clouds (PLY for mesh
-viewers, PCD for the Point Cloud Library) have coordinates of doubles, so that they are read back
-equal; comments restore the names, which are s0, s1, ... in other files.
+viewers) have coordinates of doubles, so that they are read back equal; comments restore the names,
+which are s0, s1, ... in other files.
 
-Sources: Turk (1994), The PLY polygon file format; the PCD file format of the Point Cloud Library;
-the readers of MNE-Python (``mne.channels.read_custom_montage``).
+Source: Turk (1994), The PLY polygon file format.
 """
 
 from __future__ import annotations
@@ -15,13 +14,12 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import counted
-from anisomap.errors import FileError, InputError, import_extra
+from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.facts import format_value, read_comments
 from anisomap.io.parsing.names import distinct_names, numbers_of
 from anisomap.io.parsing.source import numbered_lines, quote, read_lines
@@ -32,7 +30,6 @@ from anisomap.sensor_map import SensorMap
 
 _AXES = ("x", "y", "z")
 _PLY_COLUMNS = (*_AXES, "nx", "ny", "nz")
-_PCD_COLUMNS = (*_AXES, "normal_x", "normal_y", "normal_z")
 _MOST = 2**31  # numbers of sensors and components: no file has more
 _MAX_DIGITS = 9  # of a number of points: more are in no file, and Python converts few thousand
 
@@ -40,12 +37,6 @@ _MAX_DIGITS = 9  # of a number of points: more are in no file, and Python conver
 def is_ply(path: Path, head: bytes) -> bool:
     """Recognise a PLY file by its first line."""
     return head.splitlines()[:1] == [b"ply"]
-
-
-def is_pcd(path: Path, head: bytes) -> bool:
-    """Recognise a PCD file by VERSION in its first line that is not a comment."""
-    lines = (line.strip() for line in head.splitlines())
-    return next((line for line in lines if line and line[:1] != b"#"), b"")[:8] == b"VERSION "
 
 
 def write_ply(sensor_map: SensorMap, path: Path) -> None:
@@ -65,26 +56,6 @@ def write_ply(sensor_map: SensorMap, path: Path) -> None:
     points = zip(numbers, _points_and_normals(sensor_map), strict=True)
     body = [f"{point} {i} {sensor_map.component[i]}" for i, point in points]
     path.write_text("\n".join([*head, *body, ""]), encoding="utf-8")
-
-
-def write_pcd(sensor_map: SensorMap, path: Path) -> None:
-    """Write the placed sensors as points."""
-    points = _points_and_normals(sensor_map)
-    n_columns = len(_PCD_COLUMNS)
-    head = [
-        *(f"# {fact}" for fact in _facts(sensor_map, range(len(points)))),
-        "VERSION 0.7",
-        f"FIELDS {' '.join(_PCD_COLUMNS)}",
-        f"SIZE{' 8' * n_columns}",
-        f"TYPE{' F' * n_columns}",
-        f"COUNT{' 1' * n_columns}",
-        f"WIDTH {len(points)}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(points)}",
-        "DATA ascii",
-    ]
-    path.write_text("\n".join([*head, *points, ""]), encoding="utf-8")
 
 
 def _points_and_normals(sensor_map: SensorMap) -> list[str]:
@@ -137,30 +108,6 @@ def read_ply(path: Path) -> SensorMap:
     vertices = itertools.islice(lines, skipped, skipped + n_vertices)
     names = columns.get("vertex", [])
     return _read_points(path, names, vertices, remarks, count=n_vertices, noun="vertices")
-
-
-def read_pcd(path: Path) -> SensorMap:
-    """Read the points of an ASCII file as sensors."""
-    columns, remarks, count = list[str](), list[str](), 0
-    lines = numbered_lines(path)
-    for number, line in lines:
-        match line.split():
-            case [mark, *_] if mark.startswith("#"):
-                remarks.append(line)
-            case ["FIELDS", *names]:
-                columns = names
-            case ["POINTS", text] if text.isdecimal() and len(text) <= _MAX_DIGITS:
-                count = int(text)
-            case ["DATA", "ascii"]:
-                break
-            case ["DATA", kind]:
-                raise LineError(path, number, f": PCD data must be ascii, got {quote(kind)}")
-            case _:
-                pass
-    else:
-        raise FileError(f"{path} ends within its PCD header")
-    points = (numbered for numbered in lines if numbered[1])
-    return _read_points(path, columns, points, remarks, count=count, noun="points")
 
 
 def _read_points(
@@ -279,62 +226,3 @@ def read_icub(path: Path) -> SensorMap:
     if not positions:
         raise FileError(f"{path} holds no taxel: all lines are zeros")
     return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")
-
-
-def write_elc(sensor_map: SensorMap, path: Path) -> None:
-    """Write electrodes for ASA: positions in millimetres, then labels, without fiducials."""
-    labels, rows = _electrodes(sensor_map, path, "an .elc file", 1e3)
-    head = ["# ASA electrode file", "ReferenceLabel\tavg", "UnitPosition\tmm"]
-    lines = [*head, f"NumberPositions=\t{len(rows)}", "Positions", *rows, "Labels", *labels]
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-
-
-def write_sfp(sensor_map: SensorMap, path: Path) -> None:
-    """Write electrodes for BESA: lines of a label and a position in metres, without fiducials."""
-    pairs = zip(*_electrodes(sensor_map, path, "an .sfp file", 1.0), strict=True)
-    path.write_text("".join(f"{label}\t{row}\n" for label, row in pairs), encoding="utf-8")
-
-
-def _electrodes(
-    sensor_map: SensorMap, path: Path, what: str, per_metre: float
-) -> tuple[tuple[str, ...], list[str]]:
-    """Return labels, with underscores for blanks, and positions."""
-    electrodes = to_taxels(sensor_map, what)
-    with np.errstate(over="ignore"):
-        positions = electrodes.positions * per_metre
-    if not np.isfinite(positions).all():
-        raise InputError(f"{what} cannot represent the positions, which are too large")
-    # Readers of these files skip labels that are empty or begin with the mark of a comment.
-    plain = [
-        "_".join(name.split()).replace("#", "_", name.lstrip()[:1] == "#")
-        for name in electrodes.names
-    ]
-    labels = distinct_names(path, [label or f"unnamed{i}" for i, label in enumerate(plain)])
-    return labels, ["\t".join(map(repr, row)) for row in positions.tolist()]
-
-
-def to_montage(sensor_map: SensorMap) -> Any:
-    """Convert a map to a montage of MNE.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        With a scale, and one connected component.
-
-    Returns
-    -------
-    mne.channels.DigMontage
-        Positions in metres in the frame of the map, which is "unknown" to MNE. Align the map with
-        anchors first (`anisomap.placement.place`) to have them in the frame of a head.
-
-    Raises
-    ------
-    InputError
-        If the map has no scale, or several components.
-    MissingExtraError
-        If mne is not installed.
-    """
-    electrodes = to_taxels(sensor_map, "a montage")
-    mne = import_extra("mne", "a montage", "mne")
-    places = dict(zip(electrodes.names, electrodes.positions, strict=True))
-    return mne.channels.make_dig_montage(places, coord_frame="unknown")

@@ -417,40 +417,6 @@ def _from_json(value: object) -> float:
     raise ValueError(f"{value!r} is not a number")
 
 
-def is_probe(path: Path, head: bytes) -> bool:
-    """Recognise the file format of probeinterface by its key specification near its start."""
-    return is_json(path, head) and b'"probeinterface"' in head
-
-
-def read_probe(path: Path) -> SensorMap:
-    """Read the contacts of all probes of probeinterface, named by channel or by contact."""
-    document = read_json(path)
-    probes = document.get("probes") if isinstance(document, dict) else None
-    if not isinstance(probes, list) or not all(isinstance(probe, dict) for probe in probes):
-        raise FileError(f"{path} is JSON of probeinterface without a list of probes")
-    positions, names, units = list[list[Any]](), list[str](), set[str]()
-    for number, probe in enumerate(probes):
-        where = f"{path}, probe {number}"
-        listed = probe.get("contact_positions")
-        if not isinstance(listed, list) or not listed:
-            raise FileError(f"{where}: contact_positions must be a list of positions")
-        k = probe.get("ndim") if probe.get("ndim") in (2, 3) else 2
-        positions += [
-            _numbers(f"{where}, contact {i}", each, (k,)) for i, each in enumerate(listed)
-        ]
-        ids = probe.get("contact_ids") or probe.get("device_channel_indices") or range(len(listed))
-        if not isinstance(ids, list | range) or len(ids) != len(listed):
-            raise FileError(f"{where}: contact_ids must be a list of {len(listed)} names")
-        prefix = f"{number}." if len(probes) > 1 else ""
-        names += [f"{prefix}{each}" for each in ids]
-        units.add(str(probe.get("si_units", "um")))
-    if len({len(position) for position in positions}) != 1 or len(units) != 1:
-        raise FileError(f"{path}: all probes must have the same unit and number of dimensions")
-    return SensorMap(
-        np.array(positions, dtype=np.float64), names=distinct_names(path, names), units=units.pop()
-    )
-
-
 def is_calibration(path: Path, head: bytes) -> bool:
     """Recognise a JSON object with the keys skin and taxels near its start."""
     return is_json(path, head) and all(key in head for key in (b'"skin"', b'"taxels"'))

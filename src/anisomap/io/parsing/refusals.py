@@ -1,8 +1,9 @@
-"""Text that looks like a table of frames and is none, and what would be right.
+"""Files that are not read, text that looks like a table of frames and is none, and what is right.
 
-Printed arrays whose middle is left out, frames of a CAN bus, what ``ros2 topic echo`` prints, and
-tables with a line per reading, per board or per sensor: read as they stand, sensors would be lost
-or mixed.
+Formats that a library of Python reads are refused with the line that makes a recording or a map of
+what it returns. Text is refused if sensors would be lost or mixed, read as it stands:
+printed arrays whose middle is left out, frames of a CAN bus, what ``ros2 topic echo`` prints, and
+tables with a line per reading, per board or per sensor.
 """
 
 from __future__ import annotations
@@ -12,12 +13,87 @@ import re
 from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from anisomap.base.clocks import words_of
 from anisomap.errors import FileError
 from anisomap.io.parsing.names import COUNTER_NAMES
 from anisomap.io.parsing.source import quote, quote_if_needed
 from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
+
+
+class _Foreign(NamedTuple):
+    """A format that is not read: what would be right, its suffixes, and a pattern of its start."""
+
+    what: str
+    remedy: str
+    suffixes: tuple[str, ...]
+    start: re.Pattern[bytes] | None = None
+
+
+_IN_PYTHON = "in Python it is anisomap.Recording({}), which anisomap.write saves as .npz"
+_FOREIGN = (
+    _Foreign(
+        "Parquet",
+        _IN_PYTHON.format("pandas.read_parquet(path)"),
+        (".parquet",),
+        re.compile(rb"PAR1"),
+    ),
+    _Foreign(
+        "Arrow",
+        _IN_PYTHON.format("pandas.read_feather(path)"),
+        (".arrow", ".feather"),
+        re.compile(rb"ARROW1"),
+    ),
+    _Foreign(
+        "a recording of electrodes",
+        _IN_PYTHON.format("mne.io.read_raw(path).pick('eeg')"),
+        (".edf", ".bdf", ".fif", ".vhdr"),
+        re.compile(
+            rb"\0\0\0d\0\0\0\x1f|\xffBIOSEMI|Brain ?Vision Data Exchange H|0 {7}[ -~]{160}\d\d\."
+        ),
+    ),
+    _Foreign(
+        "a film",
+        _IN_PYTHON.format(
+            "[numpy.ravel(page.convert('F')) for page in "
+            "PIL.ImageSequence.Iterator(PIL.Image.open(path))]"
+        ),
+        (".gif", ".tif", ".tiff"),
+        re.compile(rb"GIF8[79]a|II\*\0|MM\0\*"),
+    ),
+    _Foreign(
+        "an image, perhaps a frame of a film",
+        _IN_PYTHON.format("[numpy.ravel(PIL.Image.open(path).convert('F')) for path in paths]"),
+        (".png", ".bmp", ".pgm", ".jpg", ".jpeg"),
+    ),
+    _Foreign(
+        "a file of probeinterface",
+        "in Python it is probe = probeinterface.read_probeinterface(path).probes[0] and "
+        "anisomap.SensorMap(probe.contact_positions, names=probe.device_channel_indices, "
+        "units=probe.si_units)",
+        (),
+        re.compile(rb'\s*+\{(?=[\s\S]*"probeinterface")'),
+    ),
+    _Foreign(
+        "a file of electrodes",
+        "from a map in metres, mne.channels.make_dig_montage(dict(zip(sensor_map.names, "
+        "sensor_map.positions))) is a montage of mne",
+        (".elc", ".sfp"),
+    ),
+    _Foreign(
+        "a point cloud (PCD)",
+        "pcl_pcd2ply and pcl_ply2pcd convert it to PLY and back",
+        (".pcd",),
+        re.compile(rb"(?:#[^\n]*+\n)*+VERSION [.\d]++\s++FIELDS "),
+    ),
+    _Foreign("a spreadsheet", "save its table as CSV", (".xlsx", ".xlsm", ".xls", ".ods")),
+    _Foreign(
+        "a mesh, onto which anisomap place lays a map",
+        "to read its vertices as positions of sensors, save them as CSV",
+        (".obj", ".off", ".stl", ".glb", ".gltf"),
+    ),
+)
 
 _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
@@ -34,6 +110,18 @@ _LINE_WORDS = _SENSOR_WORDS | {
     *("board", "module", "patch", "node", "device", "mux", "port", "pin", "address", "addr"),
     *("id", "ch", "row", "col", "column", "line", "side", "hand", "foot", "finger"),
 }
+
+
+def refuse_foreign(path: Path, suffix: str, head: bytes = b"") -> None:
+    """Raise FileError for a file of a format that another program reads, by suffix or content."""
+    for each in _FOREIGN:
+        if suffix in each.suffixes or (each.start and each.start.match(head)):
+            raise FileError(f"{path} is {each.what}", each.remedy)
+
+
+def remedy_of(suffix: str) -> str:
+    """Return what is right for a suffix that is not written; empty for one that is not known."""
+    return next((each.remedy for each in _FOREIGN if suffix in each.suffixes), "")
 
 
 def refuse_text(path: Path, sample: Sequence[str]) -> None:

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from anisomap.base.axes import XYZ
 from anisomap.base.wording import counted, join_items
 from anisomap.errors import DamagedError, FileError, import_extra
-from anisomap.io.parsing.source import warn
 from anisomap.io.presets import grid_names, grid_positions
 from anisomap.io.recordings.bag_files import EXTRA, METADATA, prepare, register_definitions
 from anisomap.io.stream import (
@@ -226,8 +225,6 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     Times are the stamps of the messages, or the times of receipt if the stamps do not increase.
     """
     with _open(path, options) as bag:
-        if bag.lost:
-            warn(path, f"it was truncated or not closed: read all complete records, {bag.lost}")
         streams = {topic: bag.stream(topic, field) for topic, field in bag.select(options.select)}
         yield replace(join_streams(streams), source=f"{path.name}:{', '.join(streams)}")
 
@@ -236,12 +233,12 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def _open(path: Path, options: ReadOptions) -> Iterator[_Bag]:
     highlevel = import_extra("rosbags.highlevel", "reading bags", EXTRA)
     typesys = import_extra("rosbags.typesys", "reading bags", EXTRA)
-    bag_path, lost = prepare(path)
+    bag_path = prepare(path)
     store = typesys.get_typestore(typesys.Stores.LATEST)
     register_definitions(store, options.definitions)
     with highlevel.AnyReader([bag_path], default_typestore=store) as reader:
         register_definitions(reader.typestore, options.definitions)
-        yield _Bag(path, reader, lost)
+        yield _Bag(path, reader)
 
 
 @dataclass(frozen=True)
@@ -250,7 +247,6 @@ class _Bag:
 
     path: Path
     reader: Any
-    lost: str  # of a bag that was cut
 
     def contents(self) -> tuple[Content, ...]:
         """List the topics; if any is tactile, only tactile topics are usable."""

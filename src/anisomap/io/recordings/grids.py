@@ -1,4 +1,4 @@
-"""Grids of cells: exports of pressure mats, and images with one sensor per pixel.
+"""Exports of pressure mats.
 
 An export has a header (``ROWS 3``, ``ROW_SPACING 8.4 mm``, ``SECONDS_PER_FRAME 0.01``), and then
 per frame a line such as ``Frame 1`` and rows of cells, ``B`` for those outside the sensor.
@@ -9,30 +9,20 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import counted
-from anisomap.errors import FileError, import_extra
-from anisomap.files.paths import check_regular
-from anisomap.io.parsing.names import natural_key
+from anisomap.errors import FileError
 from anisomap.io.parsing.source import TextLines, lines_of, open_text, quote, warn
 from anisomap.io.parsing.tables import read_undamaged
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
-
-EXTRA = "images"
-
-MAGICS = (b"GIF87a", b"GIF89a", b"II*\0", b"MM\0*")
-_SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
-_GREY_MODES = {"L", "I", "F", "I;16", "I;16B"}
 
 # Possessive quantifiers keep the time linear in the length of a line.
 _FRAME = re.compile(r'\s*+"?frame"?[\s:,;#]*+"?\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)
@@ -211,67 +201,3 @@ def _number(text: str) -> float:
         return float(text.rstrip(".,").replace(",", "."))
     except ValueError:
         return 0.0
-
-
-def is_folder(path: Path, head: bytes) -> bool:
-    """Recognise a folder by the suffixes of its files."""
-    return path.is_dir() and len(_images(path)) > 1
-
-
-@contextmanager
-def open_images(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a file of images, or a folder in the order of the numbers in the names of its files."""
-    pillow = import_extra("PIL.Image", "reading images", EXTRA)
-    if path.is_dir():
-        files = _images(path)
-        yield _stream_images(path, len(files), lambda i: _image(pillow, files[i]))
-        return
-    with pillow.open(path) as image:
-        count = int(getattr(image, "n_frames", 1))
-        if count < 2:
-            raise FileError(f"{path} holds a single image (one frame); give a folder of images")
-        yield _stream_images(path, count, lambda i: _page(image, i))
-
-
-def _stream_images(path: Path, count: int, read: Callable[[int], NDArray[Any]]) -> Stream:
-    rows, columns = read(0).shape
-
-    def frames() -> Iterator[Frame]:
-        for i in range(count):
-            pixels = read(i).ravel()
-            if pixels.size != rows * columns:
-                raise FileError(
-                    f"{path}: all images must have the size of the first, {rows} x {columns}, but "
-                    f"image {i} has {pixels.size} pixels"
-                )
-            yield Frame(pixels, (i + 1) / count)
-
-    return Stream(
-        path,
-        rows * columns,
-        stack_frames(frames()),
-        names=grid_names(rows, columns),
-        positions=grid_positions(rows, columns),
-        units="pixels",
-        source=path.name,
-        metadata={"format": "images", "rows": rows, "columns": columns},
-    )
-
-
-def _images(folder: Path) -> list[Path]:
-    found = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES]
-    return sorted(found, key=lambda path: natural_key(path.name))
-
-
-def _image(pillow: Any, path: Path) -> NDArray[Any]:
-    check_regular(path)
-    with pillow.open(path) as image:
-        return _page(image, 0)
-
-
-def _page(image: Any, page: int) -> NDArray[Any]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # Pillow warns about damage
-        image.seek(page)
-        grey = image if image.mode in _GREY_MODES else image.convert("L")
-        return np.asarray(grey)
