@@ -69,8 +69,7 @@ score map.csv strangers.csv                               | no sensor
 score words.csv truth.csv                                 | words.csv
 score ragged.csv truth.csv                                | ragged.csv
 diff truth.csv missing.csv                                | missing.csv
-diff truth.csv truth.csv --picture truth.csv              | truth.csv
-diff truth.csv truth.csv --picture diff.bmp               | .png, .svg or .pdf
+score map.csv truth.csv --picture diff.bmp                | .png, .svg or .pdf
 convert map.csv a.urdf                                    | in metres, but the map has no scale
 convert map.csv a.urdf --spacing 6.5                      | '6.5' is not a length
 convert map.csv a.xyz                                     | unknown suffix '.xyz'

@@ -12,7 +12,7 @@ import pytest
 
 import anisomap
 from anisomap.cli import app, console, printing
-from anisomap.placement.judgement import judgement
+from anisomap.placement.placing import judgement
 from command_line import call
 from skins import flat_skin
 

@@ -10,7 +10,7 @@ from anisomap.base.scene import Mesh
 from anisomap.drawing import figures as fig
 from anisomap.drawing.figures import charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
-from anisomap.evaluation import compare_maps, score
+from anisomap.evaluation import score
 from anisomap.health import SensorHealth
 from anisomap.layout import LayoutCheck, LayoutFinding
 from anisomap.placement import Anchors, place
@@ -37,15 +37,6 @@ COUNTS = charts.CountPanel(
 )
 
 
-def difference(k):
-    """Two sensors moved, one was lost, and one appeared."""
-    after = TRUTH[:, :k] + np.random.default_rng(1).normal(0, 0.01, (20, k))
-    after[:2] += 5
-    after[4] = np.nan
-    before = np.where(np.arange(20)[:, None] == 5, np.nan, TRUTH[:, :k])
-    return compare_maps(SensorMap(before, names=NAMES), SensorMap(after, names=NAMES))
-
-
 def placed(k):
     rows = [0, 1, 2, 9, 15, 17]
     anchors = Anchors(tuple(NAMES[i] for i in rows), TRUTH[rows, :k])
@@ -70,7 +61,6 @@ PANELS = {
     for k in (2, 3)
     for name, plot in {
         "plot_map": lambda k, ax: fig.plot_map(MAPS[k], SCORE if k == 3 else None, ax=ax),
-        "plot_difference": lambda k, ax: fig.plot_difference(difference(k), ax=ax),
         "plot_placement": lambda k, ax: fig.plot_placement(*placed(k), TRIANGLE, ax=ax),
         "plot_layout": lambda k, ax: fig.plot_layout(checked(k), ax=ax),
     }.items()
@@ -78,7 +68,6 @@ PANELS = {
 FIGURES = {
     "map": lambda: fig.map_figure(MAPS[3]),
     "series": lambda: fig.series_figure(RECORDING, DOUBTED),
-    "difference": lambda: fig.plot_difference(difference(2)).figure,
     "placement": lambda: fig.plot_placement(*placed(3), TRIANGLE).figure,
     "layout": lambda: fig.plot_layout(checked(2)).figure,
     "scores": lambda: charts.scores_figure("title", [GROUPS]),
@@ -157,7 +146,6 @@ def test_a_truth_panel_shows_sensors_without_a_position_apart():
 @pytest.mark.parametrize("k", [2, 3])
 def test_legends_count_the_sensors_of_each_kind(k):
     for name, expected in (
-        ("difference", ["unchanged (16)", "moved (2)", "lost (1)", "appeared (1)"]),
         ("placement", ["placed (14)", "anchors (6)"]),
         ("layout", ["as stated (17)", "swapped, shifted (2)", "dead, doubled (1)"]),
     ):

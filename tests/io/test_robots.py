@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.placement import surface_normals
-from anisomap.placement.judgement import judgement
+from anisomap.placement.placing import judgement
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 

@@ -14,8 +14,5 @@ TOLERANCE, MAX_ITERATIONS = 1e-8, 3000
 PERMUTATIONS = 10_000
 """Size of the null distribution, as in Figure 3 of the paper."""
 
-LEVEL = 0.01
-"""Probability that chance alone marks any sensor as moved."""
-
 N_SHIFTS = 19
 """Number of circular shifts: an unrelated sensor exceeds all of them with probability 1/20."""

@@ -29,7 +29,7 @@ from anisomap.evaluation import Score, score
 from anisomap.files.paths import check_distinct, check_target, together
 from anisomap.health import TouchCoverage, touch_coverage
 from anisomap.placement.frames import in_millimetres
-from anisomap.placement.judgement import spacing_shown
+from anisomap.placement.placing import spacing_shown
 from anisomap.recording import Recording
 from anisomap.route import Examined
 from anisomap.sensor_map import UNSCALED, SensorMap

@@ -18,7 +18,7 @@ from anisomap.evaluation import Score
 from anisomap.health import Finding, RecordingSummary, SensorHealth, TouchCoverage, touch_coverage
 from anisomap.health.touch_coverage import ENOUGH_CONTACTS
 from anisomap.method.pipeline import reconstruct
-from anisomap.placement.judgement import errors_in_mm, judgement
+from anisomap.placement.placing import errors_in_mm, judgement
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from anisomap.verdict.chance import MIN_FRAMES

@@ -316,7 +316,7 @@ def _finish(
 ) -> None:
     """Make the final map, write all files, and say what was written."""
     from anisomap.live.saving import save_report
-    from anisomap.placement.judgement import headline
+    from anisomap.placement.placing import headline
 
     try:
         with progress("making the final map"):

@@ -21,8 +21,6 @@ from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding
 
-_ROUNDING = 1e-9  # of the spacing: what equal maps differ by
-
 
 def convert(
     map_file: options.MapFile,
@@ -84,7 +82,6 @@ def diff(
     after_file: Annotated[Path, Parameter(help="File of the second map."), options.existing],
     /,
     *,
-    picture: options.Picture = None,
     printer: options.Printing = options.PRINTER,
 ) -> int:
     """Compare two maps of a skin: sensors that moved, appeared or went.
@@ -96,72 +93,52 @@ def diff(
     Examples
     --------
     anisomap diff monday.map.csv tuesday.map.csv
-    anisomap diff monday.map.csv tuesday.map.csv --picture moved.png
     anisomap diff before.csv after.csv --json
     """
-    from anisomap.cli.outputs import Outputs
-
-    outputs = Outputs(picture=picture, inputs=(before_file, after_file))
-    before, after = io.read_map(before_file), io.read_map(after_file)
-    found = anisomap.evaluation.compare_maps(before, after)
-    title = f"{before_file.name} and {after_file.name}"
-    files = outputs.write(after, lambda: drawing.figures.plot_difference(found, title=title).figure)
-    _print_difference(printer, found, f"{after_file.name} compared with {before_file.name}")
-    printer.files(files)
-    return DIFFERENT if found.found else 0
-
-
-def _print_difference(printer: Printer, found: anisomap.evaluation.Difference, title: str) -> None:
+    found = anisomap.evaluation.compare_maps(io.read_map(before_file), io.read_map(after_file))
     units, factor = placement.length_shown(found.units, "units of the first map")
-    spacing = found.spacing  # 0 if most sensors have the place of another
-    chance = found.chance if found.chance > _ROUNDING * spacing else 0.0
     masks = {"moved": found.moved, "appeared": found.appeared, "lost": found.lost}
     names = {kind: [found.names[i] for i in np.flatnonzero(m)] for kind, m in masks.items()}
-    n_compared = int(np.count_nonzero(found.compared))
+    n_compared = int(np.count_nonzero(np.isfinite(found.distance)))
     printer.facts(
-        title,
+        f"{after_file.name} compared with {before_file.name}",
         {
             "sensors compared": str(n_compared),
             **{kind: str(len(listed)) for kind, listed in names.items()},
-            "chance": f"explains up to {number(factor * chance)} {units}"
-            + (f", or {number(chance / spacing, 3)} spacings" if spacing else ""),
-            "scale": f"{number(found.scale)} (second map to first)",
-            "mirrored": "yes" if found.reflected else "no",
+            "smallest move": f"moves below {number(factor * found.smallest)} {units} cannot be "
+            "told from chance",
         },
     )
     moved = np.flatnonzero(found.moved)
+    spacing = found.spacing or np.nan  # 0 if most sensors have the place of another
     records = [
         {
             "sensor": found.names[i],
             "distance": found.distance[i],
-            "spacings": found.distance[i] / spacing if spacing else np.nan,
-            "p_value": found.p_values[i],
-            "before": found.before[i],
-            "after": found.after[i],
+            "spacings": found.distance[i] / spacing,
         }
         for i in moved[np.argsort(-found.distance[moved], kind="stable")]
     ]
-    if records:
-        columns: Columns = {
-            "sensor": ("sensor", str),
-            f"distance ({units})": ("distance", lambda distance: number(factor * distance)),
-            "spacings": ("spacings", lambda spacings: number(spacings, 3)),
-            "p": ("p_value", lambda p: number(p, 2)),
-        }
-        printer.rows("Sensors that moved", columns, records, max_rows=MAX_SHOWN)
+    columns: Columns = {
+        "sensor": ("sensor", str),
+        f"distance ({units})": ("distance", lambda distance: number(factor * distance)),
+        "spacings": ("spacings", lambda spacings: number(spacings, 3)),
+    }
+    printer.rows("Sensors that moved", columns, records, max_rows=MAX_SHOWN)
     printer.names({kind: names[kind] for kind in ("appeared", "lost")})
     printer.notes(found.notes)
     printer.record(
         found,
-        "chance scale units notes",
+        "units notes",
         different=found.found,
+        smallest_move=found.smallest,
         sensors_compared=n_compared,
         moved=records,
         appeared=names["appeared"],
         lost=names["lost"],
-        median_spacing=spacing,
-        reflected=found.reflected,
+        median_spacing=found.spacing,
     )
+    return DIFFERENT if found.found else 0
 
 
 def score_map(

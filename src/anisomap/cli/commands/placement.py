@@ -164,7 +164,7 @@ def _read_mesh(path: Path, units: str) -> Mesh:
 
 
 def _print(printer: Printer, found: placement.Placement, name: str) -> None:
-    from anisomap.placement.judgement import headline
+    from anisomap.placement.placing import headline
 
     placed, spacing = found.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM

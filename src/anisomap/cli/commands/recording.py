@@ -220,7 +220,7 @@ def map_recording(
     from anisomap.cli import printing
     from anisomap.cli.outputs import Outputs, Truth, finish, read_reference
     from anisomap.method.named import find_method
-    from anisomap.placement.judgement import headline
+    from anisomap.placement.placing import headline
 
     files = Outputs(
         maps=output or [options.beside(recordings[0], ".map.csv")],

@@ -8,7 +8,6 @@ from anisomap.drawing.figures.charts import plot_distances as plot_distances
 from anisomap.drawing.figures.charts import series_figure as series_figure
 from anisomap.drawing.figures.maps import map_figure as map_figure
 from anisomap.drawing.figures.maps import plot as plot
-from anisomap.drawing.figures.maps import plot_difference as plot_difference
 from anisomap.drawing.figures.maps import plot_layout as plot_layout
 from anisomap.drawing.figures.maps import plot_map as plot_map
 from anisomap.drawing.figures.maps import plot_placement as plot_placement

@@ -50,7 +50,7 @@ from anisomap.drawing.view import (
 from anisomap.errors import InputError
 from anisomap.evaluation import Score
 from anisomap.evaluation import score as score_map
-from anisomap.placement.frames import METRES, in_millimetres, length_shown
+from anisomap.placement.frames import METRES, in_millimetres
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from anisomap.base.scene import Mesh
-    from anisomap.evaluation import Difference
     from anisomap.layout import LayoutCheck
     from anisomap.placement import Anchors, Placement
 
@@ -436,10 +435,6 @@ def _write_label(axes: Axes, point: Points, name: str, leftwards: bool) -> None:
 
 
 _LOOKS = {
-    "unchanged": ("#a9b0b7", MARKERS[0]),
-    "moved": (PALETTE[0], MARKERS[1]),
-    "lost": (PALETTE[3], "X"),
-    "appeared": (PALETTE[2], MARKERS[2]),
     "placed": ("#8a929a", MARKERS[0]),
     "anchors": (PALETTE[0], MARKERS[1]),
     "as stated": ("#a9b0b7", MARKERS[0]),
@@ -460,38 +455,6 @@ _STATUSES = {
     "dead, doubled": ("dead", "doubled"),
 }
 """Statuses of `LayoutCheck` that are drawn alike."""
-
-
-def plot_difference(
-    difference: Difference, *, title: str = "Differences between two maps", ax: Axes | None = None
-) -> Axes:
-    """Plot two maps in one frame, with an arrow for each sensor that moved.
-
-    Parameters
-    ----------
-    difference : Difference
-        From `anisomap.evaluation.compare_maps`.
-    title : str
-    ax : matplotlib Axes, optional
-        See `plot_map`, as for what is returned and raised.
-    """
-    moved, lost, appeared = difference.moved, difference.lost, difference.appeared
-    kinds = {
-        "unchanged": difference.compared & ~moved & ~lost & ~appeared,
-        "moved": moved & ~lost,
-        "lost": lost,
-        "appeared": appeared,
-    }
-    units, factor = length_shown(difference.units, difference.units)
-    before = np.where(np.isfinite(difference.before), difference.before, difference.after)
-    worst = np.flatnonzero(moved)[np.argsort(-difference.distance[moved], kind="stable")]
-    labels = {int(i): difference.names[i] for i in worst[:_MAX_LABELS]}
-    arrows = np.where(moved[:, None], difference.after, np.nan)
-    note = "Arrows lead from the first map to the second, which is aligned with the first."
-    span = span_dimensions(np.vstack([difference.before, difference.after]))
-    with panel(ax, span, title, note, legend=4) as axes:
-        _draw_displacements(axes, factor * before, factor * arrows, kinds, labels, units=units)
-    return axes
 
 
 def plot_placement(

@@ -23,7 +23,7 @@ from anisomap.files.paths import atomic_write, check_target
 from anisomap.health import RecordingSummary, SensorHealth, TouchCoverage
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
-from anisomap.placement.judgement import judgement
+from anisomap.placement.placing import judgement
 from anisomap.sensor_map import UNSCALED, SensorMap, ellipses, is_faulty
 
 TITLES = {"sensor": "Map of a skin", "object": "Map of objects"}

@@ -24,7 +24,7 @@ from anisomap.errors import AnisomapWarning, FileError, error_reason, import_ext
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import quote
 from anisomap.placement import METRES, Taxels, to_taxels
-from anisomap.placement.judgement import judgement
+from anisomap.placement.placing import judgement
 from anisomap.sensor_map import SensorMap
 
 EXTRA = "xml"
