@@ -289,7 +289,7 @@ def test_columns_of_a_data_frame_name_the_sensors():
     assert Recording(frame).select([1]).names == ("right",)
 
 
-@pytest.mark.parametrize("value", [1e300, -1.7e308, 1e151])
+@pytest.mark.parametrize("value", [1e300, -1.7e308, 1e31])
 def test_readings_out_of_range_are_missing(value):
     readings = np.random.default_rng(0).random((9, 3))
     usual = Recording(np.where(np.arange(9)[:, None] == 4, np.nan, readings)).complete(
@@ -298,7 +298,7 @@ def test_readings_out_of_range_are_missing(value):
     readings[4] = value
     recording = Recording(readings)
     with pytest.raises(
-        InputError, match=r"3 readings are NaN or infinite, or above 1e\+150.*frame 4"
+        InputError, match=r"3 readings are NaN or infinite, or above 1e\+30.*frame 4"
     ):
         recording.complete()
     assert recording.complete("drop-frames").n_frames == 8

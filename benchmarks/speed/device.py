@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap import score
-from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.large import device, reconstruct_on_device
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS
 from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.information import mutual_information
 from benchmarks.harness import machine, markdown_table, options, quietly

@@ -14,7 +14,7 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_METHOD, DEFAULT_MU
+from anisomap.base.defaults import DEFAULT_METHOD, DEFAULT_MU
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.dimensions import AUTO, Dimensions
 from anisomap.method.options import MethodOptions
@@ -22,7 +22,8 @@ from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
-from anisomap.numerics.similarity.correlation import Moments
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
+from anisomap.numerics.similarity.correlation import pearson
 from anisomap.recording import MissingPolicy, Recording
 from anisomap.verdict.diagnosis import diagnose
 
@@ -182,10 +183,10 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             or all distances are equal.
         """
         check_is_fitted(self)
-        moments = Moments.of(self._validated(X, reset=False).readings)
-        kept = np.flatnonzero((self.map_.component == 0) & moments.varying())
+        recording = self._validated(X, reset=False)
+        kept = np.flatnonzero((self.map_.component == 0) & recording.varying())
         pairs = np.triu_indices(len(kept), k=1)
-        agreement = moments.correlation()[np.ix_(kept, kept)][pairs]
+        agreement = pearson(recording.readings[:, kept])[pairs]
         if not pairs[0].size:
             return float("nan")
         nearness = -pdist(self.positions_[kept])

@@ -20,14 +20,14 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.intake import take, times_of
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.levelling import offsets, steps_of_rest
-from anisomap.numerics.precision import MAX_SQUARED
 from anisomap.numerics.signals import Signals
 
 Scalar: TypeAlias = str | int | float | bool
 """Values of metadata and provenance: types that every file format can store."""
 
-MAX_READING = 1e150
-"""Largest magnitude of a reading that is not missing: sums of squares of readings are finite."""
+MAX_READING = 1e30
+"""Largest magnitude of a reading that is not missing: sums of readings are finite in float32, and
+those of squares in float64."""
 
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
 """How to handle missing readings: see `Recording.complete`."""
@@ -328,19 +328,6 @@ def _check_facts(recording: Recording) -> None:
             raise InputError(
                 f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
             )
-
-
-def in_range(recording: Recording) -> tuple[Recording, float]:
-    """Scale readings by a power of 2 if their squares overflow or underflow; return it as well.
-
-    Multiplied by it, the readings are those of the recording.
-    """
-    magnitude = np.abs(recording.extremes).astype(np.float64)
-    largest = magnitude.max(where=np.isfinite(magnitude), initial=0)
-    if not largest or 1 / MAX_SQUARED < largest < MAX_SQUARED:
-        return recording, 1.0
-    exponent = int(np.frexp(largest)[1]) - 1
-    return replace(recording, readings=np.ldexp(recording.readings, -exponent)), 2.0**exponent
 
 
 def default_names(n_sensors: int) -> tuple[str, ...]:

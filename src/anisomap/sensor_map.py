@@ -24,7 +24,7 @@ UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
 
 MAX_COORDINATE = 1e75
-"""Greatest coordinate of what is aligned or placed: fourth powers of lengths are finite."""
+"""Greatest coordinate of a map and of what it is aligned to; fourth powers of it are finite."""
 
 UNASSESSED = "unassessed"
 """Health of a sensor before `anisomap.diagnose`."""
@@ -135,6 +135,8 @@ class SensorMap(Immutable):
         names = tuple(str(name) for name in self.names) or default_names(n_sensors)
         check_names(names, n_sensors)
         placed = np.isfinite(positions).all(axis=1)
+        known = [names[i] for i in np.flatnonzero(placed).tolist()]
+        check_coordinates(positions[placed], known, "on the map")
         component = np.array(self.component, dtype=np.intp)
         if not component.size:
             component = np.where(placed, 0, UNPLACED)
@@ -261,11 +263,6 @@ class SensorMap(Immutable):
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
         """Look sensors up by name or index; see `Recording.indices`."""
         return find_sensors(self.names, sensors)
-
-    def check_coordinates(self, what: str) -> None:
-        """Check that sensors can be aligned: see `check_coordinates`."""
-        placed = np.flatnonzero(self.placed)
-        check_coordinates(self.positions[placed], [self.names[i] for i in placed], what)
 
     def select(self, sensors: ArrayLike) -> SensorMap:
         """Keep some sensors.

@@ -16,7 +16,7 @@ from anisomap.numerics.graph.dissimilarity import (
     regularised_reciprocal,
 )
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.precision import is_symmetric, mirror
+from anisomap.numerics.precision import symmetric_from_upper
 from anisomap.numerics.reliability.sampling_noise import group_sensors
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 from anisomap.numerics.similarity.correlation import co_activation, pearson, spearman
@@ -34,15 +34,12 @@ def readings():
     return flat_skin(n_frames=700).readings
 
 
-@pytest.mark.parametrize("size", [1, 2, 127, 128, 129, 300])
+@pytest.mark.parametrize("size", [1, 2, 40])
 def test_the_upper_triangle_is_mirrored_to_the_lower_one(size):
     matrix = np.random.default_rng(size).normal(size=(size, size))
-    half = np.triu(matrix)
-    expected = half + half.T - np.diag(np.diag(matrix))
-    assert is_symmetric(matrix) == (size == 1)
-    mirror(matrix)
-    assert is_symmetric(matrix)
-    np.testing.assert_array_equal(matrix, expected)
+    found = symmetric_from_upper(matrix)
+    np.testing.assert_array_equal(found, found.T)
+    np.testing.assert_array_equal(np.triu(found), np.triu(matrix))
 
 
 @pytest.mark.parametrize("similarity", [pearson, spearman, co_activation, mutual_information])
@@ -84,7 +81,7 @@ def test_asymmetry_beyond_rounding_is_rejected():
     matrix = np.random.default_rng(0).uniform(size=(5, 5)).astype(np.float32)
     matrix += matrix.T
     matrix[0, 1] *= 1 + 1e-6
-    assert is_symmetric(as_symmetric(matrix, "similarity"))
+    np.testing.assert_array_equal(found := as_symmetric(matrix, "similarity"), found.T)
     with pytest.raises(ValueError, match="not symmetric"):
         as_symmetric(matrix.astype(np.float64), "similarity")
     matrix[0, 1] *= 1.01

@@ -5,9 +5,6 @@ DEFAULT_METHOD = "covariogram"
 DEFAULT_MU = 1.0
 """Regularisation of the reciprocal; the paper gives no value, and 0.01 makes the same maps."""
 
-DEFAULT_BINS = 4
-"""Number of bins in the paper, which reports similar results for 6 and 8."""
-
 TOLERANCE, MAX_ITERATIONS = 1e-8, 3000
 """Stopping criteria of the scaling."""
 

@@ -30,7 +30,7 @@ from anisomap.health.recording_faults.stimulation import (
 from anisomap.health.recording_faults.transmission import find_glitches, find_spikes
 from anisomap.health.recording_faults.wiring import find_change, find_inverted
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.recording import Recording, as_runs, in_range
+from anisomap.recording import Recording, as_runs
 
 CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
     {
@@ -153,9 +153,8 @@ def find_faults(
 
 def _examined(recording: Recording) -> Repair:
     findings = list[Finding]()
-    scaled, unit = in_range(recording)
     with limited_blas(recording.n_sensors):
-        current = scaled
+        current = recording
         for kind, find in CHECKS.items():
             if any(one.kind == _HIDES.get(kind) for one in findings):
                 continue
@@ -169,7 +168,7 @@ def _examined(recording: Recording) -> Repair:
                     size=float(one.size),
                     values={
                         **one.values,
-                        **{name: unit * size for name, size in one.lengths.items()},
+                        **one.lengths,
                     },
                     mendable=one.mend is not None,
                 )
@@ -182,5 +181,5 @@ def _examined(recording: Recording) -> Repair:
     if all(not finding.mendable for finding in findings):
         return Repair(recording, tuple(findings))
     with np.errstate(over="ignore"):  # of differences, which are twice as large
-        readings = current.readings if unit == 1 else unit * current.readings
+        readings = current.readings
     return Repair(replace(current, readings=readings), tuple(findings))

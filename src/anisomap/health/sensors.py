@@ -28,7 +28,7 @@ from anisomap.numerics.signals import (
     squares_and_lagged,
     unit_rows,
 )
-from anisomap.recording import Recording, as_runs, in_range
+from anisomap.recording import Recording, as_runs
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
 
 MIN_CONTACTS = 5
@@ -290,9 +290,9 @@ def assess(
 def _assess(
     recording: Recording, best_match: NDArray[np.float64] | None
 ) -> tuple[SensorHealth, ...]:
-    recording, unit = in_range(recording.complete("interpolate"))
+    recording = recording.complete("interpolate")
     varying = recording.varying()
-    statuses = _of_constant(recording, varying, unit)
+    statuses = _of_constant(recording, varying)
     lowest, highest = recording.extremes
     n_sensors = recording.n_sensors
     measured: dict[str, NDArray[Any]] = {
@@ -315,7 +315,7 @@ def _assess(
         measured["contacts"][varying] = signals.contacts
         measured["lag_correlation"][varying] = signals.lag_correlation
         measured["best_match"][varying] = best
-    ends = (unit * end.astype(np.float64) for end in (lowest, highest))
+    ends = (end.astype(np.float64) for end in (lowest, highest))
     rows = zip(*(column.tolist() for column in (*ends, *measured.values())), strict=True)
     return tuple(
         SensorHealth(name, *statuses.get(i, ("ok", "")), *row)
@@ -333,9 +333,7 @@ def _best_match(signals: Signals) -> NDArray[np.float64]:
     return np.where(np.isneginf(best), np.nan, best)
 
 
-def _of_constant(
-    recording: Recording, varying: NDArray[np.bool_], unit: float
-) -> dict[int, tuple[str, str]]:
+def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, tuple[str, str]]:
     """Return the status and the reason of each constant sensor."""
     rest = recording.signals.rest
     rests = rest.value[varying & rest.known]
@@ -353,7 +351,7 @@ def _of_constant(
             if resting
             else ("stuck", "which is not a rest value of other sensors")
         )
-        found[i] = status, f"constant at {unit * value:g}, {what}"
+        found[i] = status, f"constant at {value:g}, {what}"
     return found
 
 

@@ -111,8 +111,6 @@ def _standardised(xp: Any, values: Array, n_sensors: int) -> Array:
     """Centre series (T, m), and divide them by their norms; 0 if constant."""
     deviations = xp.astype(values, xp.float64)
     deviations = deviations - deviations[:1, :]  # exactly 0 for constant sensors
-    greatest = xp.max(xp.abs(deviations), axis=0, keepdims=True)
-    deviations = deviations / xp.where(greatest > 0, greatest, 1.0)  # squares must not overflow
     deviations = deviations - xp.mean(deviations, axis=0, keepdims=True)
     norm = xp.sqrt(xp.sum(deviations * deviations, axis=0, keepdims=True))
     return xp.astype(

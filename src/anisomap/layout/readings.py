@@ -11,7 +11,6 @@ from anisomap.base.defaults import N_SHIFTS
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.signals import count_contacts, unit_rows
-from anisomap.numerics.similarity.correlation import scale_extremes
 from anisomap.numerics.similarity.rest import ranks_of_depths
 
 MIN_FRAMES = 40
@@ -78,7 +77,7 @@ def reading_statistics(
     InputError
         If there are fewer than 40 frames.
     """
-    values = scale_extremes(readings)
+    values = np.asarray(readings)
     n_frames = len(values)
     if n_frames < MIN_FRAMES:
         raise InputError(f"a check needs at least {MIN_FRAMES} frames, got {n_frames}")

@@ -19,23 +19,18 @@ from threadpoolctl import threadpool_limits
 
 from anisomap.errors import InputError, import_extra
 from anisomap.numerics.columns import ranks_from_counts
-from anisomap.numerics.precision import MAX_SQUARED, Reals, check_memory, check_pair_memory
+from anisomap.numerics.precision import Floats, Reals, check_memory, check_pair_memory
 from anisomap.numerics.similarity.binning import Recoding, ValueCounts, maximum_entropy_bins
-from anisomap.numerics.similarity.co_occurrence import Layout, joint_logarithms_of_counts
-from anisomap.numerics.similarity.correlation import (
-    CoOccurrences,
-    Moments,
-    phi_from_counts,
-    squares_overflow,
-)
-from anisomap.numerics.similarity.information import information_from_logarithms
+from anisomap.numerics.similarity.correlation import PairSums
+from anisomap.numerics.similarity.information import information_from_logarithms, joint_logarithms
 from anisomap.numerics.similarity.rest import rest_from_counts
+from anisomap.recording import MAX_READING
 
-Sum: TypeAlias = Moments | CoOccurrences | ValueCounts
+Sum: TypeAlias = PairSums | ValueCounts
 Summand: TypeAlias = Callable[[NDArray[Any]], Any]
 """Sums a block of finite readings, shape (t, N)."""
 
-_BYTES_PER_COUNT = 3 * 4  # uint32: the total, the next result, and their sum
+_BYTES_PER_COUNT = 3 * 8  # float64: the total, the next result, and their sum
 _SUMS_AT_ONCE = 4  # merged by one task, which holds them in memory
 
 
@@ -70,7 +65,7 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
     check_pair_memory(readings.shape[1], refined=False)
     prepare, finish = SUMMED[similarity]
     values: ValueCounts | None = None
-    summand: Summand = _moments
+    summand: Summand = PairSums.of
     notes: tuple[str, ...] = ()
     if prepare is not None:
         values = _total(blocks, ValueCounts.of)
@@ -82,8 +77,8 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
                 "sensors",
             )
     total = _total(blocks, summand)
-    varying = total.varying() if values is None else values.varying()
-    return SummedSimilarity(finish(total), varying, total.n_frames, notes)
+    varying = np.diag(total.products) > 0 if values is None else values.varying()
+    return SummedSimilarity(finish(total, len(varying)), varying, total.n_frames, notes)
 
 
 def _frames_of(readings: Any) -> list[Any]:
@@ -119,11 +114,11 @@ def _total(blocks: Sequence[Any], summand: Summand) -> Any:
 def _sum_of(block: NDArray[Any], summand: Summand) -> Sum | None:
     if not len(block):
         return None
-    faulty = np.flatnonzero(~np.isfinite(block).all(axis=0))
+    faulty = np.flatnonzero(~(np.abs(block.astype(np.float64)) <= MAX_READING).all(axis=0))
     if faulty.size:
         raise InputError(
-            f"a reading of sensor {faulty[0]} is NaN or infinite; leave out such frames or sensors "
-            "of a Dask array, or fill them, as by dask.array.nan_to_num"
+            f"a reading of sensor {faulty[0]} is NaN or above {MAX_READING:g}; leave out such "
+            "frames or sensors of a Dask array, or fill them, as by dask.array.nan_to_num"
         )
     found: Sum = summand(block)
     return found
@@ -134,19 +129,6 @@ def _merged(sums: Sequence[Any]) -> Any:
     for one in sums:
         total = one if total is None else total if one is None else total.merged(one)
     return total
-
-
-def _moments(block: NDArray[Any]) -> Moments:
-    """Return the moments of a block; blocks cannot be scaled, so squares must fit in float64."""
-    magnitude = np.abs(block).max(axis=0).astype(np.float64)
-    beyond = np.flatnonzero(squares_overflow(magnitude))
-    if beyond.size:
-        raise InputError(
-            f"readings of a Dask array must be 0 or between {1 / MAX_SQUARED:g} and "
-            f"{MAX_SQUARED:g} in magnitude, but sensor {beyond[0]} reads "
-            f"{magnitude[beyond[0]]:g}; use another unit"
-        )
-    return Moments.of(block)
 
 
 def _recoded(values: ValueCounts, outcomes: Sequence[NDArray[Any]], summand: Summand) -> Summand:
@@ -160,56 +142,59 @@ def _of_recoded(recode: Recoding, summand: Summand, block: NDArray[Any]) -> Any:
 
 
 def _ranks(values: ValueCounts, _: int) -> Summand:
-    """Sum moments of mean ranks, from 1 to T."""
-    return _recoded(values, [ranks_from_counts(counts) for counts in values.counts], Moments.of)
+    """Sum over mean ranks, from 1 to T."""
+    return _recoded(values, [ranks_from_counts(counts) for counts in values.counts], PairSums.of)
 
 
 def _activity(values: ValueCounts, _: int) -> Summand:
-    """Count frames in which both sensors of a pair exceed rest."""
+    """Sum over 0 at rest and 1 beyond."""
     rest = rest_from_counts(zip(values.values, values.counts, strict=True))
     active = [
-        rest.side[i] * (levels - rest.value[i]) - rest.threshold[i] > 0
+        (rest.side[i] * (levels - rest.value[i]) > rest.threshold[i]).astype(np.float64)
         for i, levels in enumerate(values.values)
     ]
-    layout = Layout.of_switches(values.n_sensors)
-    return _recoded(values, active, partial(CoOccurrences.of, layout=layout))
+    return _recoded(values, active, PairSums.of)
 
 
 def _bins(values: ValueCounts, bins: int) -> Summand:
-    """Count pairs of maximum-entropy bins."""
+    """Sum over 1 in the bin of a reading and 0 in the others."""
     codes = [maximum_entropy_bins(counts, bins).astype(np.uint16) for counts in values.counts]
-    full = [
-        np.bincount(code, weights=counts, minlength=bins)
-        for code, counts in zip(codes, values.counts, strict=True)
-    ]
-    layout = Layout.of(np.array(full).astype(np.int64))
     check_memory(
-        _BYTES_PER_COUNT * layout.n_series**2,
+        _BYTES_PER_COUNT * (bins * values.n_sensors) ** 2,
         f"counting all pairs of {bins} bins of {values.n_sensors} sensors",
         "use fewer bins, or a method based on Pearson's r",
     )
-    return _recoded(values, codes, partial(CoOccurrences.of, layout=layout))
+    return _recoded(values, codes, partial(_of_bins, bins))
 
 
-def _phi(found: CoOccurrences) -> Reals:
-    return phi_from_counts(found.counts, found.n_frames)
+def _of_bins(bins: int, codes: NDArray[Any]) -> PairSums:
+    return PairSums.of(np.concatenate([codes == code for code in range(bins)], axis=1) * 1.0)
 
 
-def _information(found: CoOccurrences) -> Reals:
-    joint = joint_logarithms_of_counts(found.counts, found.first, found.n_frames)
-    return information_from_logarithms(joint, found.n_frames)
+def _information(found: PairSums, n_sensors: int) -> Reals:
+    counts = np.rint(found.products + found.n_frames * np.outer(found.mean, found.mean))
+    tables = counts.reshape(len(counts) // n_sensors, n_sensors, -1, n_sensors)
+
+    def count(first: int, second: int) -> Floats:
+        return np.asarray(tables[first, :, second])
+
+    return information_from_logarithms(joint_logarithms(count, len(tables)), found.n_frames)
+
+
+def _correlation(found: PairSums, _: int) -> Reals:
+    return found.correlation()
 
 
 SUMMED: Mapping[
-    str, tuple[Callable[[ValueCounts, int], Summand] | None, Callable[[Any], Reals]]
+    str, tuple[Callable[[ValueCounts, int], Summand] | None, Callable[[PairSums, int], Reals]]
 ] = MappingProxyType(
     {
-        "pearson": (None, Moments.correlation),
-        "spearman": (_ranks, Moments.correlation),
-        "co-activation": (_activity, _phi),
+        "pearson": (None, _correlation),
+        "spearman": (_ranks, _correlation),
+        "co-activation": (_activity, _correlation),
         "mutual-information": (_bins, _information),
     }
 )
 """How each similarity is summed: ``prepare(values, bins)`` returns the summand, given the distinct
-values of all frames with their counts (None for the moments of the readings), and
-``finish(total)`` the similarity (N, N)."""
+values of all frames with their counts (None for the readings themselves), and
+``finish(total, n_sensors)`` the similarity (N, N)."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from anisomap.base.defaults import DEFAULT_BINS, DEFAULT_MU
+from anisomap.base.defaults import DEFAULT_MU
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.ranges import COUNT, NOT_NEGATIVE, POSITIVE, at_least, check_ranges
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 _SENSORS_AT_ONCE = 64
 _FRAMES_AT_ONCE = 256  # of a transposition; two such blocks stay in the cache
 _CENTRED_AT_ONCE = 32  # sensors whose intermediate arrays stay in the cache
-_FLOAT32_RANGE = 1e15  # of readings that are centred in float32
 
 
 def columns(readings: NDArray[Any]) -> Iterator[NDArray[Any]]:
@@ -73,10 +72,7 @@ def centred_rows(readings: NDArray[Any]) -> NDArray[np.float32]:
     for begin in range(0, len(rows), _CENTRED_AT_ONCE):
         part = transposed(readings[:, begin : begin + _CENTRED_AT_ONCE], buffer)
         # A difference of numbers in float32 is rounded relative to itself.
-        if part.dtype != np.float32 or np.abs(part).max(initial=0) > _FLOAT32_RANGE:
-            part = part.astype(np.float64)
-            # Differences of the greatest numbers would overflow.
-            part /= np.maximum(np.abs(part).max(axis=1), np.finfo(np.float64).tiny)[:, None]
+        part = part if part.dtype == np.float32 else part.astype(np.float64)
         part = part - part[:, :1]  # exactly 0 for constant sensors
         part -= part.mean(axis=1)[:, None]
         # Squares of small readings, such as in a standard deviation, might underflow.

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-_LARGE = 1e150
 _N_NEAREST = 16  # of `local_dimension`; 12 gave a smaller margin
 
 
@@ -26,11 +25,7 @@ def nearest_others(
     count = min(count, len(points) - 1)
     if count < 1:
         return np.empty((len(rows), 0)), np.empty((len(rows), 0), dtype=np.intp)
-    largest = np.abs(points).max()
-    scale = largest if largest > _LARGE else 1.0  # the squares of larger numbers overflow
-    distances, found = KDTree(points / scale).query(points[rows] / scale, k=count + 1)
-    with np.errstate(over="ignore"):
-        distances = distances * scale
+    distances, found = KDTree(points).query(points[rows], k=count + 1)
     itself = found == rows[:, None]
     itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
     shape = (len(rows), count)

@@ -24,11 +24,7 @@ sensors on, a matrix in float64 (32 MB) exceeds the last cache of current proces
 paths in float32 take half the time. One float32 matrix of 20,000 sensors takes 1.6 GB.
 """
 
-MAX_SQUARED = 1e100
-"""Magnitude above which readings are scaled before squaring; likewise below its inverse."""
-
 _BLOCK_BYTES = 1 << 26
-_TILE_ROWS = 128  # of a symmetric matrix; two tiles stay in the cache
 
 
 def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
@@ -55,27 +51,9 @@ def row_blocks(n_rows: int) -> Iterator[slice]:
     return slices_of(n_rows, max(1, _BLOCK_BYTES // (8 * max(n_rows, 1))))
 
 
-def mirror(matrix: NDArray[Any]) -> None:
-    """Make a square matrix symmetric in place: copy its upper triangle to the lower one."""
-    for rows, columns in _upper_tiles(len(matrix)):
-        above = matrix[rows, columns]
-        if rows == columns:
-            half = np.triu(above, 1)
-            above = half + half.T + np.diag(np.diag(above))
-        matrix[columns, rows] = above.T
-
-
-def is_symmetric(matrix: NDArray[Any]) -> bool:
-    """Return whether a square matrix equals its transpose exactly."""
-    return all(
-        np.array_equal(matrix[rows, columns], matrix[columns, rows].T)
-        for rows, columns in _upper_tiles(len(matrix))
-    )
-
-
-def _upper_tiles(n_rows: int) -> Iterator[tuple[slice, slice]]:
-    tiles = list(slices_of(n_rows, _TILE_ROWS))
-    return ((rows, columns) for i, rows in enumerate(tiles) for columns in tiles[i:])
+def symmetric_from_upper(matrix: NDArray[Any]) -> NDArray[Any]:
+    """Return a symmetric matrix with the upper triangle of another. matrix (N, N) -> (N, N)."""
+    return np.asarray(np.triu(matrix) + np.triu(matrix, 1).T)
 
 
 MATRICES, MATRICES_OF_REFINED = 8, 11

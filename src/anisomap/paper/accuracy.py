@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.charts import (
     METHOD_LOOKS,
     CurvePanel,
@@ -27,6 +26,7 @@ from anisomap.numerics.graph.neighbour_graphs import (
 )
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import (
     CASES,
     FAILED_RUNS,

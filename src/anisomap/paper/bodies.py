@@ -7,9 +7,9 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.drawing.figures.maps import gallery_figure
 from anisomap.drawing.figures.scenes import bodies_figure, scene_figure
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import BOMBARDED, CASES, METHODS, Case
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, experiment, mean_by
 from anisomap.paper.map_scores import SCORE_COLUMNS, draw_run

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
-from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.base.wording import join_items
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.accuracy import ALL_PAIRS, DIRECT, RUNS, SMALLEST, tables_of
 from anisomap.paper.cases import METHODS
 from anisomap.paper.experiment import Row, Settings, Table, Tables, by, experiment

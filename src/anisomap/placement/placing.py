@@ -124,7 +124,6 @@ def place(
         raise InputError(
             f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
         )
-    sensor_map.check_coordinates("on the map")
     if mesh is not None and anchors is None:
         raise InputError("to place a map on a mesh, give at least 3 anchors")
     stated = None if not handedness else handedness == "mirrored"

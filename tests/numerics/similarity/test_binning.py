@@ -15,7 +15,6 @@ from anisomap.numerics.similarity.binning import (
     maximum_entropy_bins,
     maximum_entropy_codes,
 )
-from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
 from anisomap.numerics.similarity.rest import (
     estimate_rest,
     quantile_from_counts,
@@ -97,22 +96,6 @@ def test_codes_depend_only_on_order_and_ties(readings, bins):
     np.testing.assert_array_equal(
         maximum_entropy_codes(readings, bins), maximum_entropy_codes(stretched, bins)
     )
-
-
-@given(
-    arrays(np.float64, st.tuples(st.integers(1, 60), st.just(9)), elements=st.integers(-9, 9)),
-    st.integers(0, 2**32 - 1),
-    bins,
-)
-@settings(max_examples=8)
-def test_the_codes_of_a_sensor_do_not_depend_on_the_number_of_sensors(few, seed, bins):
-    """Many sensors are divided by compiled loops, and few by numpy."""
-    rng = np.random.default_rng(seed)
-    continuous = np.maximum(rng.normal(size=(len(few), MIN_COMPILED_SENSORS)), -0.5)
-    both = np.hstack([few, continuous])
-    found = maximum_entropy_codes(both, bins)
-    chosen = [*range(9), *rng.integers(9, both.shape[1], 9)]
-    np.testing.assert_array_equal(found[:, chosen], maximum_entropy_codes(both[:, chosen], bins))
 
 
 @pytest.mark.parametrize("bins", [1, 0, -3, 1025])

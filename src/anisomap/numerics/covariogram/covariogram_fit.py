@@ -24,10 +24,8 @@ from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
-    MapFunction,
-    is_parallel,
+    MIN_PARALLEL_ROWS,
     parallel_map,
-    serial_map,
 )
 from anisomap.numerics.covariogram.objective import (
     Block,
@@ -179,17 +177,16 @@ def fit_covariogram(
     problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision, compiled)
     size = chosen.block if one_block else max(3, chosen.block // 2)
     # BLAS is single-threaded beside threads. Setting limits takes as long as a small fit.
-    limits = threadpool_limits(1) if is_parallel(len(positions)) else nullcontext()
-    with parallel_map(len(positions)) as map_blocks, limits:
+    limits = threadpool_limits(1) if len(positions) >= MIN_PARALLEL_ROWS else nullcontext()
+    with limits:
         members = overlapping_blocks(positions, size)
-        blocks = map_blocks(lambda sensors: Block(sensors, problem), members)
+        blocks = parallel_map(lambda sensors: Block(sensors, problem), members, len(positions))
         found = minimise(
             blocks,
             positions,
             chosen,
             tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
             displacement=_DISPLACEMENT,
-            map_blocks=map_blocks,
             near=near,
         )
     terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
@@ -286,7 +283,6 @@ def minimise(
     *,
     tolerance: float,
     displacement: float,
-    map_blocks: MapFunction = serial_map,
     near: Covariogram | None = None,
 ) -> Minimum:
     """Minimise the objective over positions and exponent. start (N, k).
@@ -310,7 +306,7 @@ def minimise(
         else:
             # Without the curvature, the length of the next step is not known.
             displacement = np.inf
-        search = _Search(blocks, found, factor, (tolerance, displacement), map_blocks)
+        search = _Search(blocks, found, factor, (tolerance, displacement))
         found = search.run(steps)
     return found
 
@@ -324,9 +320,8 @@ class _Search:
         start: Minimum,
         factor: Reals,
         tolerances: tuple[float, float],
-        map_blocks: MapFunction,
     ) -> None:
-        self._blocks, self._map, self._start, self._factor = blocks, map_blocks, start, factor
+        self._blocks, self._start, self._factor = blocks, start, factor
         self._tolerance, self._displacement = tolerances
         self._origin = np.append(start.positions.T.ravel(), start.log_exponent)
         self._slope = np.zeros_like(self._origin)
@@ -374,7 +369,7 @@ class _Search:
 
     def _value_and_slope(self, y: Floats) -> tuple[float, Floats]:
         positions, log_exponent = self._at(y)
-        value, slope = objective(self._blocks, positions, log_exponent, self._map)
+        value, slope = objective(self._blocks, positions, log_exponent)
         by_axes = slope[:-1].reshape(positions.shape).T
         gradient = np.append(by_axes.ravel(), slope[-1]).astype(np.float64)
         self._slope = self._solved(gradient, transposed=True)
@@ -431,9 +426,7 @@ def unexplained_share(
     values, points = np.asarray(similarity), np.asarray(positions)
     step = -(-len(values) // _MAX_SENSORS)
     values, points = values[::step, ::step], points[::step]
-    # Only ratios of distances count; squares of huge or tiny ones would overflow or underflow.
-    unit = int(np.frexp(np.abs(points).max(initial=0))[1])
-    distances = pdist(np.ldexp(points.astype(np.float64), -unit))
+    distances = pdist(points)
     correlations = squareform(values.astype(np.float64), checks=False)
     if known is not None and not np.all(known):
         among = squareform(np.asarray(known)[::step, ::step].astype(np.float64), checks=False) > 0

@@ -18,9 +18,8 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.numerics.compiled.parallel import (
     MIN_COMPILED_ROWS,
-    MapFunction,
     load_loops,
-    serial_map,
+    parallel_map,
 )
 from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
@@ -386,16 +385,16 @@ def objective(
     blocks: Sequence[Block],
     positions: Reals,
     log_exponent: float,
-    map_blocks: MapFunction = serial_map,
 ) -> tuple[float, Reals]:
     """Return the objective and its gradient. positions (N, k) -> value, gradient (N k + 1,)."""
-    terms = map_blocks(lambda block: block.terms(positions, log_exponent), blocks)
+    terms = parallel_map(lambda block: block.terms(positions, log_exponent), blocks, len(positions))
     products = np.sum([term.products for term in terms], axis=0)
     amplitude, offset = solve_amplitude_and_offset(products)
     exponent = float(np.exp(log_exponent))
-    slopes = map_blocks(
+    slopes = parallel_map(
         lambda pair: pair[0].gradient(pair[1], positions, exponent, amplitude, offset),
         zip(blocks, terms, strict=True),
+        len(positions),
     )
     value, by_exponent = 0.0, 0.0
     by_positions = np.zeros_like(positions)

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpotrf, dpotri, spotrf, spotri
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import Reals, as_reals, is_symmetric, mirror, row_blocks
+from anisomap.numerics.precision import Reals, as_reals, row_blocks, symmetric_from_upper
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 
 NUMERICAL_ZERO = 1e-12
@@ -30,7 +30,7 @@ def as_symmetric(matrix: ArrayLike, name: str, *, copy: bool = True) -> Reals:
     if np.isnan(values.min()):
         i, j = np.argwhere(np.isnan(values))[0]
         raise InputError(f"the {name} of sensors {i} and {j} is NaN; it must be a number")
-    if is_symmetric(values):
+    if np.array_equal(values, values.T):
         return values
     finite = np.abs(values[np.isfinite(values)])
     slack = _ROUNDING[values.dtype.type]
@@ -194,15 +194,14 @@ def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
 
 
 def invert_definite(matrix: Reals) -> Reals | None:
-    """Invert a symmetric matrix (n, n) in its place; None if it is not positive definite."""
+    """Invert a symmetric matrix (n, n), which is overwritten; None if it is not definite."""
     double = matrix.dtype == np.float64
     factorise, invert = (dpotrf, dpotri) if double else (spotrf, spotri)
     # LAPACK takes the upper triangle of a C-contiguous matrix for the lower one of its transpose.
     if factorise(matrix.T, lower=True, overwrite_a=True, clean=False)[1]:
         return None
     invert(matrix.T, lower=True, overwrite_c=True)
-    mirror(matrix)
-    return matrix
+    return symmetric_from_upper(matrix)
 
 
 def information_distance(information: ArrayLike) -> Reals:

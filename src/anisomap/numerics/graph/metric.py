@@ -12,7 +12,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.precision import Floats, Reals, mirror, slices_of
+from anisomap.numerics.precision import Floats, Reals, slices_of, symmetric_from_upper
 
 _TILE_ROWS = 4  # rows of tiles per task; few enough for many threads
 _TILE_MIDDLES = 2  # blocks of nodes through which a tile is lowered while it is in the cache
@@ -60,20 +60,19 @@ def shortest_paths(lengths: Reals) -> Reals:
         tile[: len(part), : part.shape[1]] = part
     shape = (_TILE_MIDDLES, len(blocks), side, side)
     outwards, inwards = _aligned(shape, lengths.dtype), _aligned(shape, lengths.dtype)
-    with parallel_map(n_nodes) as map_threads:
-        for group in slices_of(len(blocks), _TILE_MIDDLES):
-            middles = range(group.start, group.stop)
-            for done, middle in enumerate(middles):
-                # Other tiles wait until the end of the group.
-                loops.lower_block(tiles, inwards[:done], outwards[:done], middle)
-                loops.close_tile(tiles[loops.tile_number(middle, middle, len(blocks))])
-                loops.reach_blocks(tiles, middle, outwards[done], inwards[done])
-            ways = inwards[: len(middles)], outwards[: len(middles)]
+    for group in slices_of(len(blocks), _TILE_MIDDLES):
+        middles = range(group.start, group.stop)
+        for done, middle in enumerate(middles):
+            # Other tiles wait until the end of the group.
+            loops.lower_block(tiles, inwards[:done], outwards[:done], middle)
+            loops.close_tile(tiles[loops.tile_number(middle, middle, len(blocks))])
+            loops.reach_blocks(tiles, middle, outwards[done], inwards[done])
+        ways = inwards[: len(middles)], outwards[: len(middles)]
 
-            def lower(rows: slice, ways: tuple[Reals, Reals] = ways) -> None:
-                loops.lower_rows(tiles, *ways, (rows.start, rows.stop))
+        def lower(rows: slice, ways: tuple[Reals, Reals] = ways) -> None:
+            loops.lower_rows(tiles, *ways, (rows.start, rows.stop))
 
-            map_threads(lower, slices_of(len(blocks), _TILE_ROWS))
+        parallel_map(lower, slices_of(len(blocks), _TILE_ROWS), n_nodes)
     paths = np.empty_like(lengths)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
         part = tile[: rows.stop - rows.start, : columns.stop - columns.start]
@@ -176,6 +175,5 @@ def minimax_paths(dissimilarity: ArrayLike) -> Floats:
     longest = np.zeros((n_objects, n_objects), lengths.dtype)
     for k in range(n_objects):
         np.maximum.accumulate(added_by[k + 1 :], out=longest[k, k + 1 :])
-    mirror(longest)
     place = order.argsort()
-    return np.take(longest[place], place, axis=1)
+    return np.take(symmetric_from_upper(longest)[place], place, axis=1)

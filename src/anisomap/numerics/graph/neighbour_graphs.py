@@ -140,7 +140,7 @@ def most_similar(
     products = np.full(found.shape, -np.inf, dtype=np.float32)
 
     # One BLAS thread, so that sums do not depend on the number of threads.
-    with limited_blas(1), parallel_map(n_sensors) as map_threads:
+    with limited_blas(1):
         if whole is None and n_sensors <= MAX_WHOLE:
             whole = all_products(rows)
 
@@ -155,7 +155,7 @@ def most_similar(
                 kept = found[part], products[part]
                 load_loops("graphs").keep_greatest(block, (begin, left), kept)
 
-        map_threads(search, range(0, n_sensors, ROWS))
+        parallel_map(search, range(0, n_sensors, ROWS), n_sensors)
     return found, products
 
 

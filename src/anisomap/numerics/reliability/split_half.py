@@ -13,11 +13,7 @@ from scipy.spatial.distance import squareform
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
-from anisomap.numerics.similarity.correlation import (
-    moments,
-    resampled_correlation,
-    scale_extremes,
-)
+from anisomap.numerics.similarity.correlation import PairSums, pearson, resampled_correlation
 from anisomap.numerics.similarity.rest import Rest, ranks_of_depths
 
 N_BLOCKS = 20
@@ -53,12 +49,12 @@ def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
 
     readings (T, N) -> (N, N), reliability in [-1, 1].
     """
-    values = scale_extremes(readings)
+    values = np.asarray(readings)
     n_frames, n_sensors = values.shape
     if n_frames < _MIN_FRAMES:
-        return moments(values).correlation(), 0.0
+        return pearson(values), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
-    first, second = (moments(at_frames(values, half)) for half in split_blocks(n_frames))
+    first, second = (PairSums.of(at_frames(values, half)) for half in split_blocks(n_frames))
     step = -(-n_sensors // _MAX_SENSORS)
     halves = (one.correlation()[::step, ::step] for one in (first, second))
     return first.merged(second).correlation(), _agreement(*halves)

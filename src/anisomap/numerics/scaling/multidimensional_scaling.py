@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple, TypeAlias
@@ -33,7 +32,6 @@ COINCIDENT = 1e-150
 
 _N_PARTS = 16  # of the pairs; fixed, so that sums do not depend on the number of threads
 _SPATIAL = 3  # coordinates of the faster loop; missing ones are 0
-_FLOAT32_RANGE = 1e9  # distances up to this, and down to its inverse, have squares within float32
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,37 +51,12 @@ class Problem:
         """Whether all distances have the same weight."""
         return len(self.weights) < len(self.targets)
 
-    def single(self) -> Problem | None:
-        """Return the problem in float32; None if values are outside its range."""
-        # The smallest maximum weight of a point is included: no point may lose all its weight.
-        smallest = float(self.weights.max(axis=1).min(initial=1))
-        extremes = [smallest, *(float(m.max(initial=0)) for m in (self.targets, self.weights))]
-        if not all(1 / _FLOAT32_RANGE < extreme < _FLOAT32_RANGE for extreme in extremes):
-            return None
-        return Problem(
-            self.targets.astype(np.float32, copy=False),
-            self.weights.astype(np.float32, copy=False),
-            self.compiled,
-        )
-
-    def weight_of_points(self) -> Floats:
-        """Sum the weights of each point's distances, shape (N, 1)."""
-        if self.equal_weights:
-            return np.full((len(self.targets), 1), len(self.targets) - 1.0)
-        return np.asarray(self.weights.sum(axis=1, keepdims=True, dtype=np.float64))
-
-    def weighted_squares(self, positions: Floats | None = None) -> float:
+    def squares(self, positions: Floats | None = None) -> float:
         """Sum w_ij d_ij^2 over i < j; d are distances of `positions`, by default the targets."""
-        if positions is not None and self.equal_weights:  # Huygens' theorem
-            centred = positions - positions.mean(axis=0)
-            return len(positions) * float(np.vdot(centred, centred))
-        if self.equal_weights:
-            blocks = (self.targets[rows] for rows in row_blocks(len(self.targets)))
-            return sum(float(np.vdot(block, block)) for block in blocks) / 2
-        total = 0.0
-        for rows in row_blocks(len(self.targets)):
+        weights, total = np.broadcast_to(self.weights, self.targets.shape), 0.0
+        for rows in row_blocks(len(weights)):
             lengths = self.targets[rows] if positions is None else cdist(positions[rows], positions)
-            total += float(np.vdot(self.weights[rows] * lengths, lengths.astype(np.float64)))
+            total += float(np.vdot(weights[rows] * lengths, lengths))
         return total / 2
 
 
@@ -91,45 +64,40 @@ Objective = Callable[[Floats], tuple[float, Floats]]
 """Function of positions (N, k) that returns their raw stress and its gradient (N, k)."""
 
 
-@contextmanager
-def objective(problem: Problem, *, single: bool = False) -> Iterator[Objective]:
-    """Provide the raw stress and its gradient as a function of positions.
+def objective(problem: Problem) -> Objective:
+    """Return the raw stress and its gradient as a function of positions.
 
     Borg & Groenen (2005), section 8.6: for point i ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
     if not problem.compiled:
         # New matrices would take longer to allocate than to compute.
         workspace = np.empty((3, *problem.targets.shape))
-        yield lambda positions: plain_stress(problem, positions, workspace)
-        return
+        return lambda positions: plain_stress(problem, positions, workspace)
     n_points = len(problem.targets)
     loops = load_loops("stress")
-    with parallel_map(n_points) as map_threads:
-        # Row i has N - 1 - i pairs; parts have about equal numbers of pairs, and even first rows.
-        cuts = n_points * (1 - np.sqrt(1 - np.arange(_N_PARTS + 1) / _N_PARTS))
-        edges = (2 * np.round(cuts / 2)).astype(int).tolist()
-        edges[-1] = n_points
+    # Row i has N - 1 - i pairs; parts have about equal numbers of pairs, and even first rows.
+    cuts = n_points * (1 - np.sqrt(1 - np.arange(_N_PARTS + 1) / _N_PARTS))
+    edges = (2 * np.round(cuts / 2)).astype(int).tolist()
+    edges[-1] = n_points
 
-        def compiled_stress(positions: Floats) -> tuple[float, Floats]:
-            n_axes = positions.shape[1]
-            points = np.zeros((max(n_axes, _SPATIAL), n_points), np.float32 if single else float)
-            points[:n_axes] = positions.T
-            add_stress = loops.add_spatial_stress if n_axes <= _SPATIAL else loops.add_stress
-            slopes = np.zeros((_N_PARTS, *points.shape), points.dtype)
+    def compiled_stress(positions: Floats) -> tuple[float, Floats]:
+        n_axes = positions.shape[1]
+        points = np.zeros((max(n_axes, _SPATIAL), n_points), problem.targets.dtype)
+        points[:n_axes] = positions.T
+        add_stress = loops.add_spatial_stress if n_axes <= _SPATIAL else loops.add_stress
+        slopes = np.zeros((_N_PARTS, *points.shape), points.dtype)
 
-            def add(part: int) -> float:
-                rows = (edges[part], edges[part + 1])
-                return float(
-                    add_stress(points, problem.targets, problem.weights, rows, slopes[part])
-                )
+        def add(part: int) -> float:
+            rows = (edges[part], edges[part + 1])
+            return float(add_stress(points, problem.targets, problem.weights, rows, slopes[part]))
 
-            raw = sum(map_threads(add, range(_N_PARTS)))
-            slope = np.zeros((n_points, n_axes))
-            for first, part in zip(edges[:-1], slopes, strict=True):
-                slope[first:] += part[:n_axes, first:].T  # earlier points are in earlier parts
-            return raw, 2 * slope
+        raw = sum(parallel_map(add, range(_N_PARTS), n_points))
+        slope = np.zeros((n_points, n_axes))
+        for first, part in zip(edges[:-1], slopes, strict=True):
+            slope[first:] += part[:n_axes, first:].T  # earlier points are in earlier parts
+        return raw, 2 * slope
 
-        yield compiled_stress
+    return compiled_stress
 
 
 def plain_stress(
@@ -217,59 +185,27 @@ def minimise_lbfgs(
     return SolverResult(np.asarray(found.x).reshape(start.shape) / root, trace, converged)
 
 
-MAX_BOTH = 100
-"""Maximum number of points for which both solvers run: both are fast, and minima are many."""
-
-_FLOAT32_TOLERANCE = 1e-7  # at least, where sums over many pairs have a relative error of 1e-8
-
 MIN_LARGE = 1000
-"""Number of points from which the choice of solver stops at `LARGE_TOLERANCE`."""
+"""Number of points from which L-BFGS stops at `LARGE_TOLERANCE`."""
 
 LARGE_TOLERANCE = 1e-5
 """Minimum tolerance for large problems: Stress-1 is within .02 % of that with 1e-7."""
 
 
-def minimise_auto(
-    problem: Problem, start: Floats, tolerance: float, max_iterations: int
-) -> SolverResult:
-    """Minimise by L-BFGS; for up to 100 points also by majorisation, and take the lower stress.
-
-    Compiled problems are first minimised in float32, in half the time; large ones only so.
-    """
-    if len(start) <= MAX_BOTH:
-        found = lbfgs(problem, start, tolerance, max_iterations)
-        other = majorise(problem, start, tolerance, max_iterations)
-        return other if other.trace[-1] < found.trace[-1] else found
-    coarse = problem.single() if problem.compiled else None
-    if coarse is None:
-        return lbfgs(problem, start, tolerance, max_iterations)
-    large = len(start) >= MIN_LARGE
-    least = max(tolerance, LARGE_TOLERANCE if large else _FLOAT32_TOLERANCE)
-    first = lbfgs(coarse, start, least, max_iterations, single=True)
-    left = 0 if large else max_iterations + 1 - len(first.trace)
-    second = lbfgs(problem, first.positions, tolerance, left)
-    # Stresses in float32 may be too low by 1e-6; the trace must not increase to the exact ones.
-    before = np.maximum(first.trace[:-1], second.trace[0]).tolist()
-    return SolverResult(
-        second.positions, before + second.trace, first.converged if large else second.converged
-    )
-
-
-def lbfgs(
-    problem: Problem, start: Floats, tolerance: float, max_iterations: int, *, single: bool = False
-) -> SolverResult:
+def lbfgs(problem: Problem, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
     """Minimise the raw stress by L-BFGS; the first Hessian is twice the weight of each point."""
     n_points = len(start)
-    scale = 2 * problem.weight_of_points() * n_points / max(n_points - 1, 1)
-    with objective(problem, single=single) as stress:
-        return minimise_lbfgs(
-            stress,
-            start,
-            scale,
-            squares=problem.weighted_squares(),
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-        )
+    weights = np.broadcast_to(problem.weights, problem.targets.shape)
+    degree = weights.sum(axis=1, keepdims=True, dtype=np.float64) - np.diag(weights)[:, None]
+    scale = 2 * degree * n_points / max(n_points - 1, 1)
+    return minimise_lbfgs(
+        objective(problem),
+        start,
+        scale,
+        squares=problem.squares(),
+        tolerance=max(tolerance, LARGE_TOLERANCE if n_points >= MIN_LARGE else 0.0),
+        max_iterations=max_iterations,
+    )
 
 
 def majorise(
@@ -280,19 +216,18 @@ def majorise(
     Half the gradient is ``V X - B(X) X``, so that a transform subtracts ``V^+`` times it.
     """
     solve = _laplacian_solver(problem)
-    negligible = _NEGLIGIBLE * problem.weighted_squares()
-    with objective(problem) as stress:
-        positions = start
-        raw, gradient = stress(start)
-        trace, converged = [raw], raw == 0
-        while not converged and len(trace) <= max_iterations:
-            moved = positions - solve(gradient / 2)
-            raw, gradient = stress(moved)
-            if raw > trace[-1]:  # rounding at the minimum: keep the better configuration
-                return SolverResult(positions, trace, converged=True)
-            converged = trace[-1] - raw <= tolerance * trace[-1] or raw <= negligible
-            positions = moved
-            trace.append(raw)
+    negligible = _NEGLIGIBLE * problem.squares()
+    stress, positions = objective(problem), start
+    raw, gradient = stress(start)
+    trace, converged = [raw], raw == 0
+    while not converged and len(trace) <= max_iterations:
+        moved = positions - solve(gradient / 2)
+        raw, gradient = stress(moved)
+        if raw > trace[-1]:  # rounding at the minimum: keep the better configuration
+            return SolverResult(positions, trace, converged=True)
+        converged = trace[-1] - raw <= tolerance * trace[-1] or raw <= negligible
+        positions = moved
+        trace.append(raw)
     return SolverResult(positions, trace, converged)
 
 
@@ -308,7 +243,7 @@ def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
 
 
 AUTO_SOLVER = "auto"
-SOLVERS = {AUTO_SOLVER: minimise_auto, "lbfgs": lbfgs, "majorization": majorise}
+SOLVERS = {AUTO_SOLVER: lbfgs, "lbfgs": lbfgs, "majorization": majorise}
 """Solvers by name: functions of a problem, a start, a tolerance and a number of iterations."""
 
 
@@ -428,11 +363,10 @@ class SmacofOptions:
         Maximum number of iterations.
     solver : {"auto", "lbfgs", "majorization"}
         ``"majorization"`` is SMACOF as published, which converges slowly where the stress is flat.
-        ``"lbfgs"`` takes about a tenth of the iterations. ``"auto"`` is L-BFGS; for up to 100
-        points, where minima are many, it is the better result of both; from 1,000 points on, it
-        stops at a tolerance of 1e-5, with Stress-1 within 0.1 % of the minimum. For up to 500
-        sensors, the methods of McGregor et al. (2011) take ``"majorization"`` in place of
-        ``"auto"``.
+        ``"lbfgs"`` takes about a tenth of the iterations; from 1,000 points on, it stops at a
+        tolerance of 1e-5, with Stress-1 within 0.1 % of the minimum. ``"auto"`` is
+        ``"majorization"`` in the methods of McGregor et al. (2011), for up to 500 sensors, and
+        ``"lbfgs"`` elsewhere.
 
     Raises
     ------
@@ -540,7 +474,7 @@ def smacof(
     return Scaling(
         positions=positions,
         raw_stress=trace[-1],
-        spread=problem.weighted_squares(positions),
+        spread=problem.squares(positions),
         trace=history,
         converged=bool(converged),
     )

@@ -11,21 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.defaults import DEFAULT_BINS
 from anisomap.errors import InputError
 from anisomap.numerics.columns import columns
-from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.precision import Floats
-from anisomap.numerics.similarity.co_occurrence import MIN_COMPILED_SENSORS
+
+DEFAULT_BINS = 4
+"""Number of bins in the paper, which reports similar results for 6 and 8."""
 
 _MAX_BINS = 1024  # the joint counts of more need over a million frames
-_SENSORS_AT_ONCE = 64  # written at a time
 _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit in int64
 
 
@@ -48,9 +46,7 @@ def _checked(bins: int) -> int:
     return bins
 
 
-def _divide(
-    mass: NDArray[np.int64], bins: int, costs: NDArray[np.int64] | None = None
-) -> NDArray[np.intp]:
+def _divide(mass: NDArray[np.int64], bins: int) -> NDArray[np.intp]:
     """Divide values as `maximum_entropy_bins`."""
     if mass.size <= bins:
         return np.arange(mass.size)
@@ -61,12 +57,7 @@ def _divide(
     for n_bins in range(2, int(bins) + 1):
         first, last = _possible_ends(ends, int(mass.max()), n_bins, bins)
         after = (max(first, before[0] + 1), last)
-        if costs is None:
-            least, cut = _with_another_bin(least, ends, before, after, unit)
-        else:
-            found = np.zeros_like(ends), np.zeros_like(ends)
-            load_loops("similarity").add_bin(costs, ends, least, before + after, found)
-            least, cut = found
+        least, cut = _with_another_bin(least, ends, before, after, unit)
         cuts.append(cut)
         before = after
     result, end = np.zeros(mass.size, dtype=np.intp), mass.size
@@ -147,24 +138,13 @@ def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDAr
         Codes from 0 to b - 1. Invariant under increasing transformations of a sensor.
     """
     n_bins, values = _checked(bins), np.asarray(readings)
-    n_frames, n_sensors = values.shape
-    is_compiled = n_sensors >= MIN_COMPILED_SENSORS and n_frames > 1
-    costs = _cost(np.arange(n_frames + 1), _unit(n_frames)) if is_compiled else None
-    codes = np.empty(values.shape, dtype=np.uint16)
-    found = (_codes_of(column, n_bins, costs) for column in columns(values))
-    # Writing single columns would load every row of the codes from memory for one number.
-    for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
-        part = np.array(list(islice(found, _SENSORS_AT_ONCE)))
-        codes[:, begin : begin + _SENSORS_AT_ONCE] = part.T
-    return codes
+    return np.array([_codes_of(column, n_bins) for column in columns(values)]).T
 
 
-def _codes_of(
-    column: NDArray[Any], bins: int, costs: NDArray[np.int64] | None
-) -> NDArray[np.uint16]:
+def _codes_of(column: NDArray[Any], bins: int) -> NDArray[np.uint16]:
     """Return the codes of one sensor, shape (T,)."""
     distinct, counts = np.unique(column, return_counts=True)
-    found = _divide(counts, bins, costs).astype(np.uint16)
+    found = _divide(counts, bins).astype(np.uint16)
     # Searching the few values at which the bin changes is faster than searching all values.
     changes = np.flatnonzero(np.diff(found)) + 1
     runs = found[np.concatenate([[0], changes])]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.precision import Floats, Reals, mirror
+from anisomap.numerics.precision import Floats, Reals, symmetric_from_upper
 from anisomap.numerics.similarity.correlation import pearson
 
 MIN_CONTACTS = 50
@@ -128,8 +128,7 @@ class Contacts:
                 together += weights[:, i, None, None] * products
         found = np.empty_like(together)
         for i, sums in enumerate(together):
-            mirror(sums)
-            found[i] = _agreement(sums, float(total[i]))
+            found[i] = _agreement(symmetric_from_upper(sums), float(total[i]))
         return found
 
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import xlogy
 
-from anisomap.base.defaults import DEFAULT_BINS
-from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks
-from anisomap.numerics.similarity.binning import maximum_entropy_codes
-from anisomap.numerics.similarity.co_occurrence import (
-    CHUNK_FRAMES,
-    MIN_COMPILED_SENSORS,
-    joint_logarithms,
-)
-
-_MAX_COMPILED_CODES = 64  # of a sensor; joint counts of more would take too much memory
+from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks, slices_of
+from anisomap.numerics.similarity.binning import DEFAULT_BINS, maximum_entropy_codes
+from anisomap.numerics.similarity.correlation import CHUNK_FRAMES
 
 
 def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
@@ -48,25 +43,42 @@ def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
 
 
 def information_from_codes(codes: ArrayLike) -> Reals:
-    """Compute the mutual information of every pair of discrete series. Returns (N, N).
-
-    With counts n over T frames, ``T I(A; B) = sum n_ab log n_ab - sum n_a log n_a
-    - sum n_b log n_b + T log T``. Counts are exact integers.
-    """
+    """Compute the mutual information of every pair of discrete series. codes (T, N) -> (N, N)."""
     values = np.asarray(codes)
     n_frames, n_sensors = values.shape
-    n_codes = int(values.max()) + 1
-    if n_sensors >= MIN_COMPILED_SENSORS and n_codes <= _MAX_COMPILED_CODES:
-        joint = joint_logarithms(values, n_codes)
-    else:
-        joint = _joint_logarithms_by_products(values, n_codes)
-    return information_from_logarithms(joint, n_frames)
+
+    def count(first: int, second: int) -> Floats:
+        counts = np.zeros((n_sensors, n_sensors))
+        for frames in slices_of(n_frames, CHUNK_FRAMES):
+            # Products of float32 are fastest, and exact for counts of up to 2^24.
+            left = (values[frames] == first).astype(np.float32)
+            right = left if first == second else (values[frames] == second).astype(np.float32)
+            counts += left.T @ right
+        return counts
+
+    return information_from_logarithms(joint_logarithms(count, int(values.max()) + 1), n_frames)
+
+
+def joint_logarithms(count: Callable[[int, int], Floats], n_codes: int) -> Floats:
+    """Sum n log n over the joint counts of every pair of sensors, (N, N).
+
+    count: ``count(a, b)`` returns the frames in which sensor i has code a and sensor j code b,
+        (N, N); memory does not grow with the number of codes.
+    """
+    joint: Floats = np.zeros(())
+    for a in range(n_codes):
+        for b in range(a, n_codes):
+            counts = count(a, b)
+            terms = xlogy(counts, counts)
+            joint = joint + (terms if a == b else terms + terms.T)
+    return joint
 
 
 def information_from_logarithms(joint: Floats, n_frames: int) -> Reals:
     """Compute the mutual information from the sums of n log n over joint counts.
 
-    joint (N, N) -> (N, N).
+    joint (N, N) -> (N, N). With counts n over T frames, ``T I(A; B) = sum n_ab log n_ab
+    - sum n_a log n_a - sum n_b log n_b + T log T``.
     """
     # On the diagonal both codes are equal, so its entries are the marginal sums of n_a log n_a.
     marginal = np.diag(joint)
@@ -80,32 +92,3 @@ def information_from_logarithms(joint: Floats, n_frames: int) -> Reals:
         information[rows] = np.clip(shared, 0, np.minimum.outer(entropy[rows], entropy))
     np.fill_diagonal(information, entropy)
     return information
-
-
-def _joint_logarithms_by_products(codes: NDArray[np.generic], n_codes: int) -> Floats:
-    """Sum n log n over joint counts, by one matrix product per pair of codes.
-
-    Memory does not grow with the number of codes.
-    """
-    joint = np.zeros((codes.shape[1],) * 2)
-    for a in range(n_codes):
-        counts = _count_pair(codes, a, a)
-        joint += xlogy(counts, counts)
-        for b in range(a + 1, n_codes):
-            counts = _count_pair(codes, a, b)
-            terms = xlogy(counts, counts)
-            joint += terms + terms.T
-    return joint
-
-
-def _count_pair(codes: NDArray[np.generic], first: int, second: int) -> Floats:
-    """Count frames in which sensor i has the first code and sensor j the second, shape (N, N)."""
-    n_sensors = codes.shape[1]
-    counts = np.zeros((n_sensors, n_sensors))
-    for start in range(0, len(codes), CHUNK_FRAMES):
-        chunk = codes[start : start + CHUNK_FRAMES]
-        # float32 products are fastest, and exact for counts of up to 2^24 frames.
-        left = (chunk == first).astype(np.float32)
-        right = left if first == second else (chunk == second).astype(np.float32)
-        counts += left.T @ right
-    return counts
