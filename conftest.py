@@ -25,9 +25,9 @@ os.environ.update(
     )
 )
 
-# Property tests draw the same examples on every machine and in every run; `make test-random` draws
-# new ones. No deadlines and no check of the speed of generation: on a busy machine they fail at
-# random.
+# Property tests draw the same examples on every machine and in every run; the profile `random`
+# draws new ones. No deadlines and no check of the speed of generation: on a busy machine they fail
+# at random.
 settings.register_profile(
     "default",
     deadline=None,

@@ -1,1 +1,1 @@
-"""Benchmarks of speed (``make bench``) and of accuracy (``make quality``)."""
+"""Benchmarks of speed and of accuracy."""

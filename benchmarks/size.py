@@ -26,8 +26,8 @@ from benchmarks.harness import columns, markdown_table
 
 PACKAGE = Path(anisomap.__file__).parent
 ROOT = PACKAGE.parents[1]
-GOALS = {"files": 195, "lines": 41_000, "code": 28_000}
-TESTS_GOAL = {"code": 20_000}
+GOALS = {"files": 195, "lines": 42_000, "code": 28_700}
+TESTS_GOAL = {"lines": 20_900}
 PATH_GOAL = ("150", "25")
 WORDS_GOALS = {"users": 22_000, "developers": 8_000}
 USERS = ("getting-started.md", "how-to/", "explanation/", "reference/", "robots/")

@@ -1,4 +1,4 @@
-"""Read damaged files of every format (``make fuzz``); fail if anything but a refusal happens.
+"""Read damaged files of every format; fail if anything but a refusal happens.
 
 Each case depends on the seed, the format and its number, so that any case can be repeated. The
 formats take turns, so that a run that is stopped has tried each of them.

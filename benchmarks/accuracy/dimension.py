@@ -1,4 +1,4 @@
-"""Number of dimensions that is chosen for skins of several shapes (``make dimension``).
+"""Number of dimensions that is chosen for skins of several shapes.
 
 Skins are those of `benchmarks.skins.independent`: each seed stimulates every body in another way. A
 cylinder can be rolled out, and may be mapped in 2D or 3D. Real recordings are read from folders.

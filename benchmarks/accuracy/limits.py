@@ -1,4 +1,4 @@
-"""What real recordings allow the default method to reach (part of ``make quality``).
+"""What real recordings allow the default method to reach.
 
 One table shows, beside the default map of each recording,
 

@@ -1,4 +1,4 @@
-"""Maps of skins with white noise in their readings (``make noise``).
+"""Maps of skins with white noise in their readings.
 
 Noise is in units of a deep contact, the 90 % quantile of the loads above 0. The table holds medians
 over the seeds of Mantel r of the default and of r-ANISOMAP, and of the share of sensors in the

@@ -1,4 +1,4 @@
-"""Accuracy of the maps of every method, stock methods included (``make quality``).
+"""Accuracy of the maps of every method, stock methods included.
 
 All methods map all scenarios of the paper, on seeds that were not used for tuning, and the
 recordings in folders. (The covariogram method was tuned on seeds 101 to 105, its gates also on

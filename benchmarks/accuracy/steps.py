@@ -1,4 +1,4 @@
-"""What each step of the default method earns (part of ``make quality``).
+"""What each step of the default method earns.
 
 The default method maps recordings without one of its steps at a time. The tables hold, for each
 kind of recording, the mean Mantel r and RMS error in spacings, and the mean CPU time of a map. The

@@ -1,6 +1,6 @@
 """Fit the accuracy of maps to their evidence.
 
-``python -m benchmarks.verdicts.calibration trust/trust.csv`` reads results of ``make trust``. It
+``python -m benchmarks.verdicts.calibration trust/trust.csv`` reads results of `trust`. It
 prints the constants of `anisomap.verdict.accuracy`, and a table of how well they hold for kinds
 of skin that were left out of the fit.
 """

@@ -1,4 +1,4 @@
-"""Damage of recordings: found, falsely found, and mended (``make faults``).
+"""Damage of recordings: found, falsely found, and mended.
 
 Skins of `benchmarks.skins.independent`, and recordings in folders, are damaged in each way. The
 output is two tables in Markdown and all results as CSV: whether the damage was found, what else was

@@ -1,4 +1,4 @@
-"""Verdicts on maps of recordings that nobody tuned on (``make trust``).
+"""Verdicts on maps of recordings that nobody tuned on.
 
 Maps recordings of two simulators, sound and damaged, noises without any geometry, and real skins by
 the default method, and compares the verdict on each map, which is made without the positions, with

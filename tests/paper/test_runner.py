@@ -140,9 +140,9 @@ def test_documents_hold_the_numbers_of_the_tables():
         for path in ("docs/explanation/paper.md", "README.md", "paper/paper.md")
     )
     for text in (paper, *others):
-        assert numbers.fill(text, ROOT / "docs" / "results") == text, "run make numbers"
+        assert numbers.fill(text, ROOT / "docs" / "results") == text, "run benchmarks.publish"
         assert numbers.tables_in(text)
-    assert all(f"| {claim.text} |" in paper for claim in CLAIMS), "run make numbers"
+    assert all(f"| {claim.text} |" in paper for claim in CLAIMS), "run benchmarks.publish"
 
 
 REASONS = {

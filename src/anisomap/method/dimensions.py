@@ -28,7 +28,7 @@ PLANE, SPATIAL = 2, 3
 FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
 """Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
 
-Of 300 simulated skins of 15 shapes (``make dimension``), none was wrong and 22 were not clear.
+Of 300 simulated skins of 15 shapes (benchmark `dimension`), none was wrong and 22 were not clear.
 """
 
 MIN_EXPLAINED = 0.04

@@ -64,7 +64,7 @@ ELLIPSE_SCALE = 2.0
 
 The errors of maps spread around the expected ones, and those of sensors around that of their map.
 Ellipses of 95 % hold 94 % of the true positions on 180 maps with errors of at most a spacing
-(``make trust``, seeds 7001 to 7119).
+(the benchmark `trust`, seeds 7001 to 7119).
 """
 
 _MAX_ERROR = 1e6  # spacings: keeps the odds finite

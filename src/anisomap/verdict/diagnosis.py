@@ -60,7 +60,7 @@ FATAL = ("one-period", "changed")
 UNSEEN = ("copies", "separate-regions")
 """Faults that misplace sensors in all maps alike, so that the estimated error does not show them.
 
-Of 2,100 maps in five tables of ``make trust``, 13 with copies were wrong although their estimate
+Of 2,100 maps in five tables of benchmark `trust`, 13 with copies were wrong although their estimate
 was that of a usable map, and 1 of 66 with other faults or notes.
 """
 

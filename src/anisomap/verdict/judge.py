@@ -18,7 +18,7 @@ of the map: an error of a quarter of the extent already lowers Mantel r to .9.
 MIN_KEPT = 0.7
 """Lower end of the interval of the share of kept neighbours of a map that is usable for neighbours.
 
-Of 176 maps of ``make trust`` that reach it (seeds 7001 to 7119), 8 % keep fewer.
+Of 176 maps of the benchmark `trust` that reach it (seeds 7001 to 7119), 8 % keep fewer.
 """
 
 MAX_CHANCE = 1.0

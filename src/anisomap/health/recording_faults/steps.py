@@ -13,8 +13,8 @@ from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.signals import excerpt_frames, unit_rows
 from anisomap.recording import Recording
 
-# Chosen by hand on the seeds 741 to 750 of ``make faults``, and on blocks that are moved from place
-# to place at once, of which 2 of 360 recordings are accused.
+# Chosen by hand on the seeds 741 to 750 of benchmark `faults`, and on blocks that are moved from
+# place to place at once, of which 2 of 360 recordings are accused.
 _WINDOW, _N_WINDOWS = 25, 8  # frames whose median is taken; windows on either side
 _MIN_SENSORS, _MAX_MOMENTS = 3, 40  # that step at once; moments that are examined
 _NOISE, _FINEST = 6.0, 1e-3  # deviations of the noise of a step, which is this share of the range
