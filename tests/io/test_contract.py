@@ -193,7 +193,7 @@ def test_named_pipes_are_rejected(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["map.csv", "map.json", "map.ply", "map.npz", "map.tsv"])
 def test_maps_are_not_read_as_recordings(tmp_path: Path, sensor_map: SensorMap, name: str) -> None:
     io.write(sensor_map, tmp_path / name)
-    with pytest.raises(FileError, match=rf"{name} .*(no recording|not a recording|readings)"):
+    with pytest.raises(FileError, match=rf"{name}.* (no recording|not a recording|readings)"):
         io.read(tmp_path / name)
 
 

@@ -2,6 +2,7 @@
 
 import gzip
 import tracemalloc
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -106,3 +107,22 @@ def test_memory(tmp_path: Path, name: str) -> None:
     result = readings.nbytes
     assert peak(lambda: io.read(path)) < 1.3 * result + 8 * MIB
     assert peak(lambda: exhaust(path)) < 0.1 * result + 12 * MIB
+
+
+@pytest.mark.slow
+def test_a_gibibyte_is_thinned_without_taking_it(tmp_path: Path) -> None:
+    path, rows = tmp_path / "skin.npz", 1 << 22
+    block = np.tile(np.eye(256, dtype="u1"), (16, 1))
+    form = {"descr": "|u1", "fortran_order": False, "shape": (rows, 256)}
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("readings.npy", "w", force_zip64=True) as member,
+    ):
+        np.lib.format.write_array_header_1_0(member, form)
+        for _ in range(rows // len(block)):
+            member.write(block.tobytes())
+    kept = []
+    assert peak(lambda: kept.append(io.read(path, max_readings=1 << 20))) < 64 * MIB
+    (thinned,) = kept
+    assert thinned.metadata["frames_sampled_every"] == 1 << 10
+    np.testing.assert_array_equal(thinned.readings[:4], block[:: 1 << 10])

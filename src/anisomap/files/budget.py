@@ -15,9 +15,6 @@ MAX_RATIO = 1000
 FREE_BYTES = 1 << 27
 """Content up to this size is accepted at any ratio: a skin that nothing touches compresses well."""
 
-DEFLATE_RATIO = 1032
-"""Largest ratio of content to its compressed size by deflate: 258 bytes per 2 bits (RFC 1951)."""
-
 SENSOR_BYTES = 160
 """Memory per sensor beside its readings: name (64), its place in two tuples and a set (60), and
 position (24)."""
@@ -37,13 +34,12 @@ class Budget:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.size = size_on_disk(path)
-        self.free = FREE_BYTES
-        self.limit = max(self.free, MAX_RATIO * self.size)
+        self.limit = max(FREE_BYTES, MAX_RATIO * self.size)
         self._spent = 0
 
-    def check(self, n_bytes: float, what: str, *, reachable: float = np.inf) -> None:
+    def check(self, n_bytes: float, what: str) -> None:
         """Reject content before it is unpacked."""
-        if n_bytes > min(self.limit, reachable):
+        if n_bytes > self.limit:
             shown = min(n_bytes, _MOST_SHOWN)
             raise FileError(
                 f"{self._path}: {what} expands to {shown:.0f} bytes, too much for {self.size} "

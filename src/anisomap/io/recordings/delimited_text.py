@@ -43,7 +43,6 @@ from anisomap.io.parsing.names import (
 from anisomap.io.parsing.refusals import refuse_text, refuse_thousands, refuse_turned
 from anisomap.io.parsing.source import (
     TextLines,
-    check_unpacked,
     lines_of,
     quote,
     quote_if_needed,
@@ -170,9 +169,6 @@ def _stream_table(
             known_for = {*roles.non_sensors} - {*table.text_columns}
             refuse_turned(table, sample, known_for)
         roles = _without_frame_numbers(table, roles, options.grid)
-    if not table.nested:
-        rows = table.block[0] if table.block else 1
-        check_unpacked(path, table.n_columns // rows)
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
