@@ -34,10 +34,10 @@ test-all: $(READY)  ## run all tests
 	$(PYTEST)
 
 golden: $(READY)  ## compare the maps of fixed recordings with the record (ARGS=--exact for the same arithmetic)
-	$(BIN)/python -m golden $(ARGS)
+	$(BIN)/python -m tests.golden $(ARGS)
 
 golden-accept: $(READY)  ## write the rows that differ to the record, in tests/golden
-	$(BIN)/python -m golden --accept $(ARGS)
+	$(BIN)/python -m tests.golden --accept $(ARGS)
 
 check: $(READY)  ## check format, lint, types and imports between packages
 	$(BIN)/ruff format --check

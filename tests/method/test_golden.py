@@ -5,9 +5,9 @@ import shutil
 
 import numpy as np
 import pytest
-from golden.__main__ import main
-from golden.cases import CASES, FOLDER, REAL
-from golden.results import SIMILAR, differences, read_record, result_of
+from tests.golden.__main__ import main
+from tests.golden.cases import CASES, FOLDER, REAL
+from tests.golden.results import SIMILAR, differences, read_record, result_of
 
 FAST = (
     *("copies", "inverted", "sphere-potentials", "plane-walking", "torus-rubbed, halves"),

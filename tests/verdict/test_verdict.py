@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from benchmarks.skins.independent import Case, make
 from benchmarks.skins.readout import NOISES, noise
-from golden.cases import FOLDER
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.golden.cases import FOLDER
 
 import anisomap
 from anisomap import Recording, diagnose, reconstruct, reconstruct_from

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tests.golden.cases import FOLDER, Case
 from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.evaluation.scoring import median_spacing
 from anisomap.method.pipeline import reconstruct_with_stages
-from golden.cases import FOLDER, Case
 
 EXACT = 1e-9
 """Limit for the same operations in the same order, on the same machine."""

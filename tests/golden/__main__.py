@@ -12,8 +12,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from golden.cases import CASES, FOLDER, REAL
-from golden.results import (
+from tests.golden.cases import CASES, FOLDER, REAL
+from tests.golden.results import (
     EXACT,
     SIMILAR,
     Result,
@@ -27,7 +27,7 @@ from golden.results import (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compute all rows, print the table, and accept the differences on request."""
-    parser = argparse.ArgumentParser(prog="golden", description=__doc__)
+    parser = argparse.ArgumentParser(prog="tests.golden", description=__doc__)
     parser.add_argument(
         "--exact", action="store_true", help=f"limit {EXACT:g} for all rows, instead of {SIMILAR:g}"
     )

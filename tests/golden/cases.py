@@ -16,12 +16,10 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.method.named import METHODS
 from anisomap.recording import MissingPolicy, Recording
 
-_ROOT = Path(__file__).parents[1]
-
-FOLDER = _ROOT / "tests" / "golden"
+FOLDER = Path(__file__).parent
 """Folder of the record; its folder ``readings`` holds the recordings."""
 
-SHARED = Path(os.environ.get("ANISOMAP_SHARED", _ROOT.parent / "shared"))
+SHARED = Path(os.environ.get("ANISOMAP_SHARED", FOLDER.parents[2] / "shared"))
 """Folder of the folders of real recordings, which the repository does not contain."""
 
 
@@ -76,7 +74,7 @@ def _part(recording: Recording, frames: slice, sensors: slice) -> Recording:
 
 
 STORED = tuple(sorted(path.stem for path in (FOLDER / "readings").glob("*.npz")))
-"""Names of the stored recordings; ``tests/golden/README.md`` says how each was made."""
+"""Names of the stored recordings; ``README.md`` says how each was made."""
 
 CASES: Mapping[str, Case] = MappingProxyType(
     {name: Case(name) for name in STORED}
