@@ -34,16 +34,12 @@ N_FRAMES = 2000
 SIMULATED = (
     ("bombarded", "sphere", "bombardment"),
     ("bombarded", "hand", "bombardment"),
-    ("bombarded", "torus", "bombardment"),
+    ("bombarded", "hemisphere", "bombardment"),
     ("rolled cylinder", "cylinder", "locomotion"),
     ("rolled sphere", "sphere", "locomotion"),
     ("rubbed", "sphere", "rubbing"),
     ("rubbed", "hand", "rubbing"),
     ("rubbed", "hexagon", "rubbing"),
-    ("pressed", "sphere", "pressing"),
-    ("pressed", "hand", "pressing"),
-    ("touched by itself", "sphere", "self-touch"),
-    ("touched by itself", "hand", "self-touch"),
 )
 REAL = {
     "icub": "iCub, real", "nao": "Nao, real", "insole": "feet, real", "plantar": "feet, real",

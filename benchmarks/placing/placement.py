@@ -37,7 +37,7 @@ Points = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 DRAWS = 30
-BODIES = ("sphere", "cylinder", "y-shape", "torus", "cube", "hand", "tube", "hemisphere")
+BODIES = ("sphere", "cylinder", "y-shape", "hand", "hemisphere")
 FLAT = ("plane", "hexagon")
 SEEDS = (401, 402, 403)
 HANDS = (

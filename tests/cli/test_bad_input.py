@@ -143,7 +143,7 @@ simulate sphere --picture run.bmp                  | must end in .png, .svg or .
 list scenarios rain                                | no scenario 'rain'
 list faults rust                                   | no fault 'rust'
 list bodies sphere                                 | only scenarios and faults
-simulate sphere -s pulses --frames 9 -f dead       | needs sensors
+simulate sphere -s rubbing --frames 9 -f dead      | needs sensors
 """
 
 SCALES = {"huge.csv": 1e307, "tiny.csv": 1e-310, "point.csv": 0}

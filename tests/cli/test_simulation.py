@@ -50,7 +50,7 @@ def test_the_positions_of_a_robot_part_become_a_body(run, tmp_path):
     write_layout(tmp_path / "sensors.csv", places, names, "name,x,y,z")
     anisomap.write(anisomap.SensorMap(places), tmp_path / "points.ply")
     for body in ("sensors.csv", "points.ply"):
-        run(f"simulate {body} -s pressing --frames 3 -o out.npz")
+        run(f"simulate {body} -s rubbing --frames 3 -o out.npz")
         recording = anisomap.read("out.npz")
         np.testing.assert_allclose(recording.positions, places, atol=1e-5)
         if body == "sensors.csv":
@@ -59,8 +59,8 @@ def test_the_positions_of_a_robot_part_become_a_body(run, tmp_path):
 
 def test_injected_faults_are_named_in_the_file(run):
     faults = "-f dead:s1,s2 -f saturating:10%,value=2 -f dropped-frames:share=0.2"
-    run("simulate plane -s pulses --sensors 36 --frames 200 --seed 4 -o sound.npz")
-    run(f"simulate plane -s pulses --sensors 36 --frames 200 --seed 4 -o bad.npz {faults}")
+    run("simulate plane -s rubbing --sensors 36 --frames 200 --seed 4 -o sound.npz")
+    run(f"simulate plane -s rubbing --sensors 36 --frames 200 --seed 4 -o bad.npz {faults}")
     sound, bad = anisomap.read("sound.npz"), anisomap.read("bad.npz")
     assert 0.7 * sound.n_frames < bad.n_frames < 0.9 * sound.n_frames
     assert (bad.readings == 2).any(axis=0).sum() <= 4

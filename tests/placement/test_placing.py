@@ -397,7 +397,7 @@ def test_a_mesh_that_does_not_fit_is_refused():
             place(sensor_map, known, mesh=Mesh(vertices, faces))
 
 
-@pytest.mark.parametrize("name", ["hand", "tube"])
+@pytest.mark.parametrize("name", ["hand", "cylinder"])
 def test_a_mesh_straightens_a_map_that_is_bent_smoothly(name):
     """A similarity leaves most of a bend; the surface tells it."""
     found = find_body(name)

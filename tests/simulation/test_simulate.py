@@ -36,7 +36,11 @@ def short(body, scenario, **settings):
 PAIRS = [
     *(("sphere", scenario) for scenario in SCENARIOS),
     ("hexagon", "rubbing"),
-    *(pytest.param(body, "pulses", marks=pytest.mark.slow) for body in BODIES if body != "sphere"),
+    *(
+        pytest.param(body, "rubbing", marks=pytest.mark.slow)
+        for body in BODIES
+        if body not in ("sphere", "hexagon")
+    ),
 ]
 
 
@@ -47,10 +51,9 @@ def test_every_scenario_of_every_body_gives_a_documented_recording(body, scenari
     recording = short(made, scenario, seed=3, progress=shares.append)
     assert shares[-1] == 1
     assert (np.diff(shares) > 0).all()
-    own = slice(made.n_sensors)  # self-touch adds the sensors of a fingertip
-    np.testing.assert_array_equal(recording.positions[own], made.positions)
-    np.testing.assert_array_equal(recording.normals[own], made.normals)
-    assert recording.names[own] == made.names
+    np.testing.assert_array_equal(recording.positions, made.positions)
+    np.testing.assert_array_equal(recording.normals, made.normals)
+    assert recording.names == made.names
     assert len(recording.readings) == 40
     assert recording.readings.max() > recording.readings.min() >= 0
     assert (recording.units, recording.rate_hz) == ("m", 20)
@@ -114,8 +117,7 @@ def test_sensors_do_not_affect_the_dynamics():
 def test_readings_scale_with_the_body(scenario):
     # A power of two: other factors round lengths, and paths over the skin part at thresholds.
     one, small = (short(body, scenario, seed=3) for body in (sphere(), sphere().scaled(1 / 16)))
-    scale = 1 if scenario == "pulses" else 1 / 16
-    np.testing.assert_allclose(small.readings, scale * one.readings, atol=1e-5 * scale)
+    np.testing.assert_allclose(16 * small.readings, one.readings, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -143,11 +145,6 @@ def test_readings_scale_with_the_body(scenario):
         ("rubbing", {"press_depth": 0.2}, "at most the thickness of the palm"),
         ("rubbing", {"circle_share": 1.5}, r"circle_share must be between 0 and 1, got 1\.5"),
         ("rubbing", {"speed": 100.0}, r"speed must be at most .* \(24 m/s\), got 100 m/s"),
-        ("roller", {"press_depth": 0.2}, "press_depth must be below roller_radius"),
-        ("pressing", {"tilt": -0.1}, r"tilt must be between 0 and 3\.14159, got -0\.1"),
-        ("pressing", {"press_interval": 0.05}, r"must be at least two frames \(0\.1 s\)"),
-        ("self-touch", {"press_depth": 0.3}, "press_depth must be below finger_radius"),
-        ("pulses", {"field_radius": 0.9}, r"must exceed the reach of the body \(1 m\)"),
     ],
 )
 def test_invalid_arguments_raise_an_error(scenario, given, message):

@@ -1,5 +1,7 @@
 """Distances, normals and outlines of solids against closed forms and brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -38,7 +40,7 @@ def test_the_gradient_of_distance_is_one_along_the_normal(kind, seed):
     np.testing.assert_allclose(rise, 0.05, rtol=1e-6)
     np.testing.assert_allclose(solid.distance(solids.project([solid], outside)), 0, atol=1e-9)
     np.testing.assert_allclose(
-        solid.moved(np.eye(3), (0.1, 0.2, 0.3)).scaled(2.5).distance(2.5 * outside),
+        replace(solid, centre=np.array([0.1, 0.2, 0.3])).scaled(2.5).distance(2.5 * outside),
         2.5 * solid.distance(outside - [0.1, 0.2, 0.3]),
     )
 
@@ -52,7 +54,7 @@ def test_outlines_are_closed_oriented_outwards_and_within_reach(kind):
     assert signed.sum() == pytest.approx(volume, rel=0.02)
     edges = np.sort(outline.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-    moved = solid.moved(np.eye(3), (0.3, -0.2, 0.1))
+    moved = replace(solid, centre=np.array([0.3, -0.2, 0.1]))
     furthest = np.linalg.norm(moved.outline.vertices, axis=1).max()
     assert furthest <= moved.reach + 1e-12
     assert moved.reach == pytest.approx(furthest, rel=0.01)
@@ -87,7 +89,9 @@ def test_a_union_is_as_near_as_the_nearest_of_its_solids(seed):
     rng = np.random.default_rng(seed)
     cube = solids.mesh(solids.box((0.3, 0.2, 0.1)).outline)
     parts = [
-        part.moved(Rotation.random(rng=rng).as_matrix(), rng.uniform(-2, 2, size=3))
+        replace(
+            part, rotation=Rotation.random(rng=rng).as_matrix(), centre=rng.uniform(-2, 2, size=3)
+        )
         for part in (*(solid for solid, _ in PRIMITIVES.values()), *[cube] * 9)
     ]
     points = rng.uniform(-3, 3, size=(200, 3))

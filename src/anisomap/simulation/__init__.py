@@ -8,11 +8,7 @@ from anisomap.simulation.bodies import body_from_points as body_from_points
 from anisomap.simulation.body import Body as Body
 from anisomap.simulation.faults import FAULTS as FAULTS
 from anisomap.simulation.faults import inject as inject
-from anisomap.simulation.kinematic import PressingOptions as PressingOptions
-from anisomap.simulation.kinematic import PulsesOptions as PulsesOptions
-from anisomap.simulation.kinematic import RollerOptions as RollerOptions
 from anisomap.simulation.kinematic import RubbingOptions as RubbingOptions
-from anisomap.simulation.kinematic import SelfTouchOptions as SelfTouchOptions
 from anisomap.simulation.physics.bombardment import BombardmentOptions as BombardmentOptions
 from anisomap.simulation.physics.locomotion import LocomotionOptions as LocomotionOptions
 from anisomap.simulation.scenarios import SCENARIOS as SCENARIOS

@@ -8,8 +8,8 @@ The first four are the simulated bodies of McGregor et al. (2011), section "Geom
 the hardware patch of six IIT triangles, each with 12 capacitive pads, two of which are thermal and
 not used as sensors (Maiolino et al. 2013, "A flexible and robust large scale capacitive tactile
 system for robots", IEEE Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149). The
-others are closed, with holes, thin, branching or unevenly covered; their sensors are a maximal
-Poisson-disc sample of the whole surface unless stated otherwise. Their lengths were chosen by hand.
+sensors of the others are a maximal Poisson-disc sample of the surface; their lengths were chosen by
+hand.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from anisomap.numerics.ranges import COUNT
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.simulation import solids
 from anisomap.simulation.body import Body, straight_lines
-from anisomap.simulation.solids import Density, Points, Solid, spread
+from anisomap.simulation.solids import Chosen, Points, Solid, spread
 
 _GOLDEN_ANGLE = float(np.pi * (3 - np.sqrt(5)))  # between points of a Fibonacci lattice
 
@@ -38,12 +38,7 @@ CYLINDER_RADIUS, CYLINDER_LENGTH, _CYLINDER_COLUMNS = 0.5, 2.0, 10
 _Y_ARMS, _Y_ARM_LENGTH, _Y_ARM_RADIUS, _Y_RING_SENSORS = 3, 1.0, 0.13, 5
 _Y_FIRST_RING = 0.22  # beyond 0.13 / sin(60 deg) = 0.15, where the surfaces of two arms meet
 _PLANE_EDGE, _PLANE_THICKNESS = 2.0, 0.2
-_TORUS_RADIUS, _TORUS_TUBE = 0.75, 0.3
-_CUBE_EDGE = 1.4
-_HOLE_RADIUS, _PLATE_RADIUS, _PLATE_THICKNESS = 0.4, 1.0, 0.2
 CYLINDER_PLACEMENTS = ("columns", "fibonacci", "random")
-MAX_DENSITY = 8.0
-"""Ratio of the densities of sensors at the two poles of the uneven sphere."""
 
 _SEED = 20110  # arbitrary
 _MESH_AROUND = 64  # vertices per circle
@@ -59,7 +54,10 @@ def sphere(n_sensors: int = 60) -> Body:
     neighbours differ by a few per cent.
     """
     COUNT.check("n_sensors", n_sensors)
-    normals = fibonacci_cap(n_sensors)
+    index = np.arange(n_sensors)
+    height, angle = 1 - 2 * (index + 0.5) / n_sensors, _GOLDEN_ANGLE * index
+    radius = np.sqrt(1 - height**2)
+    normals = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
     return Body(
         name="sphere",
         positions=SPHERE_RADIUS * normals,
@@ -142,15 +140,6 @@ def _flat(name: str, places: Points, half: float, height: float, names: Sequence
     )
 
 
-def fibonacci_cap(n: int, lowest: float = -1.0) -> Points:
-    """Return n evenly spaced unit vectors with z of at least `lowest`, shape (n, 3)."""
-    index = np.arange(n)
-    height = 1 - (1 - lowest) * (index + 0.5) / n
-    angle = _GOLDEN_ANGLE * index
-    radius = np.sqrt(1 - height**2)
-    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
-
-
 def great_circles(positions: Points) -> Points:
     """Compute the distances along a sphere centred at the origin, shape (N, N)."""
     radius = np.linalg.norm(positions, axis=1).mean()
@@ -209,17 +198,6 @@ def hexagon(n_sensors: int = 60) -> Body:
     return _flat("hexagon", places, half, _MM * _THICKNESS_MM / 2, names)
 
 
-def torus(n_sensors: int = 120) -> Body:
-    """Make a torus with evenly spread sensors."""
-    x, z, _ = _TORUS_TUBE * ring_directions(_MESH_AROUND // 2).T
-    return covered("torus", [_ring(np.column_stack([_TORUS_RADIUS + x, z]))], n_sensors)
-
-
-def cube(n_sensors: int = 120) -> Body:
-    """Make a cube with evenly spread sensors on all faces."""
-    return covered("cube", [solids.box(3 * (_CUBE_EDGE / 2,))], n_sensors)
-
-
 def hemisphere(n_sensors: int = 80) -> Body:
     """Make a hemisphere with sensors on its dome and none on its flat side."""
     angle = np.linspace(0, np.pi / 2, _MESH_AROUND // 4 + 1)
@@ -247,56 +225,16 @@ def hand(n_sensors: int = 160) -> Body:
     return covered("hand", [palm, *fingers, thumb], n_sensors)
 
 
-def tube(n_sensors: int = 100) -> Body:
-    """Make a cylinder with sensors on its side and its ends."""
-    return covered("tube", [solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)], n_sensors)
-
-
-def holed_plate(n_sensors: int = 120) -> Body:
-    """Make a round plate with a round hole and sensors on its upper face.
-
-    Paths along the skin around the hole are longer than the straight line.
-    """
-    top = _PLATE_THICKNESS / 2
-    corners = [
-        (_HOLE_RADIUS, -top),
-        (_PLATE_RADIUS, -top),
-        (_PLATE_RADIUS, top),
-        (_HOLE_RADIUS, top),
-    ]
-    upper = top - _FACE_MARGIN
-    ring = _ring(np.array(corners))
-    return covered("holed-plate", [ring], n_sensors, lambda points: points[:, 2] > upper)
-
-
-def uneven_sphere(n_sensors: int = 100) -> Body:
-    """Make a sphere with sensors that are denser towards one pole.
-
-    The density rises linearly along the axis, by a factor of `MAX_DENSITY`.
-    """
-
-    def density(points: Points) -> Points:
-        return 1 + (MAX_DENSITY - 1) * (points[:, 2] / SPHERE_RADIUS + 1) / 2
-
-    body = covered("uneven-sphere", [solids.ball(SPHERE_RADIUS)], n_sensors, density)
-    return replace(body, geodesic=great_circles)
-
-
 def covered(
     name: str,
     parts: Sequence[Solid],
     n_sensors: int,
-    density: Density | None = None,
+    on: Chosen | None = None,
 ) -> Body:
-    """Make a body from solids and spread sensors over it."""
+    """Make a body from solids and spread sensors over it, where a function says so."""
     COUNT.check("n_sensors", n_sensors)
-    positions, normals = spread(parts, n_sensors, np.random.default_rng(_SEED), density)
+    positions, normals = spread(parts, n_sensors, np.random.default_rng(_SEED), on)
     return Body(name, positions, normals, parts)
-
-
-def _ring(profile: Points) -> Solid:
-    """Revolve a closed outline (radius, height) that does not meet the axis about z."""
-    return solids.mesh(solids.revolved(profile, _MESH_AROUND, is_ring=True))
 
 
 def body_from_points(
@@ -358,13 +296,8 @@ BODIES: Mapping[str, Callable[..., Body]] = MappingProxyType(
         "y-shape": y_shape,
         "plane": plane,
         "hexagon": hexagon,
-        "torus": torus,
-        "cube": cube,
         "hemisphere": hemisphere,
         "hand": hand,
-        "tube": tube,
-        "holed-plate": holed_plate,
-        "uneven-sphere": uneven_sphere,
     }
 )
 """Functions ``make(n_sensors)`` with a default number of sensors. The paper's bodies come first."""

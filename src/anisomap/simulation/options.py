@@ -27,22 +27,18 @@ REACH, SPACING = "reach", "spacing"
 _ROUNDING = 1e-9  # relative error of scaled lengths
 
 
-def option(
-    default: float | None, values: Range, unit: str = "", per: str = "", below: str = ""
-) -> Any:
+def option(default: float | None, values: Range, unit: str = "", per: str = "") -> Any:
     """Declare an option with a default for a sphere of 1 m; None if other options determine it.
 
     unit: In messages.
     per: Length of the body with which the default scales: `REACH`, `SPACING` or none.
-    below: Name of an option that it must not reach, if any.
     """
-    limits = {"values": values, "unit": unit, "per": per, "below": below}
-    return field(default=default, metadata=limits)
+    return field(default=default, metadata={"values": values, "unit": unit, "per": per})
 
 
-def positive(default: float | None, unit: str = "", per: str = "", below: str = "") -> Any:
+def positive(default: float | None, unit: str = "", per: str = "") -> Any:
     """Declare an option that must be positive; see `option`."""
-    return option(default, POSITIVE, unit, per, below)
+    return option(default, POSITIVE, unit, per)
 
 
 @dataclass(frozen=True)
@@ -52,16 +48,9 @@ class ScenarioOptions:
     frame_interval: float = positive(0.05, "s")
 
     def __post_init__(self) -> None:
-        given = [(e.name, getattr(self, e.name), e.metadata) for e in fields(self)]
-        for name, value, limits in given:
-            if value is not None:
-                limits["values"].check(name, value, limits["unit"])
-        for name, value, limits in given:
-            below, unit = limits["below"], limits["unit"]
-            if below and value >= (highest := getattr(self, below)):
-                raise InputError(
-                    f"{name} must be below {below} ({highest:g} {unit}), got {value:g} {unit}"
-                )
+        for entry in fields(self):
+            if (value := getattr(self, entry.name)) is not None:
+                entry.metadata["values"].check(entry.name, value, entry.metadata["unit"])
 
     def at_most(self, name: str, limit: float, bound: str, advice: str = "") -> None:
         """Check that an option is at most a limit, with a tolerance for rounding when scaled."""
@@ -166,14 +155,12 @@ class ScenarioResult:
 
     facts: Measured quantities and effective parameters, in addition to the options.
     sensors (T, N, 3): Positions of the sensors in each frame; by default, those on the body.
-    body: The body with the sensors that were read, if the scenario added sensors to the given body.
     """
 
     readings: NDArray[np.floating]
     props: tuple[Prop, ...]
     facts: Mapping[str, Scalar] = field(default_factory=dict)
     sensors: NDArray[np.float64] | None = None
-    body: Body | None = None
 
 
 def static_props(body: Body) -> tuple[Prop, ...]:

@@ -20,9 +20,9 @@ from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.ranges import COUNT
 from anisomap.recording import Recording, Scalar
-from anisomap.simulation import kinematic
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
+from anisomap.simulation.kinematic import RubbingOptions, rubbing
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
 from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.physics.locomotion import LocomotionOptions, can_roll, locomotion
@@ -70,11 +70,7 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {
         "bombardment": Scenario(BombardmentOptions, bombardment, uses_mujoco=True),
         "locomotion": Scenario(LocomotionOptions, locomotion, uses_mujoco=True, accepts=can_roll),
-        "rubbing": Scenario(kinematic.RubbingOptions, kinematic.rubbing),
-        "roller": Scenario(kinematic.RollerOptions, kinematic.roller),
-        "pressing": Scenario(kinematic.PressingOptions, kinematic.pressing),
-        "self-touch": Scenario(kinematic.SelfTouchOptions, kinematic.self_touch),
-        "pulses": Scenario(kinematic.PulsesOptions, kinematic.pulses),
+        "rubbing": Scenario(RubbingOptions, rubbing),
     }
 )
 
@@ -163,14 +159,13 @@ def run_simulation(
     if chosen.uses_mujoco:
         metadata["mujoco"] = load_mujoco().__version__
     rate_hz = 1 / options.frame_interval
-    read = result.body or given
     recording = Recording(
         result.readings,
-        names=read.names,
+        names=given.names,
         rate_hz=rate_hz,
-        positions=read.positions + read.origin,
-        normals=read.normals,
-        surface_distances=read.surface_distances,
+        positions=given.positions + given.origin,
+        normals=given.normals,
+        surface_distances=given.surface_distances,
         units=given.units,
         source=f"simulated {scenario} of {given.name}, seed {number}",
         metadata=metadata,
@@ -178,7 +173,7 @@ def run_simulation(
     scene = Scene(
         f"{given.name}, {scenario}",
         result.props,
-        read.positions[None] if result.sensors is None else result.sensors,
+        given.positions[None] if result.sensors is None else result.sensors,
         recording.readings,
         np.arange(n_frames) / rate_hz,
         given.units,

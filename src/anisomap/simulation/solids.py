@@ -18,7 +18,8 @@ from anisomap.errors import InputError
 from anisomap.numerics.surfaces import TriangleSearch
 
 Points: TypeAlias = NDArray[np.float64]
-Density: TypeAlias = Callable[[Points], NDArray[np.float64] | NDArray[np.bool_]]
+Chosen: TypeAlias = Callable[[Points], NDArray[np.bool_]]
+"""Function of points (n, 3) that returns whether sensors may be there (n,)."""
 
 MAX_LENGTH = 1e10
 """Maximum of coordinates and sizes, whose products of three neither overflow nor lose sums."""
@@ -65,32 +66,9 @@ class Solid:
             return self._search.signed_distance(local)
         return _DISTANCES[self.kind](local, self.size)
 
-    def support(self, directions: Points) -> Points:
-        """Evaluate the support function. directions (T, 3) -> (T,)."""
-        if self.kind == "mesh":
-            return np.asarray((directions @ self.outline.vertices.T).max(axis=1))
-        local, size = directions @ self.rotation, self.size
-        middle = directions @ self.centre
-        if self.kind in ("capsule", "cylinder"):
-            middle += size[1] * np.abs(local[:, 2])
-        if self.kind == "box":
-            return np.asarray(middle + np.abs(local) @ np.array(size))
-        if self.kind == "cylinder":
-            return np.asarray(middle + size[0] * np.hypot(local[:, 0], local[:, 1]))
-        return np.asarray(middle + size[0])
-
     def to_local(self, points: ArrayLike) -> Points:
         """Transform points (n, 3) to local coordinates."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) @ self.rotation)
-
-    def moved(self, rotation: ArrayLike, centre: ArrayLike) -> Solid:
-        """Rotate the solid about the origin, then translate it."""
-        turn = np.asarray(rotation, dtype=np.float64)
-        return replace(
-            self,
-            centre=frozen(turn @ self.centre + np.asarray(centre)),
-            rotation=frozen(turn @ self.rotation),
-        )
 
     def scaled(self, factor: float) -> Solid:
         """Scale the solid by `factor` about the origin."""
@@ -202,11 +180,6 @@ def surface_normals(solids: Sequence[Solid], points: ArrayLike) -> Points:
     return np.asarray(gradient / np.linalg.norm(gradient, axis=1, keepdims=True))
 
 
-def support(solids: Sequence[Solid], directions: Points) -> Points:
-    """Evaluate the support function of a union of solids. directions (T, 3) -> (T,)."""
-    return np.asarray(np.max([solid.support(directions) for solid in solids], axis=0))
-
-
 def project(solids: Sequence[Solid], points: ArrayLike) -> Points:
     """Project points along the normals onto the surface, shape (n, 3)."""
     moved = np.array(points, dtype=np.float64)
@@ -272,28 +245,23 @@ def _profile(kind: str, size: tuple[float, ...]) -> Points:
     return np.vstack([lower - [0, half_axis], (upper if half_axis else upper[1:]) + [0, half_axis]])
 
 
-def revolved(
-    profile: ArrayLike, n_around: int = _CIRCLE_VERTICES, *, is_ring: bool = False
-) -> Mesh:
+def revolved(profile: ArrayLike, n_around: int = _CIRCLE_VERTICES) -> Mesh:
     """Revolve an outline (radius, height) about the z axis into a closed mesh. profile (P, 2).
 
-    The outline runs from the lower pole to the upper one; that of a ring is closed and does not
-    meet the axis.
+    The outline runs from the lower pole to the upper one.
     """
     outline = np.asarray(profile, dtype=np.float64)
-    radius, height = np.hsplit(outline if is_ring else outline[1:-1], 2)
+    radius, height = np.hsplit(outline[1:-1], 2)
     angle = 2 * np.pi * np.arange(n_around) / n_around
     circles = np.broadcast_arrays(radius * np.cos(angle), radius * np.sin(angle), height)
     vertices = np.stack(circles, axis=-1).reshape(-1, 3)
     index = np.arange(len(vertices)).reshape(-1, n_around)
-    low, high = (index, np.roll(index, -1, axis=0)) if is_ring else (index[:-1], index[1:])
+    low, high = index[:-1], index[1:]
     after_low, after_high = (np.roll(circle, -1, axis=1) for circle in (low, high))
     faces = [
         np.stack([low, after_low, after_high], axis=-1).reshape(-1, 3),
         np.stack([low, after_high, high], axis=-1).reshape(-1, 3),
     ]
-    if is_ring:
-        return Mesh(vertices, np.vstack(faces))
     south, north = (np.full(n_around, len(vertices) + pole) for pole in (0, 1))
     first = np.stack([south, np.roll(index[0], -1), index[0]], axis=1)
     last = np.stack([north, index[-1], np.roll(index[-1], -1)], axis=1)
@@ -363,7 +331,7 @@ def spread(
     solids: Sequence[Solid],
     n_sensors: int,
     rng: np.random.Generator,
-    density: Density | None = None,
+    on: Chosen | None = None,
 ) -> tuple[Points, Points]:
     """Spread sensors evenly over the surface of solids: a maximal Poisson-disc sample.
 
@@ -372,9 +340,9 @@ def spread(
     solids : sequence of Solid
     n_sensors : int
     rng : numpy.random.Generator
-    density : callable, optional
-        Function of points (n, 3) that returns the relative density of sensors (n,), at least 0; no
-        sensors are placed where it is 0 or False. Default: uniform.
+    on : callable, optional
+        Function of points (n, 3) that returns whether sensors may be there (n,). Default:
+        everywhere.
 
     Returns
     -------
@@ -385,19 +353,19 @@ def spread(
     Raises
     ------
     InputError
-        If there is no surface, or hardly any, with positive density.
+        If there is no surface, or hardly any, for them.
     """
     points, normals = sample_surface(solids, _CANDIDATES_PER_SENSOR * n_sensors, rng)
-    weight = np.ones(len(points)) if density is None else density(points)
-    stretch = np.sqrt(np.asarray(weight, dtype=np.float64))
-    points, normals, stretch = points[stretch > 0], normals[stretch > 0], stretch[stretch > 0]
+    if on is not None:
+        allowed = on(points)
+        points, normals = points[allowed], normals[allowed]
     if len(points) < n_sensors:
-        raise InputError(f"the surface with positive density is too small for {n_sensors} sensors")
+        raise InputError(f"the surface is too small for {n_sensors} sensors")
     chosen = np.empty(n_sensors, dtype=np.intp)
     nearest = np.full(len(points), np.inf)
     chosen[0] = 0
     for i in range(1, n_sensors):
         distances = np.linalg.norm(points - points[chosen[i - 1]], axis=1)
         np.minimum(nearest, distances, out=nearest)
-        chosen[i] = np.argmax(stretch * nearest)
+        chosen[i] = np.argmax(nearest)
     return points[chosen], normals[chosen]

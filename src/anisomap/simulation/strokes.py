@@ -1,8 +1,8 @@
-"""Strokes over the skin, lines and circles in changing directions, and stimuli that follow them.
+"""Strokes over the skin, lines and circles in changing directions, and balls that follow them.
 
-A palm, a roller and a fingertip follow such a path in contact with the body. Pressure varies
-slowly, and some strokes end with the stimulus lifted off and set down elsewhere. Parameters without
-a source were chosen by hand.
+The balls, the pads of a palm, move together in contact with the body. Pressure varies slowly, and
+some strokes end with the stimulus lifted off and set down elsewhere. Parameters without a source
+were chosen by hand.
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ _CIRCLE_TURNS = (1.0, 2.0)
 _PRESSURE_PERIOD = 0.5  # seconds between independent pressures
 _LIFT_PROFILE = (1 / 3, 2 / 3, 1.0)
 _TOLERANCE = 1e-9  # x radius
-_N_AXIS_POINTS = 9
-_LIFT_HEIGHT = 1.5  # of a lifted stimulus, x detection radius: out of range of all sensors
 
 
 @dataclass(frozen=True)
@@ -279,38 +277,27 @@ def rotate_about(
     return np.asarray(cosine * tangents + sine * np.cross(normals, tangents))
 
 
-@dataclass(frozen=True, eq=False)
-class Cluster:
-    """Balls or capsules of radii (B,) that move together.
-
-    offsets (T, B, 3): Their middles relative to that of the cluster, in each frame.
-    axes (T, B, 3): From the middle of each capsule to one end of its segment, perpendicular to the
-        normals of the path. None for balls.
-    """
-
-    offsets: Points
-    radii: NDArray[np.float64]
-    axes: Points | None = None
-
-    def placed(self, path: StrokePath, heights: NDArray[np.float64]) -> Points:
-        """Return the middle of each ball or capsule at heights (T,) above a path; (T, B, 3)."""
-        middle = path.points + heights[:, None] * path.normals
-        return np.asarray(middle[:, None] + self.offsets)
+def placed(path: StrokePath, offsets: Points, heights: NDArray[np.float64]) -> Points:
+    """Return the middle of each ball at heights (T,) above a path; (T, B, 3)."""
+    middle = path.points + heights[:, None] * path.normals
+    return np.asarray(middle[:, None] + offsets)
 
 
 def settle(
-    skin: Skin, path: StrokePath, cluster: Cluster, depths: NDArray[np.float64]
+    skin: Skin,
+    path: StrokePath,
+    offsets: Points,
+    radii: NDArray[np.float64],
+    depths: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Lower a cluster along the normals of a path until it is in contact with the body.
+    """Lower balls that move together along the normals of a path until they touch the body.
 
-    depths (T,) -> (T,).
+    offsets (T, B, 3): Middles of the balls relative to the point of the path, in each frame.
+    radii (B,), depths (T,) -> heights (T,).
     """
     surface = KDTree(skin.points)
-    extents = np.linalg.norm(cluster.offsets, axis=2)
-    if cluster.axes is not None:
-        extents += np.linalg.norm(cluster.axes, axis=2)
-    extents = (extents + cluster.radii).max(axis=1)
-    lowest = (cluster.radii - np.einsum("tbd,td->tb", cluster.offsets, path.normals)).min(axis=1)
+    extents = (np.linalg.norm(offsets, axis=2) + radii).max(axis=1)
+    lowest = (radii - np.einsum("tbd,td->tb", offsets, path.normals)).min(axis=1)
     heights = np.asarray(lowest - depths, dtype=np.float64)
     for t, (point, normal) in enumerate(zip(path.points, path.normals, strict=True)):
         rise, may_sink = np.inf, True
@@ -318,37 +305,23 @@ def settle(
             middle = point + heights[t] * normal
             near = surface.query_ball_point(middle, extents[t])
             around = np.vstack([skin.points[near], point]) - middle
-            rise = _required_rise(cluster, t, around, normal, depths[t])
+            rise = _required_rise(offsets[t], radii, around, normal, depths[t])
             heights[t] += rise if may_sink else max(rise, 0.0)
             may_sink = False
     # The depth beyond `depths` by exact distances.
-    points = cluster.placed(path, heights)[:, :, None]
-    if cluster.axes is not None:
-        points = points + np.linspace(-1, 1, _N_AXIS_POINTS)[:, None] * cluster.axes[:, :, None]
-    clear = skin.body.distance(points.reshape(-1, 3)).reshape(points.shape[:3]).min(axis=2)
-    return np.asarray(heights + np.maximum((cluster.radii - clear).max(axis=1) - depths, 0))
-
-
-def follow(
-    skin: Skin, path: StrokePath, cluster: Cluster, options: StrokeOptions, detection_radius: float
-) -> Points:
-    """Move a cluster along a path, pressed into the skin or lifted out of range; (T, B, 3)."""
-    heights = settle(skin, path, cluster, options.press_depth * path.presses)
-    return cluster.placed(path, heights + path.lifts * _LIFT_HEIGHT * detection_radius)
+    points = placed(path, offsets, heights)
+    clear = skin.body.distance(points.reshape(-1, 3)).reshape(points.shape[:2])
+    return np.asarray(heights + np.maximum((radii - clear).max(axis=1) - depths, 0))
 
 
 def _required_rise(
-    cluster: Cluster, frame: int, points: Points, normal: Points, depth: float
+    offsets: Points, radii: NDArray[np.float64], points: Points, normal: Points, depth: float
 ) -> float:
-    """Return the rise at which a cluster rests on points given relative to its middle."""
-    from_middle = points[:, None] - cluster.offsets[frame]
+    """Return the rise at which balls rest on points given relative to their middle."""
+    from_middle = points[:, None] - offsets
     up = from_middle @ normal
     across = from_middle - up[..., None] * normal
-    if cluster.axes is not None:
-        axes = cluster.axes[frame]
-        along = np.einsum("sbd,bd->sb", across, axes) / np.einsum("bd,bd->b", axes, axes)
-        across -= np.clip(along, -1, 1)[..., None] * axes
-    squared = (cluster.radii - depth) ** 2 - np.einsum("sbd,sbd->sb", across, across)
+    squared = (radii - depth) ** 2 - np.einsum("sbd,sbd->sb", across, across)
     half = np.sqrt(np.maximum(squared, 0))
-    tops = (up + half)[up < half - _TOLERANCE * cluster.radii]
+    tops = (up + half)[up < half - _TOLERANCE * radii]
     return float(tops.max()) if tops.size else 0.0
