@@ -141,9 +141,7 @@ simulate sphere -o run.h5                          | known suffixes: .npz, .csv
 simulate sphere -o nowhere/run.npz                 | nowhere
 simulate sphere --picture run.bmp                  | must end in .png, .svg or .pdf
 list scenarios rain                                | no scenario 'rain'
-list faults rust                                   | no fault 'rust'
-list bodies sphere                                 | only scenarios and faults
-simulate sphere -s rubbing --frames 9 -f dead      | needs sensors
+list bodies sphere                                 | only scenarios have
 """
 
 SCALES = {"huge.csv": 1e307, "tiny.csv": 1e-310, "point.csv": 0}

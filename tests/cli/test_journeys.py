@@ -15,7 +15,7 @@ import anisomap
 from anisomap.method.evidence import SIMILARITIES
 from anisomap.method.named import METHODS
 from anisomap.placement import median_spacing
-from anisomap.simulation import BODIES, FAULTS, SCENARIOS
+from anisomap.simulation import BODIES, SCENARIOS
 from command_line import call, write_layout
 from skins import flat_skin
 
@@ -128,7 +128,6 @@ def test_lists_name_everything(run):
         "formats": [".npz", ".csv", ".ply", ".json"],
         "bodies": BODIES,
         "scenarios": SCENARIOS,
-        "faults": FAULTS,
     }
     for kind, names in listed.items():
         told = run("list", kind).out
@@ -137,7 +136,6 @@ def test_lists_name_everything(run):
         told = run("list", "scenarios", name).out
         for parameter, default in vars(scenario.options()).items():
             assert f"{parameter} = {default}" in told
-    assert "mean_gap = 100" in run("list", "faults", "saturating").out
 
 
 @pytest.mark.usefixtures("skin_csv")

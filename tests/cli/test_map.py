@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.skins.independent import damaged
 from scipy.linalg import block_diag
 
 import anisomap
 from anisomap.method.named import METHODS
-from anisomap.simulation import inject
 from command_line import write_layout
 from skins import flat_skin, lattice, rubbed
 
@@ -153,7 +153,8 @@ def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):
 
 
 def test_a_spoilt_recording_is_named_repaired_and_mapped(run, run_map, skin_npz):
-    anisomap.write(inject(anisomap.read(skin_npz), "inverted:20%"), "bad.npz")
+    spoilt = damaged(anisomap.read(skin_npz), "inverted:share=0.2", np.random.default_rng(0))
+    anisomap.write(spoilt, "bad.npz")
     told = run("info", "bad.npz").out
     assert "inverted: contact has the opposite sign in 8 of 42 sensors" in told
     assert "can be mended: anisomap map --repair" in told

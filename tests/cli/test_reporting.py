@@ -35,8 +35,6 @@ SIMULATIONS = {
     "list bodies": "bodies",
     "list scenarios": "scenarios",
     "list scenarios bombardment": "parameters",
-    "list faults": "faults",
-    "list faults saturating": "parameters",
     "simulate plane -s rubbing --frames 40 -o sim.npz": "files",
 }
 

@@ -55,16 +55,3 @@ def test_the_positions_of_a_robot_part_become_a_body(run, tmp_path):
         np.testing.assert_allclose(recording.positions, places, atol=1e-5)
         if body == "sensors.csv":
             assert list(recording.names) == names
-
-
-def test_injected_faults_are_named_in_the_file(run):
-    faults = "-f dead:s1,s2 -f saturating:10%,value=2 -f dropped-frames:share=0.2"
-    run("simulate plane -s rubbing --sensors 36 --frames 200 --seed 4 -o sound.npz")
-    run(f"simulate plane -s rubbing --sensors 36 --frames 200 --seed 4 -o bad.npz {faults}")
-    sound, bad = anisomap.read("sound.npz"), anisomap.read("bad.npz")
-    assert 0.7 * sound.n_frames < bad.n_frames < 0.9 * sound.n_frames
-    assert (bad.readings == 2).any(axis=0).sum() <= 4
-    injected = str(bad.metadata["faults"])
-    assert injected.startswith("dead:s1,s2; saturating:")
-    assert injected.endswith("; dropped-frames:share=0.2")
-    assert "dead" in run("info", "bad.npz").out

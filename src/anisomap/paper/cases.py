@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,6 @@ from anisomap.simulation import (
     LocomotionOptions,
     find_body,
     find_scenario,
-    inject,
     simulate,
     solids,
 )
@@ -32,7 +31,7 @@ METHODS = PAPER_METHODS
 """In the order of all figures and tables."""
 
 _LENGTH, _SPAN = "cylinder.length", "patch.mean_span"
-_USUAL_SPAN = 20.0
+_USUAL_SPAN, _MEAN_GAP = 20.0, 100.0  # frames
 _STEEPEST = 0.35  # height of the ground over its correlation length
 _USUAL_LENGTH = CYLINDER_LENGTH / CYLINDER_RADIUS
 _WHOLE = ("bombardment.n_balls", "bombardment.one_sided")
@@ -161,6 +160,30 @@ def patch_seed(settings: Settings, number: int) -> int:
     return settings.seed + number - 1
 
 
+def dead(recording: Recording, sensors: Sequence[str]) -> Recording:
+    """Fix sensors at 0, the reading at rest of a simulated skin."""
+    readings = np.array(recording.readings)
+    readings[:, recording.indices(sensors)] = 0
+    return replace(recording, readings=readings)
+
+
+def saturating(
+    recording: Recording, sensor: str, rng: np.random.Generator, mean_span: float
+) -> Recording:
+    """Set a sensor to full scale, the highest reading of all, for spans of frames.
+
+    Gaps and spans are geometrically distributed; the paper gives no lengths.
+    """
+    readings = np.array(recording.readings)
+    # A gap and a span take at least two frames together, so this number fills the recording.
+    shape = (len(readings) // 2 + 1, 2)
+    edges = rng.geometric([1 / _MEAN_GAP, 1 / mean_span], shape).cumsum().reshape(shape)
+    (column,) = recording.indices([sensor])
+    for start, stop in edges[edges[:, 0] < len(readings)]:
+        readings[start:stop, column] = recording.readings.max()
+    return replace(recording, readings=readings)
+
+
 def patch_run(
     settings: Settings,
     number: int,
@@ -175,10 +198,10 @@ def patch_run(
     seed = patch_seed(settings, number)
     frames = PATCH_FRAMES[number - 1]
     n_frames = frames // 8 if settings.quick else frames
-    recording = inject(PATCH.record(settings, seed, n_frames=n_frames), "dead", SILENT)
+    recording = dead(PATCH.record(settings, seed, n_frames=n_frames), SILENT)
     span = settings.value(_SPAN, _USUAL_SPAN)
     if number in FAILED_RUNS if fails is None else fails:
-        recording = inject(recording, "saturating", [failing], rng=seed, mean_span=span)
+        recording = saturating(recording, failing, np.random.default_rng(seed), span)
     return replace(
         recording,
         positions=1e3 * true_positions(recording),

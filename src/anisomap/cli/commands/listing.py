@@ -16,20 +16,20 @@ from anisomap.errors import InputError
 
 
 def list_kind(
-    kind: Literal["methods", "formats", "bodies", "scenarios", "faults"],
+    kind: Literal["methods", "formats", "bodies", "scenarios"],
     name: str | None = None,
     /,
     *,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """List methods, formats, bodies, scenarios or faults.
+    """List methods, formats, bodies or scenarios.
 
     Parameters
     ----------
     kind
-        methods (and similarities), formats, bodies, scenarios or faults.
+        methods (and similarities), formats, bodies or scenarios.
     name
-        Scenario or fault to explain. Defaults of scenarios are those for a sphere of 1 m.
+        Scenario to explain. Its defaults are those for a sphere of 1 m.
 
     Examples
     --------
@@ -43,14 +43,11 @@ def list_kind(
             "formats": _formats,
             "bodies": _bodies,
             "scenarios": _scenarios,
-            "faults": _faults,
         }[kind](printer)
     elif kind == "scenarios":
         _explain_scenario(printer, name)
-    elif kind == "faults":
-        _explain_fault(printer, name)
     else:
-        raise InputError(f"only scenarios and faults have parameters to list, not {kind}")
+        raise InputError(f"only scenarios have parameters to list, not {kind}")
 
 
 def _methods(printer: Printer) -> None:
@@ -115,35 +112,6 @@ def _explain_scenario(printer: Printer, name: str) -> None:
     for one in parameters:
         printer.line(f"{one['name']} = {one['default']}")
         printer.line(textwrap.indent(textwrap.fill(str(one["summary"]), 96), "  "))
-
-
-def _faults(printer: Printer) -> None:
-    from anisomap.simulation.faults import FAULTS, OF_ALL, parameters_of
-
-    rows = []
-    for name, function in FAULTS.items():
-        taken = ", ".join(one for one in parameters_of(name) if one != "after")
-        affects = "all" if name in OF_ALL else "chosen"
-        rows.append((name, affects, taken or "-", _first_line(function)))
-    _print_rows(printer, "Faults", "name sensors parameters summary", rows)
-    printer.line(
-        "after=0.5 lets a fault begin half-way through the frames; lost frames do not take it."
-    )
-
-
-def _explain_fault(printer: Printer, name: str) -> None:
-    from anisomap.simulation.faults import FAULTS, RANGES, parameters_of
-
-    parameters = parameters_of(name)
-    summary = inspect.getdoc(FAULTS[name]) or ""
-    listed = [
-        {"name": one, "default": default, "summary": RANGES[one].text}
-        for one, default in parameters.items()
-    ]
-    printer.record(fault=name, summary=summary, parameters=listed)
-    printer.line(summary)
-    for one in listed:
-        printer.line(f"{one['name']} = {one['default']}, {one['summary']}")
 
 
 def _print_rows(printer: Printer, title: str, columns: str, rows: Sequence[Sequence[str]]) -> None:

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
 import anisomap
@@ -32,7 +31,6 @@ def simulate_body(
     frames: options.Count = 2000,
     sensors: int | None = None,
     parameter: Annotated[list[str] | None, Parameter(alias="-p")] = None,
-    fault: Annotated[list[str] | None, Parameter(alias="-f")] = None,
     picture: options.Picture = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
@@ -53,9 +51,6 @@ def simulate_body(
     parameter
         NAME=VALUE of the scenario: list scenarios SCENARIO. May be repeated; `anisomap list
         scenarios SCENARIO` explains the parameters.
-    fault
-        KIND:SENSORS,NAME=VALUE of a fault, as dead:s3,s7. Others are noisy:10%,level=0.2 or
-        dropped-frames; see `anisomap list faults`. May be repeated; faults are injected in order.
     picture
         Figure of body, sensors, contacts and readings: .png, .svg or .pdf.
 
@@ -63,25 +58,20 @@ def simulate_body(
     --------
     anisomap simulate sphere
     anisomap simulate hand -s rubbing --frames 4000 -o hand.npz
-    anisomap simulate plane -s rubbing -f dead:s3,s7 -f noisy:10%,level=0.2
+    anisomap simulate plane -s rubbing -p hand_size=0.6
     """
     from anisomap.cli.outputs import Outputs
     from anisomap.drawing.figures import scenes
-    from anisomap.simulation import inject, run_simulation
-    from anisomap.simulation.faults import parameters_of
+    from anisomap.simulation import run_simulation
     from anisomap.simulation.options import parse_parameters
 
     skin = read_body(body, sensors)
     target = output or Path(f"{skin.name}-{scenario}.npz")
     Outputs(recording=target, picture=picture, inputs=[Path(body)])
     settings: dict[str, Any] = {"n_frames": frames, **parse_parameters(parameter or [])}
-    for one in fault or ():
-        parameters_of(one.partition(":")[0].strip())  # an unknown fault, before the simulation
     with progress(f"simulating {frames} frames of {scenario} of {skin.name}") as report_progress:
         simulation = run_simulation(skin, scenario, seed=seed, progress=report_progress, **settings)
-    recording, rng = simulation.recording, np.random.default_rng(seed)
-    for one in fault or ():
-        recording = inject(recording, one, rng=rng)
+    recording = simulation.recording
     with together():
         io.write(recording, target)
         if picture:
