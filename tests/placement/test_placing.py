@@ -30,7 +30,8 @@ from anisomap.placement import (
     to_taxels,
 )
 from anisomap.placement.placing import errors_of_sensors, headline, judgement
-from anisomap.simulation import find_body
+from anisomap.simulation import find_body, solids
+from anisomap.simulation.bodies import covered
 from anisomap.usability import Verdict
 from skins import flat_map, lattice
 
@@ -397,10 +398,13 @@ def test_a_mesh_that_does_not_fit_is_refused():
             place(sensor_map, known, mesh=Mesh(vertices, faces))
 
 
-@pytest.mark.parametrize("name", ["hand", "cylinder"])
-def test_a_mesh_straightens_a_map_that_is_bent_smoothly(name):
+@pytest.mark.parametrize(
+    "found",
+    [find_body("hand"), covered("tube", [solids.cylinder(0.5, 1.0)], 100)],
+    ids=lambda body: body.name,
+)
+def test_a_mesh_straightens_a_map_that_is_bent_smoothly(found):
     """A similarity leaves most of a bend; the surface tells it."""
-    found = find_body(name)
     mesh = outline(found)
     size = np.abs(found.positions).max()
     bent = found.positions * [1, 1.2, 0.9] + 0.15 * found.positions[:, [2, 0, 1]] ** 2 / size

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.errors import InputError
 from anisomap.method.named import PAPER_METHODS
+from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.paper.experiment import Settings
 from anisomap.recording import Recording
 from anisomap.simulation import (
@@ -161,9 +162,9 @@ def patch_seed(settings: Settings, number: int) -> int:
 
 
 def dead(recording: Recording, sensors: Sequence[str]) -> Recording:
-    """Fix sensors at 0, the reading at rest of a simulated skin."""
-    readings = np.array(recording.readings)
-    readings[:, recording.indices(sensors)] = 0
+    """Fix sensors at their readings at rest."""
+    readings, dead_ones = np.array(recording.readings), recording.indices(sensors)
+    readings[:, dead_ones] = estimate_rest(readings[:, dead_ones]).value
     return replace(recording, readings=readings)
 
 
