@@ -5,7 +5,7 @@ import pytest
 from anisomap.cli.app import BAD_INPUT, COMMANDS, app
 from command_line import call
 
-MAX_OPTIONS = 150
+MAX_OPTIONS = 132
 """Options of all commands together."""
 
 

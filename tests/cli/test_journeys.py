@@ -29,7 +29,7 @@ def test_info_lists_what_there_is_to_choose_from(run, run_map, tmp_path):
     assert "left" in found.out
     assert "choose one with --select" in found.err
     run_map("skin.h5", code=2)
-    run_map("skin.h5", "--dataset", "left")
+    run_map("skin.h5", "--select", "left")
 
 
 def test_a_map_is_scored_against_any_layout(run, run_map, skin_csv, truth_csv, tmp_path):

@@ -67,7 +67,7 @@ class ReadingOptions:
         Message definition (.msg) for a bag without definitions; may be repeated.
     """
 
-    select: Annotated[str, Parameter(name=("--select", "--topic", "--dataset", "--field"))] = ""
+    select: str = ""
     positions: Path | None = None
     grid: Annotated[str, expert] = ""
     preset: Annotated[str, expert] = ""
@@ -264,10 +264,6 @@ Report: TypeAlias = Annotated[
     Parameter(group=outputs_group, help="Report: one HTML file that works offline."),
 ]
 
-Method: TypeAlias = Annotated[
-    str,
-    Parameter(alias="-m", group=expert_group, help="Method: see `anisomap list methods`."),
-]
 Seed: TypeAlias = Annotated[
     Amount, Parameter(group=expert_group, help="Seed: the same seed gives the same result.")
 ]

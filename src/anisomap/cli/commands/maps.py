@@ -93,6 +93,7 @@ def diff(
     Examples
     --------
     anisomap diff monday.map.csv tuesday.map.csv
+    anisomap diff before.ply after.map.csv
     anisomap diff before.csv after.csv --json
     """
     found = anisomap.evaluation.compare_maps(io.read_map(before_file), io.read_map(after_file))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 import anisomap
 from anisomap import io
@@ -189,14 +188,7 @@ def map_recording(
     reading: options.ReadingOptions = options.DEFAULT_READING,
     judging: VerdictOptions = VerdictOptions(),
     truth: options.Truth = None,
-    permutations: Annotated[
-        int,
-        Parameter(
-            group=options.expert_group,
-            validator=Number(gte=0),
-            help="Size of the null distribution of Mantel r; 0 skips it.",
-        ),
-    ] = PERMUTATIONS,
+    permutations: options.Permutations = PERMUTATIONS,
     printer: options.Printing = options.PRINTER,
 ) -> int:
     """Make a map of a skin from one or several recordings.
