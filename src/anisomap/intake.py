@@ -25,6 +25,11 @@ from anisomap.errors import AnisomapWarning, InputError
 _CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
 """Types of channels of mne that are sensors."""
 
+# Chosen by hand: a recording in which fewer than one bin in a thousand holds an event has a wrong
+# time or bin width. Short recordings may have more empty bins.
+_MAX_BINS_PER_EVENT, _MIN_REFUSED_BINS = 1000, 1 << 16
+_EDGE_DECIMALS = 6  # in widths of a bin: decimal times on its edge are not exact in binary
+
 
 @dataclass(frozen=True, eq=False)
 class Taken:
@@ -48,6 +53,49 @@ def take(values: Any) -> Taken:
     if hasattr(values, "columns") and hasattr(values, "iloc"):
         return _of_frame(values)
     return _of_array(as_array(values))
+
+
+def take_events(
+    times: ArrayLike, sensors: ArrayLike, bin_width: float | None, names: Sequence[str] | None
+) -> Taken:
+    """Take frames from times, (E,), and the sensors that were active: `Recording.from_events`."""
+    at, active = np.asarray(times, dtype=np.float64), np.asarray(sensors)
+    if at.ndim != 1 or at.shape != active.shape or not at.size or active.dtype.kind not in "iuU":
+        raise InputError(
+            "times and sensors must be lists of equal length, of numbers and of names or indices, "
+            f"got {active.dtype} and the shapes {at.shape} and {active.shape}"
+        )
+    if not np.isfinite(at).all():
+        raise InputError(f"the time of event {int(np.argmin(np.isfinite(at)))} is not finite")
+    found, columns = np.unique(active, return_inverse=True)
+    indexed = active.dtype.kind != "U"
+    listed = tuple(f"s{each}" if indexed else str(each) for each in found.tolist())
+    if names is not None:
+        listed = tuple(map(str, names))
+        place = (
+            dict(enumerate(range(len(listed)))) if indexed else {n: i for i, n in enumerate(listed)}
+        )
+        unknown = [each for each in found.tolist() if each not in place]
+        if unknown:
+            raise InputError(f"there is no sensor {unknown[0]!r} among the {len(listed)} names")
+        columns = np.array([place[each] for each in found.tolist()])[columns]
+    if bin_width is None:
+        moments, frames = np.unique(at, return_inverse=True)
+        readings = np.zeros((len(moments), len(listed)), np.float32)
+        readings[frames, columns] = 1
+        return Taken(readings, listed, moments)
+    if not 0 < bin_width < np.inf:
+        raise InputError(f"bin_width must be a positive number of seconds, got {bin_width}")
+    places = np.round((at - at.min()) / bin_width, _EDGE_DECIMALS)
+    n_bins = np.floor(places.max()) + 1
+    if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(at)):
+        raise InputError(
+            f"{len(at)} events from {at.min():g} to {at.max():g} s would fill {n_bins:g} bins of "
+            f"{bin_width:g} s; choose wider bins, or correct the times"
+        )
+    readings = np.zeros((int(n_bins), len(listed)), np.float32)
+    np.add.at(readings, (places.astype(np.intp), columns), 1)
+    return Taken(readings, listed, rate_hz=1 / bin_width)
 
 
 def as_array(values: Any) -> NDArray[Any]:

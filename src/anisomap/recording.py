@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import agreed, counted, html_table, noun_and_items
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.intake import take, times_of
+from anisomap.intake import take, take_events, times_of
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.levelling import offsets, steps_of_rest
 from anisomap.numerics.signals import Signals
@@ -118,6 +118,48 @@ class Recording(Immutable):
         self.set_fields(
             readings=readings, names=names, times=times, rate_hz=rate_hz, metadata=told, **known
         )
+
+    @classmethod
+    def from_events(
+        cls,
+        times: ArrayLike,
+        sensors: ArrayLike,
+        bin_width: float | None = None,
+        names: Sequence[str] | None = None,
+    ) -> Recording:
+        """Make a recording of contacts or spikes.
+
+        Parameters
+        ----------
+        times : array_like of shape (E,)
+            When each event took place, in seconds.
+        sensors : array_like of shape (E,)
+            The sensor that was active: a name, or an index.
+        bin_width : float, optional
+            Count the events in bins of so many seconds, from the first event on. By default, equal
+            times are one frame, in which active sensors read 1.
+        names : sequence of str, optional
+            Names of all sensors, also of those that were never active. By default, those of the
+            sensors that were.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            If a sensor is not among the names, a time is not finite, or bins are far too narrow.
+
+        Examples
+        --------
+        >>> names = ("palm", "wrist", "thumb")
+        >>> touches = Recording.from_events([0, 0, 0.5], [2, 0, 2], names=names)
+        >>> touches.readings.tolist()
+        [[1.0, 0.0, 1.0], [0.0, 0.0, 1.0]]
+        """
+        taken = take_events(times, sensors, bin_width, names)
+        return cls(taken.readings, taken.names, taken.times, taken.rate_hz)
 
     def __repr__(self) -> str:
         details = [counted(self.n_frames, "frame"), counted(self.n_sensors, "sensor")]

@@ -58,9 +58,6 @@ map gaps.csv -o old.csv                                   | sensor s1, frame 9
 info rows.csv                                             | line 3
 info cut.npz                                              | cut.npz
 info nothing.npz                                          | nothing.npz
-info skin.csv --bin-width 0                                     | --bin-width must be a time above 0
-info skin.csv --bin-width nan                                   | --bin-width must be a time above 0
-info skin.csv --bin-width {"9" * 400}                           | --bin-width must be a time above 0
 score map.csv                                             | REFERENCE_FILE
 score map.csv truth.csv --picture truth.csv               | another file
 score map.csv empty.csv                                   | empty.csv

@@ -1,39 +1,22 @@
-"""Journeys from the files of whole bodies to a scored map: contacts, spikes, lists, CySkin."""
+"""Journeys from the files of whole bodies to a scored map: contacts, lists, CySkin."""
 
 import csv
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import anisomap
 from anisomap.recording import Recording
 from command_line import write_layout
 from skins import flat_skin
 
 FRAMES = 600
 CALIBRATION = "handle.json"
-
-
-def _active(skin: Recording) -> list[list[int]]:
-    return [np.flatnonzero(row).tolist() for row in skin.readings]
-
-
-def contacts_as_text(skin: Recording, path: Path) -> None:
-    with path.open("w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(("time", "taxels"))
-        rows.writerows((i / 10, active) for i, active in enumerate(_active(skin)))
-
-
-def spikes_in_hdf5(skin: Recording, path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
-    trains = [np.flatnonzero(column) / 10 + 0.05 for column in skin.readings.T]
-    with h5py.File(path, "w") as file:
-        file["spikes"] = np.concatenate(trains)
-        file["sCount"] = [len(train) for train in trains]
-        file["recordingtime"] = [0.0, skin.n_frames / 10]
 
 
 def lists_in_cells(skin: Recording, path: Path) -> None:
@@ -52,11 +35,9 @@ def cyskin(skin: Recording, path: Path) -> None:
             print(i, f"{i / 10:.2f}", skin.n_sensors, pairs, file=file)
 
 
-FILES: dict[str, tuple[Callable[[Recording, Path], None], tuple[str, ...]]] = {
-    "contacts.csv": (contacts_as_text, ()),
-    "spikes.h5": (spikes_in_hdf5, ("--bin-width", ".1")),
-    "insole.csv": (lists_in_cells, ()),
-    "hand.txt": (cyskin, ()),
+FILES: dict[str, Callable[[Recording, Path], None]] = {
+    "insole.csv": lists_in_cells,
+    "hand.txt": cyskin,
 }
 
 
@@ -78,27 +59,44 @@ def calibrate(skin: Recording, first: int) -> None:
 
 @pytest.mark.parametrize("name", FILES)
 def test_from_the_file_to_a_scored_map(run, run_map, skin, tmp_path, name):
-    write, options = FILES[name]
-    write(skin, tmp_path / name)
+    FILES[name](skin, tmp_path / name)
     # Taxels with address 0 are not connected, so the first sensor has no position where it is 0.
     first = int(name == "hand.txt")
     calibrate(skin, first)
-    looked = run("info", name, *options)
+    looked = run("info", name)
     assert f"{skin.n_sensors}, " in looked.out
-    done = run_map(name, *options, "--positions", CALIBRATION, "-o", "m.csv", "--json")
+    done = run_map(name, "--positions", CALIBRATION, "-o", "m.csv", "--json")
     score = done.values["score"]
     assert score["sensors_compared"] == skin.n_sensors - (1 - first)
-    # On eight seeds of this skin, contacts reach .95 to .99 and readings .98 to .998.
+    # On eight seeds of this skin, readings reach .98 to .998.
     assert score["mantel_r"] > 0.85
 
 
-def test_the_default_bins_are_said(run, skin, tmp_path):
-    spikes_in_hdf5(skin, tmp_path / "spikes.h5")
-    looked = run("info", "spikes.h5")
-    assert "warning: spikes.h5: events are counted in bins of 1 s, the default" in looked.err
-    chosen = run("info", "spikes.h5", "--bin-width", "200ms")
-    assert "in bins" not in chosen.err
-    assert "counted in bins of 0.2 s" in chosen.out
+def test_contacts_are_refused_with_the_program_that_makes_readings(run, skin, tmp_path):
+    """The program runs as it is printed, and its file is mapped."""
+    vectors = " ".join(["(0.01 -0.02 0.5)"] * 5)
+    with (tmp_path / "data.log").open("w") as log:
+        for i, values in enumerate(skin.readings):
+            taxels = " ".join(map(str, np.flatnonzero(values)))
+            contact = f"((7 4 5 5) {vectors} ({taxels}) 12.5)" if taxels else ""
+            print(i, f"{1.3e9 + i / 10:.6f}", contact, file=log)
+    refused = run("info", "data.log", code=2)
+    first, program = refused.err.split("\n", 1)
+    assert "lists contacts (skin_events)" in first
+    assert len(program.strip().splitlines()) == 10
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=tmp_path)
+    found = anisomap.read(tmp_path / "touches.npz")
+    touched = skin.readings[:, [int(name.removeprefix("part5.taxel")) for name in found.names]] > 0
+    np.testing.assert_array_equal(found.readings, touched)
+    calibrate(skin, 0)
+    done = run_scored(run, "touches.npz")
+    # On eight seeds of this skin, contacts reach .95 to .99.
+    assert done["mantel_r"] > 0.85
+
+
+def run_scored(run, name):
+    words = ("map", name, "--positions", CALIBRATION, "-o", "m.csv", "--no-verdict", "--json")
+    return run(*words).values["score"]
 
 
 def test_a_grid_with_dead_cells(run_map, skin, tmp_path):

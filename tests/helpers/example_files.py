@@ -174,64 +174,6 @@ def _mat_export(path: Path) -> None:
     )
 
 
-def _contacts(path: Path) -> None:
-    """The sensors that read above 0 in each frame."""
-    lists = _lines(lambda i, v: f'{i / 10},"[{" ".join(map(str, np.flatnonzero(v)))}]"')
-    path.write_text(f"time [s],taxels\n{lists}")
-
-
-def _skin_events(path: Path) -> None:
-    """Two contacts per frame with a skin part, none where nothing is touched."""
-
-    def contacts(frame: int, values: list[float]) -> str:
-        active = [str(taxel) for taxel in np.flatnonzero(values)]
-        vectors = "(0.01 -0.02 0.5) (0.0 0.0 0.0) (0.0 0.0 0.0) (0.01 -0.02 0.5) (0.0 0.0 1.0)"
-        halves = [part for part in (active[:2], active[2:]) if part]
-        lists = [f"((7 4 5 5) {vectors} ({' '.join(part)}) 12.5)" for part in halves]
-        return f"{frame} {1.3e9 + frame / 50:.6f} {' '.join(lists)}".rstrip()
-
-    path.write_text(_lines(contacts))
-
-
-def _contacts_as_json(path: Path) -> None:
-    objects = _lines(
-        lambda i, v: json.dumps(
-            {"time": i / 10, "taxels": np.flatnonzero(v).tolist(), "by": "hand"}
-        )
-    )
-    path.write_text(
-        objects if path.suffix == ".jsonl" else json.dumps([*map(json.loads, objects.splitlines())])
-    )
-
-
-def _archived_contacts(path: Path) -> None:
-    frames, sensors = np.nonzero(_readings())
-    with path.open("wb") as stream:
-        np.savez(stream, times=frames / 10, sensors=sensors, positions=_readings()[:N_SENSORS, :2])
-
-
-def _spike_trains(path: Path) -> None:
-    """The layout of the retinal wave repository: one vector of times, and counts per unit."""
-    h5py = pytest.importorskip("h5py")
-    counts = np.round(10 * _readings()).astype(int)
-    trains = [np.repeat(np.arange(N_FRAMES), counts[:, k]) for k in range(N_SENSORS)]
-    with h5py.File(path, "w") as file:
-        file["spikes"] = np.concatenate(trains) + 0.5
-        file["sCount"] = [float(len(train)) for train in trains]
-        file["epos"] = np.array([np.arange(N_SENSORS), np.zeros(N_SENSORS)])
-        file["names"] = np.array([f"ch_{k}a" for k in range(N_SENSORS)], dtype="S")
-        file["recordingtime"] = [0.0, float(N_FRAMES)]
-        file["summary/frate"] = counts.mean(axis=0)
-
-
-def _contact_structs(path: Path) -> None:
-    """A structure per contact, beside the angles of the joints, as a robot records self-touch."""
-    contacts = np.zeros((N_FRAMES, 1), dtype=[("angles", object), ("activatedTaxels", object)])
-    for i, values in enumerate(_readings()):
-        contacts[i, 0] = (np.array([[0.5]]), np.flatnonzero(values)[None])
-    scipy.io.savemat(path, {"torso": contacts}, do_compression=True)
-
-
 def _cyskin(path: Path) -> None:
     """Three taxels of five with addresses beside each response, as robotskinlib records them."""
     rows = _lines(
@@ -293,13 +235,6 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "run.mcap": ("ros", _bag),
     "run.db3": ("ros", _bag),
     "mat.asf": ("mat-export", _mat_export),
-    "contacts.csv": ("contacts", _contacts),
-    "events.log": ("yarp", _skin_events),
-    "events.npz": ("npz", _archived_contacts),
-    "contacts.json": ("contacts-json", _contacts_as_json),
-    "contacts.jsonl": ("contacts-json", _contacts_as_json),
-    "spikes.h5": ("hdf5", _spike_trains),
-    "touch.mat": ("mat", _contact_structs),
     "hand.txt": ("cyskin", _cyskin),
     "gesture.txt": ("cyskin", _cyskin_of_driver),
     "lists.csv": ("text", _lists),
@@ -307,17 +242,6 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),
 }
-EVENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "contacts.csv": lambda values: values > 0,
-    "contacts.json": lambda values: values > 0,
-    "contacts.jsonl": lambda values: values > 0,
-    "events.log": lambda values: values > 0,
-    "events.npz": lambda values: (values > 0)[(values > 0).any(axis=1)],
-    "spikes.h5": lambda values: np.round(10 * values),
-    "touch.mat": lambda values: values > 0,
-}
-"""Files that hold events instead of readings, and what they make of readings."""
-
 MAPS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "map.npz": ("npz", own_map),
     "map.csv": ("text", own_map),

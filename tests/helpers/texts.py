@@ -43,7 +43,7 @@ def touches(*contacts: str) -> str:
 
 def check(path: Any, facts: dict[str, Any]) -> None:
     """Check that a file is read as stated."""
-    given = {key: facts[key] for key in facts.keys() & {"bin_s", "grid", "select"}}
+    given = {key: facts[key] for key in facts.keys() & {"grid", "select"}}
     warned = facts.get("warns")
     with pytest.warns(AnisomapWarning, match=warned) if warned else nullcontext():
         found = io.read(path, options=io.ReadOptions(**given))

@@ -5,15 +5,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from example_files import EVENTS, MAPS, RECORDINGS, example_map, example_recording
-
-_TOLD = {"spikes.h5": pytest.mark.filterwarnings("ignore:.*in bins of 1 s, the default width")}
-_EXAMPLES = [pytest.param(name, marks=_TOLD.get(name, ())) for name in RECORDINGS]
+from example_files import MAPS, RECORDINGS, example_map, example_recording
 
 
 @functools.cache
@@ -35,18 +31,11 @@ def sensor_map() -> SensorMap:
     return example_map()
 
 
-@pytest.fixture(params=_EXAMPLES)
+@pytest.fixture(params=RECORDINGS)
 def recording_file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     path = tmp_path / request.param
     path.write_bytes(example(request.param))
     return path
-
-
-@pytest.fixture
-def expected_readings(recording_file: Path, recording: Recording) -> np.ndarray:
-    """Return the readings that a file is expected to contain."""
-    convert = EVENTS.get(recording_file.name, np.asarray)
-    return np.asarray(convert(recording.readings))
 
 
 @pytest.fixture(params=MAPS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import FileError, InputError
 from anisomap.files import budget
 from anisomap.io import ReadOptions
 
@@ -137,7 +137,7 @@ REFUSED = {
     "plotter": (by_sensor(lambda t, i, v: f">c{i}:{v}"), "12 lines seem to be a frame"),
     "readings by line": (
         "time,node,adc\n" + by_sensor(lambda t, i, v: f"{t / 50},{i},{v}"),
-        "with --select time:node:adc",
+        r"pivot\(index='time', columns='node', values='adc'\)",
     ),
     "cells by line": (
         "frame,row,col,value\n" + by_sensor(lambda t, i, v: f"{t},{i // 4},{i % 4},{v}"),
@@ -169,18 +169,10 @@ def test_documents_of_json_say_what_is_read(put) -> None:
         io.read(put("log.json", json.dumps({"data": PRESSED.tolist()})))
 
 
-def test_readings_by_line_are_selected(put) -> None:
-    text = "time,node,adc\n" + by_sensor(lambda t, i, v: f"{t / 50},{i},{v}")
-    found = io.read(put("long.csv", text), options=ReadOptions("time:node:adc"))
-    np.testing.assert_array_equal(found.readings, PRESSED)
-    assert found.rate_hz == pytest.approx(50)
-
-
-def test_properties_of_contacts_are_not_lost_without_a_word(put) -> None:
+def test_objects_of_a_reading_are_refused(put) -> None:
     text = by_sensor(lambda t, i, v: json.dumps({"t": t / 50, "id": i, "v": v, "gain": 2}))
-    with pytest.warns(AnisomapWarning, match="ignored the property gain"):
-        found = io.read(put("log.jsonl", text))
-    np.testing.assert_array_equal(found.readings, PRESSED)
+    with pytest.raises(FileError, match="lists events"):
+        io.read(put("log.jsonl", text))
 
 
 TIMED = np.column_stack([np.arange(T) / 50, PRESSED])

@@ -9,7 +9,7 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import FileError
-from texts import COUNT, NAN, READINGS, check, contact, hold, touches
+from texts import COUNT, NAN, READINGS, check, hold
 
 SENT = 1_379_926_523.125 + COUNT / 64
 
@@ -24,7 +24,6 @@ def log(*stamps: Any, brackets: bool = False, end: str = "\n", first: int = 0) -
 
 
 LOGGED = {"readings": READINGS, "times": COUNT / 64, "rate_hz": 64}
-BOTH = touches(f"{contact(5, 4)} {contact(2, 8, names=' (l_fore frame)')}", contact(2, 9, names=""))
 HANDLE = (38135, 38136, 38433, 38140, 38433)
 """One address is in two places, as in a published recording of a gripped handle."""
 GRIPPED = "1\n5\n" + "".join(
@@ -69,25 +68,6 @@ LOGS = [
         "".join(f"{i} {1.3e9 + i / 50:.2f} 1 2 3\n" for i in range(3000)) + "3000 13",
         n_frames=3000,
         warns="truncated and dropped",
-    ),
-    hold(
-        touches("", "()", contact(5, 97, 4), contact(5, 4), ""),
-        names=("taxel4", "taxel97"),
-        readings=[[0, 0], [0, 0], [1, 1], [1, 0], [0, 0]],
-        times=np.arange(5) / 8,
-        metadata={"skin_parts": "r_forearm"},
-    ),
-    hold(BOTH, select="l_forearm", names=("taxel8", "taxel9")),
-    hold(
-        BOTH,
-        select="l_forearm, r_forearm",
-        names=("l_forearm/taxel8", "l_forearm/taxel9", "r_forearm/taxel4"),
-        readings=[[1, 0, 1], [0, 1, 0]],
-    ),
-    hold(
-        touches(contact(5, 3, 4), contact(5, 4), contact(5, 8))[:-9],
-        readings=[[1, 1], [0, 1]],
-        warns="last line is truncated and dropped",
     ),
     hold(
         "7 8 9 \n0 0.600000 1 43000 2\n1 0.700000 3 4 65535\n",
@@ -176,11 +156,3 @@ def test_ports_are_joined_by_latest_readings(put, tmp_path: Path, late: float) -
     np.testing.assert_array_equal(in_blocks, expected)
     with pytest.raises(FileError, match="the recordings torso, leg do not overlap in time"):
         io.read(folder, options=io.ReadOptions(select="torso,leg"))
-
-
-def test_skin_parts_are_listed(put) -> None:
-    path = put("skin_events.log", BOTH)
-    listed = [(content.name, content.summary) for content in io.contents(path)]
-    assert listed == [("r_forearm", "contacts of 1 taxel"), ("l_forearm", "contacts of 2 taxels")]
-    with pytest.raises(io.ChoiceError, match="2 possible recordings"):
-        io.read(path)

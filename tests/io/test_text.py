@@ -1,9 +1,8 @@
-"""What is read from text: tables, lists of contacts and spikes, and exports of mats."""
+"""What is read from text: tables, and exports of mats."""
 
 import gzip
 import logging
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -177,75 +176,6 @@ TABLES = [
 ]
 """Tables, and what they hold."""
 
-MOMENTS = [(0.25, [3, 17]), (0.5, []), (1.0, [17]), (1.5, [3, 4, 17])]
-TOUCHED = {
-    "names": ("taxel3", "taxel4", "taxel17"),
-    "readings": [[1, 0, 1], [0, 0, 0], [0, 0, 1], [1, 1, 1]],
-    "times": [0, 0.25, 0.75, 1.25],
-}
-PADDED = "0,0.1,5,0.2,9\n0,0.1,6,NaN,NaN\n1,0.3,6,0.2,8\n2,NaN,NaN,0.2,9\n"
-SPIKES = {"bin_s": 1.0, "readings": [[1, 0, 1], [2, 0, 0], [0, 0, 1]]}
-OBJECTS = [
-    '{"t_ms": 500, "sensor": "palm", "pressure": 2.5}',
-    '{"t_ms": 250, "sensor": "thumb", "pressure": 1, "where": [1, 2]}',
-    '{"t_ms": 500, "sensor": "thumb", "pressure": 4}',
-]
-PRESSED = {"names": ("palm", "thumb"), "readings": [[0, 1], [2.5, 4]], "times": [0, 0.25]}
-EVENTS = [
-    *(
-        hold(header + "".join((row(t, ids) + "\n" for t, ids in MOMENTS)), **TOUCHED)
-        for header, row in (
-            ("time,taxels\n", lambda t, ids: f'''{t},"{" ".join(map(str, ids))}"'''),
-            ("t;contacts\n", lambda t, ids: f"{t};{ids}"),
-            ("Time [s],active taxels\n", lambda t, ids: f'{t},"{ids}"'),
-            ("time,ids\n", lambda t, ids: ",".join(map(str, [t, *ids]))),
-            ("time_ms\ttaxel_ids\n", lambda t, ids: f"{1000 * t:g}\t{' '.join(map(str, ids))}"),
-            *(("", lambda t, ids, d=d: d.join(map(str, [t, *ids]))) for d in " ,\t;"),
-        )
-    ),
-    hold('time,taxels\n0.5,"3 17"\n', readings=[[1, 1]]),
-    hold(
-        "time,taxel\n1.5,17\n0.25,3\n1.5,3\n0.25,17\n1.0,17\n1.0,\n1.5,4\n",
-        names=TOUCHED["names"],
-        readings=[[1, 0, 1], [0, 0, 1], [1, 1, 1]],
-        times=[0, 0.75, 1.25],
-    ),
-    hold(
-        "event,sensor,pressure\n7,left thumb,2.5\n7,palm,4\n9,palm,1\n",
-        names=("left thumb", "palm"),
-        readings=[[2.5, 4], [0, 1]],
-        times=None,
-    ),
-    hold("event,taxel\n0,3\n0,17\n1,\n2,17\n", readings=[[1, 1], [0, 0], [0, 1]], times=None),
-    # A published record of self-touch: two skins, padded to equal length.
-    hold(PADDED, select="1:3", names=("taxel5", "taxel6"), readings=[[1, 1], [0, 1], [0, 0]]),
-    hold(PADDED, select="1:5", names=("taxel8", "taxel9"), readings=[[0, 1], [1, 0], [0, 1]]),
-    hold("when,x,pad\n0,1.5,3\n0,2.5,4\n1,3.5,4\n", select="when:pad", readings=[[1, 1], [0, 1]]),
-    hold(
-        "taxel,time\n0,0.5\n1,0.5\n2,inf\n1,90\n0,90\n",
-        readings=[[1, 1], [1, 1]],
-        names=("taxel0", "taxel1"),
-    ),
-    hold(
-        "taxel,time\n0,0.5\n1,1.5\n2,2.5\n0,2.5\n2",
-        readings=[[1, 0, 0], [0, 1, 0], [1, 0, 1]],
-        warns="x\\.csv: the last line is truncated and dropped",
-    ),
-    hold(f"[{', '.join(OBJECTS)}]", **PRESSED),
-    hold("\n".join(OBJECTS) + "\n", **PRESSED),
-    hold("a,0.25,1.5,1.75\nb\nc,0.5,2.25\n", names=("a", "b", "c"), **SPIKES),
-    hold("a 0.25 1.5 1.75\nb \nc 0.5 2.25\n", names=("a", "b", "c"), **SPIKES),
-    hold("a,b,c\n0.25,,0.5\n1.5,,2.25\n1.75,,\n", names=("a", "b", "c"), **SPIKES),
-    hold("0.25;;0.5\n1.5;;2.25\n1.75;;\n", names=("channel1", "channel2", "channel3"), **SPIKES),
-    hold(
-        "time,electrode\n" + "".join(f"{0.1 + i * 0.24:.4f},{i % 3}\n" for i in range(40)),
-        metadata={"bin_s": 1},
-        n_frames=10,
-        warns="in bins of 1 s, the default width.*--bin-width",
-    ),
-]
-"""Lists of contacts and spikes."""
-
 FRAMES = np.random.default_rng(5).integers(0, 255, (30, 4, 3))
 CELLS = FRAMES.reshape(30, 12)
 MOVIE = """DATA_TYPE MOVIE
@@ -311,7 +241,7 @@ MATS = [
 ]
 """Exports of pressure mats and insoles."""
 
-CASES = [*TABLES, *EVENTS, *MATS]
+CASES = [*TABLES, *MATS]
 
 
 @pytest.mark.parametrize(("text", "facts"), CASES, ids=range(len(CASES)))
@@ -494,52 +424,7 @@ def test_lists_in_cells(put) -> None:
     np.testing.assert_array_equal(right.readings, [[9, 8, 7], [6, 5, 4]])
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "time,sensor\n0.1,0.25\n0.2,0.5\n0.3,0.75\n",
-        "time,channel 1,channel 2\n0,1,2\n1,1,3\n",
-        "time,id,temperature\n0,1,20\n1,2,21\n",
-        "frame,s0,s1\n0,1,2\n1,1,3\n",
-        "id,x,y\n1,0,0\n2,1,1\n",
-    ],
-)
-def test_tables_of_readings_are_not_lists_of_contacts(text: str) -> None:
-    contacts = next(form for form in io.FORMATS if form.name == "contacts")
-    assert not contacts.matches(Path("x.csv"), text.encode())
-
-
-SPIKE_TRAINS = st.lists(
-    st.lists(st.integers(0, 400), min_size=1, max_size=20, unique=True), min_size=2, max_size=4
-)
-
-
-@given(trains=SPIKE_TRAINS, bin_ms=st.sampled_from([20, 50, 1000]))
-def test_counts_in_bins(tmp_path_factory, trains: list[list[int]], bin_ms: int) -> None:
-    """Every spike is counted once, in the bin of its time."""
-    spikes = [(10 * time, channel) for channel, times in enumerate(trains) for time in times]
-    path = tmp_path_factory.mktemp("spikes") / "spikes.csv"
-    path.write_text("time_ms,channel\n" + "".join(f"{t + 5},{c}\n" for t, c in spikes))
-    found = io.read(path, options=io.ReadOptions(bin_s=bin_ms / 1000))
-    start = min(time for time, _ in spikes)
-    expected = np.zeros_like(found.readings)
-    for time, channel in spikes:
-        expected[(time - start) // bin_ms, channel] += 1
-    np.testing.assert_array_equal(found.readings, expected)
-    assert found.names == tuple(f"channel{i}" for i in range(len(trains)))
-    assert found.rate_hz == pytest.approx(1000 / bin_ms)
-
-
 def test_true_positions_match_by_name_or_number(put) -> None:
-    """Sensors with a position and no contact were silent."""
-    truth = put("truth.csv", "name,x,y\ntaxel4,4,0\ntaxel17,17,0\ntaxel18,18,1\n")
-    path = put("run.csv", 'time,taxels\n0,"3 17"\n1,"4 17"\n')
-    found = io.read(path, options=io.ReadOptions(positions=truth))
-    assert found.names == ("taxel3", "taxel4", "taxel17", "taxel18")
-    np.testing.assert_array_equal(found.readings, [[1, 0, 1, 0], [0, 1, 1, 0]])
-    np.testing.assert_array_equal(found.positions[:, 0], [NAN, 4, 17, 18])
-    with io.open_stream(path, options=io.ReadOptions(positions=truth)) as stream:
-        assert stream.n_sensors == next(stream.blocks).readings.shape[1] == 4
     truth = put("truth.csv", "name,x,y\ntaxel2,2,0\ntaxel0,0,0\ntaxel5,5,0\n")
     found = io.read(put("x.csv", "1,2,3\n4,5,6\n"), options=io.ReadOptions(positions=truth))
     np.testing.assert_array_equal(found.positions, [[0, 0], [NAN, NAN], [2, 0]])

@@ -21,9 +21,7 @@ from anisomap.base.wording import printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.errors import FileError, InputError
 
-_PER_SECOND = {"": 1, "s": 1, "ms": 1000, "us": 1_000_000}
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
-_DURATION = re.compile(r"(\d{1,15}(?:\.\d{0,15})?|\.\d{1,15})\s*(s|ms|us|)")
 
 reading_group = Group("Reading", sort_key=0)
 outputs_group = Group("Output", sort_key=1)
@@ -49,8 +47,7 @@ class ReadingOptions:
         ports are separated by commas.
     positions
         File of true positions of the sensors. They are matched by the names or the numbers at their
-        ends, and maps are scored against them. Sensors that a list of contacts or spikes does not
-        mention are added: they were silent.
+        ends, and maps are scored against them.
     grid
         Rows and columns of an array in row-major order, as in 32x64. They give the true positions.
     preset
@@ -61,8 +58,6 @@ class ReadingOptions:
     axis
         What is read of taxels with three axes: z, norm (the length from rest), x, y, or all for
         each axis as a sensor.
-    bin_width
-        Width of the bins in which events are counted, such as 1s or 50ms.
     msg
         Message definition (.msg) for a bag without definitions; may be repeated.
     """
@@ -73,7 +68,6 @@ class ReadingOptions:
     preset: Annotated[str, expert] = ""
     keep: Annotated[list[str], expert] = field(default_factory=list)
     axis: Annotated[Literal["z", "norm", "x", "y", "all"], expert] = "z"
-    bin_width: Annotated[str, expert] = ""
     msg: Annotated[list[Path], expert] = field(default_factory=list)
 
     @property
@@ -84,14 +78,12 @@ class ReadingOptions:
     def checked(self) -> io.ReadOptions:
         """Convert to the options of the library."""
         grid = _rows_and_columns(self.grid) if self.grid else None
-        bin_s = _seconds(self.bin_width) if self.bin_width else None
         return io.ReadOptions(
             self.select,
             grid,
             tuple(self.msg),
             self.preset,
             self.positions,
-            bin_s,
             self.axis,
             tuple(part.strip() for text in self.keep for part in text.split(",")),
         )
@@ -229,14 +221,6 @@ def _rows_and_columns(text: str) -> tuple[int, int]:
     if not match:
         raise InputError(f"--grid must give rows and columns, as in 32x64, got {text}")
     return int(match[1]), int(match[2])
-
-
-def _seconds(text: str) -> float:
-    match = _DURATION.fullmatch(text.strip())
-    value = float(match[1]) / _PER_SECOND[match[2]] if match else 0.0
-    if not 0 < value < float("inf"):
-        raise InputError(f"--bin-width must be a time above 0, as in 1s or 50ms, got {text}")
-    return value
 
 
 def _exists(_: object, given: Path | Sequence[Path]) -> None:

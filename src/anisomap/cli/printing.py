@@ -42,11 +42,9 @@ def print_contents(printer: Printer, path: Path, how: io.ReadOptions) -> None:
 
 def print_recording(printer: Printer, recording: Recording, summary: RecordingSummary) -> None:
     """Print a summary of a recording."""
-    bin_s = recording.metadata.get("bin_s")
-    events = {} if bin_s is None else {"events": f"counted in bins of {bin_s:g} s"}
     known = {"true positions": "unknown" if recording.positions is None else "known"}
     source = {"source": recording.source or "unknown"}
-    printer.facts("Recording", source | summary.facts | events | known)
+    printer.facts("Recording", source | summary.facts | known)
     values = {name.removeprefix("n_"): value for name, value in asdict(summary).items()}
     printer.record(recording={"source": recording.source, **values})
 

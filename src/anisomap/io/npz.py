@@ -1,7 +1,7 @@
-"""NumPy archives and arrays: recordings, events and maps.
+"""NumPy archives and arrays: recordings and maps.
 
-Nothing is unpickled. A recording has ``readings`` (T, N), which are read in blocks of rows, or
-``times`` and ``taxels`` or the like, and scalars as metadata; a map has ``positions`` instead.
+Nothing is unpickled. A recording has ``readings`` (T, N), which are read in blocks of rows, and
+scalars as metadata; a map has ``positions`` instead.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from anisomap.files.budget import Budget
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.facts import properties_of, read_properties, to_python_scalar
 from anisomap.io.parsing.names import distinct_names
+from anisomap.io.parsing.refusals import FROM_EVENTS
 from anisomap.io.parsing.source import warn
-from anisomap.io.recordings.events import NOUNS, Events, noun_of, stream_events
 from anisomap.io.stream import (
     Block,
     ReadOptions,
@@ -53,8 +53,7 @@ _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
     *("names", "times", "rate_hz", "units", "source", "metadata"),
 }
-_TIMES, _NUMBERED = ("times", "time", "spike_times"), ("events", "event")
-_SENSORS = (*NOUNS, "spike_clusters")
+_MOMENTS = {"times", "time", "spike_times", "events", "event"}  # of events, beside no readings
 
 
 @contextmanager
@@ -171,16 +170,11 @@ def _scalars(archive: zipfile.ZipFile) -> dict[str, Scalar]:
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in an NPZ archive: readings, or events."""
+    """Open a recording in an NPZ archive."""
     with _opened(path) as archive:
-        # The unit of the positions has the name of an array of units.
         names = _names(archive)
-        sensors = [name for name in _SENSORS if name != "units" or "positions" not in names]
-        moments = [name for name in (*_TIMES, *_NUMBERED) if name in names]
-        sensors = [name for name in sensors if name in names]
-        if "readings" not in names and moments and sensors:
-            yield _stream_events(path, archive, moments[0], sensors[0], options.bin_s)
-            return
+        if "readings" not in names and _MOMENTS.intersection(names):
+            raise FileError(f"{path} holds events", FROM_EVENTS)
         if "readings" not in names:
             raise _missing(archive, "readings", "recording")
         times, info = _array(archive, "times"), archive.getinfo(f"readings{_SUFFIX}")
@@ -257,39 +251,6 @@ def _header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dty
     if dtype.kind not in NUMBERS:
         raise InputError(f"{what} must hold numbers, got dtype {dtype}")
     return tuple(map(int, shape)), fortran_order, dtype  # NumPy accepts True for a length of 1
-
-
-def _stream_events(
-    path: Path, archive: zipfile.ZipFile, at: str, which: str, bin_s: float | None
-) -> Stream:
-    """Create a stream of the events in an archive."""
-    noun = noun_of(which)
-    moments = np.asarray(_array(archive, at)).astype(np.float64)
-    sensors = np.asarray(_array(archive, which, WHOLE)).astype(np.int64)
-    if moments.ndim != 1 or moments.shape != sensors.shape:
-        shapes = f"got shapes {moments.shape} and {sensors.shape}"
-        raise FileError(f"{path}: {at} and {which} must be lists of equal length, {shapes}")
-    if sensors.min(initial=0) < 0:
-        raise FileError(f"{path}: {which} must be numbers of sensors from 0")
-    names = distinct_names(path, _texts(archive, "names"))
-    positions = _array(archive, "positions")
-    n_known = len(names) or (0 if positions is None else len(positions))
-    if n_known:
-        if (most := sensors.max(initial=0)) >= n_known:
-            raise FileError(f"{path}: {which} holds {most}, but there are {n_known} sensors")
-        names = names or tuple(f"{noun}{i}" for i in range(n_known))
-    else:
-        numbers, sensors = np.unique(sensors, return_inverse=True)
-        names = tuple(f"{noun}{number}" for number in numbers.tolist())
-    return stream_events(
-        path,
-        Events(moments, sensors.astype(np.intp), names, timed=at in _TIMES),
-        bin_s=bin_s,
-        spikes=(noun in ("channel", "electrode", "unit", "neuron") and at in _TIMES) or None,
-        positions=positions,
-        units="" if positions is None else _text(archive, "units"),
-        metadata={"format": "NumPy archive of events"},
-    )
 
 
 def read_map(path: Path) -> SensorMap:

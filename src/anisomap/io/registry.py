@@ -31,7 +31,6 @@ from anisomap.io.presets import apply_preset, in_grid, with_grid
 from anisomap.io.recordings import (
     bag_files,
     bags,
-    contact_lists,
     delimited_text,
     grids,
     named_arrays,
@@ -100,8 +99,6 @@ FORMATS = (
            magics=(npz.ARRAY_MAGIC,)),
     Format("cyskin-calibration", (), "CySkin calibration (JSON)", text_files.is_calibration,
            read_map=text_files.read_calibration),
-    Format("contacts-json", (), "list of contacts or spikes (JSON)",
-           contact_lists.is_json, contact_lists.open_json_list),
     Format("json-lines", (".jsonl",), "one JSON object per frame", delimited_text.is_json_lines,
            delimited_text.open_recording),
     Format("json", (".json",), "JSON", text_files.is_json,
@@ -137,8 +134,6 @@ FORMATS = (
            magics=tuple(bag_files.MAGICS)),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            grids.is_mat_export, grids.open_mat_export),
-    Format("contacts", (), "list of contacts or spikes: time, sensors", contact_lists.is_text,
-           contact_lists.open_text_list),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
            delimited_text.open_recording, text_files.read_text, text_files.write_text,
@@ -368,39 +363,20 @@ def attach_positions(recording: Recording, positions: Path | None) -> Recording:
     if positions is None:
         return recording
     truth = read_map(positions)
-    _, found = _match(recording.names, truth, Path(recording.source), positions)
+    found = _match(recording.names, truth, Path(recording.source), positions)
     return replace(recording, positions=found, units=truth.units)
 
 
 def _with_positions(stream: Stream, file: Path) -> Stream:
-    """Give sensors their true positions, or NaN; sensors without an event are added to events."""
+    """Give sensors their true positions, or NaN."""
     truth = read_map(file)
     names = stream.names or default_names(stream.n_sensors)
-    rows, positions = _match(names, truth, stream.path, file)
-    if not stream.silent_are_zero:
-        return replace(stream, positions=positions, units=truth.units)
-    known = {*names, *(truth.names[row] for row in rows if row is not None)}
-    silent = [i for i, name in enumerate(truth.names) if truth.placed[i] and name not in known]
-
-    def widened() -> Iterator[Block]:
-        for block in stream.blocks:
-            zeros = np.zeros((len(block.readings), len(silent)), block.readings.dtype)
-            yield replace(block, readings=np.hstack([block.readings, zeros]))
-
-    return replace(
-        stream,
-        n_sensors=len(names) + len(silent),
-        blocks=widened(),
-        names=(*names, *(truth.names[i] for i in silent)),
-        positions=np.vstack([positions, truth.positions[silent]]),
-        units=truth.units,
-    )
+    positions = _match(names, truth, stream.path, file)
+    return replace(stream, positions=positions, units=truth.units)
 
 
-def _match(
-    names: Sequence[str], truth: SensorMap, path: Path, file: Path
-) -> tuple[list[int | None], NDArray[np.float64]]:
-    """Return the sensor of a map for each name, and the positions."""
+def _match(names: Sequence[str], truth: SensorMap, path: Path, file: Path) -> NDArray[np.float64]:
+    """Return the position in a map for each name."""
     rows = match_names(names, truth.names)
     if all(row is None or not truth.placed[row] for row in rows):
         raise FileError(
@@ -408,7 +384,7 @@ def _match(
             f"{truth.names[-1]}, and the recording {names[0]} ... {names[-1]}"
         )
     unknown = np.full(truth.dimensions, np.nan)
-    return rows, np.array([unknown if row is None else truth.positions[row] for row in rows])
+    return np.array([unknown if row is None else truth.positions[row] for row in rows])
 
 
 @contextmanager
@@ -424,8 +400,6 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
             stream = stack.enter_context(opened(file, options))
             budget = Budget(stream.path)  # of several files, the one with the readings
             budget.spend(SENSOR_BYTES * stream.n_sensors, "its list of sensors")
-            if options.bin_s is not None and not stream.silent_are_zero:
-                raise FileError(f"{described} holds readings, not events; leave out --bin-width")
             stream = replace(stream, names=distinct_names(file, stream.names))
             stream = in_grid(sensors_of(stream, options), options.grid)
             if options.positions is not None and not options.preset:
@@ -453,6 +427,7 @@ def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[...
         problem = f"holds no {what}" if is_read else "is written, but not read"
         if chosen.name == "json" and what == "recordings":
             able = ["lines with an object or a list per frame (.jsonl)", ".csv", ".npz"]
+            able.append("for events, anisomap.Recording.from_events(times, sensors)")
         problem += f"; formats with {what}: {'; '.join(able)}"
         raise FileError(f"{file} ({chosen.summary}) {problem}")
     return chosen, reader

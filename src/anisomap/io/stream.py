@@ -119,11 +119,10 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
     return usable[0]
 
 
-def refuse_selection(described: object, select: str, otherwise: str = "") -> None:
+def refuse_selection(described: object, select: str) -> None:
     """Raise a `FileError` if a recording is selected from a file that holds a single one."""
     if select:
-        problem = f"holds a single recording; leave out --select {select}{otherwise}"
-        raise FileError(f"{described} {problem}")
+        raise FileError(f"{described} holds a single recording; leave out --select {select}")
 
 
 def _listed(contents: Sequence[Content]) -> str:
@@ -157,8 +156,6 @@ class ReadOptions:
     positions : pathlib.Path, optional
         File of true positions of the sensors, in any format of maps. Sensors match by name, or by
         the numbers at the ends of the names.
-    bin_s : float, optional
-        Width in seconds of the bins in which events are counted; for recordings of events only.
     axis : {"z", "norm", "x", "y", "all"}
         What is read of taxels with three axes: one of them, the length of the vector from rest, or
         each axis as a sensor.
@@ -169,7 +166,7 @@ class ReadOptions:
     Raises
     ------
     InputError
-        If `grid` or `bin_s` is out of range.
+        If `grid` or `axis` is out of range.
     """
 
     select: str = ""
@@ -177,7 +174,6 @@ class ReadOptions:
     definitions: tuple[Path, ...] = ()
     preset: str = ""
     positions: Path | None = None
-    bin_s: float | None = None
     axis: str = "z"
     keep: tuple[str, ...] = ()
 
@@ -192,8 +188,6 @@ class ReadOptions:
             )
         if self.axis not in AXES:
             raise InputError(f"axis must be one of {', '.join(AXES)}, got {self.axis!r}")
-        if self.bin_s is not None and not 0 < self.bin_s < np.inf:
-            raise InputError(f"bin_s must be a positive number of seconds, got {self.bin_s}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,8 +239,6 @@ class Stream:
         Whether to shift times so that the first frame is at 0.
     locate : callable, optional
         Maps a frame index to its place in the file, such as ``"line 12"``.
-    silent_are_zero : bool
-        Whether the file lists events, so that a sensor it does not mention was never active.
     raw_columns : bool
         Whether columns may be something else than sensors, or axes of sensors.
     """
@@ -264,7 +256,6 @@ class Stream:
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
     from_zero: bool = False
     locate: Callable[[int], str] | None = None
-    silent_are_zero: bool = False
     raw_columns: bool = False
 
 
@@ -513,18 +504,17 @@ def contents_isolated(
 
 
 def _sent(function: Callable[..., Any], options: ReadOptions) -> tuple[Any, ...]:
-    width = None if options.bin_s is None else float(options.bin_s)
     definitions = [os.fspath(each) for each in options.definitions]
     return (
         *(function.__module__, function.__name__),
-        *(options.select, definitions, width, options.keep),
+        *(options.select, definitions, options.keep),
     )
 
 
 def _called(path: Path, *sent: Any) -> Any:
-    module, name, select, paths, bin_s, keep = sent
+    module, name, select, paths, keep = sent
     definitions = tuple(map(Path, paths))
-    options = ReadOptions(select, definitions=definitions, bin_s=bin_s, keep=tuple(keep))
+    options = ReadOptions(select, definitions=definitions, keep=tuple(keep))
     return getattr(import_module(module), name)(path, options)
 
 

@@ -216,8 +216,6 @@ def test_sizes_of_many_digits_are_refused_in_one_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("start", "line", "what"),
     [
-        (b"time,sensor\n", b"1,2\n", "list of contacts"),
-        (b"", b'{"time":1,"sensor":2}\n', "list of contacts"),
         (b"", b"1\n", "table of readings"),
         (b"", b"1," * 20_000 + b"1\n", "list of sensors"),
     ],

@@ -8,7 +8,6 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import FileError
-from texts import contact, touches
 
 
 def log(line: str) -> str:
@@ -16,11 +15,6 @@ def log(line: str) -> str:
     lines = [f"{i} {1_379_926_523 + i / 64:.6f} 1.0 2.0 3.0 4.0 5.0 6.0" for i in range(40)]
     lines[19] = line.format(lines[19])
     return "\n".join(lines)
-
-
-def touched(old: str, new: str) -> str:
-    """Return a log of contacts with a changed second line."""
-    return touches(*[contact(5, 3), contact(6, 4, 7)] * 2).replace(old, new)
 
 
 def cyskin(old: str, new: str) -> str:
@@ -33,17 +27,6 @@ def mat(rows: str = "2", columns: str = "2", third: str = "3,4\n") -> str:
     return f"ROWS {rows}\nCOLS {columns}\n{frames}"
 
 
-HEADED = "taxel,time\n" + "".join(f"{i % 3},{i // 3}\n" for i in range(60))
-GOOD = '{"time": 0, "ids": [1, 2]}'
-WRONG_CONTACTS = {
-    '{"time": 1, "ids": [1.5]}': "'1.5' must be the id of a sensor",
-    '{"time": 1, "ids": [true]}': "'True' must be the id of a sensor",
-    '{"time": "late", "ids": [1]}': "time must be a number, got 'late'",
-    '{"time": 1}': "must be an object with a time and sensors",
-    "3": "must be an object with a time and sensors",
-    '{"time": 1, "ids": [1}': "not valid JSON",
-}
-CONTACTS = "must hold contacts, each of 8 lists and numbers in brackets"
 LISTS = "".join(f'{i},"1,2,3"\n' for i in range(60))
 
 INSOLE = "file:\twalk\n\nsensors\t99\n\n\nt [s]\tl1\tl2\tr1\tr2\n" + "".join(
@@ -56,25 +39,8 @@ def taxel(**changes: object) -> str:
     return json.dumps({"skin": {"taxels": rows}})
 
 
-PADDED = "0,0.1,5\n0,0.1,6\n1,0.3,6\n"
-FAR = "time,channel\n" + "".join(f"{i / 7:.3f},{i % 3}\n" for i in range(60)) + "1e12,1\n"
-NO_EVENTS = "holds readings, not events"
 NO_CELLS = "2 x 3 grid has 6 sensors, but the recording has 3, and their names do not give"
 CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
-    ({"bin_s": 1.0}, "x.csv", "event,taxel\n0,3\n0,17\n", "numbers its events without times"),
-    ({"bin_s": 1.0}, "x.csv", FAR, "61 events from 0 to 1e+12 s would fill"),
-    *(
-        ({"bin_s": 1.0}, "x.csv", text, NO_EVENTS)
-        for text in (
-            "a,b\n1,2\n3,4\n",
-            "a,b\n1.5,2\n0.5,4\n",
-            "a,b\n0.5,1\n,2\n1.5,3\n",
-            "a,b\n0.5,x\n",
-        )
-    ),
-    ({"bin_s": 1.0}, "data.log", log("{}"), NO_EVENTS),
-    ({"select": "1:7"}, "x.csv", PADDED, "no column '7'; it has 3 columns"),
-    ({"select": "1:2"}, "x.csv", PADDED, "line 1, column 2: '0.1' must be the id of a sensor"),
     ({"select": "a/b"}, "x.csv", "1,2\n3,4\n", "single recording; leave out --select a/b"),
     ({"select": "a,b"}, "data.log", log("{}"), "single recording; leave out --select a,b"),
     ({"grid": (4, 4)}, "x.csv", "1,2\n3,4\n", "4 x 4 grid has 16 sensors, but the recording has 2"),
@@ -118,15 +84,6 @@ RECORDINGS = [
         "line 62, column 2: the list has 2 numbers",
     ),
     ("x.csv", "0,0,1,3\n" * 10 + "1,0\n" + "2,0,2,0\n" * 10 + "3,0,1\n", "line 11 has 2 fields"),
-    ("run.csv", HEADED + "2.5,1\n1,90\n", "line 62, column 1: '2.5' must be the id of a sensor"),
-    ("run.csv", HEADED + "-2,1\n1,90\n", "line 62, column 1: '-2' must be the id of a sensor"),
-    ("run.csv", HEADED + "2,late\n1,90\n", "line 62, column 2: 'late' is not a number"),
-    ("run.csv", HEADED + "2\n1,90\n", "line 62 has 1 field; it must have 2"),
-    ("run.csv", "time,taxel\n", "only a header"),
-    ("run.csv", 'time,taxel\n0.5,1\n1.5,"2\n2.5,3\n', "unbalanced quotation marks (line 3"),
-    ("run.csv", "time,taxel\n0.5,\n1.5,\n", "no event"),
-    *(("x.jsonl", f"{GOOD}\n{row}\n{GOOD}\n", message) for row, message in WRONG_CONTACTS.items()),
-    *(("x.json", f"[{GOOD}, {row}, {GOOD}]", message) for row, message in WRONG_CONTACTS.items()),
     ("data.log", log("19 1379926523.2 1.0"), "line 20 has 3 fields, but line 1 has 8"),
     ("data.log", log("19 1379926523.2 1.o 2 3 4 5 6"), "line 20, column 3: '1.o' is not a number"),
     ("data.log", log("{} 7"), "line 20 has 9 fields"),
@@ -136,10 +93,6 @@ RECORDINGS = [
         ("data.log", f"1 1.5 {first}\n2 1.6 {first}\n", "is not a number")
         for first in ("(0.25 0 0.75),1", "(1,2) 3", "0,(1)2")
     ),
-    ("skin.log", touched("(4 7)", "(4 seven)"), f"line 2: {CONTACTS}"),
-    ("skin.log", touched("(4 7)", "(4 7"), f"line 2: {CONTACTS}"),
-    ("skin.log", touched("(4 7)", ""), f"line 2: {CONTACTS}"),
-    ("skin.log", touched("2 6)", "2)"), f"line 2: {CONTACTS}"),
     ("data.log", "0 1.4e9\n1 1.5e9\n2 1.6e9\n", "data.log"),
     ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
     ("hand.txt", cyskin("38135", ""), "line 6 has 6 fields, but 2 taxels need 7"),

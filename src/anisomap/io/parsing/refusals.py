@@ -15,11 +15,23 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from anisomap.base.clocks import words_of
+from anisomap.base.clocks import is_time, words_of
 from anisomap.errors import FileError
 from anisomap.io.parsing.names import COUNTER_NAMES
 from anisomap.io.parsing.source import quote, quote_if_needed
 from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
+
+FROM_EVENTS = (
+    "in Python, anisomap.Recording.from_events(times, sensors, bin_width=..., names=...) makes a "
+    "recording of them"
+)
+"""What is right for lists of contacts or spikes."""
+
+_MOMENTS = {"event", "frame", "touch", "sample"}
+_ACTIVE = {"taxel", "sensor", "channel", "electrode", "unit", "neuron", "id", "contact", "active"}
+_VALUES = {"value", "val", "raw", "adc", "reading", "pressure", "force", "amplitude", "weight"}
+_KEY, _LIST = re.compile(r'"([^"\\]{1,40})"\s*+:'), re.compile(r"\[([^\[\]]*+)\]")
+_ROWS_LOOKED_AT, _MIN_LENGTHS = 50, 3
 
 
 class _Foreign(NamedTuple):
@@ -127,6 +139,8 @@ def remedy_of(suffix: str) -> str:
 def refuse_text(path: Path, sample: Sequence[str]) -> None:
     """Raise FileError for lines of a kind that no table has."""
     lines = [line for line in sample if not is_skipped(line)]
+    if lines:
+        _refuse_events(path, lines[:_ROWS_LOOKED_AT])
     numeric = [any(map(str.isdigit, line)) for line in lines]
     cut = [i for i, line in enumerate(lines) if numeric[i] and _LEFT_OUT.search(line)]
     inside = (i for i in range(1, len(lines)) if numeric[i - 1])
@@ -185,10 +199,11 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
         text = bool(levels) and not is_number(levels[0])
         evident = text or bool(table.numeric) or words & _LINE_WORDS
         if levels and (evident or _number_frames(rows, len(levels))):
+            long = f"; {_pivot(*table.names)}" if len(table.names) == 3 and i == 1 else ""
             shown = ", ".join([*map(quote_if_needed, levels[:3]), "..."][: len(levels) + 1])
             raise FileError(
                 f"{table.path}: {label} repeats {shown}, so that {len(levels)} lines seem to be a "
-                f"frame: write them in one line{_remedy(table, i)}; give --keep if it is a sensor"
+                f"frame: write them in one line; give --keep if it is a sensor{long}"
             )
 
 
@@ -232,9 +247,45 @@ def _cycle(cells: Sequence[str]) -> list[str]:
     return levels if in_order >= _CYCLIC * (len(cells) - 1) else []
 
 
-def _remedy(table: Table, i: int) -> str:
-    """Say how to read a table of a time, a sensor and a value."""
-    if table.n_columns != 3 or i != 1 or table.numeric:
-        return ""
-    names = [name.strip() for name in table.names] or ["1", "2", "3"]
-    return f", or read the sensors in column {i + 1} with --select {':'.join(names)}"
+def _refuse_events(path: Path, lines: Sequence[str]) -> None:
+    """Raise FileError for lines of a moment and a sensor, or all sensors that were active.
+
+    The header, or the keys of JSON, name both; without a header, rows of whole numbers, each once,
+    have several lengths.
+    """
+    mark = next((mark for mark in ";\t," if mark in lines[0]), None)
+    cells = ([cell.strip("\"' []") for cell in line.strip().split(mark)] for line in lines)
+    header, *rows = cells
+    lists = [len(found[1].split(",")) for line in lines if (found := _LIST.search(line))]
+    keys = list(dict.fromkeys(_KEY.findall(lines[0])))
+    if keys:  # lists of equal length, an object in each line, are readings
+        header, rows = keys, [[]] * (lines[0][0] == "[" or not lists or len(set(lists)) > 1)
+    elif is_number(header[0]):
+        ids = [row[1:] for row in (header, *rows)]
+        whole = all(len(set(row)) == len(row) and all(map(str.isdecimal, row)) for row in ids)
+        if whole and len(set(map(len, ids))) >= _MIN_LENGTHS:
+            raise FileError(f"{path} lists events", FROM_EVENTS)
+        return
+    words = [{word.removesuffix("s") for word in words_of(name)} for name in header]
+    moments = [i for i, name in enumerate(header) if is_time(name, i) or _is_of(words[i], _MOMENTS)]
+    active = [i for i, each in enumerate(words) if _is_of(each, _ACTIVE)]
+    values = [i for i, each in enumerate(words) if _is_of(each, _VALUES)]
+    if not rows or len(moments) != 1 or len(active) != 1:
+        return
+    if not keys and len(header) != 2 + len(values[:1]):
+        return
+    sensors = (row[active[0]] for row in rows if len(row) > active[0])
+    if all(not cell or cell.isdecimal() or not is_number(cell) for cell in sensors):
+        if values and not keys:
+            by = _pivot(*(header[i] for i in (*moments, *active, *values)))
+            raise FileError(f"{path} has a line for each reading", by)
+        raise FileError(f"{path} lists events", FROM_EVENTS)
+
+
+def _pivot(index: str, columns: str, values: str) -> str:
+    by = f"index={index!r}, columns={columns!r}, values={values!r}"
+    return f"in Python it is anisomap.Recording(pandas.read_csv(path).pivot({by}).fillna(0))"
+
+
+def _is_of(words: set[str], known: set[str]) -> bool:
+    return bool(words) and known >= words

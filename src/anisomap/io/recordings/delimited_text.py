@@ -63,7 +63,6 @@ from anisomap.io.parsing.tables import (
     unguard_formula,
 )
 from anisomap.io.presets import UNITS, grid_names, grid_positions
-from anisomap.io.recordings import contact_lists, events
 from anisomap.io.stream import (
     Block,
     Content,
@@ -115,13 +114,7 @@ def is_json_lines(path: Path, head: bytes) -> bool:
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording in delimited text; its metadata names the columns that are no sensors."""
-    if contact_lists.selects_columns(options.select):
-        yield contact_lists.stream_columns(path, options)
-        return
     sample, known, metadata = _read_start(path)
-    if options.bin_s is not None and not known:
-        yield events.stream_spike_table(path, options.bin_s)
-        return
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
     if not known:
         refuse_text(path, sample)
@@ -135,8 +128,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         chosen = choose(path, _contents_of(lists), options.select, "list column").name
         yield _stream_lists(table, lists, chosen)
         return
-    otherwise = ", or select the columns of a time and of sensors, as in time:id"
-    refuse_selection(f"{path} (delimited text)", options.select, otherwise)
+    refuse_selection(f"{path} (delimited text)", options.select)
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")

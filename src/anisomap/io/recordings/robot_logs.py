@@ -3,9 +3,8 @@
 YARP writes ``sequence stamp value value ...`` to ``data.log`` in a folder per port, which
 ``info.log`` names; there may be two stamps, the sender's and the receiver's, and brackets.
 
-The port ``skin_events`` of the iCub gives contacts instead of values: lists in brackets of a list
-of number, body part, link and skin part; five vectors; the list of the active taxels; the mean
-pressure; and in later versions a list of names.
+The port ``skin_events`` of the iCub gives contacts instead of values, and is refused with the lines
+of Python that make readings of them.
 
 CySkin's recorder writes a version, the number of taxels, and per frame its number, its time and the
 addresses beside the responses; its acquisition program writes the addresses once::
@@ -20,20 +19,17 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.files.paths import open_regular
-from anisomap.io.parsing.source import GZIP_ERRORS, lines_of, open_text, quote
+from anisomap.io.parsing.source import GZIP_ERRORS, lines_of, open_text
 from anisomap.io.parsing.tables import (
     LineError,
     Table,
@@ -41,9 +37,7 @@ from anisomap.io.parsing.tables import (
     is_skipped,
     line_of,
     read_blocks,
-    read_undamaged,
 )
-from anisomap.io.recordings.events import EventList, Events, stream_events
 from anisomap.io.stream import (
     Block,
     Content,
@@ -56,25 +50,23 @@ from anisomap.io.stream import (
 )
 from anisomap.recording import Scalar
 
-PARTS = (
-    "unknown",
-    *("l_hand", "l_forearm", "l_upper_arm", "r_hand", "r_forearm", "r_upper_arm", "chest"),
-    *("l_upper_leg", "l_lower_leg", "l_foot", "r_upper_leg", "r_lower_leg", "r_foot"),
-)
-"""Names of skin parts by number, as the library of the robot defines them."""
-
-_STAMPS = re.compile(r"\s*+(\d++)((?:\s++\d[\d.eE+-]*+){1,2})\s*+")
-_START = re.compile(_STAMPS.pattern + r"\(\(")
-_CONTACT = re.compile(r"\(((?:[^()]|\([^()]*+\))*+)\)")
-_ITEM = re.compile(r"\(([^()]*+)\)|([^()\s]++)")
-_INTEGERS = re.compile(r"(?:\s*+[0-9]{1,9}(?![0-9]))*+\s*+")
+_START = re.compile(r"\s*+(\d++)((?:\s++\d[\d.eE+-]*+){1,2})\s*+\(\(")
 _STAMPED_ONLY = re.compile(r"[\d.eE+\-\s]*+(?:\(\s*+\)\s*+)?")
 _MAX_STAMPED = 3
-_FIELDS, _WITH_NAMES = 8, 9
-_TAXELS_AT, _PART_AT = 6, 3
+_BY_PYTHON = "ten lines of Python make readings of them, which docs/robots/icub.md explains"
 
-_Frame: TypeAlias = tuple[tuple[float, ...], list[tuple[str, list[int]]]]
-"""The stamps of a line, and its active taxels by skin part."""
+CONTACTS_TO_READINGS = r"""import re
+import anisomap
+contact = re.compile(r"\(\d+ \d+ \d+ (\d+)\)(?: \([^()]*\)){5} \(([\d ]*)\)")
+lines = open("data.log").read().splitlines()
+found = [contact.findall(line) for line in lines]
+touched = [{f"part{part}.taxel{i}" for part, ids in each for i in ids.split()} for each in found]
+names = sorted(set().union(*touched))
+readings = [[name in taxels for name in names] for taxels in touched]
+times = [float(line.split()[1]) for line in lines]
+anisomap.write(anisomap.Recording(readings, names, times), "touches.npz")
+"""
+"""A program that makes readings of a log of contacts: 1 for the taxels that a line lists."""
 
 
 def _is_contact_log(path: Path) -> bool:
@@ -87,79 +79,6 @@ def _is_contact_log(path: Path) -> bool:
             if not is_skipped(line) and not without_value:
                 return bool(_START.match(line))
     return False
-
-
-def _touches(path: Path) -> EventList[tuple[str, int]]:
-    """Read the touched taxels of all skin parts; values are the stamps of the receiver."""
-    found = EventList[tuple[str, int]](path)
-
-    def parse(lines: Iterable[str]) -> Iterator[_Frame]:
-        for number, line in enumerate(lines, start=1):
-            if not is_skipped(line):
-                yield _contacts_of(path, number, line)
-
-    for stamps, contacts in read_undamaged(path, parse, "frames"):
-        # A line without contact is a frame too.
-        found.add(stamps[0], [(part, i) for part, ids in contacts for i in ids], stamps[-1])
-    return found
-
-
-def _skin_parts(touches: EventList[tuple[str, int]]) -> tuple[Content, ...]:
-    """List the skin parts that were touched."""
-    counts = Counter(part for part, _ in touches.sensors)
-    return tuple(
-        Content(part, f"contacts of {counted(count, 'taxel')}") for part, count in counts.items()
-    )
-
-
-def _stream_contacts(path: Path, wanted: Sequence[str], bin_s: float | None) -> Stream:
-    """Create a stream of the contacts of some skin parts, all by default."""
-    found = _touches(path)
-    listed = _skin_parts(found)
-    parts = [choose(path, listed, part, "skin part").name for part in wanted]
-    parts = parts or [each.name for each in listed]
-    sensors = sorted(s for s in found.sensors if s[0] in parts)
-    sensors.sort(key=lambda sensor: parts.index(sensor[0]))
-    sent, received = np.array(found.moments), np.array(found.values)
-    events = Events(
-        sent if (np.diff(sent) >= 0).all() else received,
-        found.indices({sensor: i for i, sensor in enumerate(sensors)}),
-        tuple(f"{part}/taxel{i}" if len(parts) > 1 else f"taxel{i}" for part, i in sensors),
-    )
-    metadata = {"format": "YARP skin_events", "skin_parts": ", ".join(parts)}
-    return stream_events(path, events, bin_s=bin_s, spikes=False, metadata=metadata)
-
-
-def _contacts_of(path: Path, number: int, line: str) -> _Frame:
-    match = _STAMPS.match(line)
-    if not match:
-        raise LineError(path, number, ": must start with a sequence number and a stamp")
-    try:
-        stamps = tuple(float(word) for word in match[2].split())
-    except ValueError:
-        raise LineError(path, number, f": {quote(match[2].strip())} must be stamps") from None
-    text = line[match.end() :]
-    listed = [
-        [item[2] if item[1] is None else item[1] for item in _ITEM.finditer(contact)]
-        for contact in _CONTACT.findall(text)
-    ]
-    # An empty list may be written as such.
-    contacts = [(_part(items), items) for items in listed if items]
-    if _CONTACT.sub("", text).strip() or any(part is None for part, _ in contacts):
-        problem = ": must hold contacts, each of 8 lists and numbers in brackets"
-        raise LineError(path, number, problem)
-    return stamps, [(part, [*map(int, c[_TAXELS_AT].split())]) for part, c in contacts if part]
-
-
-def _part(contact: Sequence[str]) -> str | None:
-    """Return the name of the skin part of a contact; None if it is not one."""
-    if len(contact) not in (_FIELDS, _WITH_NAMES) or not _INTEGERS.fullmatch(contact[_TAXELS_AT]):
-        return None
-    numbers = contact[0].split()
-    if len(numbers) != 4 or not all(text.isascii() and text.isdecimal() for text in numbers):
-        return None
-    part = numbers[_PART_AT]
-    return PARTS[int(part)] if len(part) < 3 and int(part) < len(PARTS) else f"part{part}"
 
 
 _FILE, _INFO, _HERE = "data.log", "info.log", "."
@@ -192,29 +111,30 @@ def is_yarp(path: Path, head: bytes) -> bool:
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the ports of a session, or the skin parts of a log of contacts; empty for readings."""
+    """List the ports of a session; empty for a log."""
     logs = _logs(path)
-    if log := logs.get(_HERE):
-        return _skin_parts(_touches(log)) if _is_contact_log(log) else ()
+    if _HERE in logs:
+        return ()
     return tuple(Content(folder, _port(log) or "no info.log") for folder, log in logs.items())
 
 
 @contextmanager
 def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a data.log, its folder, or ports of a session; skin parts of a log of contacts.
+    """Open a data.log, its folder, or ports of a session.
 
     Times are the sender's stamps, or the receiver's if the sender's do not increase.
     """
     wanted, logs = [name.strip() for name in options.select.split(",")], _logs(path)
     if log := logs.get(_HERE):
         source = f"{path.name}/{_FILE}" if path.is_dir() else path.name
-        yield replace(_stream(log, options.bin_s, wanted), source=source)
+        refuse_selection(log, options.select)
+        yield replace(_stream(log), source=source)
         return
     ports, streams = contents(path, options), dict[str, Stream]()
     for name in wanted:
         named = [content for content in ports if content.summary == name]
         chosen = named[0] if len(named) == 1 else choose(path, ports, name, "port")
-        streams[chosen.name] = _stream(logs[chosen.name], options.bin_s)
+        streams[chosen.name] = _stream(logs[chosen.name])
     yield replace(join_streams(streams), source=f"{path.name}/{', '.join(streams)}")
 
 
@@ -242,11 +162,12 @@ def _port(log: Path) -> str:
     return ""
 
 
-def _stream(log: Path, bin_s: float | None, parts: Sequence[str] = ()) -> Stream:
-    """Create a stream of a log; `parts` selects the skin parts of contacts, all by default."""
+def _stream(log: Path) -> Stream:
+    """Create a stream of a log."""
     if _is_contact_log(log):
-        return _stream_contacts(log, parts, bin_s)
-    refuse_selection(log, ",".join(filter(None, parts)))
+        refused = FileError(f"{log} lists contacts (skin_events) instead of readings", _BY_PYTHON)
+        refused.add_note(CONTACTS_TO_READINGS)
+        raise refused
     table = _table(log)
     n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
     n_sensors = table.n_columns - 1 - n_stamps
