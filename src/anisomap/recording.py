@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -483,21 +483,27 @@ def sensor_mask(
 _MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand
 
 
-def as_runs(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Recording, ...]:
-    """Convert the `recording` argument of public functions to recordings of one skin.
+def as_runs(
+    recording: Recording | ArrayLike | Sequence[Recording], missing: MissingPolicy | None = None
+) -> tuple[Recording, ...]:
+    """Complete, level and join what is given as recordings of one skin: once, at the door.
 
-    recording (T, N).
+    One recording results, unless some lack sensors that others have: each pair of sensors is then
+    compared over the recordings that contain both. What results is returned as it is.
+
+    recording (T, N). missing: What to do with missing readings first, if anything.
     """
-    if isinstance(recording, Recording):
-        return (recording.levelled,)
-    if isinstance(recording, Sequence) and any(isinstance(run, Recording) for run in recording):
-        runs = tuple(recording)
-        if not all(isinstance(run, Recording) for run in runs):
-            raise InputError("a sequence of runs must consist of Recording objects only")
-        return level_runs(runs) if sensors_differ(runs) else (join_runs(runs),)
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
-    return (Recording(recording).levelled,)  # type: ignore[arg-type]  # array_like
+    given: Sequence[Any] = [recording]
+    if isinstance(recording, Sequence) and any(isinstance(run, Recording) for run in recording):
+        if not all(isinstance(run, Recording) for run in recording):
+            raise InputError("a sequence of runs must consist of Recording objects only")
+        given = recording
+    runs = [run if isinstance(run, Recording) else Recording(run) for run in given]
+    if missing is not None:
+        runs = [run.complete(missing) for run in runs]
+    return level_runs(runs) if sensors_differ(runs) else (join_runs(runs),)
 
 
 def join_runs(runs: Sequence[Recording]) -> Recording:
@@ -512,8 +518,8 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
     -------
     Recording
         All sensors, in order of appearance. Readings of sensors that a run lacks are NaN. It has
-        no times, and a rate only if the runs agree on it. Runs that rest at other levels than the
-        first are shifted to its level, with a warning.
+        no times, and a rate and metadata only where the runs agree on them. Runs that rest at other
+        levels than the first are shifted to its level, with a warning.
 
     Raises
     ------
@@ -545,7 +551,14 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
         positions=positions,
         units=units,
         source=" + ".join(run.source for run in runs),
-        metadata={"runs": len(runs)},
+        metadata={
+            **{
+                key: value
+                for key, value in runs[0].metadata.items()
+                if all(run.metadata.get(key) == value for run in runs)
+            },
+            "runs": len(runs),
+        },
     )
 
 

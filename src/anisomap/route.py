@@ -122,10 +122,8 @@ def read_runs(
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     if not joined:
         return runs
-    sampled = {key: value for key, value in runs[0].metadata.items() if key == io.FRAMES_SAMPLED}
-    whole = join_runs(runs)
-    whole = replace(whole, metadata={**whole.metadata, **sampled})
-    return [io.attach_positions(io.apply_preset(whole, how.preset), how.positions)]
+    whole = io.apply_preset(join_runs(runs), how.preset)
+    return [io.attach_positions(whole, how.positions)]
 
 
 def _sampling_note(runs: Sequence[Recording]) -> tuple[str, ...]:
@@ -146,9 +144,9 @@ def mend(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Finding, ...
 
 
 def complete(runs: Sequence[Recording], missing: MissingPolicy) -> list[Recording]:
-    """Handle missing readings; an error names the option that does."""
+    """Handle missing readings, and join the runs; an error names the option that does."""
     try:
-        return [run.complete(missing) for run in runs]
+        return list(as_runs(runs, missing))
     except InputError as error:
         if missing != "error":
             raise
