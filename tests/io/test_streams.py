@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import InputError
 from example_files import RECORDINGS
 
 MIB = 1 << 20
@@ -41,15 +40,6 @@ def test_errors_of_the_caller_are_not_converted(tmp_path: Path, name: str) -> No
 
     with pytest.raises(OSError, match=r"^of the caller$"):
         use()
-
-
-def test_blocks_need_at_least_one_frame(tmp_path: Path) -> None:
-    np.save(tmp_path / "x.npy", np.eye(3))
-    with (
-        pytest.raises(InputError, match="frames must be at least 1, got 0"),
-        io.open_stream(tmp_path / "x.npy", frames=0),
-    ):
-        pass
 
 
 def peak(call) -> int:

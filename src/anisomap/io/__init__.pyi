@@ -15,10 +15,8 @@ from .registry import read_map as read_map
 from .registry import write as write
 from .registry import write_components as write_components
 from .stream import FRAMES_SAMPLED as FRAMES_SAMPLED
-from .stream import Block as Block
 from .stream import ChoiceError as ChoiceError
 from .stream import Content as Content
 from .stream import ReadOptions as ReadOptions
-from .stream import Stream as Stream
 from .stream import sampled_every as sampled_every
 from .stream import thin as thin

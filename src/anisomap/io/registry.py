@@ -219,33 +219,7 @@ def _said_once() -> Iterator[None]:
 def open_stream(
     path: str | os.PathLike[str], *, frames: int = BLOCK_FRAMES, options: ReadOptions | None = None
 ) -> Iterator[Stream]:
-    """Open a recording to read it block by block, in constant memory.
-
-    Parameters
-    ----------
-    path : path-like
-        As for `read`.
-    frames : int
-        Frames per block, at least 1; the last block may be shorter.
-    options : ReadOptions, optional
-        As for `read`, but `preset` and `grid` are ignored.
-
-    Yields
-    ------
-    Stream
-        Its `blocks` can be iterated once, within the context.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, damaged, or holds no recording.
-    InputError
-        If `frames` is less than 1.
-    MissingExtraError
-        If the format needs a library that is not installed.
-    """
-    if frames < 1:
-        raise InputError(f"frames must be at least 1, got {frames}")
+    """Open a recording in blocks of so many frames, of which the last may have fewer."""
     with _open(Path(path), options or ReadOptions()) as stream:
         yield replace(stream, blocks=rechunk(stream.blocks, frames))
 

@@ -192,18 +192,11 @@ class ReadOptions:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Consecutive frames of a recording.
+    """Consecutive frames of a recording: readings (t, N) of any real type, and times (t,).
 
-    Parameters
-    ----------
-    readings : ndarray of shape (t, N)
-        Of any real dtype.
-    fraction : float
-        Fraction of the file read so far, from 0 to 1.
-    times : ndarray of shape (t,), optional
-        In seconds, as stored in the file.
-    receive_times : ndarray of shape (t,), optional
-        In seconds of the receiver's clock; used if `times` do not increase.
+    fraction: Of the file read so far, from 0 to 1.
+    times: In seconds, as stored in the file.
+    receive_times: Of the receiver's clock; used if `times` do not increase.
     """
 
     readings: NDArray[Any]
