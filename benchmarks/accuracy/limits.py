@@ -31,8 +31,7 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.evaluation import mantel
 from anisomap.method.configuration import best_scale
 from anisomap.method.evidence import Evidence
-from anisomap.method.named import METHODS
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import METHODS, MethodOptions
 from anisomap.method.refinement import refine
 from anisomap.recording import Recording
 from benchmarks.accuracy.compare import MIN_TOUCHES, compare_methods, spanned_dimensions, touched
@@ -102,7 +101,7 @@ def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
     )
     metric = np.asarray(recipe.lengths_of(evidence, options))
     start = places * best_scale(places, metric)[0]
-    refined = refine(evidence, metric, start, options)
+    refined = refine(evidence, metric, start, options.covariogram)
     found = start if refined is None else refined.positions
     return np.asarray(evidence.similarity), np.asarray(found)
 

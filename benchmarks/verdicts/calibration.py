@@ -1,7 +1,7 @@
 """Fit the accuracy of maps to their evidence.
 
 ``python -m benchmarks.verdicts.calibration trust/trust.csv`` reads results of `trust`. It
-prints the constants of `anisomap.verdict.accuracy`, and a table of how well they hold for kinds
+prints the constants of `anisomap.verdict.judge`, and a table of how well they hold for kinds
 of skin that were left out of the fit.
 """
 

@@ -28,7 +28,7 @@ from anisomap.evaluation import align, median_spacing
 from anisomap.method.pipeline import reconstruct_with_stages
 from anisomap.usability import ACCURACY
 from anisomap.verdict import judge
-from anisomap.verdict.accuracy import MIN_REGION, REGION_RADIUS
+from anisomap.verdict.chance import MIN_REGION, REGION_RADIUS
 from anisomap.verdict.diagnosis import examine
 from benchmarks.harness import in_parallel, keyed_table, markdown_table, options, quietly, write_csv
 from benchmarks.verdicts.suite import Case, cases_of_file, cases_of_seed

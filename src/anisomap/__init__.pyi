@@ -24,7 +24,7 @@ from .io import write as write
 from .layout import check_layout as check_layout
 from .method.evidence import SIMILARITIES as SIMILARITIES
 from .method.named import METHODS as METHODS
-from .method.options import MethodOptions as MethodOptions
+from .method.named import MethodOptions as MethodOptions
 from .method.pipeline import reconstruct as reconstruct
 from .method.pipeline import reconstruct_from as reconstruct_from
 from .recording import Recording as Recording

@@ -14,10 +14,10 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from anisomap.base.defaults import DEFAULT_METHOD, DEFAULT_MU
+from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.dimensions import AUTO, Dimensions
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import DEFAULT_MU, MethodOptions
 from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling

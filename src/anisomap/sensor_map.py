@@ -15,7 +15,7 @@ from anisomap.base.immutable import Immutable
 from anisomap.base.wording import html_table
 from anisomap.errors import InputError, import_extra
 from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
-from anisomap.usability import Verdict
+from anisomap.usability import UNJUDGED, Verdict
 
 UNPLACED = -1
 """The component label of a sensor without a position."""
@@ -115,7 +115,7 @@ class SensorMap(Immutable):
     similarity: str = ""
     stress: float = float("nan")
     n_iterations: int = 0
-    verdict: Verdict = field(default_factory=Verdict)
+    verdict: Verdict = UNJUDGED
     distorted: bool = False
     kind: str = DEFAULT_KIND
     mirrored: bool = False

@@ -152,6 +152,10 @@ class Verdict:
         return self.level in ranks and ranks.index(self.level) >= ranks.index(level)
 
 
+UNJUDGED = Verdict()
+"""Verdict on a map that was not examined."""
+
+
 def _length(error: float, spacing: float) -> str:
     """Word an error in spacings as a length."""
     return f"{error:.2f}" if spacing == 1 else number(error * spacing, 2)

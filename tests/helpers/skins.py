@@ -12,8 +12,7 @@ from scipy.stats import ortho_group
 from anisomap import Recording, SensorMap, io, mantel, reconstruct, score
 from anisomap.errors import AnisomapWarning
 from anisomap.method.evidence import Evidence
-from anisomap.method.named import find_method
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions, find_method
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import floyd_warshall
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.large import device as stages
 from anisomap.large import reconstruct_on_device
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions
 from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.precision import MIN_FLOAT32_SENSORS

@@ -10,8 +10,7 @@ import anisomap
 from anisomap import reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import mantel
-from anisomap.method.named import METHODS
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import METHODS, MethodOptions
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
 from skins import flat_skin, lattice, mantel_r, stages
 

@@ -9,7 +9,7 @@ from benchmarks.skins.inputs import tiled_places, tiled_torso
 
 from anisomap import io, reconstruct, reconstruct_from
 from anisomap.evaluation import mantel
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions
 from anisomap.numerics.reliability.sampling_noise import sampling_variance
 from anisomap.numerics.similarity.correlation import pearson
 from skins import mantel_r, quietly, stages

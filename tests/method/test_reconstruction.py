@@ -12,8 +12,7 @@ from anisomap import Recording, SensorMap, diagnose, reconstruct, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.large import reconstruct_on_device
 from anisomap.method.evidence import SIMILARITIES, Evidence
-from anisomap.method.named import METHODS, PAPER_METHODS
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import METHODS, PAPER_METHODS, MethodOptions
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.placement import median_spacing

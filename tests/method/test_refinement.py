@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import anisomap
-from anisomap import MethodOptions, Recording, diagnose, reconstruct
+from anisomap import Recording, diagnose, reconstruct
 from anisomap.method.refinement import MIN_SENSORS, refine
+from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from skins import flat_skin, lattice, likeness, mantel_r, quietly, rubbed, stages, stored
 
@@ -16,7 +17,7 @@ def refined(readings, dimensions=2):
     """Return the scaled positions of a skin, and their refinement."""
     known = stages(readings)
     scaled = smacof(known.metric, dimensions=dimensions).positions
-    return scaled, refine(known.evidence, known.metric, scaled, MethodOptions())
+    return scaled, refine(known.evidence, known.metric, scaled, CovariogramOptions())
 
 
 def test_the_refinement_improves_the_scaled_map():
@@ -54,10 +55,10 @@ def test_the_refinement_does_not_depend_on_the_order_of_sensors(seed):
     known = stages(flat_skin(n_frames=300).readings)
     order = np.random.default_rng(seed).permutation(42)
     start = smacof(known.metric, dimensions=2).positions
-    found = refine(known.evidence, known.metric, start, MethodOptions())
+    found = refine(known.evidence, known.metric, start, CovariogramOptions())
     inside = np.ix_(order, order)
     other = stages(flat_skin(n_frames=300).readings[:, order])
-    again = refine(other.evidence, known.metric[inside], start[order], MethodOptions())
+    again = refine(other.evidence, known.metric[inside], start[order], CovariogramOptions())
     assert likeness(found.positions[order], again.positions) > 1 - 1e-5
 
 

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.numerics.graph.dissimilarity import partial_correlation
-from anisomap.numerics.reliability.split_half import blended_correlation
+from anisomap.numerics.reliability.sampling_noise import blended_correlation
 from anisomap.verdict.second_map import adjacency_graph
 from skins import lattice, rubbed
 

@@ -19,17 +19,11 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import align
 from anisomap.health import Finding
 from anisomap.method.pipeline import reconstruct_with_stages
-from anisomap.numerics.reliability.pairs import sensors_pair_off
 from anisomap.usability import RANGES
 from anisomap.verdict import LEVELS, UNKNOWN, Measurements, Verdict, judge
-from anisomap.verdict.accuracy import (
-    expected_error,
-    neighbours_kept,
-    region_error,
-    regional_difference,
-    rms_in_spacings,
-)
-from anisomap.verdict.second_map import differences_from_steps
+from anisomap.verdict.chance import regional_difference, rms_in_spacings
+from anisomap.verdict.judge import expected_error, neighbours_kept, region_error
+from anisomap.verdict.second_map import differences_from_steps, sensors_pair_off
 from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")

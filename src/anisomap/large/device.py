@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from anisomap.errors import InputError, import_extra
 from anisomap.method.configuration import Configuration
 from anisomap.method.dimensions import AUTO, check_dimensions
-from anisomap.method.named import find_method
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions, find_method
 from anisomap.method.result import as_map, caveats, parameters_of
 from anisomap.method.validation import check_frames, check_sensors, check_unlike
 from anisomap.numerics.columns import centred_rows
@@ -380,7 +379,7 @@ def reconstruct_on_device(
         varying,
         method=method,
         similarity=recipe.similarity,
-        notes=caveats(configuration, None, names),
+        notes=tuple(caveats(configuration, None, names)),
         provenance=provenance,
     )
 

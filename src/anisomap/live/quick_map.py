@@ -21,7 +21,7 @@ from anisomap.health.touch_coverage import (
     neighbouring_sensors,
     next_places,
 )
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions
 from anisomap.method.pipeline import reconstruct_from
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.sampling import sample_of

@@ -34,11 +34,6 @@ _BYTES_PER_COUNT = 3 * 8  # float64: the total, the next result, and their sum
 _SUMS_AT_ONCE = 4  # merged by one task, which holds them in memory
 
 
-def is_dask(readings: object) -> bool:
-    """Return whether readings are a collection of Dask, without an import of it."""
-    return hasattr(readings, "__dask_graph__")
-
-
 @dataclass(frozen=True, eq=False)
 class SummedSimilarity:
     """Similarity (N, N) over all frames, which sensors vary, (N,), and the number of frames.

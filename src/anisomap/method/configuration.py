@@ -10,16 +10,20 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from anisomap.method.evidence import Evidence
-from anisomap.method.named import Method
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import Method, MethodOptions
 from anisomap.method.refinement import Refinement
 from anisomap.numerics.graph.neighbour_graphs import components
 from anisomap.numerics.precision import Floats, Reals, row_blocks
-from anisomap.numerics.scaling.multidimensional_scaling import Scaling, SmacofOptions, smacof
+from anisomap.numerics.scaling.multidimensional_scaling import (
+    DEFAULT_SMACOF,
+    Scaling,
+    SmacofOptions,
+    smacof,
+)
 
 logger = logging.getLogger(__name__)
 
-_START_TOLERANCE = 1e-5  # of a scaling that only starts the covariogram fit
+_START = SmacofOptions(tolerance=1e-5)  # of a scaling that only starts the covariogram fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,9 @@ def configure(
     chosen = recipe.scaling_of(len(metric), options.smacof)
     if recipe.refine is None or evidence is None:
         return scale(metric, dimensions, start=start, weights=weights, options=chosen)
-    near = replace(chosen, tolerance=max(chosen.tolerance, _START_TOLERANCE))
+    near = chosen
+    if chosen.tolerance < _START.tolerance:
+        near = _START if chosen == DEFAULT_SMACOF else replace(chosen, tolerance=_START.tolerance)
     scaled = scale(metric, dimensions, start=start, weights=weights, options=near)
     return refine_components(scaled, metric, evidence, recipe, options)
 
@@ -124,7 +130,9 @@ def refine_components(
         refined = None
         enough = np.count_nonzero(inside) >= options.min_sensors and (lengths > 0).any()
         if enough and recipe.refine is not None:
-            refined = recipe.refine(evidence.select(inside), lengths, positions[inside], options)
+            refined = recipe.refine(
+                evidence.select(inside), lengths, positions[inside], options.covariogram
+            )
         if refined is not None:
             positions[inside] = refined.positions
         refinements.append(refined)

@@ -23,15 +23,16 @@ from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.reliability.sampling_noise import (
+    Blend,
     Groups,
     balanced_weights,
+    blended_correlation,
     block_edges,
     group_sensors,
     sampling_variance,
     thinning,
     typical_variance,
 )
-from anisomap.numerics.reliability.split_half import Blend, blended_correlation
 from anisomap.numerics.signals import Signals
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import (

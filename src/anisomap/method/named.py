@@ -20,8 +20,8 @@ import numpy as np
 
 from anisomap.errors import InputError
 from anisomap.method.evidence import Evidence
-from anisomap.method.options import MethodOptions
 from anisomap.method.refinement import Refinement, refine
+from anisomap.numerics.covariogram.objective import DEFAULT_COVARIOGRAM, CovariogramOptions
 from anisomap.numerics.graph.dissimilarity import (
     direct_dissimilarity,
     information_distance,
@@ -33,8 +33,14 @@ from anisomap.numerics.graph.neighbour_graphs import (
     smallest_connected_neighbour_graph,
 )
 from anisomap.numerics.precision import Reals
+from anisomap.numerics.ranges import COUNT, NOT_NEGATIVE, POSITIVE, at_least, check_ranges
 from anisomap.numerics.reliability.sampling_noise import remove_insignificant_links
-from anisomap.numerics.scaling.multidimensional_scaling import AUTO_SOLVER, SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import (
+    AUTO_SOLVER,
+    DEFAULT_SMACOF,
+    SmacofOptions,
+)
+from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.contact_agreement import shows_single_contacts
 from anisomap.recording import Recording
 
@@ -47,6 +53,61 @@ MAX_MAJORIZED = 500
 169): above, it takes minutes, and L-BFGS seconds."""
 
 _MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
+
+DEFAULT_MU = 1.0
+"""Regularisation of the reciprocal; the paper gives no value, and 0.01 makes the same maps."""
+
+_RANGES = {
+    "regularisation": NOT_NEGATIVE,
+    "entropy_bins": at_least(2, whole=True),
+    "n_neighbours": COUNT,
+    "independent_frames": POSITIVE,
+    "min_sensors": COUNT,
+}
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """Parameters of the methods; each method uses those of its stages.
+
+    Parameters
+    ----------
+    regularisation : float
+        Regularisation of the reciprocal, mu in the paper, at least 0. With 0, unrelated sensors are
+        infinitely far apart, and components come out as separate maps.
+    entropy_bins : int
+        Bins per sensor for entropies, at least 2.
+    n_neighbours : int, optional
+        Neighbours per sensor in ISOMAP's graph; by default the smallest number that connects all.
+    smacof : SmacofOptions
+        Stopping criteria of the scaling.
+    covariogram : CovariogramOptions
+        Parameters of the method "covariogram".
+    independent_frames : float
+        Effective sample size of correlations that are given without readings, above 0.
+    min_sensors : int
+        Minimum number of sensors in the largest component of a map.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    regularisation: float = DEFAULT_MU
+    entropy_bins: int = DEFAULT_BINS
+    n_neighbours: int | None = None
+    smacof: SmacofOptions = DEFAULT_SMACOF
+    covariogram: CovariogramOptions = DEFAULT_COVARIOGRAM
+    independent_frames: float = 500.0
+    min_sensors: int = 3
+
+    def __post_init__(self) -> None:
+        check_ranges(self, _RANGES)
+
+
+DEFAULT_OPTIONS = MethodOptions()
+
 
 Refine: TypeAlias = Callable[..., Refinement | None]
 

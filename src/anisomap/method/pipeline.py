@@ -1,31 +1,22 @@
 """The method on one page: readings become evidence, a metric, positions and a map.
 
-McGregor et al. (2011), section "Methods". `reconstruct` starts from readings, `reconstruct_from`
-from a precomputed stage; both pass these stages:
-
-=============  ===================================  ========================================
-S              `Evidence.of`                        similarity of all pairs of sensors
-M              `Method.dissimilarity_of`            dissimilarity of all pairs of sensors
-D              `Method.lengths_of`                  metric: shortest path lengths
-dimensions     `plan_dimensions`                    their number, given or chosen
-positions      `configuration.scale`                scaling by SMACOF
-refinement     `refinement.refine`                  positions refined by S
-=============  ===================================  ========================================
+McGregor et al. (2011), section "Methods". Readings, blocks of a Dask array and a precomputed matrix
+each make `Evidence`, or a metric; from there on, all are mapped by `_map`.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning
-from anisomap.method.blocks import is_dask, sum_blocks
+from anisomap.method.blocks import sum_blocks
 from anisomap.method.configuration import Configuration, configure
 from anisomap.method.dimensions import (
     AUTO,
@@ -38,8 +29,13 @@ from anisomap.method.dimensions import (
     plan_dimensions,
 )
 from anisomap.method.evidence import Evidence
-from anisomap.method.named import METHODS, Method, find_method
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import (
+    DEFAULT_OPTIONS,
+    METHODS,
+    Method,
+    MethodOptions,
+    find_method,
+)
 from anisomap.method.result import as_map, caveats, parameters_of, unknown_pairs
 from anisomap.method.validation import (
     check_frames,
@@ -54,9 +50,10 @@ from anisomap.method.validation import (
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.numerics.precision import Reals
+from anisomap.numerics.precision import Floats, Reals
 from anisomap.recording import (
     Recording,
+    Scalar,
     as_runs,
     check_names,
     column_names,
@@ -76,6 +73,31 @@ class Stages:
     metric: Reals
     configuration: Configuration
     choice: DimensionChoice
+
+
+@dataclass(frozen=True, eq=False)
+class _Input:
+    """What is mapped, however it was given: n sensors among all N.
+
+    evidence: None if a metric was given, or a dissimilarity. metric, weights (n, n), start (n, k).
+    names (N,), mapped (N,): All names, and which sensors are mapped.
+    usual: Returns the evidence of the default method, if there is any.
+    """
+
+    evidence: Evidence | None
+    metric: Reals
+    names: tuple[str, ...]
+    mapped: NDArray[np.bool_]
+    method: str
+    recipe: Method
+    dimensions: Dimensions
+    options: MethodOptions
+    usual: Callable[[Method], Evidence | None]
+    facts: Mapping[str, Scalar]
+    notes: Sequence[Note] = ()
+    weights: Reals | None = None
+    start: Floats | None = None
+    objects: bool = False
 
 
 def reconstruct(
@@ -146,8 +168,8 @@ def reconstruct(
     >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
     True
     """
-    if is_dask(recording):
-        return _reconstruct_blocks(recording, method, dimensions, options or MethodOptions(), drop)
+    if hasattr(recording, "__dask_graph__"):  # without an import of Dask
+        return _reconstruct_blocks(recording, method, dimensions, options or DEFAULT_OPTIONS, drop)
     return reconstruct_with_stages(
         recording, method, dimensions, options=options, drop=drop, stack_level=3
     )[0]
@@ -164,7 +186,7 @@ def reconstruct_with_stages(
     stack_level: int = 2,
 ) -> tuple[SensorMap, Stages]:
     """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again."""
-    recipe, options = recipe or find_method(method), options or MethodOptions()
+    recipe, options = recipe or find_method(method), options or DEFAULT_OPTIONS
     runs = as_runs(recording)
     joined = join_runs(runs)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
@@ -173,77 +195,30 @@ def reconstruct_with_stages(
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
     complete = [run.complete() for run in select_sensors(runs, names)]
     check_unlike(*(run.readings for run in complete))
-    with limited_blas(len(names)):
-        stages = compute_stages(complete, recipe, dimensions, options)
-    configuration, evidence = stages.configuration, stages.evidence
-    check_related(configuration.component, options)
-    facts = parameters_of(method, options, len(names)) | stages.choice.facts()
-    facts |= {"source": joined.source, "frames": joined.n_frames, "similarity": evidence.statistic}
-    made = as_map(
-        configuration,
-        joined.names,
-        mapped,
-        method=method,
-        similarity=evidence.statistic,
-        notes=(
-            *stages.choice.notes(),
-            *unknown_pairs(evidence, names),
-            *caveats(configuration, evidence, names),
-        ),
-        provenance=facts if len(runs) == 1 else facts | {"runs": len(runs)},
-        stack_level=stack_level + 1,
-    )
-    return made, stages
 
-
-def compute_stages(
-    runs: Sequence[Recording], recipe: Method, dimensions: Dimensions, options: MethodOptions
-) -> Stages:
-    """Compute all stages of the sensors of some complete recordings."""
-    evidence = Evidence.of(
-        runs,
-        recipe.similarity_of(runs),
-        bins=options.entropy_bins,
-        with_variance=recipe.refine is not None,
-    )
-    metric = recipe.lengths_of(evidence, options)
-    if recipe.shows_dimensions:
-        choice = plan_dimensions(
-            dimensions, metric, evidence.weights, common_share=evidence.common_share
+    def compared(recipe: Method) -> Evidence:
+        return Evidence.of(
+            complete,
+            recipe.similarity_of(complete),
+            bins=options.entropy_bins,
+            with_variance=recipe.refine is not None,
         )
-    elif dimensions == AUTO:  # other metrics need not show the dimensions
-        choice = compute_stages(runs, METHODS[DEFAULT_METHOD], AUTO, options).choice
-    else:
-        choice = plan_dimensions(dimensions, None)
-    configuration, choice = _confirmed(choice, metric, evidence, recipe, options)
-    return Stages(evidence, metric, configuration, choice)
 
-
-def _confirmed(
-    choice: DimensionChoice,
-    metric: Reals,
-    evidence: Evidence,
-    recipe: Method,
-    options: MethodOptions,
-) -> tuple[Configuration, DimensionChoice]:
-    """Make the map; if its number of dimensions was chosen, confirm or reject it by the other map.
-
-    metric (n, n).
-    """
-
-    def made(dimensions: int) -> Configuration:
-        return configure(metric, evidence, dimensions, recipe, options, weights=evidence.weights)
-
-    found = made(choice.dimensions)
-    if choice.given or choice.line or not choice.shown or found.largest is None:
-        return found, choice
-    other = made(PLANE + SPATIAL - choice.dimensions)
-    if other.largest is None:
-        return found, choice
-    flat, spatial = (found, other) if choice.dimensions == PLANE else (other, found)
-    explained = other.largest.unexplained - found.largest.unexplained
-    confirmed = choice.confirmed(explained if found is spatial else -explained)
-    return spatial if confirmed.dimensions == SPATIAL else flat, confirmed
+    facts: dict[str, Scalar] = {"source": joined.source, "frames": joined.n_frames}
+    with limited_blas(len(names)):
+        evidence = compared(recipe)
+        facts |= {"similarity": evidence.statistic}
+        given = _Input(
+            evidence,
+            recipe.lengths_of(evidence, options),
+            *(joined.names, mapped, method, recipe, dimensions, options),
+            usual=compared,
+            facts=facts if len(runs) == 1 else facts | {"runs": len(runs)},
+            notes=tuple(unknown_pairs(evidence, names)),
+            weights=evidence.weights,
+        )
+        made, configuration, choice = _map(given, stack_level + 1)
+    return made, Stages(evidence, given.metric, configuration, choice)
 
 
 def _reconstruct_blocks(
@@ -331,7 +306,7 @@ def reconstruct_from(
     AnisomapWarning
         Once for each note of the map.
     """
-    recipe, options = find_method(method), options or MethodOptions()
+    recipe, options = find_method(method), options or DEFAULT_OPTIONS
     stage, matrix = only_stage(
         {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
     )
@@ -349,60 +324,94 @@ def reconstruct_from(
     k = given_dimensions(dimensions)
     initial = None if start is None else checked_start(start, n_sensors, k)[mapped]
     evidence = None
-    if stage == "similarity":
-        evidence = Evidence.from_similarity(
-            matrix,
-            variance=1 / options.independent_frames
-            if noise is None
-            else checked_noise(noise, n_sensors)[inside],
-            known=None if pair_weights is None else pair_weights > 0,
-            statistic=statistic,
-        )
     with limited_blas(len(matrix)):
-        if evidence is not None:
+        if stage == "similarity":
+            evidence = Evidence.from_similarity(
+                matrix,
+                variance=1 / options.independent_frames
+                if noise is None
+                else checked_noise(noise, n_sensors)[inside],
+                known=None if pair_weights is None else pair_weights > 0,
+                statistic=statistic,
+            )
             lengths = recipe.lengths_of(evidence, options)
             check_unlike(evidence.similarity, rows_of=np.transpose)
         else:
-            semi_metric = check_semi_metric(matrix)
-            lengths = semi_metric if stage == "metric" else recipe.metric(semi_metric)
-        shown = _showing_dimensions(lengths, evidence, recipe, options)
-        examine = dimensions == AUTO or (evidence is not None and recipe.shows_dimensions)
-        choice = plan_dimensions(dimensions, shown if examine else None, pair_weights)
-        configuration = configure(
-            lengths,
-            evidence,
-            choice.dimensions,
-            recipe,
-            options,
+            lengths = check_semi_metric(matrix)
+            lengths = lengths if stage == "metric" else recipe.metric(lengths)
+        refined = evidence is not None or recipe.refine is None
+        is_correlation = recipe.similarity != "mutual-information"
+        facts = {"similarity": statistic} if statistic else {"precomputed": stage}
+        task = _Input(
+            *(evidence, lengths, names, mapped, method, recipe, dimensions, options),
+            usual=lambda _: evidence if is_correlation else None,
+            facts=facts,
+            notes=() if refined else (Note("not-refined", method=method),),
             weights=pair_weights,
             start=initial,
+            objects=stage == "dissimilarity",
         )
-    check_related(configuration.component, options)
-    objects = stage == "dissimilarity"
-    notes = [*choice.notes(objects=objects), *caveats(configuration, evidence, names)]
-    if recipe.refine is not None and evidence is None:
-        notes.append(Note("not-refined", method=method))
-    facts = parameters_of(method, options, len(matrix)) | choice.facts(objects=objects)
-    facts |= {"similarity": statistic} if statistic else {"precomputed": stage}
-    return as_map(
+        return _map(task, stack_level=3)[0]
+
+
+def _map(given: _Input, stack_level: int) -> tuple[SensorMap, Configuration, DimensionChoice]:
+    """Make the map of evidence or of a metric, with its notes and its provenance."""
+    configuration, choice = _placed(given)
+    check_related(configuration.component, given.options)
+    names = [given.names[i] for i in np.flatnonzero(given.mapped).tolist()]
+    facts = parameters_of(given.method, given.options, len(names))
+    facts |= choice.facts(objects=given.objects)
+    made = as_map(
         configuration,
-        names,
-        mapped,
-        method=method,
-        similarity=statistic,
-        notes=notes,
-        provenance=facts,
-        objects=objects,
+        *(given.names, given.mapped, given.method),
+        similarity="" if given.evidence is None else given.evidence.statistic,
+        notes=(
+            *choice.notes(objects=given.objects),
+            *given.notes,
+            *caveats(configuration, given.evidence, names),
+        ),
+        provenance={**facts, **given.facts},
+        objects=given.objects,
+        stack_level=stack_level + 1,
     )
+    return made, configuration, choice
 
 
-def _showing_dimensions(
-    metric: Reals, evidence: Evidence | None, recipe: Method, options: MethodOptions
-) -> Reals | None:
-    """Return the metric, (n, n), from which the number of dimensions can be chosen, if any."""
-    if evidence is None or recipe.shows_dimensions:
-        return metric
-    if recipe.similarity == "mutual-information":
-        return None
-    default = METHODS[DEFAULT_METHOD]
-    return default.lengths_of(evidence, options)
+def _placed(given: _Input) -> tuple[Configuration, DimensionChoice]:
+    """Choose the number of dimensions, and scale and refine the metric.
+
+    A number that was chosen is confirmed or rejected by the map in the other one.
+    """
+    choice = _choice(given)
+    found = _configured(given, choice.dimensions)
+    if choice.given or choice.line or not choice.shown or found.largest is None:
+        return found, choice
+    other = _configured(given, PLANE + SPATIAL - choice.dimensions)
+    if other.largest is None:
+        return found, choice
+    explained = other.largest.unexplained - found.largest.unexplained
+    confirmed = choice.confirmed(explained if choice.dimensions == SPATIAL else -explained)
+    return found if confirmed.dimensions == choice.dimensions else other, confirmed
+
+
+def _choice(given: _Input) -> DimensionChoice:
+    """Choose the number of dimensions, from the metric of the default method if possible."""
+    evidence, dimensions, default = given.evidence, given.dimensions, METHODS[DEFAULT_METHOD]
+    if evidence is None:
+        metric = given.metric if dimensions == AUTO else None
+        return plan_dimensions(dimensions, metric, given.weights)
+    if given.recipe.shows_dimensions:
+        share = evidence.common_share
+        return plan_dimensions(dimensions, given.metric, given.weights, common_share=share)
+    if dimensions == AUTO and (usual := given.usual(default)) is not None:
+        lengths = default.lengths_of(usual, given.options)
+        return _placed(replace(given, evidence=usual, metric=lengths, recipe=default))[1]
+    return plan_dimensions(dimensions, None)
+
+
+def _configured(given: _Input, dimensions: int) -> Configuration:
+    return configure(
+        *(given.metric, given.evidence, dimensions, given.recipe, given.options),
+        weights=given.weights,
+        start=given.start,
+    )

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.method.evidence import Evidence
-from anisomap.method.options import MethodOptions
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
+from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
@@ -64,7 +64,7 @@ def refine(
     evidence: Evidence,
     metric: Reals,
     positions: Reals,
-    options: MethodOptions,
+    options: CovariogramOptions,
     near: Covariogram | None = None,
 ) -> Refinement | None:
     """Refine positions, (n, k), by all correlations; None if there are too few sensors.
@@ -79,7 +79,7 @@ def refine(
         metric,
         noise=evidence.noise,
         known=evidence.known,
-        options=options.covariogram,
+        options=options,
         near=near,
     )
     logger.debug("covariogram with exponent %.2f, %d steps", fit.exponent, fit.iterations)

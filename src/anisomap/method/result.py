@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -13,8 +13,7 @@ from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning
 from anisomap.method.configuration import Configuration
 from anisomap.method.evidence import Evidence
-from anisomap.method.named import find_method
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import DEFAULT_OPTIONS, MethodOptions, find_method
 from anisomap.notes import Note
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
@@ -24,10 +23,10 @@ def as_map(
     configuration: Configuration,
     names: tuple[str, ...],
     mapped: NDArray[np.bool_],
-    *,
     method: str,
+    *,
     similarity: str,
-    notes: Iterable[str],
+    notes: Sequence[str],
     provenance: Mapping[str, Scalar],
     objects: bool = False,
     stack_level: int = 3,
@@ -38,7 +37,6 @@ def as_map(
     positions[mapped] = configuration.positions
     component = np.full(len(names), UNPLACED)
     component[mapped] = configuration.component
-    notes = tuple(notes)
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=stack_level)
     facts: dict[str, Scalar] = {"iterations": configuration.n_iterations}
@@ -57,7 +55,7 @@ def as_map(
         n_iterations=configuration.n_iterations,
         distorted=refined is not None and refined.distorted,
         kind="object" if objects else "sensor",
-        notes=notes,
+        notes=tuple(notes),
         provenance={**provenance, **facts},
     )
 
@@ -93,7 +91,7 @@ def unknown_pairs(evidence: Evidence, names: Sequence[str]) -> Iterator[Note]:
 
 def parameters_of(method: str, options: MethodOptions, n_sensors: int) -> dict[str, Scalar]:
     """Return the version and the parameters with which a map of n sensors can be reproduced."""
-    recipe, defaults = find_method(method), MethodOptions()
+    recipe, defaults = find_method(method), DEFAULT_OPTIONS
     facts: dict[str, Scalar] = {
         "anisomap": __version__,
         "regularisation": options.regularisation,

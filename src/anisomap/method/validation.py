@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
 from anisomap.method.dimensions import AUTO, Dimensions, check_dimensions
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Reals, check_pair_memory, float_type

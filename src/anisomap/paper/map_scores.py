@@ -13,7 +13,7 @@ from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel
 from anisomap.evaluation import Mantel, Score, score
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import MethodOptions
 from anisomap.method.pipeline import reconstruct_from
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions

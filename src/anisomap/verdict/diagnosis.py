@@ -21,22 +21,13 @@ from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.method.configuration import configure
 from anisomap.method.dimensions import PLANE
-from anisomap.method.named import METHODS, Method
-from anisomap.method.options import MethodOptions
+from anisomap.method.named import METHODS, Method, MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note, untouched
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.reliability.pairs import sensors_pair_off
 from anisomap.recording import Recording, as_runs, join_runs, select_sensors
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
-from anisomap.verdict.accuracy import (
-    expected_error,
-    extent_in_spacings,
-    regional_difference,
-    rms_in_spacings,
-    with_systematic_errors,
-)
 from anisomap.verdict.chance import (
     MAX_SENSORS,
     MIN_FRAMES,
@@ -45,10 +36,17 @@ from anisomap.verdict.chance import (
     covariances,
     deviations_by_chance,
     error_in_spacings,
+    extent_in_spacings,
+    regional_difference,
+    rms_in_spacings,
+    with_systematic_errors,
 )
-from anisomap.verdict.halves import agreement_of_halves
-from anisomap.verdict.judge import Measurements, judge
-from anisomap.verdict.second_map import differences_from_steps
+from anisomap.verdict.judge import Measurements, expected_error, judge
+from anisomap.verdict.second_map import (
+    agreement_of_halves,
+    differences_from_steps,
+    sensors_pair_off,
+)
 
 logger = logging.getLogger(__name__)
 

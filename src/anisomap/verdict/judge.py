@@ -1,14 +1,30 @@
-"""The rule from the evidence of a map's errors to its verdict."""
+"""The verdict on one page: measurements of a map's errors, the accuracy to expect, and the rule.
+
+Resamples of a recording show what chance does to a map, but not what bends all maps alike. A map
+that rests on another assumption shows this: the numbers of steps between sensors on a graph of
+neighbours assume nothing of contacts, but that neighbours are equally far apart. The accuracy of
+maps of known skins followed these two measurements, the second of them taken over the whole map or
+in regions. The constants are fitted by ``python -m benchmarks.verdicts.calibration`` to maps with
+errors of at most a spacing, which also leaves out each kind of skin in turn: of larger errors it
+matters only that they are seen.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+from scipy.special import expit
+
 from anisomap.notes import Note
 from anisomap.usability import Verdict
-from anisomap.verdict.accuracy import expected_error, neighbours_kept, region_error
-from anisomap.verdict.halves import MIN_AGREEMENT
+
+MIN_AGREEMENT = 0.4
+"""Least correlation of the similarities of two halves, over pairs of sensors.
+
+Independent noises exceed it with a probability below 1 in 1,000: 12 sensors have 66 pairs, whose
+correlation has a standard deviation of .12 by chance. See ``docs/explanation/trust.md``.
+"""
 
 MAX_ERROR, MAX_RELATIVE = 1.0, 0.25
 """Upper end of the interval of the error of a usable map, in spacings, and relative to the extent
@@ -32,6 +48,36 @@ MIN_LARGEST, MIN_FRAGMENT = 0.9, 1 / 3
 
 
 _MUCH = 0.4  # spacings by which maps of resamples differ, from which advice follows; by hand
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number, and the interval that holds the true one for nine of ten maps."""
+
+    value: float
+    low: float
+    high: float
+
+    def plus(self, size: float) -> Estimate:
+        """Return the estimate of the error that another, of a known size, is independent of."""
+        return Estimate(*(math.hypot(one, size) for one in (self.value, self.low, self.high)))
+
+
+BY_CHANCE, BY_DIFFERENCE = 0.57, 0.47
+"""Expected error per RMS difference of resamples, and per difference from the map of steps."""
+
+ERROR_INTERVAL = (0.5, 2.0)
+"""5 % and 95 % quantiles of true errors, relative to the expected ones."""
+
+REGION_BY_CHANCE, REGION_BY_DIFFERENCE, REGION_INTERVAL = 0.40, 0.51, (0.5, 2.0)
+"""Error of regions per RMS difference of resamples, and per difference of regions of the two maps;
+and its interval, relative to it.
+"""
+
+NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.35, -1.08, (-1.0, 1.3)
+"""Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(e)``, with the error e of
+regions, and their interval.
+"""
 
 
 @dataclass(frozen=True)
@@ -136,3 +182,32 @@ def _reasons(repeatability: float, difference: float, *, advise: bool) -> tuple[
     chance = Note("chance", size=repeatability, much=advise and repeatability > _MUCH)
     other = Note("second-map", size=difference, much=advise and difference > 2 * _MUCH)
     return (chance, other) if repeatability >= difference / 2 else (other, chance)
+
+
+_LEAST = 0.01  # spacings: smaller errors are not calibrated
+_GREATEST = 1e6  # spacings: keeps the odds finite
+
+
+def expected_error(repeatability: float, difference: float) -> Estimate:
+    """Estimate the RMS error of a map from its two measurements, all in spacings.
+
+    Chance and systematic errors are independent, so their squares add up.
+    """
+    error = math.hypot(BY_CHANCE * repeatability, BY_DIFFERENCE * difference)
+    return Estimate(error, *(factor * error for factor in ERROR_INTERVAL))
+
+
+def region_error(repeatability: float, difference: float, error: float) -> Estimate:
+    """Estimate the RMS error of regions, at most that of the map, all in spacings.
+
+    difference: That of regions of two maps, each aligned by itself.
+    """
+    found = math.hypot(REGION_BY_CHANCE * repeatability, REGION_BY_DIFFERENCE * difference)
+    found = min(found, error)
+    return Estimate(found, *(factor * found for factor in REGION_INTERVAL))
+
+
+def neighbours_kept(region: float) -> Estimate:
+    """Estimate the share of true neighbours that are neighbours on the map, from `region_error`."""
+    odds = NEIGHBOURS + NEIGHBOURS_SLOPE * math.log(min(max(region, _LEAST), _GREATEST))
+    return Estimate(*(float(expit(odds + more)) for more in (0.0, *NEIGHBOURS_INTERVAL)))

@@ -19,6 +19,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     MAX_BLOCKS,
     MIN_BLOCKS,
     balanced_weights,
+    blended_correlation,
     block_edges,
     correlation_time,
     count_shared_neighbours,
@@ -31,7 +32,6 @@ from anisomap.numerics.reliability.sampling_noise import (
     thinning,
     typical_variance,
 )
-from anisomap.numerics.reliability.split_half import blended_correlation
 from anisomap.numerics.scaling.multidimensional_scaling import torgerson
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import pearson, resampled_correlation

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.errors import InputError
-from anisomap.numerics.reliability.split_half import (
+from anisomap.numerics.reliability.sampling_noise import (
     blended_correlation,
     correlation_and_reliability,
     split_blocks,

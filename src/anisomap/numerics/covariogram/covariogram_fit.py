@@ -28,6 +28,7 @@ from anisomap.numerics.compiled.parallel import (
     parallel_map,
 )
 from anisomap.numerics.covariogram.objective import (
+    DEFAULT_COVARIOGRAM,
     Block,
     CovariogramOptions,
     Problem,
@@ -158,7 +159,7 @@ def fit_covariogram(
     objective over blocks of neighbours, over blocks shifted by half their size, and over blocks
     that span the whole skin. Blocks are evaluated in parallel.
     """
-    chosen = options or CovariogramOptions()
+    chosen = options or DEFAULT_COVARIOGRAM
     correlation = as_symmetric(similarity, "similarity")
     positions = np.array(start, dtype=np.float64)
     lengths = as_symmetric(metric, "metric")

@@ -199,6 +199,14 @@ _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are
 _ROUNDING = 1e-15  # relative, of an eigenvalue that is 0, as in numpy.linalg.pinv
 
 
+_RANGES = {
+    **dict.fromkeys(("prior_weight", "repulsion", "tolerance"), NOT_NEGATIVE),
+    "ridge": POSITIVE,
+    "max_iterations": at_least(0, whole=True),
+    "block": at_least(3, whole=True),
+}
+
+
 @dataclass(frozen=True)
 class CovariogramOptions:
     """Parameters of the covariogram fit, tuned on simulated skins, seeds 101 to 103.
@@ -241,12 +249,7 @@ class CovariogramOptions:
         check_ranges(self, _RANGES)
 
 
-_RANGES = {
-    **dict.fromkeys(("prior_weight", "repulsion", "tolerance"), NOT_NEGATIVE),
-    "ridge": POSITIVE,
-    "max_iterations": at_least(0, whole=True),
-    "block": at_least(3, whole=True),
-}
+DEFAULT_COVARIOGRAM = CovariogramOptions()
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,6 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 from scipy.spatial.distance import cdist
 
-from anisomap.base.defaults import MAX_ITERATIONS, TOLERANCE
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
@@ -242,6 +241,9 @@ def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
     return lambda product: np.asarray(cho_solve(factor, product))
 
 
+TOLERANCE, MAX_ITERATIONS = 1e-8, 3000
+"""Stopping criteria of the scaling."""
+
 AUTO_SOLVER = "auto"
 SOLVERS = {AUTO_SOLVER: lbfgs, "lbfgs": lbfgs, "majorization": majorise}
 """Solvers by name: functions of a problem, a start, a tolerance and a number of iterations."""
@@ -384,6 +386,9 @@ class SmacofOptions:
         check_ranges(self, {"tolerance": NOT_NEGATIVE, "max_iterations": at_least(0, whole=True)})
 
 
+DEFAULT_SMACOF = SmacofOptions()
+
+
 @dataclass(frozen=True, eq=False)
 class Scaling:
     """Result of stress minimisation.
@@ -452,7 +457,7 @@ def smacof(
     De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver increases the
     weighted stress. From 500 points on the stress is computed by compiled loops.
     """
-    chosen = options or SmacofOptions()
+    chosen = options or DEFAULT_SMACOF
     targets = check_semi_metric(distances, copy=False)
     compiled = len(targets) >= MIN_COMPILED_ROWS
     problem = Problem(targets, _check_weights(weights, targets), compiled)
