@@ -14,9 +14,7 @@ from anisomap import io
 from anisomap.evaluation import align, compare_maps
 from anisomap.layout import check_layout
 from anisomap.live.batches import Batch, Names, Notice, batched
-from anisomap.live.quick_map import QuickMapper
-from anisomap.live.session import read_levels
-from anisomap.live.sources.connections import yarp_translation
+from anisomap.live.quick_map import QuickMapper, read_levels
 from anisomap.live.sources.lines import LineParser
 from anisomap.placement import Anchors, place
 from anisomap.recording import default_names
@@ -58,7 +56,7 @@ def check_source(path: Path, found: Findings, rng: Generator) -> None:
     content = path.read_bytes()
     cuts = np.sort(rng.integers(len(content) + 1, size=int(rng.integers(6))))
     ends = [0, *cuts.tolist(), len(content)]
-    parser = LineParser() if rng.integers(2) else LineParser(yarp_translation())
+    parser = LineParser()
 
     def received() -> list[Any]:
         items = [

@@ -14,7 +14,6 @@ import http.client
 import json
 import math
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -53,8 +52,10 @@ def skin(n_sensors: int, n_frames: int = 2000) -> list[str]:
 def send(port: int, n_sensors: int, rate: float, seconds: float) -> None:
     """Send frames to a port; print how many."""
     lines = [f"{line}\n".encode() for line in skin(n_sensors)]
-    begun, count = time.monotonic(), 0
-    with socket.create_connection(("127.0.0.1", port)) as connection:
+    count = 0
+    with socket.create_server(("127.0.0.1", port)) as server:
+        connection, _ = server.accept()
+        begun = time.monotonic()
         while (now := time.monotonic() - begun) < seconds:
             due = count + 50 if not rate else int(now * rate)
             while count < due:
@@ -161,7 +162,7 @@ def measured(
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "anisomap", "live", f"tcp-listen://127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "anisomap", "live", f"tcp://127.0.0.1:{port}"]
     command += ["-d", "2", "--port", "0", "--no-browser", "--json", "--recording", "r.csv"]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)  # noqa: S603
     if process.stdout is None:
@@ -182,7 +183,7 @@ def measured(
         last = watcher.frames[-1]
         time.sleep(2.0)
     used = [cpu_s(pid) for pid in processes(process.pid)]
-    process.send_signal(signal.SIGTERM)
+    process.kill()
     process.wait()
     with (folder / "r.csv").open("rb") as stream:
         lines = sum(not line.startswith((b"#", b'"')) for line in stream)

@@ -110,9 +110,6 @@ live tcp://127.0.0.1                                      | needs a port
 live udp://127.0.0.1:99999                                | is not an address
 live tcp://[::1                                           | is not an address
 live lsl://                                               | needs a name, as in lsl://NAME
-live rosbridge://127.0.0.1:9090                           | needs a topic, as in rosbridge://HOST
-live yarp://127.0.0.1:10000                               | needs a port, as in yarp://HOST
-live zenoh://                                             | needs a key, as in zenoh://
 live skin.csv --recording old.csv                         | old.csv exists
 live skin.csv --recording r.npz                           | must end in .csv
 live skin.csv --recording skin.csv                        | skin.csv

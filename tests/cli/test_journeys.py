@@ -145,10 +145,13 @@ def test_ports_in_use_are_errors_before_anything_is_recorded(run, tmp_path):
         other.listen()
         port = other.getsockname()[1]
         page = run(f"live skin.csv --port {port} --no-browser --recording r.csv", code=2)
-        source = run(f"live tcp-listen://127.0.0.1:{port} --headless", code=2)
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        datagrams = other.getsockname()[1]
+        source = run(f"live udp://127.0.0.1:{datagrams} --headless", code=2)
     assert f"cannot show the page on 127.0.0.1:{port}" in page.err
     assert "choose another --port" in page.err
-    assert f"cannot listen on 127.0.0.1:{port}" in source.err
+    assert f"cannot listen on 127.0.0.1:{datagrams}" in source.err
     assert [path.name for path in tmp_path.iterdir()] == ["skin.csv"]
 
 

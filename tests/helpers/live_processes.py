@@ -8,24 +8,35 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
-from anisomap.live.batches import Source
+from anisomap.live.batches import WAIT_S, Source
 
 LONGEST_S = 300
 """Time after which a process counts as hung; far more than a busy machine needs."""
 
 
 class Given(Source):
-    """A source that yields some items and then waits."""
+    """A source that yields some items, and then nothing."""
 
-    def __init__(self, *items, names=(), description="a test"):
-        super().__init__(description, self._given, names)
-        self._items = items
+    greeting, description = "", "a test"
 
-    def _given(self, stop):
-        yield from self._items
-        stop.wait()
+    def __init__(self, items=()):
+        self._items = iter(items)
+
+    def open(self):
+        return nullcontext()
+
+    def receive(self):
+        try:
+            return next(self._items)
+        except StopIteration:
+            time.sleep(WAIT_S)
+            raise TimeoutError from None
+
+    def parse(self, item):
+        yield item
 
 
 def wait_until(condition, what="it"):

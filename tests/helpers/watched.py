@@ -8,7 +8,7 @@ COUNT = 0  # no signal
 
 
 def run_watched(number: int, event: str, command: list[str]) -> None:
-    """Run a command, and send a signal to its processes at the first event that is wanted.
+    """Run a command, and send a signal to its process at the first event that is wanted.
 
     event: Regular expression of the number, name and first argument of an event. Without a signal,
         the number of events is the last line on standard error.
@@ -24,7 +24,7 @@ def run_watched(number: int, event: str, command: list[str]) -> None:
         if number != COUNT and not sent:
             sent = bool(wanted.fullmatch(f"{seen} {name} {arguments[0] if arguments else None}"))
             if sent:
-                os.killpg(0, number)
+                os.kill(os.getpid(), number)
 
     sys.addaudithook(watch)
     try:

@@ -28,10 +28,9 @@ from skins import flat_skin, lattice, rubbed
 SKIN = flat_skin(n_frames=1500)
 READINGS = SKIN.readings.astype(float)
 
-PORT = "YARP port /icub/skin/right_hand"
 PADS = [96 + i for i in range(48) if i not in (11, 23, 35, 43)]
 NAMES = [f"palm.{i - 96}" for i in PADS]
-OPTIONS = {"method": "r-anisomap", "dimensions": 2, "preset": "icub"}
+OPTIONS = {"method": "r-anisomap", "dimensions": 2, "preset": "icub-hand"}
 
 
 def mapper_of(readings, *sizes, names=(), dimensions=2):
@@ -211,7 +210,7 @@ def hand():
 @pytest.mark.slow
 def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     options = ExaminationOptions(**OPTIONS, spacing_mm=4.5)
-    source = Given(Batch(hand), description=PORT)
+    source = Given([Batch(hand)])
     with LiveSession(source, tmp_path / "r.csv", options) as session:
         wait_for_maps(session, lambda maps: maps.quick)
         quick = session.maps.quick
@@ -222,10 +221,10 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     assert quick.left_out == tuple(sorted(set(range(192)) - set(PADS)))
     assert np.isfinite(quick.positions[PADS]).all()
     assert list(final.sensor_map.names) == NAMES
-    assert "--preset icub" in command
+    assert "--preset icub-hand" in command
     assert "--spacing 4.5mm" in command
     np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, hand)
-    read = io.read(tmp_path / "r.csv", options=io.ReadOptions(preset="icub"))
+    read = io.read(tmp_path / "r.csv", options=io.ReadOptions(preset="icub-hand"))
     again = anisomap.reconstruct(read, "r-anisomap", 2)
     np.testing.assert_allclose(final.sensor_map.positions, again.positions, atol=1e-6)
 
@@ -233,7 +232,7 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
 @pytest.mark.parametrize("limit", ["none", "of a map", "of a map in between"])
 def test_pads_are_named_however_much_is_read(hand, tmp_path, monkeypatch, limit):
     """Above some limits, frames are sampled."""
-    writer = JournalWriter(tmp_path / "r.csv", [f"s{i}" for i in range(192)], PORT)
+    writer = JournalWriter(tmp_path / "r.csv", [f"s{i}" for i in range(192)])
     writer.add(np.arange(len(hand)) / 50, hand)
     writer.close()
     if limit == "of a map":

@@ -25,7 +25,7 @@ NAME = "<img src=x onerror=alert(1)>"
 def page(tmp_path_factory):
     skin = flat_skin(n_frames=800)
     names = (NAME, *skin.names[1:])
-    source = Given(Names(names), Notice("hello \x1b[2J"), Batch(skin.readings.astype(float)))
+    source = Given([Names(names), Notice("hello \x1b[2J"), Batch(skin.readings.astype(float))])
     folder = tmp_path_factory.mktemp("live")
     options = ExaminationOptions(method="r-anisomap")
     with (

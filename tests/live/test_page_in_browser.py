@@ -1,15 +1,17 @@
 """The page in a browser: no error of a script, everything by the keyboard, at two sizes."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
 from benchmarks.live.film import browser, find_chromium
 
 from anisomap.live import ExaminationOptions, LiveSession
-from anisomap.live.batches import Batch, Names
+from anisomap.live.batches import Batch
 from anisomap.live.page import save_page
 from anisomap.live.page.server import Server
+from live_processes import Given
 from skins import flat_skin
 
 CHROMIUM = find_chromium()
@@ -23,17 +25,14 @@ EVIL = "<img src=x onerror=\"document.title='evil'\">"
 SIZES = ((1280, 800), (390, 844))
 
 
-class Rubbed:
+class Rubbed(Given):
     """A skin that is rubbed at 100 Hz, without end."""
 
-    description, names, truth, can_wait = EVIL, (EVIL, *SKIN.names[1:]), None, False
+    description, names = EVIL, (EVIL, *SKIN.names[1:])
 
-    def items(self, stop):
-        yield Names(self.names)
-        for row in itertools.cycle(SKIN.readings.astype(float)):
-            yield Batch(row[None])
-            if stop.wait(0.01):
-                return
+    def receive(self):
+        time.sleep(0.01)
+        return super().receive()
 
 
 def element(name):
@@ -43,9 +42,10 @@ def element(name):
 def test_a_session_in_the_browser(tmp_path):
     """The first maps have 3 dimensions, those after a checked map of the flat skin 2."""
     options = ExaminationOptions(method="r-anisomap")
+    rubbed = (Batch(row[None]) for row in itertools.cycle(SKIN.readings.astype(float)))
     with browser(CHROMIUM) as page:
         with (
-            LiveSession(Rubbed(), tmp_path / "r.csv", options) as session,
+            LiveSession(Rubbed(rubbed), tmp_path / "r.csv", options) as session,
             Server(session, port=0) as server,
         ):
             page.open(server.url)

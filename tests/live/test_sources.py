@@ -1,14 +1,12 @@
 """Sources, each with a real peer on this computer."""
 
 import itertools
-import json
 import os
 import socket
 import sys
 import threading
-import time
 import uuid
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -100,29 +98,36 @@ def test_a_lost_tcp_connection_is_made_again():
         found.wait(lambda f: f.told("lost the connection"))
 
 
-@pytest.mark.parametrize("scheme", ["tcp-listen", "udp"])
-def test_lines_that_are_sent_to_us(scheme):
-    """Lines end with a datagram; a line that a connection cuts is dropped."""
-    source, is_udp = open_source(f"{scheme}://127.0.0.1:0"), scheme == "udp"
+def test_datagrams_that_are_sent_to_us():
+    source = open_source("udp://127.0.0.1:0")
     with pytest.raises(InputError, match="cannot listen"):
-        open_source(f"{scheme}://127.0.0.1:{source.port}")
+        open_source(f"udp://127.0.0.1:{source.port}")
     with Collected(source) as found:
         found.wait(lambda f: f.told(f"port {source.port}"))
-        for begin, until in ((0, 5), (5, 20)):
-            part = ROWS[begin:until]
-            with socket.socket(type=socket.SOCK_DGRAM if is_udp else socket.SOCK_STREAM) as peer:
+        for part in (ROWS[:5], ROWS[5:]):
+            with socket.socket(type=socket.SOCK_DGRAM) as peer:
                 peer.connect(("127.0.0.1", source.port))
-                peer.sendall(text(part).rstrip() if is_udp else text(part) + b"1,2")
-            found.wait(lambda f, until=until: len(f.rows) == until)
+                peer.sendall(text(part).rstrip())  # the last line ends with its datagram
         found.wait_for_rows()
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{}", "rosbridge://127.0.0.1:{}/skin"])
-def test_a_peer_that_is_not_there_yet_is_waited_for(address):
-    if address.startswith("rosbridge"):
-        pytest.importorskip("websockets", reason="needs the extra 'rosbridge'")
-    with collected(address.format(free_port())) as found:
+def test_a_peer_that_is_not_there_yet_is_waited_for():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with collected(f"tcp://127.0.0.1:{port}") as found:
         found.wait(lambda f: f.told("still trying"))
+
+
+def test_standard_input_is_read_to_its_last_line(monkeypatch):
+    ours, theirs = os.pipe()
+    with os.fdopen(ours) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        os.write(theirs, text(ROWS).rstrip())
+        os.close(theirs)
+        with collected("-") as found:
+            found.wait_for_rows()
+            found.wait(lambda f: f.told("standard input has ended"))
 
 
 @pytest.mark.parametrize("speed", [0, 1000])
@@ -184,112 +189,11 @@ def test_an_lsl_stream():
     np.testing.assert_allclose(found.times, 1000 + np.arange(20))
 
 
-def test_a_topic_of_rosbridge():
-    server = pytest.importorskip("websockets.sync.server", reason="needs the extra 'rosbridge'")
-    asked = []
-
-    def answer(connection):
-        asked.append(json.loads(connection.recv()))
-        connection.send("garbage")
-        connection.send(json.dumps({"op": "publish", "topic": "/other", "msg": {"data": [1, 2]}}))
-        for i, row in enumerate(ROWS[:10] if len(asked) == 1 else ROWS[10:]):
-            stamp = {"sec": 100, "nanosec": i * 1000}
-            message = {"header": {"stamp": stamp}, "layout": {"dim": []}, "data": row.tolist()}
-            packet = {"op": "publish", "topic": "/skin", "msg": message}
-            connection.send(json.dumps(packet))
-        if len(asked) > 1:
-            with suppress(Exception):
-                connection.recv()
-
-    with server.serve(answer, "127.0.0.1", 0) as peer:
-        threading.Thread(target=peer.serve_forever, daemon=True).start()
-        port = peer.socket.getsockname()[1]
-        address = f"rosbridge://127.0.0.1:{port}/skin?type=std_msgs/msg/Float32MultiArray"
-        with collected(address) as found:
-            found.wait_for_rows()
-        peer.shutdown()
-    assert found.times[1] == pytest.approx(100.000001)
-    assert found.told("lost the connection")
-    kind = "std_msgs/msg/Float32MultiArray"
-    assert asked[0] == {"op": "subscribe", "topic": "/skin", "type": kind}
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-@pytest.mark.parametrize("key", ["skin", "0/skin/std_msgs::msg::dds_::Float64MultiArray_/RIHS01_x"])
-def test_a_topic_of_zenoh(key):
-    zenoh = pytest.importorskip("zenoh", reason="needs the extra 'zenoh'")
-    typesys = pytest.importorskip("rosbags.typesys", reason="needs the extra 'zenoh'")
-    store = typesys.get_typestore(typesys.Stores.LATEST)
-    array, layout = (
-        store.types[f"std_msgs/msg/{name}"] for name in ("Float64MultiArray", "MultiArrayLayout")
-    )
-    config, port = zenoh.Config(), free_port()
-    config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    kind = "" if "dds_" in key else "&type=std_msgs/msg/Float64MultiArray"
-    address = f"zenoh://{key}?connect=tcp/127.0.0.1:{port}{kind}"
-    with zenoh.open(config) as peer:
-        publisher = peer.declare_publisher(key)
-        with collected(address) as found:
-            while not publisher.matching_status.matching:
-                time.sleep(0.01)
-            publisher.put(b"garbage")
-            for row in ROWS:
-                message = array(layout=layout(dim=[], data_offset=0), data=row)
-                publisher.put(store.serialize_cdr(message, array.__msgtype__).tobytes())
-            found.wait_for_rows()
-    assert found.told("ignored a message")
-
-
-def test_a_port_of_yarp():
-    """The peer speaks as the documentation of YARP shows; there is no YARP here."""
-    lines = itertools.count(1)
-
-    def write(connection, row):
-        values = " ".join(map(repr, row[:2])) + " (" + " ".join(map(repr, row[2:])) + ")"
-        connection.sendall(f"do {next(lines)} {1e9 + row[0]}\n{values}\n".encode())
-
-    def received(connection, end):
-        content = b""
-        while end not in content:
-            content += connection.recv(4096)
-        return content
-
-    with (
-        listening() as (names, server),
-        listening() as (skin, port),
-        collected(f"yarp://127.0.0.1:{server}/skin/torso") as found,
-    ):
-        for part in (ROWS[:5], ROWS[5:]):
-            connection, _ = names.accept()
-            with connection:
-                assert b"query /skin/torso\n" in received(connection, b"torso\n")
-                connection.sendall(
-                    b"Welcome anisomap\nregistration name /skin/torso ip 127.0.0.1 port "
-                    b"%d type tcp\n*** end of message\n" % port
-                )
-            connection, _ = skin.accept()
-            with connection:
-                assert received(connection, b"\nr\n").startswith(b"CONNECT ")
-                connection.sendall(b"Welcome anisomap\n")
-                for row in part.tolist():
-                    write(connection, row)
-        found.wait_for_rows()
-    assert found.times[0] == pytest.approx(1e9 + ROWS[0, 0], abs=1e-3)
-
-
 @pytest.mark.parametrize(
     ("address", "library", "extra"),
     [
         ("serial:///dev/ttyNONE", "serial", "serial"),
         ("lsl://skin", "pylsl", "lsl"),
-        ("rosbridge://127.0.0.1:9090/skin", "websockets", "rosbridge"),
-        ("zenoh://skin", "zenoh", "zenoh"),
     ],
 )
 def test_a_missing_library_is_named_with_its_command(address, library, extra, monkeypatch):

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from anisomap.live import ExaminationOptions, LiveSession
-from anisomap.live.batches import Batch, Source
+from anisomap.live.batches import Batch
 from live_processes import LONGEST_S, Given, wait_for_maps
 from skins import flat_skin
 
@@ -32,7 +32,7 @@ def workers_beside(others):
 
 @pytest.fixture
 def session(tmp_path, others):  # lists others before its own start
-    source = Given(Batch(flat_skin(n_frames=300).readings.astype(float)))
+    source = Given([Batch(flat_skin(n_frames=300).readings.astype(float))])
     options = ExaminationOptions(method="r-anisomap", dimensions=2)
     with LiveSession(source, tmp_path / "r.csv", options) as started:
         wait_for_maps(started, lambda maps: maps.checked)
@@ -81,14 +81,13 @@ def test_a_session_ends_though_its_processes_are_stopped(session, others):
 
 
 def test_dimensions_are_chosen_though_the_first_checked_map_is_earlier(tmp_path, others):
-    def give(stop):
+    def given():
         (quick,) = (child for child in workers_beside(others) if child.name == "quick maps")
         os.kill(quick.pid, signal.SIGSTOP)
         yield Batch(flat_skin(n_frames=800).readings.astype(float))
         wait_for_maps(session, lambda maps: maps.checked)
         os.kill(quick.pid, signal.SIGCONT)
-        stop.wait()
 
     options = ExaminationOptions(method="r-anisomap")
-    with LiveSession(Source("a test", give), tmp_path / "r.csv", options) as session:
+    with LiveSession(Given(given()), tmp_path / "r.csv", options) as session:
         wait_for_maps(session, lambda maps: maps.quick and maps.quick.positions.shape[1] == 2)

@@ -9,10 +9,10 @@ import sys
 import threading
 import time
 import warnings
-from _thread import interrupt_main, start_new_thread
+from _thread import start_new_thread
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from types import CodeType, FrameType, MappingProxyType
+from types import MappingProxyType
 
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
 
@@ -180,79 +180,59 @@ def _failed(message: str, code: int) -> int:
     return code
 
 
-_AGAIN_S = 0.01  # short for a user, long for a processor
-_EXTENSIONS, _CALLBACK = "ExtensionFileLoader.", "_get_module_lock.<locals>.cb"  # of importlib
-_LOCKING = ("__enter__", "__exit__", "_acquire_restore", "_release_save")  # of threading.Condition
+_PATIENCE_S = 3.0  # for the removal of temporary files and the end of other processes
 
 
 def run_process(arguments: list[str] | None) -> None:
     """Run a command, and end the process with its exit code."""
-    signals = _Signals()
+    ending = _Ending()
     is_main = threading.current_thread() is threading.main_thread()
     if is_main:
-        signals.handle()
+        ending.handle()
     code = INTERRUPTED
     try:
-        code = run(arguments, signals.received)
+        code = run(arguments, ending.received)
     except KeyboardInterrupt:
         print(f"error: {INTERRUPTION}", file=sys.stderr)  # noqa: T201
     finally:
+        ending.is_told = True
         if is_main:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process ends, without a traceback
         gc.freeze()  # Python would search all objects for unreachable ones before it ends: .2 s
     sys.exit(code)
 
 
-class _Signals:
-    """Handlers of signals that ask the process to end; `received` lists what arrived."""
+class _Ending:
+    """Ends the process on a signal, by an exception, or by a thread if that is lost.
+
+    Extension modules replace an exception within their import by others, and Python ignores one
+    within a callback, or leaves a lock locked.
+
+    received: Numbers of the signals that arrived.
+    is_told: Whether the user knows.
+    """
 
     def __init__(self) -> None:
         self.received: list[int] = []
+        self.is_told = False
 
     def handle(self) -> None:
-        """Handle the signals, except those that the process was started to ignore."""
-        for name in ("SIGTERM", "SIGHUP"):
+        """Handle the signals, except those that the process was started to ignore, as by nohup."""
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
-            # `nohup` ignores SIGHUP, so that a command outlives its terminal.
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._stop)
-        if signal.getsignal(signal.SIGINT) is end:
-            signal.signal(signal.SIGINT, self._interrupt)
+                signal.signal(number, self._end)
 
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+    def _end(self, number: int, _: object) -> None:
+        if self.received:
+            return
         self.received.append(number)
-        if not _deferred(number, frame):
-            raise KeyboardInterrupt
+        sys.unraisablehook = lambda _: None  # says what is ignored
+        start_new_thread(self._end_anyway, ())
+        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
-    def _stop(self, number: int, frame: FrameType | None) -> None:
-        self.received.append(number)
-        if not _deferred(number, frame):
-            signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
-            sys.exit(128 + number)
-
-
-def _deferred(number: int, frame: FrameType | None) -> bool:
-    """Return whether an exception would be lost, or keep a lock; if so, the signal comes again.
-
-    Extension modules replace an exception within their import by an ImportError, and Python
-    ignores one within the callback of the locks of imports. One at the end of taking the lock of an
-    event would keep it, and all threads that use the event would wait for ever.
-    """
-    while frame is not None and not _loses_exceptions(frame.f_code):
-        frame = frame.f_back
-    if frame is not None:
-        # Objects of `threading` take locks, which the interrupted thread may hold.
-        start_new_thread(_signal_again, (number,))
-    return frame is not None
-
-
-def _signal_again(number: int) -> None:
-    time.sleep(_AGAIN_S)
-    interrupt_main(signal.Signals(number))
-
-
-def _loses_exceptions(code: CodeType) -> bool:
-    if code.co_filename == threading.__file__:
-        return code.co_name in _LOCKING
-    in_import = code.co_filename.startswith("<frozen importlib")
-    return in_import and code.co_qualname.startswith((_EXTENSIONS, _CALLBACK))
+    def _end_anyway(self) -> None:
+        time.sleep(_PATIENCE_S)
+        if self.received[0] == signal.SIGINT and not self.is_told:
+            end()
+        os._exit(128 + self.received[0])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import groupby
 from threading import Event
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 from urllib.parse import SplitResult, parse_qs, unquote
 
 import numpy as np
@@ -57,12 +58,10 @@ class Notice:
 
 Item: TypeAlias = Batch | Names | Notice
 
-Frame: TypeAlias = tuple[float | None, Sequence[float] | NDArray[np.float64]]
+Frame: TypeAlias = tuple[float | None, Sequence[float]]
 """A time in seconds of the clock of the source, if it is known, and readings."""
 
-Found: TypeAlias = Frame | Names | Notice
-
-_Received = TypeVar("_Received")
+Found: TypeAlias = Frame | Item
 
 
 @dataclass(frozen=True)
@@ -90,12 +89,6 @@ class Address:
         return f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
 
     @property
-    def path(self) -> str:
-        """What follows the host, with its first slash; empty for a slash alone."""
-        path = unquote(self.parts.path)
-        return path if path.strip("/") else ""
-
-    @property
     def name(self) -> str:
         """Everything before the query, without slashes around it."""
         return unquote(self.parts.netloc + self.parts.path).strip("/")
@@ -106,24 +99,65 @@ class Address:
         return {key: values[-1] for key, values in parse_qs(self.parts.query).items()}
 
 
-@dataclass
-class Source:
-    """A source of frames.
+class Source(ABC):
+    """A source of readings, which is opened again when its connection is lost.
 
     description: Origin, for the recording and the page.
-    items: Iterates over what arrives, until the source ends or an event is set.
+    greeting: Said when it is open, with its description.
     names, truth: Names and true positions of the sensors, if they are known before the first frame.
+    ends: Whether the session ends with it, instead of waiting for another connection.
     can_wait: Whether nothing is lost if it begins later, as in a replay: it begins when the
         processes that make maps have started.
-    port: On which it listens; 0 for none.
+    lost: Errors that mean that there is no connection.
+    is_open: Whether there is a connection.
     """
 
-    description: str
-    items: Callable[[Event], Iterator[Item]]
+    description = ""
+    greeting = "connected to {}"
     names: tuple[str, ...] = ()
     truth: SensorMap | None = None
-    can_wait: bool = False
-    port: int = 0
+    ends = can_wait = is_open = False
+    lost: tuple[type[Exception], ...] = (OSError, EOFError)
+
+    @abstractmethod
+    def open(self) -> AbstractContextManager[None]:
+        """Connect, until the end of the context."""
+
+    @abstractmethod
+    def receive(self) -> Any:
+        """Wait for `WAIT_S` at most: a TimeoutError says that nothing came, an EOFError the end."""
+
+    @abstractmethod
+    def parse(self, content: Any) -> Iterable[Found]:
+        """Find the frames in what was received."""
+
+    def items(self, stop: Event) -> Iterator[Item]:
+        """Iterate over what arrives, until the source ends or an event is set."""
+        told = False
+        while not stop.is_set():
+            try:
+                with self.open():
+                    self.is_open, told = True, False
+                    if self.greeting:
+                        yield Notice(self.greeting.format(self.description))
+                    while not stop.is_set():
+                        try:
+                            content = self.receive()
+                        except TimeoutError:
+                            continue
+                        yield from batched(self.parse(content))
+            except self.lost as error:
+                was_open, self.is_open = self.is_open, False
+                if self.ends:
+                    yield Notice(f"{self.description} has ended")
+                    return
+                if was_open:
+                    yield Notice(f"lost the connection to {self.description}; trying again")
+                elif not told:
+                    reason = getattr(error, "strerror", None) or error
+                    yield Notice(f"cannot connect to {self.description} ({reason}); still trying")
+                    told = True
+                stop.wait(WAIT_S if was_open else RETRY_S)
 
 
 def batched(found: Iterable[Found]) -> Iterator[Item]:
@@ -139,78 +173,3 @@ def batched(found: Iterable[Found]) -> Iterator[Item]:
 
 def _kind(one: Found) -> tuple[bool, int] | None:
     return (one[0] is None, len(one[1])) if isinstance(one, tuple) else None
-
-
-def polled(stop: Event, receive: Callable[[], _Received]) -> Iterator[_Received]:
-    """Yield what is received until `stop` is set; a TimeoutError says that nothing came."""
-    while not stop.is_set():
-        try:
-            received = receive()
-        except TimeoutError:
-            continue
-        yield received
-
-
-def connected(
-    description: str,
-    connect: Callable[[Event], AbstractContextManager[Any]],
-    receive: Callable[[Any], Any],
-    parser: Callable[[Any], Callable[[Any], Iterator[Found]]],
-    *,
-    peer: str = "",
-    waiting: str = "",
-    greeting: str | None = None,
-    lost: tuple[type[Exception], ...] = (),
-    again: bool = True,
-    held: AbstractContextManager[Any] | None = None,
-) -> Source:
-    """Return a source with a connection, which is made again when it is lost.
-
-    receive: Waits for something from the connection, or raises a TimeoutError.
-    parser: Returns a function that finds the frames in what was received; an EOFError ends the
-        connection.
-    peer: The other side, in notices; by default the description.
-    waiting, greeting: Notices at the beginning, and when there is a connection.
-    lost: Errors besides OSError and EOFError that mean that there is no connection.
-    again: Whether there may be another connection.
-    held: What is open as long as the source, such as a port.
-    """
-    peer = peer or description
-    greeting = f"connected to {peer}" if greeting is None else greeting
-    ends: tuple[type[Exception], ...] = (OSError, EOFError, *lost)
-
-    def items(stop: Event) -> Iterator[Item]:
-        with held or nullcontext():
-            yield from opened(stop)
-
-    def opened(stop: Event) -> Iterator[Item]:
-        told = False
-        if waiting:
-            yield Notice(waiting)
-        while not stop.is_set():
-            is_open = False
-            try:
-                with connect(stop) as connection:
-                    is_open = True
-                    if greeting:
-                        yield Notice(greeting)
-                    parse = parser(connection)
-                    for content in polled(stop, lambda: receive(connection)):
-                        yield from batched(parse(content))
-            except ends as error:
-                if not again:
-                    yield Notice(f"{description} has ended")
-                    return
-                if is_open or not told:
-                    yield _lost(peer, error, is_open=is_open)
-                told = not is_open
-                stop.wait(WAIT_S if is_open else RETRY_S)
-
-    return Source(description, items)
-
-
-def _lost(peer: str, error: Exception, *, is_open: bool) -> Notice:
-    if is_open:
-        return Notice(f"lost the connection to {peer}; waiting for another")
-    reason = getattr(error, "strerror", None) or error
-    return Notice(f"cannot connect to {peer} ({reason}); still trying")

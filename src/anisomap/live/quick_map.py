@@ -248,3 +248,20 @@ def turned_onto(
         return np.asarray(centred)
     fit = fit_similarity(centred[shared], before[shared], scaling=False)
     return np.asarray(centred @ fit.rotation.T)
+
+
+def read_levels(
+    readings: NDArray[np.float64], first: NDArray[np.float64], quick: QuickMap | None
+) -> NDArray[np.float64]:
+    """Return the deepest reading (N,) of each sensor, from 0 (rest) to 1 (its strongest so far).
+
+    Without a quick map, depths are relative to the first frame, and to the deepest reading of all.
+    """
+    if quick is not None and len(quick.names) == len(first):
+        depth, full = quick.rest.depth(readings), quick.highest_depth
+    else:
+        depth = np.abs(readings - first)
+        full = np.nanmax(np.append(depth, 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.fmax.reduce(depth, axis=0) / np.where(full > 0, full, 1.0)
+    return np.asarray(np.clip(np.nan_to_num(share), 0, 1))

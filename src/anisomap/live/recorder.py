@@ -1,17 +1,17 @@
 """The recording of a live session: delimited text that grows frame by frame.
 
 The file is a recording that `anisomap.read` reads at any time, also after the process was killed:
-whole lines are handed to the operating system, in every tick of the session. Nothing that arrives
-is lost, whatever its shape.
+whole lines are handed to the operating system, in every tick of the session.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -24,12 +24,8 @@ from anisomap.errors import FileError
 from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.delimited_text import header_text
-from anisomap.io.registry import open_stream
 from anisomap.live.batches import Batch
 from anisomap.recording import default_names
-
-MAX_SEGMENTS = 50
-"""Files of one session, above which frames of another width go to the file of odd frames."""
 
 MAX_WIDTH = 250_000
 """Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a
@@ -40,81 +36,25 @@ GAP = "no frame for"
 
 _HELD_BYTES = 1 << 16  # written at once above this size, whatever the time
 _SILENCE_S = 1.0  # without a frame, after which a gap is noticed
-_CHANGED_S, _CHANGED_FRAMES = 1.0, 10  # of frames of one new width, before the width counts as new
-_MAX_ODD = 10_000  # frames of another width that are held in memory
+_STEP_S = 0.02  # between two entries of the arrivals
+_RATE_S = 3.0  # over which the rate is measured
 _TICK = 1e-6  # seconds; the last digit of the times in the file
 
 
-@dataclass(frozen=True)
-class Journal:
-    """What a recording of a live session holds that is to be continued.
-
-    header_bytes, size: Of the lines before the first frame, and of all whole lines.
-    n_frames, seconds: Number of frames, and time of the last one.
-    has_gaps: Whether a reading is missing.
-    """
-
-    names: tuple[str, ...]
-    header_bytes: int
-    size: int
-    n_frames: int
-    seconds: float
-    has_gaps: bool
-
-    @classmethod
-    def of(cls, path: Path) -> Journal:
-        """Examine a recording that a live session wrote, whether or not that was killed."""
-        header_bytes, size, n_frames, last, has_gaps = 0, 0, 0, b"0", False
-        try:
-            with open_stream(path, frames=1) as stream:
-                first = next(iter(stream.blocks), None)
-                names, is_timed = stream.names, first is not None and first.times is not None
-            with path.open("rb") as file:
-                for line in file:
-                    if not line.endswith(b"\n"):
-                        break  # cut when the session was killed
-                    size += len(line)
-                    if line.startswith(b"#") or not header_bytes:
-                        header_bytes = size if not line.startswith(b"#") else 0
-                    else:
-                        n_frames, last = n_frames + 1, line.partition(b",")[0]
-                        has_gaps |= b"nan" in line
-        except OSError as error:
-            raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-        if not names or not is_timed:
-            raise FileError(f"{path} is not a recording of a live session: it lacks names or times")
-        return cls(tuple(names), header_bytes, size, n_frames, float(last), has_gaps)
-
-
 class JournalWriter:
-    """Appends frames to a new file, or to one that is continued.
+    """Appends frames to a new file."""
 
-    Without names of the sensors, a new file has no header.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        names: Sequence[str] = (),
-        source: str = "",
-        before: Journal | None = None,
-    ) -> None:
+    def __init__(self, path: Path, names: Sequence[str], source: str = "") -> None:
         check_target(path)
-        text = header_text(names, source=source) if names else ""
-        header = text.encode("utf-8", "replace")
+        header = header_text(names, source=source).encode("utf-8", "replace")
         self.path = path
         self._held = bytearray()
         try:
-            self._file = path.open("xb" if before is None else "r+b", buffering=0)
+            self._file = path.open("xb", buffering=0)
         except FileExistsError:
             raise FileError(f"{path} exists; a live session writes a new recording") from None
         except OSError as error:
             raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-        if before is not None:
-            self._size, self.header_bytes = before.size, before.header_bytes
-            self._file.truncate(self._size)
-            self._file.seek(self._size)
-            return
         self._size = 0
         self.header_bytes = len(header)
         self._write(header)
@@ -187,7 +127,7 @@ class Segment:
 
 
 class Recorder:
-    """Writes frames to a file, and to a new one when the number of sensors changes.
+    """Writes frames to a file, and to another one after `restart`.
 
     path: The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
         are left out: they belong to earlier sessions.
@@ -210,9 +150,6 @@ class Recorder:
         self._writer: JournalWriter | None = None
         self._lock = Lock()
         self._recent: list[NDArray[np.float64]] = []
-        self._odd: list[Batch] = []
-        self._odd_writer: JournalWriter | None = None
-        self._odd_since = 0.0
         self._missing = np.zeros(0, dtype=bool)
         self._offset: float | None = None
         self._began = 0.0
@@ -227,17 +164,6 @@ class Recorder:
         """Whether a reading of the current file is missing."""
         return bool(self._missing.any())
 
-    def resume(self, before: Journal) -> None:
-        """Append to the first file from now on; its frames lie in the past."""
-        with self._lock:
-            self._writer = JournalWriter(self._path, before=before)
-            self.n_frames, self.seconds = before.n_frames, before.seconds
-            self._missing = np.full(len(before.names), before.has_gaps)
-            self._began = time.monotonic() - before.seconds
-            names, start = before.names, before.header_bytes
-            self.segments.append(Segment(self._path, names, start, 1, self._source))
-            self._begin(self.segments[-1])
-
     def put(self, batch: Batch) -> None:
         """Record frames, unless they are wider than `MAX_WIDTH`."""
         if not batch.readings.size:
@@ -250,14 +176,13 @@ class Recorder:
             now = time.monotonic()
             if self.arrived_at is not None and now - self.arrived_at > _SILENCE_S:
                 self._notify(f"{GAP} {now - self.arrived_at:.1f} s")
+            self.arrived_at = now
             if self._writer is None:
                 self._start(width)
             if width == self.width:
-                self._set_aside()
                 self._record(batch, now)
             else:
-                self._hold(batch, now)
-            self.arrived_at = now
+                self._notify(f"ignored a frame of {width} readings instead of {self.width}")
 
     def restart(self) -> None:
         """Begin a new file with the next frame."""
@@ -274,10 +199,7 @@ class Recorder:
     def close(self) -> None:
         """Write everything and close the files."""
         with self._lock:
-            self._set_aside()
             self._close()
-            if self._odd_writer is not None:
-                self._odd_writer.close()
 
     def recent(self) -> NDArray[np.float64] | None:
         """Return the readings that were recorded since the last call, (t, N); None without any."""
@@ -289,7 +211,8 @@ class Recorder:
         number = len(self.segments) + 1
         path = self._path
         if number > 1:
-            path = _free(path.with_stem(f"{path.stem}-{at}") for at in count(number))
+            later = (path.with_stem(f"{path.stem}-{at}") for at in count(number))
+            path = next(path for path in later if not os.path.lexists(path))  # nor a broken link
         names = self.names if len(self.names) == width else default_names(width)
         names = distinct_names(path, [printable(name) for name in names])
         self._writer = JournalWriter(path, names, self._source)
@@ -343,56 +266,32 @@ class Recorder:
         self.seconds = float(times[-1])
         return times
 
-    def _hold(self, batch: Batch, now: float) -> None:
-        """Hold frames of another width, and begin a new file when the width has changed."""
-        if self._odd and self._odd[-1].readings.shape[1] != batch.readings.shape[1]:
-            self._set_aside()
-        if not self._odd:
-            self._odd_since = now
-        self._odd.append(batch)
-        held = sum(len(part.readings) for part in self._odd)
-        lasting = now - self._odd_since >= _CHANGED_S and held >= _CHANGED_FRAMES
-        if not (lasting or held >= _MAX_ODD):
-            return
-        if len(self.segments) >= MAX_SEGMENTS:
-            self._set_aside()
-            return
-        before, width, parts = self.width, batch.readings.shape[1], self._odd
-        self._odd = []
-        self._close()
-        self._start(width)
-        self._notify(
-            f"the source now sends {width} readings per frame instead of {before}: recorded in "
-            f"{self.segments[-1].path.name}, with a new map"
-        )
-        for part in parts:
-            self._record(part, now)
-
-    def _set_aside(self) -> None:
-        """Write held frames of another width to the file of odd frames."""
-        if not self._odd:
-            return
-        readings = np.concatenate([batch.readings for batch in self._odd])
-        self._odd = []
-        n_frames, width = readings.shape
-        if self._odd_writer is None:
-            marks = chain([""], (f"-{at}" for at in count(2)))
-            path, stem = self._path, self._path.stem
-            free = _free(path.with_name(f"{stem}{mark}.odd.txt") for mark in marks)
-            self._odd_writer = JournalWriter(free)
-        self._odd_writer.add(np.full(n_frames, self.seconds), readings)
-        self._odd_writer.flush()
-        self._notify(
-            f"{counted(n_frames, 'frame')} of {counted(width, 'reading')} instead of "
-            f"{self.width} set aside in {self._odd_writer.path.name}"
-        )
-
     def _close(self) -> None:
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
 
 
-def _free(paths: Iterable[Path]) -> Path:
-    """Return the first path at which there is nothing, not even a link."""
-    return next(path for path in paths if not os.path.lexists(path))
+class Arrivals:
+    """When frames arrived, to tell the age of a map from its number of frames."""
+
+    def __init__(self) -> None:
+        self._counts: deque[tuple[int, float]] = deque(maxlen=20_000)
+
+    def add(self, n_frames: int, now: float) -> None:
+        """Note that there are `n_frames` frames at a time."""
+        if self._counts and now - self._counts[-1][1] < _STEP_S:
+            now = self._counts.pop()[1]
+        self._counts.append((n_frames, now))
+
+    def rate(self, now: float) -> float:
+        """Return the number of frames per second in the last seconds."""
+        recent = [entry for entry in list(self._counts) if now - entry[1] < _RATE_S]
+        if len(recent) < 2:
+            return 0.0
+        (before, begin), (after, end) = recent[0], recent[-1]
+        return (after - before) / (end - begin)
+
+    def time_of(self, n_frames: int) -> float | None:
+        """Return when the first frame arrived that is not among the first `n_frames`."""
+        return next((moment for count, moment in list(self._counts) if count > n_frames), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import threading
 import time
 from collections import deque
@@ -14,17 +15,21 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted, join_items, printable
+from anisomap import io
+from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base.wording import join_items, printable
+from anisomap.drawing import report
 from anisomap.errors import AnisomapError, InputError
 from anisomap.health import SensorHealth
 from anisomap.live.batches import Names, Notice, Source
-from anisomap.live.quick_map import QuickMap, confirmed_faults
-from anisomap.live.recorder import GAP, Journal, Recorder, Segment
-from anisomap.live.saving import command_for, save_map
+from anisomap.live.quick_map import QuickMap, confirmed_faults, read_levels
+from anisomap.live.recorder import GAP, Arrivals, Recorder, Segment
 from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task, Worker
 from anisomap.method.dimensions import AUTO, SPATIAL
 from anisomap.notes import scaled_note
+from anisomap.placement import parse_length, scaled_to_spacing
 from anisomap.route import find_dropped
+from anisomap.sensor_map import SensorMap
 from anisomap.usability import LEVELS, Verdict
 from anisomap.verdict.chance import MIN_FRAMES
 
@@ -146,6 +151,14 @@ class SessionMaps:
         return f"Good: {self.error_told}. Keep going, or end the session", True
 
     @property
+    def made(self) -> SensorMap:
+        """The checked map, which there must be."""
+        if self.checked is None or self.checked.sensor_map is None:
+            reason = "" if self.checked is None else f": {self.checked.verdict.reasons[0]}"
+            raise InputError(f"there is no checked map yet{reason}")
+        return self.checked.sensor_map
+
+    @property
     def is_good(self) -> bool:
         """Whether the checked map is usable."""
         return self.checked is not None and self.checked.verdict.level == list(LEVELS)[-1]
@@ -213,14 +226,14 @@ class SessionMaps:
         self.examining, self._examined_frames = True, n_frames
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames))
 
-    def finish(self, n_frames: int) -> Examination | None:
+    def finish(self, n_frames: int, gives_up: Callable[[], bool]) -> Examination | None:
         """Make the map of all frames; see `LiveSession.finish`."""
         if self._segment is None:
             return None
         self._finished.clear()
         self._examiner.send(Task(self._segment, self.options, n_frames=n_frames, final=True))
-        if not self._examiner.gone:
-            self._finished.wait()
+        while not (self._examiner.gone or self._finished.wait(TICK_S) or gives_up()):
+            pass
         return self.checked if self.checked is not None and self.checked.final else None
 
     def _map_quickly(self) -> None:
@@ -296,8 +309,6 @@ _MAX_NOTICES = 100
 _NOTICE_EVERY_S = 5.0  # for notices of one kind
 _KIND = 20  # first characters of a notice that tell its kind
 _STOP_S = 3.0  # for a source to end
-_STEP_S = 0.02  # between two entries of the arrivals
-_RATE_S = 3.0  # over which the rate is measured
 
 
 class Note(NamedTuple):
@@ -307,56 +318,13 @@ class Note(NamedTuple):
     text: str
 
 
-class Arrivals:
-    """When frames arrived, to tell the age of a map from its number of frames."""
-
-    def __init__(self) -> None:
-        self._counts: deque[tuple[int, float]] = deque(maxlen=20_000)
-
-    def add(self, n_frames: int, now: float) -> None:
-        """Note that there are `n_frames` frames at a time."""
-        if self._counts and now - self._counts[-1][1] < _STEP_S:
-            now = self._counts.pop()[1]
-        self._counts.append((n_frames, now))
-
-    def rate(self, now: float) -> float:
-        """Return the number of frames per second in the last seconds."""
-        recent = [entry for entry in list(self._counts) if now - entry[1] < _RATE_S]
-        if len(recent) < 2:
-            return 0.0
-        (before, begin), (after, end) = recent[0], recent[-1]
-        return (after - before) / (end - begin)
-
-    def time_of(self, n_frames: int) -> float | None:
-        """Return when the first frame arrived that is not among the first `n_frames`."""
-        return next((moment for count, moment in list(self._counts) if count > n_frames), None)
-
-
-def read_levels(
-    readings: NDArray[np.float64], first: NDArray[np.float64], quick: QuickMap | None
-) -> NDArray[np.float64]:
-    """Return the deepest reading (N,) of each sensor, from 0 (rest) to 1 (its strongest so far).
-
-    Without a quick map, depths are relative to the first frame, and to the deepest reading of all.
-    """
-    if quick is not None and len(quick.names) == len(first):
-        depth, full = quick.rest.depth(readings), quick.highest_depth
-    else:
-        depth = np.abs(readings - first)
-        full = np.nanmax(np.append(depth, 0.0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.fmax.reduce(depth, axis=0) / np.where(full > 0, full, 1.0)
-    return np.asarray(np.clip(np.nan_to_num(share), 0, 1))
-
-
 class LiveSession:
     """Records a source and maps it while it runs.
 
     Use it as a context manager: frames are recorded from its beginning, and everything is on disk
     at its end.
 
-    recording: File for the recording; must not exist, unless it is continued.
-    before: What the recording holds, if it is continued.
+    recording: File for the recording; must not exist.
     levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
     ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
     changed: Notified of every map, and of every state of the readings, which `tick` counts.
@@ -370,7 +338,6 @@ class LiveSession:
         source: Source,
         recording: Path,
         options: ExaminationOptions | None = None,
-        before: Journal | None = None,
     ) -> None:
         self.source = source
         options = options or ExaminationOptions()
@@ -381,7 +348,6 @@ class LiveSession:
         self.maps = SessionMaps(options, self.notify, self._announce, lambda: self.seconds)
         self.levels = np.empty(0)
         self._first: NDArray[np.float64] | None = None
-        self._before = before
         self.first_frame_at = math.inf
         self.page: Path | None = None
         self.notices: deque[Note] = deque(maxlen=_MAX_NOTICES)
@@ -402,9 +368,6 @@ class LiveSession:
     def __enter__(self) -> LiveSession:
         self._began = time.monotonic()
         self.maps.start()
-        if self._before is not None:
-            self.recorder.resume(self._before)
-            self.notify(f"continues a recording of {counted(self._before.n_frames, 'frame')}")
         tasks = (self._acquire, self._keep_time)
         self._threads = [threading.Thread(target=task, daemon=True) for task in tasks]
         for thread in self._threads:
@@ -482,10 +445,21 @@ class LiveSession:
         """The command that makes the final map again; empty before the first frame."""
         if self.segment is None:
             return ""
-        unknown = self.maps.unknown
-        drop = tuple(text for text in self.maps.options.drop if text not in unknown)
-        options = replace(self.maps.options, drop=drop)
-        return command_for(self.segment.path, options, self.recorder.has_gaps)
+        options, unknown = self.maps.options, self.maps.unknown
+        words = ["anisomap", "map", str(self.segment.path)]
+        if options.dimensions != AUTO:
+            words += ["-d", str(options.dimensions)]
+        if options.method != DEFAULT_METHOD:
+            words += ["-m", options.method]
+        if options.preset:
+            words += ["--preset", options.preset]
+        for name in options.drop:
+            words += [] if name in unknown else ["--drop", name]
+        if self.recorder.has_gaps:
+            words += ["--missing", "interpolate"]
+        if options.spacing_mm:
+            words += ["--spacing", f"{options.spacing_mm:g}mm"]
+        return shlex.join(words)
 
     def notify(self, text: str) -> None:
         """Add a sentence for the user; of one kind, only one in some seconds."""
@@ -518,7 +492,28 @@ class LiveSession:
 
     def save(self, path: Path, spacing: str = "") -> Path:
         """Write the checked map."""
-        return save_map(self.maps.checked, path, spacing=spacing)
+        sensor_map = self.maps.made
+        if spacing:
+            sensor_map = scaled_to_spacing(sensor_map, *parse_length(spacing))
+        elif io.needs_scale(path):
+            raise InputError(
+                f"the format of {path.name} is in metres: give the distance between neighbouring "
+                "sensors, such as 6.5mm"
+            )
+        io.write(sensor_map, path)
+        return path
+
+    def save_report(self, path: Path) -> Path:
+        """Write the report on the checked map."""
+        sensor_map, checked = self.maps.made, self.maps.checked
+        report.check_writable(path)
+        report.write_report(
+            path,
+            sensor_map,
+            health=() if checked is None else checked.health,
+            summary=None if checked is None else checked.summary,
+        )
+        return path
 
     def stop(self) -> None:
         """End the acquisition; everything that arrived is on disk afterwards."""
@@ -532,12 +527,12 @@ class LiveSession:
             self.failure = self.failure or error
         self._end()
 
-    def finish(self) -> Examination | None:
-        """End the acquisition and make the final map, of all frames."""
+    def finish(self, gives_up: Callable[[], bool] = lambda: False) -> Examination | None:
+        """End the acquisition and make the final map, of all frames, unless that is given up."""
         self.stop()
         self.finishing = True
         try:
-            return self.maps.finish(self.recorder.n_frames)
+            return self.maps.finish(self.recorder.n_frames, gives_up)
         finally:
             self.finishing = False
             self._announce()

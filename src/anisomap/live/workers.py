@@ -296,12 +296,13 @@ class _QuickMaps:
 
 def _run(role: str, connection: Connection) -> None:
     """Work until the session closes the connection, or its process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers itself
+    for number in (signal.SIGINT, signal.SIGTERM):  # the session ends its workers itself
+        signal.signal(number, signal.SIG_IGN)
     is_quick = role == "quick"
     make: Callable[[Task], Answer | None] = _QuickMaps() if is_quick else _checked_map
     with suppress(OSError, AttributeError):
         os.nice(0 if is_quick else _NICENESS)
-    with suppress(EOFError, OSError, KeyboardInterrupt):
+    with suppress(EOFError, OSError):
         connection.send(Answer())
         wait_s = None  # for another task
         while True:

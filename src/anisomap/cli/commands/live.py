@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import signal
+import threading
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -27,8 +29,6 @@ from anisomap.usability import Verdict
 if TYPE_CHECKING:
     from anisomap.live import LiveSession
     from anisomap.live.batches import Source
-    from anisomap.live.page.server import Server
-    from anisomap.live.recorder import Journal
     from anisomap.live.sources import Advised
 
 _source = Group("Source", sort_key=0)
@@ -85,7 +85,6 @@ def live(
     seed: options.Seed = 0,
     preset: Annotated[str, options.expert] = "",
     recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
-    resume: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     output: options.Output = None,
     report: options.Report = None,
     spacing: Annotated[str, Parameter(group=options.outputs_group)] = "",
@@ -115,8 +114,6 @@ def live(
         Robot with a known numbering of sensors: icub, icub-hand.
     recording
         New file for the recording [live-DATE-TIME.csv].
-    resume
-        Recording to continue, of a killed or ended session.
     output
         Map, in the format of its suffix. May be repeated. Default: the name of the recording with
         .map.csv.
@@ -141,7 +138,7 @@ def live(
     from anisomap.live.sources import SimulatedHand
     from anisomap.recording import find_sensors
 
-    target, before = _target(recording, resume)
+    target = _target(recording)
     given = Path(source) if source and Path(source).exists() else None
     maps = output or [target.with_suffix(".map.csv")]
     ending = [] if page.headless else [target.with_suffix(".html")]
@@ -160,9 +157,9 @@ def live(
     opened = _opened(source, simulate, speed, seed, coached)
     if opened.names and not preset:  # else the names of the sensors follow
         find_sensors(opened.names, route.split_names(drop, opened.names))
-    session = anisomap.live.LiveSession(opened, target, chosen, before)
+    session = anisomap.live.LiveSession(opened, target, chosen)
     session.page = ending[0] if ending else None
-    with ExitStack() as stack:
+    with _signals() as received, ExitStack() as stack:
         # A port in use is reported before anything is recorded.
         server = None
         if not page.headless:
@@ -170,26 +167,30 @@ def live(
         stack.enter_context(session)
         if isinstance(opened, SimulatedHand) and coached:
             opened.where = partial(_advised, session)
-        finish = partial(_finish, session, printer, maps, report, spacing)
-        _run(session, page, printer, server, finish)
+        if server is not None:
+            printer.line(f"Open {server.url} in a browser; Ctrl-C ends the session.")
+            printer.event({"url": server.url})
+            if page.browser:
+                webbrowser.open(server.url)
+        _run(session, page, printer, received)
+        _finish(session, printer, maps, report, spacing, received=received)
+        if page.browser and session.page is not None and session.page.exists():
+            webbrowser.open(session.page.absolute().as_uri())
     if session.failure is not None:
         raise session.failure
 
 
-def _target(recording: Path | None, resume: Path | None) -> tuple[Path, Journal | None]:
-    """Return the file for the recording, and what it holds if it is continued."""
-    if recording is not None and resume is not None:
-        raise InputError("give either --recording for a new file or --resume to continue one")
-    target = resume or recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
+def _target(recording: Path | None) -> Path:
+    """Return the file for the recording, which must be new."""
+    target = recording or Path(time.strftime("live-%Y%m%d-%H%M%S.csv"))
     if target.suffix.lower() != ".csv":
         raise InputError(f"the recording is written as CSV: {target} must end in .csv")
-    if resume is not None:
-        from anisomap.live.recorder import Journal
-
-        return target, Journal.of(target)
     if target.exists():
-        raise InputError(f"{target} exists: --resume continues it, --recording names a new file")
-    return target, None
+        raise InputError(
+            f"{target} exists: record to another file, and map both together, as in anisomap map "
+            f"{target} NEW.csv"
+        )
+    return target
 
 
 def _millimetres(spacing: str) -> float:
@@ -222,58 +223,44 @@ def _advised(session: LiveSession) -> Advised:
     return quick.advice.next_sensors, np.minimum(quick.contacts, 1)
 
 
-def _run(
-    session: LiveSession,
-    page: PageOptions,
-    printer: Printer,
-    server: Server | None,
-    finish: Callable[[], None],
-) -> None:
-    """Show the session until it ends, and finish it while the page still shows it."""
-
-    def over() -> bool:
-        done = page.until is not None and session.maps.reached(page.until.replace("-", " "))
-        ends = session.first_frame_at + (page.duration or math.inf)
-        return done or time.monotonic() >= ends
-
-    if server is None:
-        with _until_interrupted(printer):
-            _print_lines(session, printer, over)
-        finish()
-        return
-    printer.line(f"Open {server.url} in a browser; Ctrl-C ends the session.")
-    printer.event({"url": server.url})
-    if page.browser:
-        webbrowser.open(server.url)
-    with _until_interrupted(printer):
-        while not (over() or session.wanted_end.is_set() or session.ended.wait(_POLL_S)):
-            pass
-    finish()
-    if page.browser and session.page is not None and session.page.exists():
-        webbrowser.open(session.page.absolute().as_uri())
-
-
 @contextmanager
-def _until_interrupted(printer: Printer) -> Iterator[None]:
-    """Take the first Ctrl-C as the end of the block."""
+def _signals() -> Iterator[list[int]]:
+    """Yield a list of the signals that arrive, of which the first is the end of the session."""
+    received: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    before = {n: handler for n, handler in before.items() if handler is not signal.SIG_IGN}
+    for each in before:
+        signal.signal(each, lambda number, _: received.append(number))
     try:
-        yield
-    except KeyboardInterrupt:
-        printer.line("ending the session; press Ctrl-C again to leave out the final map")
+        yield received
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
-def _print_lines(session: LiveSession, printer: Printer, over: Callable[[], bool]) -> None:
-    """Print the state every second and, however soon that is, at the end."""
-    told, ended = 0.0, False
+def _run(
+    session: LiveSession, page: PageOptions, printer: Printer, received: Sequence[int]
+) -> None:
+    """Wait for the end of the session; without a page, print its state each second and then."""
+    until = "" if page.until is None else page.until.replace("-", " ")
+    told, next_line, ended = 0.0, time.monotonic() + _LINE_S, False
     while not ended:
-        ended = session.ended.wait(_LINE_S) or over()
-        for note in list(session.notices):
-            if note.seconds > told:
-                printer.say(f"  {number(note.seconds, 3)} s: {note.text}")
-                told = note.seconds
-        facts = _facts(session)
-        printer.event(facts)
-        printer.say(_in_words(facts, session.maps.spacing))
+        ended = session.ended.wait(_POLL_S) or bool(received) or session.wanted_end.is_set()
+        ended |= bool(until) and session.maps.reached(until)
+        ended |= time.monotonic() >= session.first_frame_at + (page.duration or math.inf)
+        if page.headless and (ended or time.monotonic() >= next_line):
+            next_line = time.monotonic() + _LINE_S
+            for note in list(session.notices):
+                if note.seconds > told:
+                    printer.say(f"  {number(note.seconds, 3)} s: {note.text}")
+                    told = note.seconds
+            facts = _facts(session)
+            printer.event(facts)
+            printer.say(_in_words(facts, session.maps.spacing))
+    if received:
+        printer.line("ending the session; press Ctrl-C again to leave out the final map")
 
 
 def _facts(session: LiveSession) -> dict[str, Any]:
@@ -312,23 +299,25 @@ def _in_words(facts: dict[str, Any], spacing: tuple[float, str]) -> str:
 
 
 def _finish(
-    session: LiveSession, printer: Printer, maps: list[Path], report: Path | None, spacing: str
+    session: LiveSession,
+    printer: Printer,
+    maps: list[Path],
+    report: Path | None,
+    spacing: str,
+    *,
+    received: Sequence[int],
 ) -> None:
     """Make the final map, write all files, and say what was written."""
-    from anisomap.live.saving import save_report
     from anisomap.placement.placing import headline
 
-    try:
-        with progress("making the final map"):
-            final = session.finish()
-    except KeyboardInterrupt:
-        final = None
+    with progress("making the final map"):
+        final = session.finish(lambda: len(received) > 1)
     written = [("recording", segment.path) for segment in session.recorder.segments]
     if final is not None and final.sensor_map is not None:
         with progress("writing"), together():
             written += [("map", session.save(path, spacing)) for path in maps]
             if report:
-                written.append(("report", save_report(final, report)))
+                written.append(("report", session.save_report(report)))
         shown = options.PlacingOptions(spacing=spacing).applied(final.sensor_map)
         printer.say(f"Final map of {final.n_frames} frames: {headline(shown)}")
     elif final is not None:

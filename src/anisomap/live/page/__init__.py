@@ -24,7 +24,6 @@ from anisomap.errors import InputError
 from anisomap.evaluation import median_spacing
 from anisomap.files.paths import atomic_write, together
 from anisomap.live.quick_map import QuickMap, turned_onto
-from anisomap.live.saving import save_report
 from anisomap.live.session import LiveSession
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
@@ -79,7 +78,7 @@ def _save(session: LiveSession, _: Mapping[str, Any]) -> Done:
     recording = session.segment.path
     with together():
         made = session.save(recording.with_suffix(".map.csv"))
-        report = save_report(session.maps.checked, recording.with_suffix(".report.html"))
+        report = session.save_report(recording.with_suffix(".report.html"))
     return Done(f"written: {made.name}, {report.name}", (made, report))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,11 +30,8 @@ class LineParser:
     JSON object with a list of numbers, or with one number per sensor. An object may have a time in
     seconds (``t``, ``time`` or ``timestamp``). A first line of text names the sensors; a column
     ``time`` among them holds the times. Empty fields, ``nan`` and ``null`` are missing readings.
-
-    translate: Turns a line of another format into one of these; empty if it holds no frame.
     """
 
-    translate: Callable[[str], str] = str
     _rest: bytearray = field(default_factory=bytearray)
     _names: tuple[str, ...] = ()
     _time_column: int | None = None
@@ -61,7 +58,7 @@ class LineParser:
                 self._overlong = False
                 yield _rejected(f"a line of more than {MAX_LINE} bytes")
                 continue
-            text = self.translate(line.decode("utf-8", "replace").strip())
+            text = line.decode("utf-8", "replace").strip()
             if not text or text.startswith("#"):
                 continue
             try:
