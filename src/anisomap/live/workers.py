@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -193,7 +194,8 @@ class Worker:
             name=f"{self._role} maps", target=_run, args=(self._role, theirs), daemon=True
         )
         try:
-            process.start()
+            with _signals_held():
+                process.start()
         finally:
             theirs.close()  # so that `recv` ends with the process, or without one
         self._process = process
@@ -219,6 +221,20 @@ class Worker:
                 self._start()
                 if self._task is not None:
                     self._connection.send(self._task)
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Start processes that no signal to the group of the session ends: they inherit the mask."""
+    if sys.platform == "win32":
+        yield
+        return
+    resource_tracker.ensure_running()  # which would unblock the signals when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _checked_map(task: Task) -> Answer:
@@ -296,8 +312,7 @@ class _QuickMaps:
 
 def _run(role: str, connection: Connection) -> None:
     """Work until the session closes the connection, or its process ends."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # the session ends its workers itself
-        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers itself
     is_quick = role == "quick"
     make: Callable[[Task], Answer | None] = _QuickMaps() if is_quick else _checked_map
     with suppress(OSError, AttributeError):
