@@ -56,11 +56,11 @@ _MAX_STAMPED = 3
 _BY_PYTHON = "ten lines of Python make readings of them, which docs/robots/icub.md explains"
 
 CONTACTS_TO_READINGS = r"""import re
+from pathlib import Path
 import anisomap
-contact = re.compile(r"\(\d+ \d+ \d+ (\d+)\)(?: \([^()]*\)){5} \(([\d ]*)\)")
-lines = open("data.log").read().splitlines()
-found = [contact.findall(line) for line in lines]
-touched = [{f"part{part}.taxel{i}" for part, ids in each for i in ids.split()} for each in found]
+contacts = re.compile(r"\(\d+ \d+ \d+ (\d+)\)(?: \([^()]*\)){5} \(([\d ]*)\)").findall
+lines = Path("data.log").read_text().splitlines()
+touched = [{f"part{p}.taxel{i}" for p, ids in contacts(x) for i in ids.split()} for x in lines]
 names = sorted(set().union(*touched))
 readings = [[name in taxels for name in names] for taxels in touched]
 times = [float(line.split()[1]) for line in lines]
