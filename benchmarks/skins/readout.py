@@ -118,14 +118,20 @@ def _of_sensors(change: Callable[[Floats, Rng], Floats]) -> Damage:
     return damage
 
 
-def _copied(x: Floats, rng: Rng, share: float = 0.05, mixed: float = 0) -> Damaged:
-    """Copy some sensors to others; mixed: Both read the mean, as if shorted."""
+def _copied(
+    x: Floats, rng: Rng, share: float = 0.05, mixed: float = 0, noise: float = 0
+) -> Damaged:
+    """Copy some sensors to others, with noise; mixed: Both read the mean, as if shorted."""
     n, x = x.shape[1], x.copy()
     pairs = rng.permutation(n)[: 2 * max(1, round(share * n))].reshape(2, -1)
     if mixed:
         x[:, pairs[0]] = x[:, pairs[1]] = (x[:, pairs[0]] + x[:, pairs[1]]) / 2
         return Damaged(x, pairs.ravel())
     x[:, pairs[0]] = x[:, pairs[1]] * rng.uniform(0.8, 1.2, pairs.shape[1])
+    if noise:
+        x[:, pairs[0]] += (
+            noise * x[:, pairs[0]].std(axis=0) * rng.normal(size=(len(x), len(pairs[0])))
+        )
     return Damaged(x, pairs.ravel())
 
 
@@ -171,6 +177,19 @@ def _spikes(x: Floats, rng: Rng, of_boards: float = 0, share: float = 0.01) -> D
     struck = rng.random((len(x), boards[-1] + 1)) < share
     sizes = struck * rng.normal(0, 6 * x.std(), struck.shape)
     return Damaged(x + sizes[:, boards])
+
+
+def _common_noise(x: Floats, rng: Rng, level: float = 0.3, of_boards: float = 0) -> Damaged:
+    boards = _boards(x.shape[1]) if of_boards else np.zeros(x.shape[1], int)
+    noise = rng.normal(size=(len(x), boards[-1] + 1))
+    return Damaged(x + level * x.std() * noise[:, boards])
+
+
+def _regions(x: Floats, _: Rng) -> Damaged:
+    """Touch half of the sensors in the first half of the frames, the others in the second."""
+    late = np.arange(len(x))[:, None] >= len(x) // 2
+    second = np.arange(x.shape[1]) >= x.shape[1] // 2
+    return Damaged(np.where(late == second, x, np.median(x, axis=0)))
 
 
 def _lags(x: Floats, _: Rng, frames: float = 3) -> Damaged:
@@ -232,9 +251,11 @@ DAMAGES: Mapping[str, Damage] = {
     "shorted": lambda x, rng, share=0.05: _copied(x, rng, share, 1),
     "leak": lambda x, rng, share=0.05: Damaged(x + share * np.pad(x, ((0, 0), (1, 0)))[:, :-1]),
     "gain-drift": lambda x, rng, level=0.3: Damaged(x * np.exp(level * _walks(x.shape, rng))),
-    "common-noise": lambda x, rng, level=0.3: Damaged(
-        x + level * x.std() * rng.normal(size=(len(x), 1))
+    "common-noise": _common_noise,
+    "humming": lambda x, rng, level=1: Damaged(
+        x + level * x.std() * 2**0.5 * np.sin(rng.uniform(0.5, 1.5) * np.arange(len(x)))[:, None]
     ),
+    "regions": _regions,
     "spikes": _spikes,
     "frozen": _frozen,
     "stuck-bit": _of_sensors(

@@ -36,17 +36,14 @@ OK = "ok"
 
 FOUND = {
     "swapped": "changed steps", "shifted": "changed steps", "modules": "changed steps",
-    "posture": "changed",
-    "mounting": "changed drift", "inverted": "inverted", "copied": "copies", "shorted": "copies",
-    "saturating": "saturation", "leak": "leak", "gain-drift": "drift changed",
-    "common-noise": "common-noise", "spikes": "spikes glitches", "frozen": "frozen",
-    "steps": "steps drift", "gaps": "gaps", "lags": "lags",
+    "posture": "changed", "mounting": "changed steps", "inverted": "inverted",
+    "copied": "copies", "shorted": "copies", "saturating": "saturation", "leak": "leak",
+    "common-noise": "common-noise", "spikes": "spikes", "frozen": "frozen", "steps": "steps",
+    "gaps": "gaps",
 }  # fmt: skip
 """Kinds of findings that are right, by damage."""
 
-TRUE_OF_SOUND = {
-    "drift": "drift", "hum": "hum", "saturating": "saturation", "crosstalk": "leak",
-}  # fmt: skip
+TRUE_OF_SOUND = {"hum": "hum", "saturating": "saturation", "crosstalk": "leak"}
 """Findings that are true of a transducer; of all: the contacts may be in separate regions."""
 
 STATES = ("undamaged", "damaged", "repaired")

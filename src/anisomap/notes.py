@@ -161,6 +161,10 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"{agreement:.2f}): they may be due to a few strong frames; record "
             + ("more contacts" if touched else "longer")
         ),
+        "one-period": lambda share, period: (
+            f"{share:.0%} of the variance of the readings is a sine with a period of {period:.4g} "
+            "frames: such readings do not show which sensors are near"
+        ),
         "paired": lambda touched=True: (
             "sensors pair off: most resemble one other far more than the rest"
             + (

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from benchmarks.skins.independent import damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -14,29 +15,38 @@ from scipy.signal import lfilter
 import anisomap
 from anisomap import AnisomapWarning, Recording, assess, find_faults, repair
 from anisomap.health import CHECKS, STATUSES, spoiling, weaknesses
-from anisomap.health.recording_faults.gaps import find_bridged
+from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.live.quick_map import confirmed_faults
 from anisomap.numerics.signals import Signals
 from anisomap.sensor_map import is_faulty
-from anisomap.simulation import inject
 from clean_recordings import COURSES, FORMS, TRUE_OF_CLEAN, Case, cases
-from skins import bombarded_skin, flat_skin, lattice, mantel_r, rubbed, seeing_patch, stored
+from skins import bombarded_skin, flat_skin, lattice, mantel_r, quietly, rubbed, seeing_patch
 
 
 @cache
 def wired_at_random(seed=0, n_frames=1500):
     """Return a rubbed skin of 72 sensors whose channels are in random order."""
     positions = np.random.default_rng(seed).permutation(lattice(8, 9))
-    readings = rubbed(positions, n_frames, seed=seed, reach=1.5)
+    readings = rubbed(positions, n_frames, seed=seed, reach=1.5).astype(np.float32)
     return Recording(readings, positions=positions, rate_hz=50)
 
 
-def spoilt(recording, *faults, seed=0):
+def spoilt(recording, damage, seed=0):
+    return damaged(recording, damage, np.random.default_rng(seed))
+
+
+def faulty(recording):
+    return str(recording.metadata["faulty"]).split(",")
+
+
+def spoilt_in_part(recording, damage, share, seed=0):
+    """Damage some sensors in a way that is otherwise of all; return the damaged ones as well."""
     rng = np.random.default_rng(seed)
-    for fault in faults:
-        recording = inject(recording, fault, rng=rng)
-    return recording
+    some = rng.permutation(recording.n_sensors)[: round(share * recording.n_sensors)]
+    readings = np.array(recording.readings)
+    readings[:, some] = damaged(recording, damage, rng).readings[:, some]
+    return replace(recording, readings=readings), some
 
 
 def kinds(findings):
@@ -44,34 +54,30 @@ def kinds(findings):
 
 
 FOUND = {
-    "copies": ["duplicated:5%"],
-    "copies, noisy": ["duplicated:5%,factor=3,noise=0.2"],
-    "leak": ["leaking:*"],
-    "lags": ["lagging:*,board=12,frames=3"],
-    "inverted": ["inverted:30%"],
-    "common-noise": ["common-noise:*,level=1"],
-    "board-noise": ["common-noise:*,level=1,board=12"],
-    "hum": ["humming:*,level=1"],
-    "drift": ["warming:*,level=0.2"],
-    "spikes": ["spiking:*,board=12"],
-    "gaps": ["bridged-gaps:20%"],
-    "saturation": ["clipped:30%"],
-    "changed": ["shifted:10%,after=0.5"],
-    "glitches": ["glitching:10%,level=1000"],
-    "one-period": ["cycling:*"],
-    "separate-regions": ["separate-regions"],
+    "copies": "copied",
+    "copies, noisy": "copied:noise=.2",
+    "leak": "leak",
+    "inverted": "inverted:share=.3",
+    "common-noise": "common-noise:level=1",
+    "board-noise": "common-noise:level=1,of_boards=1",
+    "hum": "humming",
+    "spikes": "spikes:of_boards=1",
+    "gaps": "gaps",
+    "saturation": "saturating:share=.3",
+    "changed": "shifted:start=.5",
+    "separate-regions": "regions",
 }
 
 
 @pytest.mark.parametrize("name", FOUND)
 def test_a_fault_is_found_and_no_other(name):
-    bad = spoilt(wired_at_random(301), *FOUND[name], seed=301)
+    bad = spoilt(wired_at_random(301), FOUND[name], seed=301)
     found = find_faults(bad)
     kind = name.partition(",")[0]
     assert kinds(found) == {kind}
     if kind in {"inverted", "saturation"}:
         (named,) = (finding.sensors for finding in found if finding.kind == kind)
-        assert set(named) == set(str(bad.metadata["faults"]).partition(":")[2].split(","))
+        assert set(named) == set(faulty(bad))
     for finding in found:
         assert set(finding.sensors) <= set(bad.names)
         assert finding.size >= 0
@@ -81,7 +87,7 @@ def test_a_fault_is_found_and_no_other(name):
 
 @pytest.mark.parametrize("name", FOUND)
 def test_faults_do_not_depend_on_the_unit(name):
-    bad = spoilt(wired_at_random(), *FOUND[name])
+    bad = spoilt(wired_at_random(), FOUND[name])
     units = Recording(bad.readings), Recording(np.ldexp(bad.readings, -45))  # as of tesla
     named = [[(one.kind, one.sensors) for one in find_faults(recording)] for recording in units]
     assert named[0] == named[1]
@@ -127,27 +133,25 @@ def test_sensors_that_one_press_reached_are_no_copies_if_they_recover_slowly():
     assert "copies" not in kinds(find_faults(Recording(readings + 0.15 * left)))
 
 
-@pytest.mark.parametrize("name", ["lags", "spikes"])
-def test_a_pause_in_the_middle_hides_no_fault(name):
-    bad = spoilt(wired_at_random(301), *FOUND[name], seed=301).readings
+def test_a_pause_in_the_middle_hides_no_fault():
+    bad = spoilt(wired_at_random(301), FOUND["spikes"], seed=301).readings
     half = len(bad) // 2
     pause = np.tile(np.median(bad, axis=0), (9000, 1))
     paused = Recording(np.concatenate([bad[:half], pause, bad[half:]]))
-    assert name.partition(",")[0] in kinds(find_faults(paused))
+    assert "spikes" in kinds(find_faults(paused))
 
 
-@pytest.mark.parametrize("name", ["drift", "hum"])
-def test_a_sensor_whose_changes_float32_does_not_resolve_hides_no_fault(name):
-    bad = spoilt(wired_at_random(), *FOUND[name])
+def test_a_sensor_whose_changes_float32_does_not_resolve_hides_no_fault():
+    bad = spoilt(wired_at_random(), FOUND["hum"])
     steady = 1e5 + 1e-4 * np.random.default_rng(0).normal(size=(bad.n_frames, 1))
     found = find_faults(Recording(np.hstack([bad.readings.astype(np.float64), steady])))
     assert kinds(found) == kinds(find_faults(bad))
 
 
-@pytest.mark.parametrize("name", ["", "drift", "spikes", "inverted"])
+@pytest.mark.parametrize("name", ["", "spikes", "inverted"])
 def test_faults_do_not_depend_on_a_large_zero_of_each_sensor(name):
     sound = wired_at_random(301)
-    readings = (spoilt(sound, *FOUND[name], seed=301) if name else sound).readings
+    readings = (spoilt(sound, FOUND[name], seed=301) if name else sound).readings
     rng = np.random.default_rng(0)
     readings = readings + 0.01 * rng.normal(size=readings.shape) * (name != "inverted")
     zeros = np.round(1e7 * rng.uniform(-1, 1, sound.n_sensors))
@@ -156,24 +160,21 @@ def test_faults_do_not_depend_on_a_large_zero_of_each_sensor(name):
 
 @pytest.mark.parametrize("name", ["common-noise", "hum"])
 def test_faults_of_readings_whose_squares_float32_does_not_hold_are_found(name):
-    bad = spoilt(wired_at_random(), *FOUND[name])
+    bad = spoilt(wired_at_random(), FOUND[name])
     found = find_faults(Recording(np.ldexp(bad.readings.astype(np.float32), -90)))
     assert name in kinds(found)
     assert all(np.isfinite(one.size) for one in found)
 
 
 def test_copies_are_named_with_their_source():
-    bad = spoilt(wired_at_random(), "duplicated:s3,s9")
-    clean = wired_at_random().readings
+    bad = spoilt(wired_at_random(), "copied:share=.03")
     for finding in find_faults(bad):
         columns = bad.readings[:, bad.indices(finding.sensors)]
-        assert (columns == columns[:, :1]).all()
-        assert (clean == columns[:, :1]).all(axis=0).any()
-    copied = {name for finding in find_faults(bad) for name in finding.sensors}
-    assert {"s3", "s9"} <= copied
-    noisier = spoilt(wired_at_random(), "duplicated:s3,s9,factor=2,noise=0.3")
+        np.testing.assert_allclose(np.corrcoef(columns.T), 1, atol=1e-6)
+    assert {name for one in find_faults(bad) for name in one.sensors} == set(faulty(bad))
+    noisier = spoilt(wired_at_random(), "copied:share=.03,noise=.3")
     found = repair(noisier)
-    assert set(noisier.names) - set(found.recording.names) == {"s3", "s9"}
+    assert set(noisier.names) - set(found.recording.names) == set(faulty(noisier)[:2])
     assert len(found.done) == len(found.findings)
 
 
@@ -220,35 +221,6 @@ def test_sensors_that_are_loaded_half_of_the_time_do_not_lack_contacts(seed):
     assert {health[i].status for i in restless} == {"ok"}
 
 
-@pytest.mark.parametrize("form", ["noise of 1 %", "integers with noise"])
-@pytest.mark.parametrize(("course", "n_frames"), [("jumps", 30), ("jumps", 120), ("strokes", 300)])
-def test_contacts_among_sensors_with_noise_are_no_glitches(form, course, n_frames):
-    """They are far beyond the noise of all other sensors."""
-    recording = Case("plane", course, form, 600, n_frames).draw(seed=5)
-    assert list(CHECKS["glitches"](recording)) == []
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_what_comes_close_once_is_no_glitch(seed):
-    """Readings of a sensor of proximity rise with the cube of the distance, by degrees."""
-    rng, places = np.random.default_rng(seed), lattice(8, 9)
-    path = np.cumsum(rng.normal(size=(700, 2)), axis=0)
-    path = 9 - np.abs(9 - np.abs(path % 36 - 9))
-    path[335:366] = places[36]
-    height = np.minimum(1 + rng.random(700), 0.2 * 1.3 ** np.abs(np.arange(700) - 350.0))
-    square = ((places - path[:, None]) ** 2).sum(axis=2) + height[:, None] ** 2
-    readings = square**-1.5 + 1e-3 * rng.normal(size=square.shape)
-    assert "glitches" not in kinds(find_faults(Recording(readings)))
-
-
-@pytest.mark.parametrize("slope", [1, -30])
-def test_slow_changes_are_drift_alone(slope):
-    skin, rng = wired_at_random(301), np.random.default_rng(0)
-    ramps = slope * np.outer(np.linspace(0, 1, skin.n_frames), rng.uniform(0.1, 1, 72))
-    noise = 0.01 * rng.normal(size=ramps.shape)
-    assert kinds(find_faults(skin.readings + ramps + noise)) == {"drift"}
-
-
 def pressed_at_one_place(seed):
     """Press 64 sensors of a flat skin at one place, again and again."""
     rng, places = np.random.default_rng(seed), lattice(8, 8)[:, :2]
@@ -284,15 +256,6 @@ def test_sensors_that_one_place_of_contact_touches_alike_are_no_copies(seed):
     assert "copies" in kinds(find_faults(readings))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_presses_that_last_for_two_blocks_are_no_drift(seed):
-    readings = Case("plane", "presses", "noise of 1 %", 64, 960).draw(seed).readings
-    assert "drift" not in kinds(find_faults(readings))
-    rng = np.random.default_rng(seed)
-    ramps = np.outer(np.linspace(0, 1, len(readings)), rng.uniform(0.2, 1, 64))
-    assert "drift" in kinds(find_faults(readings + ramps))
-
-
 def folded(positions):
     """Fold a flat skin along its middle: both halves lie 1 apart."""
     x, middle = positions[:, 0], positions[:, 0].max() / 2
@@ -325,11 +288,9 @@ def test_real_bodies_have_no_faults_of_the_read_out(recordings_folder, name):
     assert kinds(find_faults(anisomap.read(path))) == set()
 
 
-@pytest.mark.parametrize(
-    "name", ["leak", "drift", "glitches", "spikes", "common-noise", "saturation"]
-)
+@pytest.mark.parametrize("name", ["leak", "spikes", "common-noise", "saturation"])
 def test_what_has_no_known_inverse_is_named_and_left_as_it_is(name):
-    bad = spoilt(wired_at_random(), *FOUND[name])
+    bad = spoilt(wired_at_random(), FOUND[name])
     found = repair(bad)
     assert name in kinds(found.findings)
     assert found.recording is bad
@@ -359,13 +320,20 @@ def test_a_few_touches_of_a_piezoelectric_skin_are_not_of_one_period():
                 rise = np.sin(np.pi * np.arange(width) / width) ** 2
                 apart = np.linalg.norm(places - rng.uniform(0, [2, 3]), axis=1)
                 pressure[begin : begin + width] = rise[:, None] * np.exp(-(apart**2) / 4)
-        assert "one-period" not in kinds(find_faults(Recording(np.diff(pressure, axis=0))))
+        assert one_period(Recording(np.diff(pressure, axis=0))) is None
 
 
 @pytest.mark.parametrize("period", [2.5, 12, 100])
 def test_sines_have_nothing_to_map(period):
     turns = np.arange(400)[:, None] / period + np.random.default_rng(0).random(20)
-    assert kinds(find_faults(Recording(np.sin(2 * np.pi * turns)))) == {"one-period"}
+    sines = Recording(np.sin(2 * np.pi * turns))
+    assert find_faults(sines) == ()
+    share, found = one_period(sines)
+    assert share > 0.9
+    assert found == pytest.approx(period, rel=0.1)
+    judged = quietly(anisomap.diagnose, quietly(anisomap.reconstruct, sines, dimensions=2), sines)
+    assert judged.verdict.level == "not usable"
+    assert "is a sine" in judged.verdict.reasons[0]
 
 
 @pytest.mark.parametrize("seed", [31, 66, 102])
@@ -425,7 +393,6 @@ def test_noise_in_a_few_frames_is_not_an_inverted_contact(seed):
     [
         ("inverted", Case("plane", "strokes", "noise of 1 %", 196, 200)),
         ("inverted", Case("plane", "presses", "noise of 1 %", 196, 200)),
-        ("lags", Case("plane", "presses", "exact", 196, 500)),
         ("spikes", Case("scattered", "jumps", "exact", 196, 500)),
     ],
 )
@@ -472,31 +439,7 @@ def test_a_sensor_that_rises_with_a_rarely_touched_one_is_not_inverted(seed):
     assert "inverted" not in kinds(find_faults(Recording(readings)))
 
 
-@pytest.mark.parametrize(("frames", "board"), [(1, 18), (4, 12), (10, 24)])
-def test_boards_are_aligned(frames, board):
-    clean = wired_at_random()
-    n_frames = clean.n_frames
-    delays = frames * (np.arange(72) // board)
-    lagging = np.column_stack(
-        [np.roll(column, delay) for column, delay in zip(clean.readings.T, delays, strict=True)]
-    )
-    found = repair(Recording(lagging))
-    assert kinds(found.findings) == {"lags"}
-    aligned = found.recording.readings
-    assert len(aligned) == n_frames - delays.max()
-    np.testing.assert_array_equal(aligned, clean.readings[: len(aligned)])
-
-
-@pytest.mark.parametrize("fault", ["lagging:20%,frames=5", "lagging:50%,frames=10"])
-def test_lags_are_named_but_not_mended_where_a_rolling_body_lags_as_well(fault):
-    """Columns of a cylinder are touched one after the other, always by as many frames."""
-    bad = spoilt(stored("rolling-columns-1"), fault)
-    found = repair(bad)
-    assert found.recording is bad
-    assert [(one.kind, one.mendable) for one in found.findings] == [("lags", False)]
-
-
-@pytest.mark.parametrize("fault", ["common-noise:*,board=12", "humming:*,level=2"])
+@pytest.mark.parametrize("fault", ["common-noise:level=1,of_boards=1", "humming:level=2"])
 def test_signals_of_the_electronics_are_subtracted(fault):
     clean = wired_at_random()
     before = clean.readings - clean.readings.mean(axis=0)
@@ -518,7 +461,7 @@ def test_missing_readings_that_follow_each_other_are_found_without_a_warning(mis
 
 def test_missing_readings_are_estimated_from_neighbours():
     clean = wired_at_random()
-    bad = spoilt(clean, "nan-bursts:20%,mean_gap=50,mean_span=50")
+    bad, _ = spoilt_in_part(clean, "gaps:share=.5", 0.2)
     lost = np.isnan(bad.readings)
     filled = repair(bad).recording.readings
     lines = bad.complete("interpolate").readings
@@ -531,13 +474,13 @@ def test_missing_readings_are_estimated_from_neighbours():
 def noisy_skin(seed, level=0.01):
     recording = wired_at_random(seed)
     noise = np.random.default_rng(seed).normal(0, level, recording.readings.shape)
-    return replace(recording, readings=recording.readings + noise)
+    return replace(recording, readings=recording.readings + noise.astype(np.float32))
 
 
 @pytest.mark.parametrize("seed", [0, 301])
 def test_frames_that_repeat_are_left_out(seed):
     sound = noisy_skin(seed)
-    bad = spoilt(sound, "freezing:*,mean_gap=200,mean_span=40", seed=seed)
+    bad = spoilt(sound, "frozen:frames=40", seed=seed)
     found = repair(bad)
     assert kinds(found.findings) == {"frozen"}
     # What is left are frames of the sound recording, all but short spans' of them once.
@@ -550,11 +493,10 @@ def test_frames_that_repeat_are_left_out(seed):
 
 def test_sensors_that_repeat_their_readings_are_named_and_no_others():
     sound = noisy_skin(0)
-    bad = spoilt(sound, "freezing:10%,mean_span=40")
-    changed = {sound.names[i] for i in np.flatnonzero((bad.readings != sound.readings).any(axis=0))}
+    bad, some = spoilt_in_part(sound, "frozen:frames=40,share=.2", 0.1)
     (found,) = find_faults(bad)
     assert found.kind == "frozen"
-    assert set(found.sensors) == changed
+    assert set(found.sensors) == {sound.names[i] for i in some}
     assert not found.mendable
 
 
@@ -609,9 +551,8 @@ def test_where_all_sensors_are_lost_readings_lie_on_lines():
 @pytest.mark.parametrize(
     "fault",
     [
-        "duplicated:10%,factor=3,noise=0.1",
-        "lagging:*,board=12",
-        f"inverted:{','.join(f's{i}' for i in range(0, 72, 2))}",
+        "copied:share=.1,noise=.1",
+        "inverted:share=.5",
     ],
     ids=lambda fault: fault.partition(":")[0],
 )
@@ -635,14 +576,14 @@ def test_tiny_recordings_are_examined(shape):
 
 
 @given(
-    gain=st.sampled_from([0.125, 1024.0, 2.0**-1000, 2.0**1000]),
+    gain=st.sampled_from([0.125, 1024.0, 2.0**-90, 2.0**90]),
     offset=st.sampled_from([0.0, 128.0]),
-    kind=st.sampled_from(["leak", "copies", "inverted", "lags"]),
+    kind=st.sampled_from(["leak", "copies", "inverted"]),
 )
 @settings(max_examples=4)
 def test_findings_do_not_depend_on_units(gain, offset, kind):
-    bad = spoilt(wired_at_random(), *FOUND[kind])
-    readings = np.round(bad.readings * 1024) / 1024
+    bad = spoilt(wired_at_random(), FOUND[kind].replace("copied", "shorted"))  # without a gain
+    readings = np.round(bad.readings.astype(np.float64) * 1024) / 1024
     plain, changed = (find_faults(Recording(r)) for r in (readings, gain * (readings + offset)))
     assert kinds(plain) == kinds(changed) == {kind}
 
@@ -668,7 +609,7 @@ def test_a_field_that_changes_its_sign_is_not_inverted(seed, level):
 
 
 def test_what_spoils_a_map_is_among_its_notes():
-    bad = spoilt(wired_at_random(), "leaking:*,share=0.2")
+    bad = spoilt(wired_at_random(), "leak:share=.2")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)
         made = anisomap.reconstruct(bad, "r-anisomap", 2)
@@ -676,29 +617,6 @@ def test_what_spoils_a_map_is_among_its_notes():
     (note,) = spoiling(find_faults(bad))
     assert note in made.notes
     assert "leaks into the next" in note
-
-
-@pytest.mark.parametrize("fault", ["", "lagging:*,board=16", "lagging:50%,frames=5"])
-def test_lags_of_many_sensors_are_found(fault):
-    positions = np.random.default_rng(302).permutation(lattice(14, 15))
-    readings = rubbed(positions, 1500, seed=302, reach=2.5)
-    recording = spoilt(Recording(readings), fault) if fault else Recording(readings)
-    assert ("lags" in kinds(find_faults(recording))) == bool(fault)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_waves_are_no_lags_of_the_read_out(seed):
-    """Spikes of waves that spread from random places, as in a retina: lags that vary smoothly."""
-    rng = np.random.default_rng(seed)
-    places = np.argwhere(np.ones((8, 8))).astype(float)
-    parts = []
-    for speed in rng.uniform(0.15, 0.5, 20):
-        apart = np.linalg.norm(places - rng.uniform(0, 7, 2), axis=1)
-        front = np.arange(0, 10, speed)[:, None] - apart
-        reached = apart < rng.uniform(3, 10)
-        parts.append(rng.poisson(3 * np.exp(-((front / 1.2) ** 2)) * reached))
-        parts.append(np.zeros((rng.integers(10, 60), 64)))
-    assert list(CHECKS["lags"](Recording(np.concatenate(parts)))) == []
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -714,28 +632,10 @@ def test_sources_at_several_places_are_no_common_noise(seed):
     assert list(CHECKS["common-noise"](Recording(readings))) == []
 
 
-@given(
-    begin=st.integers(0, 160),
-    length=st.integers(9, 40),
-    dtype=st.sampled_from([np.float32, np.float64]),
-    seed=st.integers(0, 2**16),
-)
-@settings(max_examples=25)
-def test_lines_are_marked_wherever_they_begin(begin, length, dtype, seed):
-    readings = np.random.default_rng(seed).normal(size=(400, 3))
-    expected = []
-    for start, rise in ((begin, 5), (begin + 200, -5)):
-        readings[start : start + length + 1, 1] = np.linspace(0, rise, length + 1)
-        expected += range(start + 1, start + length)
-    ((sensor, found),) = find_bridged(readings.astype(dtype)).items()
-    assert sensor == 1
-    assert found.tolist() == expected
-
-
-@pytest.mark.parametrize("fault", ["dead:3%", "rarely-touched:10%", "stuck:3%", "noisy:3%", "none"])
+@pytest.mark.parametrize("fault", ["dead", "stuck", "intermittent", "stuck-bit", ""])
 def test_statements_about_a_sensor_do_not_contradict_each_other(fault):
     skin = wired_at_random(301)
-    recording = skin if fault == "none" else spoilt(skin, fault, seed=301)
+    recording = spoilt(skin, fault, seed=301) if fault else skin
     health = assess(recording)
     told = weaknesses(recording, health)
     for sensor in health:

@@ -190,7 +190,7 @@ def test_faults_that_the_error_does_not_show_limit_the_verdict():
     limits = {
         "spikes": ("usable", {"height": 1.0}),
         "copies": ("usable for neighbours", {"noise": 0.0, "kept": None}),
-        "one-period": ("not usable", {"period": 9.0}),
+        "changed": ("not usable", {"frame": 9, "n_frames": 99}),
     }
     for kind, (level, values) in limits.items():
         fault = Finding(kind, (), 1.0, values)

@@ -7,27 +7,20 @@ To add a fault, write a function that yields what it found, one line in `CHECKS`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from anisomap.health.findings import Finding
 from anisomap.health.recording_faults import Found
 from anisomap.health.recording_faults.common_signals import find_common_noise, find_hum
 from anisomap.health.recording_faults.copies import find_copied
-from anisomap.health.recording_faults.drift import find_drift
 from anisomap.health.recording_faults.gaps import find_frozen, find_gaps
-from anisomap.health.recording_faults.lags import find_lags
 from anisomap.health.recording_faults.leaks import find_leak
+from anisomap.health.recording_faults.spikes import find_spikes
 from anisomap.health.recording_faults.steps import find_steps
-from anisomap.health.recording_faults.stimulation import (
-    find_clipped,
-    find_one_period,
-    find_regions,
-)
-from anisomap.health.recording_faults.transmission import find_glitches, find_spikes
+from anisomap.health.recording_faults.stimulation import find_clipped, find_regions
 from anisomap.health.recording_faults.wiring import find_change, find_inverted
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, as_runs
@@ -36,16 +29,12 @@ CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
     {
         "gaps": find_gaps,
         "frozen": find_frozen,
-        "glitches": find_glitches,
         "hum": find_hum,
-        "one-period": find_one_period,
         "common-noise": find_common_noise,
         "spikes": find_spikes,
-        "drift": find_drift,
         "steps": find_steps,
         "saturation": find_clipped,
         "inverted": find_inverted,
-        "lags": find_lags,
         "leak": find_leak,
         "copies": find_copied,
         "changed": find_change,
@@ -58,7 +47,6 @@ Each fault that can be mended is mended before the next is searched, since one f
 another or look like it: the order is opposite to that in which faults arise, from contact to file.
 """
 
-_FINAL = ("one-period",)  # after which nothing else is searched
 # A leak shows the channel before wherever a sensor is not touched itself, which may be for a part
 # of the recording: of 40 skins with a leak, 5 seemed to have changed, and none without it.
 _HIDES = {"changed": "leak"}
@@ -94,21 +82,21 @@ def repair(recording: Recording | ArrayLike) -> Repair:
     Parameters
     ----------
     recording : Recording or array_like of shape (T, N)
-        Columns in the order in which channels are read, for leaks and lags. Missing readings are
-        estimated from similar sensors where they are many and that is better than lines, and else
+        Columns in the order in which channels are read, for leaks. Missing readings are estimated
+        from similar sensors where they are many and that is better than lines, and else
         interpolated.
 
     Returns
     -------
     Repair
         The recording itself, if nothing was mended. Copies are left out, so it may have fewer
-        sensors, and, after lags or spans of equal frames, fewer frames.
+        sensors, and, after spans of equal frames, fewer frames.
 
     Notes
     -----
-    Copies, lags, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. Leaks,
-    drift, steps, limited ranges, glitches, spikes and noise of all sensors are named only: to
-    subtract or replace what is estimated of them harms more maps than it mends.
+    Copies, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. Leaks,
+    steps, limited ranges, spikes and noise of all sensors are named only: to subtract or replace
+    what is estimated of them harms more maps than it mends.
 
     Examples
     --------
@@ -166,20 +154,12 @@ def _examined(recording: Recording) -> Repair:
                     kind=one.kind or kind,
                     sensors=tuple(current.names[int(i)] for i in one.sensors),
                     size=float(one.size),
-                    values={
-                        **one.values,
-                        **one.lengths,
-                    },
+                    values=one.values,
                     mendable=one.mend is not None,
                 )
                 for one in found
             ]
-            if found and kind in _FINAL:
-                break
             for one in found:
                 current = current if one.mend is None else one.mend(current)
-    if all(not finding.mendable for finding in findings):
-        return Repair(recording, tuple(findings))
-    with np.errstate(over="ignore"):  # of differences, which are twice as large
-        readings = current.readings
-    return Repair(replace(current, readings=readings), tuple(findings))
+    mended = any(finding.mendable for finding in findings)
+    return Repair(current if mended else recording, tuple(findings))

@@ -114,12 +114,6 @@ def _hum(finding: Finding) -> str:
     )
 
 
-def _lags(finding: Finding) -> str:
-    listed = join_items([f"{lag:+d}" for lag in finding.values["lags"]])
-    doubt = "" if finding.mendable else ", perhaps in part because what touches them moves"
-    return f"groups of sensors lag the largest group by {listed} frames{doubt}"
-
-
 def _regions(finding: Finding) -> str:
     (one, other), frame = finding.values["sizes"], finding.values["frame"]
     return (
@@ -136,10 +130,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
     {
         "gaps": _Words(
             "share",
-            lambda f: (
-                f"{f.size:.0%} of the readings of {_of_all(f)} are "
-                + ("on straight lines, as if interpolated" if f.values["lines"] else "missing")
-            ),
+            lambda f: f"{f.size:.0%} of the readings of {_of_all(f)} are missing",
             "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
             lambda _: "these readings were estimated from the most similar sensors, or on lines",
         ),
@@ -152,27 +143,11 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             "contacts in these spans are lost, and the ones before them count too often",
             lambda _: "these frames were left out",
         ),
-        "glitches": _Words(
-            "readings",
-            lambda f: (
-                f"{counted(round(f.size), 'reading')} of {_count(f)} "
-                f"{agreed(round(f.size), '{are}')} far beyond all others"
-            ),
-            "they outweigh all contacts of these sensors",
-        ),
         "hum": _Words(
             "share of the standard deviation",
             _hum,
             _ALIKE,
             lambda _: "a sine was fitted to each of them and subtracted",
-        ),
-        "one-period": _Words(
-            "share of the variance",
-            lambda f: (
-                f"{f.size:.0%} of the variance of the readings is a sine with a period of "
-                f"{f.values['period']:.4g} frames"
-            ),
-            "such readings do not show which sensors are near",
         ),
         "common-noise": _Words(
             "share of the standard deviation",
@@ -192,14 +167,6 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
                 f"the frames, by {f.values['height']:.3g}"
             ),
             "this makes distant sensors look similar",
-        ),
-        "drift": _Words(
-            "standard deviations",
-            lambda f: (
-                f"the level at rest of {_of_all(f)} drifts by {f.size:.2g} times the standard "
-                "deviation of their readings (median)"
-            ),
-            "sensors that drift alike look related, and contacts are hidden",
         ),
         "steps": _Words(
             "share of the sensors",
@@ -222,15 +189,6 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             lambda f: f"contact has the opposite sign in {_of_all(f)}",
             "they look unrelated to their neighbours",
             lambda _: "these sensors were mirrored at their rest value",
-        ),
-        "lags": _Words(
-            "frames",
-            _lags,
-            "sensors of different groups seem less similar than they are",
-            lambda f: (
-                f"each group was shifted by its lag; {f.values['lost']} frames at the ends were "
-                "left out"
-            ),
         ),
         "leak": _Words(
             "share",

@@ -18,6 +18,7 @@ from anisomap.base.defaults import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
+from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.method.configuration import configure
 from anisomap.method.dimensions import PLANE
@@ -52,7 +53,7 @@ logger = logging.getLogger(__name__)
 
 _SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
 
-FATAL = ("one-period", "changed")
+FATAL = ("changed",)
 """Faults after which similar readings do not mean that sensors are near."""
 
 UNSEEN = ("copies", "separate-regions")
@@ -178,7 +179,7 @@ def examine(
         largest=sizes[0],
         faults=spoiling([one for one in faults if one.kind not in UNSEEN + FATAL]),
         unseen=spoiling([one for one in faults if one.kind in UNSEEN]),
-        fatal=spoiling([one for one in faults if one.kind in FATAL]),
+        fatal=(*_of_one_period(runs), *spoiling([one for one in faults if one.kind in FATAL])),
     )
     options, report = options or MethodOptions(), progress or (lambda _share: None)
     judged = _judged(sensor_map, runs, options, stages)
@@ -238,6 +239,12 @@ def _errors_if_flat(stages: Stages, recipe: Method, options: MethodOptions) -> t
     positions = spatial.positions[both]
     differences = align(flat.positions[both], positions).aligned - positions
     return rms_in_spacings(differences, positions), regional_difference(differences, positions)
+
+
+def _of_one_period(runs: Sequence[Recording]) -> tuple[Note, ...]:
+    """Say that almost all of the readings of a run is one sine."""
+    found = (one_period(run) for run in runs)
+    return tuple(Note("one-period", share=one[0], period=one[1]) for one in found if one)[:1]
 
 
 def _rarely_touched(sensor_map: SensorMap, runs: Sequence[Recording]) -> int:

@@ -83,8 +83,8 @@ def repair(
 ) -> None:
     """Mend the faults of a recording that can be mended, and write it.
 
-    These are copies of sensors, which are left out, inverted sensors, lags between boards, hum,
-    noise of boards, and gaps. Other faults are named only.
+    These are copies of sensors, which are left out, inverted sensors, hum, noise of boards, gaps,
+    and frozen frames. Other faults are named only.
 
     Parameters
     ----------
@@ -153,8 +153,8 @@ class MappingOptions:
         2 for flat skins, 3 for bodies, or auto. That chooses 3 if the third coordinate improves the
         fit clearly, else 2.
     repair
-        Mend faults of the recording first. These are copies, inverted sensors, lags, hum, noise of
-        boards, and gaps; `anisomap info` lists those that it finds.
+        Mend faults of the recording first. These are copies, inverted sensors, hum, noise of
+        boards, gaps, and frozen frames; `anisomap info` lists those that it finds.
     method
         Reconstruction method: see `anisomap list methods`.
     memory

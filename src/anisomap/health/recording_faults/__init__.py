@@ -26,7 +26,6 @@ class Found:
     sensors: Their indices.
     size, values: See `anisomap.health.Finding`.
     mend: Mends the fault in the recording; None if it cannot be mended.
-    lengths: More values, in units of the readings.
     kind: If it differs from the key of the check.
     """
 
@@ -34,7 +33,6 @@ class Found:
     size: float
     values: Mapping[str, Any] = field(default_factory=dict)
     mend: Callable[[Recording], Recording] | None = None
-    lengths: Mapping[str, float] = field(default_factory=dict)
     kind: str = ""
 
 

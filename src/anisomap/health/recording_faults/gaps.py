@@ -1,4 +1,4 @@
-"""Gaps: readings that are lost, that something interpolated, or that repeat the ones before."""
+"""Gaps: readings that are lost, or that repeat the ones before."""
 
 from __future__ import annotations
 
@@ -12,18 +12,14 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from anisomap.health.recording_faults import Found, with_readings
-from anisomap.numerics.columns import columns
 from anisomap.numerics.gaps import fill_gaps
 from anisomap.numerics.signals import standardised
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 
 _MIN_MISSING = 0.02  # share of a sensor's readings; fewer change no correlation; chosen by hand
-_FALSE_ALARMS = 0.01  # expected number of straight lines that are found by chance
-_ROUNDING = 1e-6  # share of the largest reading: some steps of float32
-_MIN_LINE = 8  # frames; two contacts of a frame each make shorter lines; chosen by hand
-_MIN_RISE = 0.03  # of the range: a slow drift rises less between two contacts; chosen by hand
-_MIN_MIXED = 0.15  # share of the lines against the direction of the other lines of their sensor
+_FALSE_ALARMS = 0.01  # expected number of spans that are found by chance
+_MIN_SPAN = 8  # frames of which all repeat the one before; chosen by hand
 _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
 _MAX_FITTED = 20_000  # of a fit
 _MIN_PRESENT = 0.5  # share of the weight of similar sensors that have readings
@@ -34,82 +30,18 @@ _MAX_FROZEN = 0.5  # of the frames; more are a rest
 
 
 def find_gaps(recording: Recording) -> Iterator[Found]:
-    """Find readings that are missing, or on straight lines; the recording may be incomplete."""
-    readings = recording.readings
-    on_lines = find_bridged(readings)
-    if not on_lines and np.isfinite(recording.extremes).all():
+    """Find readings that are missing; the recording is not complete."""
+    if np.isfinite(recording.extremes).all():
         return
-    missing = ~np.isfinite(readings)
-    for i, bridged in on_lines.items():
-        missing[bridged, i] = True
+    missing = ~np.isfinite(recording.readings)
     share = missing.mean(axis=0)
     missing &= (share >= _MIN_MISSING) & (share < 1)
     affected = np.flatnonzero(missing.any(axis=0))
     if affected.size:
         typical = float(np.median(share[affected]))
-        lines = bool(np.isfinite(readings[missing]).any())
-        values = {"n_sensors": recording.n_sensors, "lines": lines}
+        values = {"n_sensors": recording.n_sensors}
         mend = with_readings(lambda readings: _filled(readings, missing))
         yield Found(affected, typical, values, mend)
-
-
-def find_bridged(readings: NDArray[Any]) -> dict[int, NDArray[np.intp]]:
-    """Find readings on straight lines that are too long to occur by chance, of each sensor.
-
-    If a share p of a sensor's readings continues a line, a line of n readings occurs in T frames of
-    N sensors with probability N T p^n at most. Lines of a sensor that rise little are parts of a
-    slow drift.
-    """
-    n_frames, n_sensors = readings.shape
-    if n_frames < 2 * _MIN_LINE:
-        return {}
-    found, n_lines, n_fewer = {}, 0, 0
-    perhaps = np.flatnonzero(_may_have_lines(readings))
-    for i, column in zip(perhaps.tolist(), columns(readings[:, perhaps]), strict=True):
-        lines = _lines(column.astype(np.float64), n_sensors)
-        if lines is not None:
-            found[i], rises = lines
-            n_rising = int(np.count_nonzero(rises > 0))
-            n_lines += rises.size
-            n_fewer += min(n_rising, rises.size - n_rising)
-    return found if n_fewer >= _MIN_MIXED * n_lines else {}
-
-
-def _may_have_lines(readings: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return whether sensors may have `_MIN_LINE` readings on a line, with twice the slack, (N,).
-
-    Only every fourth frame is examined, with the frames beside it: a line of `_MIN_LINE` readings
-    contains two of these in succession. Differences of float32 readings are rounded by less than
-    the slack.
-    """
-    slack = 2 * _ROUNDING * np.maximum(readings.max(axis=0), -readings.min(axis=0))
-    before, middle, after = (readings[i : len(readings) - 2 + i : _MIN_LINE // 2] for i in range(3))
-    with np.errstate(invalid="ignore", over="ignore"):
-        slope = after - middle
-        on_line = np.abs(slope - (middle - before)) <= 2 * slack
-        on_line &= np.abs(slope) > slack
-    return np.asarray((on_line[1:] & on_line[:-1]).any(axis=0) | ~np.isfinite(slack))
-
-
-def _lines(
-    column: NDArray[np.float64], n_sensors: int
-) -> tuple[NDArray[np.intp], NDArray[np.float64]] | None:
-    """Return the readings on long lines of a sensor, and by how much each line rises, if any."""
-    slack = _ROUNDING * np.nanmax(np.abs(column), initial=0)
-    with np.errstate(invalid="ignore"):
-        slope = np.diff(column)
-        on_line = (np.abs(np.diff(slope)) <= 2 * slack) & (np.abs(slope[1:]) > 4 * slack)
-    share = float(np.mean(on_line))
-    if not 0 < share < 1:
-        return None
-    enough = math.log(column.size * n_sensors / _FALSE_ALARMS) / -math.log(share)
-    start, stop = np.flatnonzero(np.diff(on_line, prepend=False, append=False)).reshape(-1, 2).T
-    long = stop - start >= max(_MIN_LINE, enough)
-    rises = (column[stop] - column[start])[long]
-    least = _MIN_RISE * (np.nanmax(column) - np.nanmin(column))
-    if not rises.size or np.median(np.abs(rises)) < least:
-        return None
-    return np.flatnonzero(on_line)[np.repeat(long, stop - start)] + 1, rises
 
 
 def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
@@ -158,7 +90,7 @@ def find_frozen(recording: Recording) -> Iterator[Found]:
     """
     varying = np.flatnonzero(recording.varying())
     readings = recording.readings[:, varying]
-    if varying.size < 2 or len(readings) < 2 * _MIN_LINE:
+    if varying.size < 2 or len(readings) < 2 * _MIN_SPAN:
         return
     repeats = np.zeros(readings.shape, dtype=bool)
     np.equal(readings[1:], readings[:-1], out=repeats[1:])
@@ -187,7 +119,7 @@ def _long_spans(
 ) -> NDArray[np.bool_] | None:
     """Mark the frames, (T,), in long spans of repeated readings, (T, n); None without any."""
     start, stop = np.flatnonzero(np.diff(repeats, prepend=False, append=False)).reshape(-1, 2).T
-    long = stop - start >= _MIN_LINE
+    long = stop - start >= _MIN_SPAN
     if not long.any():
         return None
     others = np.repeat(True, len(repeats))

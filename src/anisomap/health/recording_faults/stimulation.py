@@ -86,14 +86,14 @@ _ALL_OF_IT = 0.95
 _MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
 
 
-def find_one_period(recording: Recording) -> Iterator[Found]:
-    """Find that almost all of the readings is one sine."""
+def one_period(recording: Recording) -> tuple[float, float] | None:
+    """Return the share of the variance that is one sine, and its period in frames, if most is."""
     if recording.n_frames < 8 * _MIN_CYCLES:
-        return
+        return None
     power = recording.signals.spectra[1]
     power = power[:, power.any(axis=0)]
     if power.shape[1] < 3:
-        return
+        return None
     peak = 1 + power[1:].argmax(axis=0)
     near = np.abs(np.arange(len(power))[:, None] - peak) <= _HALF_LINE
     line = (power * near).sum(axis=0) / power[1:].sum(axis=0)
@@ -102,6 +102,6 @@ def find_one_period(recording: Recording) -> Iterator[Found]:
     narrow = usual >= _MIN_NARROW and len(power) > _MIN_FREQUENCIES
     least = _MIN_LINE_SHARE if narrow else _ALL_OF_IT
     same = np.mean((np.abs(peak - usual) <= 1) & (line >= least))
-    if usual >= _MIN_CYCLES and same >= _MIN_SENSORS:
-        period = recording.n_frames / usual
-        yield Found(range(recording.n_sensors), share, {"period": period})
+    if usual < _MIN_CYCLES or same < _MIN_SENSORS:
+        return None
+    return share, recording.n_frames / usual

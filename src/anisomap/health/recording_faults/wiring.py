@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults import Found, agree_more
+from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
@@ -47,8 +48,10 @@ def find_inverted(recording: Recording) -> Iterator[Found]:
     contacts, or that resemble no other, are not judged, since their signs may be due to chance;
     but a sensor that rises with one of them, and resembles that one most, is not inverted. Sensors
     are mirrored only if they have 10 contacts on average, 5 in either half of the recording, and
-    then resemble the others in both halves.
+    then resemble the others in both halves. Sines of one period have all signs without a fault.
     """
+    if one_period(recording):
+        return
     judged = np.flatnonzero(_often_touched(recording))
     readings = recording.readings[:: -(-recording.n_frames // MAX_FRAMES)][:, judged]
     standard = standardised(readings)

@@ -1,8 +1,7 @@
-"""Errors of transmission: readings far off, and boards that jump for one frame."""
+"""Spikes: boards that jump for one frame."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,55 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.health.recording_faults import Found, has_contacts, linked_groups
-from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.numerics.signals import (
-    count_contacts,
-    excerpt_frames,
-    medians,
-    some_sensors,
-    unit_rows,
-)
+from anisomap.numerics.signals import count_contacts, excerpt_frames, some_sensors, unit_rows
 from anisomap.recording import Recording
-
-_FAR = 10.0  # times the reach of the typical sensor and its own other readings; chosen by hand
-_SAMPLE = 1024  # frames of which the median is taken
-_MAX_GLITCHES = 0.01  # of the readings of a sensor: more are saturation, or contact
-
-
-def find_glitches(recording: Recording) -> Iterator[Found]:
-    """Find readings that jump far beyond all others of their sensor and of sensors in contact.
-
-    A contact is also far beyond the noise of other sensors, so nothing is found unless some sensors
-    were touched several times. What approaches a sensor raises its readings steeply, but by
-    degrees: there are readings as high as other contacts beside the highest ones. High readings at
-    the beginning or end of the recording may be parts of contacts.
-    """
-    readings, n_frames = recording.readings, recording.n_frames
-    count = int(_MAX_GLITCHES * n_frames)
-    middle = medians(readings[:: -(-n_frames // _SAMPLE)]).astype(np.float64)
-    lowest, highest = recording.extremes
-    reach = np.maximum(highest - middle, middle - lowest)
-    varying = reach[reach > 0]
-    if not count or not varying.size or varying.max() <= _FAR * np.median(varying):
-        return
-    touched = recording.signals.contacts >= MIN_CONTACTS
-    typical = float(np.median(reach[touched])) if touched.any() else math.inf
-    far = np.flatnonzero(reach > _FAR * typical)
-    deviation = np.abs(readings[:, far] - middle[far])
-    own = np.partition(deviation, n_frames - 1 - count, axis=0)[n_frames - 1 - count]
-    usual = np.maximum(own, typical)
-    wrong = deviation > _FAR * usual
-    # Beside a glitch may be a contact, but none of a hundredth of the highest glitches.
-    high = deviation > np.maximum(usual, deviation.max(axis=0, initial=0) / _FAR**2)
-    by_degrees = high & ~wrong
-    by_degrees[[0, -1]] |= high[[0, -1]]  # a contact may begin or end there
-    for i, column in enumerate(high.T):
-        run = np.cumsum(np.diff(column, prepend=False))
-        wrong[:, i] &= ~np.isin(run, run[by_degrees[:, i]])
-    affected, number = far[wrong.any(axis=0)], np.count_nonzero(wrong)
-    if number:
-        yield Found(affected, float(number))
-
 
 _MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
 _MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jump by the same
@@ -98,7 +50,7 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
             and _persist(np.delete(touched, frames, axis=0))
             and has_contacts(Recording(np.delete(readings, frames, axis=0)), members)
         ):
-            yield Found(members, frames.size / len(readings), lengths={"height": height})
+            yield Found(members, frames.size / len(readings), {"height": height})
 
 
 def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
