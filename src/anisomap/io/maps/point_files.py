@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,35 +46,32 @@ def write_ply(sensor_map: SensorMap, path: Path) -> None:
         "ply",
         "format ascii 1.0",
         f"comment anisomap map, {sensor_map.pose}",
-        *(f"comment {fact}" for fact in _facts(sensor_map, numbers)),
+        *(f"comment {fact}" for fact in _facts(sensor_map)),
         f"element vertex {len(numbers)}",
         *(f"property double {column}" for column in _PLY_COLUMNS),
         "property int sensor",
         "property int component",
         "end_header",
     ]
-    points = zip(numbers, _points_and_normals(sensor_map), strict=True)
-    body = [f"{point} {i} {sensor_map.component[i]}" for i, point in points]
+    rows = np.hstack([pad_to_3d(sensor_map.positions), surface_normals(sensor_map)])
+    body = [
+        f"{' '.join(map(repr, rows[i].tolist()))} {i} {sensor_map.component[i]}" for i in numbers
+    ]
     path.write_text("\n".join([*head, *body, ""]), encoding="utf-8")
 
 
-def _points_and_normals(sensor_map: SensorMap) -> list[str]:
-    rows = np.hstack([pad_to_3d(sensor_map.positions), surface_normals(sensor_map)])
-    return [" ".join(map(repr, row)) for row in rows[sensor_map.placed].tolist()]
-
-
-def _facts(sensor_map: SensorMap, numbers: Iterable[int]) -> list[str]:
-    """Format what a point cloud cannot hold; `numbers` stand for the placed sensors."""
-    placed = dict(zip(numbers, np.flatnonzero(sensor_map.placed).tolist(), strict=True))
-    errors = {number: float(sensor_map.errors[i]) for number, i in placed.items()}
+def _facts(sensor_map: SensorMap) -> list[str]:
+    """Format what a point cloud cannot hold."""
+    placed = np.flatnonzero(sensor_map.placed).tolist()
+    errors = {i: float(sensor_map.errors[i]) for i in placed}
     known: dict[str, Scalar] = {
         "method": sensor_map.method,
         "units": sensor_map.units,
         **sensor_map.reference,
         "dimensions": sensor_map.dimensions,
         "normals": "estimated from the positions" if sensor_map.normals is None else "of the map",
-        **{f"sensor {number}": sensor_map.names[i] for number, i in placed.items()},
-        **{f"error {number}": each for number, each in errors.items() if math.isfinite(each)},
+        **{f"sensor {i}": sensor_map.names[i] for i in placed},
+        **{f"error {i}": each for i, each in errors.items() if math.isfinite(each)},
     }
     return [f"{key}: {format_value(value)}" for key, value in known.items()]
 
@@ -106,22 +103,19 @@ def read_ply(path: Path) -> SensorMap:
     before = itertools.takewhile(lambda name: name != "vertex", counts)
     skipped = sum(counts[name] for name in before)
     vertices = itertools.islice(lines, skipped, skipped + n_vertices)
-    names = columns.get("vertex", [])
-    return _read_points(path, names, vertices, remarks, count=n_vertices, noun="vertices")
+    return _read_vertices(path, columns.get("vertex", []), vertices, remarks, n_vertices)
 
 
-def _read_points(
+def _read_vertices(
     path: Path,
     columns: Sequence[str],
-    lines: Iterator[tuple[int, str]],
+    lines: Iterable[tuple[int, str]],
     remarks: Sequence[str],
-    *,
     count: int,
-    noun: str,
 ) -> SensorMap:
-    """Read the points that a header announces; comments restore what was written."""
+    """Read the vertices that a header announces; comments restore what was written."""
     if not count or not set(_AXES) <= set(columns):
-        raise FileError(f"{path} holds no {noun} with x, y and z")
+        raise FileError(f"{path} holds no vertices with x, y and z")
     wanted = {columns.index(n): n for n in (*_AXES, "sensor", "component") if n in columns}
     rows = []
     for number, line in lines:
@@ -134,7 +128,7 @@ def _read_points(
         rows.append(parse_row(path, number, fields, wanted))
     if len(rows) != count:
         raise FileError(
-            f"{path} is damaged: its header announces {count} {noun}, but it has {len(rows)}"
+            f"{path} is damaged: its header announces {count} vertices, but it has {len(rows)}"
         )
     values = dict(zip(wanted.values(), np.array(rows).T, strict=True))
     if any(np.isinf(values[axis]).any() for axis in _AXES):

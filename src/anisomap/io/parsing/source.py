@@ -170,12 +170,6 @@ def open_text(path: Path) -> Iterator[TextLines]:
             yield text
 
 
-def is_gzipped(path: Path) -> bool:
-    """Return whether a file starts with the gzip magic number."""
-    with open_regular(path) as raw:
-        return raw.peek(len(_GZIP))[: len(_GZIP)] == _GZIP
-
-
 def read_lines(path: Path) -> list[str]:
     """Read all lines of a file as `open_text` does, within the budget of the file."""
     with open_text(path) as stream:
