@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 from anisomap import io
 from anisomap.errors import FileError, InputError
 from anisomap.recording import Recording, Scalar
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import MAX_COORDINATE, SensorMap
 from anisomap.usability import ACCURACY, LEVELS, UNKNOWN, Verdict
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
@@ -33,13 +33,14 @@ VERDICTS = st.builds(
     Verdict, st.sampled_from([*LEVELS, UNKNOWN]), *3 * [FLOATS], reasons=st.lists(WORDS, max_size=3)
 )
 FINITE = st.floats(-1e9, 1e9)
+PLACES = st.floats(-MAX_COORDINATE, MAX_COORDINATE) | st.sampled_from([np.nan, np.inf])
 SCALARS = WORDS | st.booleans() | st.integers(-(10**30), 10**30) | FLOATS
 
 
 @st.composite
 def maps(draw: st.DrawFn, min_k: int = 1, max_k: int = 4) -> SensorMap:
     n_sensors, k = draw(st.integers(1, 6)), draw(st.integers(min_k, max_k))
-    positions = draw(hnp.arrays(np.float64, (n_sensors, k), elements=FLOATS))
+    positions = draw(hnp.arrays(np.float64, (n_sensors, k), elements=PLACES))
     placed = np.isfinite(positions).all(axis=1)
     labels = draw(hnp.arrays(np.intp, int(placed.sum()), elements=st.integers(0, 3)))
     component = np.full(n_sensors, -1)
