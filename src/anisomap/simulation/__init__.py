@@ -1,4 +1,4 @@
-"""Simulated recordings with known sensor positions: bodies, scenarios, readings and faults.
+"""Simulated recordings with known sensor positions: bodies, scenarios and readings.
 
 Running a simulation needs the extra ``simulation`` (MuJoCo); importing the package does not.
 """
@@ -6,8 +6,6 @@ Running a simulation needs the extra ``simulation`` (MuJoCo); importing the pack
 from anisomap.simulation.bodies import BODIES as BODIES
 from anisomap.simulation.bodies import body_from_points as body_from_points
 from anisomap.simulation.body import Body as Body
-from anisomap.simulation.faults import FAULTS as FAULTS
-from anisomap.simulation.faults import inject as inject
 from anisomap.simulation.kinematic import RubbingOptions as RubbingOptions
 from anisomap.simulation.physics.bombardment import BombardmentOptions as BombardmentOptions
 from anisomap.simulation.physics.locomotion import LocomotionOptions as LocomotionOptions
