@@ -13,14 +13,14 @@ from scipy.spatial.distance import pdist
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation import Body, solids
 from anisomap.simulation.bodies import sphere
-from anisomap.simulation.kinematic import read_balls
-from anisomap.simulation.options import options_for
-from anisomap.simulation.physics.bombardment import (
+from anisomap.simulation.bombardment import (
     BombardmentOptions,
     bombardment,
     simulate_flight,
 )
-from anisomap.simulation.physics.models import add_geom, add_solid, new_model
+from anisomap.simulation.kinematic import read_balls
+from anisomap.simulation.options import options_for
+from anisomap.simulation.physics import add_geom, add_solid, new_model
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

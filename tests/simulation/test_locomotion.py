@@ -8,15 +8,15 @@ import pytest
 
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation.bodies import BODIES, cylinder, sphere
-from anisomap.simulation.options import options_for
-from anisomap.simulation.physics.locomotion import (
+from anisomap.simulation.locomotion import (
     LocomotionOptions,
     Terrain,
     bumpy_terrain,
     locomotion,
     simulate_journey,
 )
-from anisomap.simulation.physics.models import add_ground, new_model
+from anisomap.simulation.options import options_for
+from anisomap.simulation.physics import add_ground, new_model
 
 mujoco = pytest.importorskip("mujoco", reason="needs the extra 'simulation'")
 

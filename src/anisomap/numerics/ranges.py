@@ -45,9 +45,7 @@ def check_ranges(options: object, ranges: Mapping[str, Range]) -> None:
             values.check(name, value)
 
 
-FINITE = Range("finite", lambda _: True)
 NOT_NEGATIVE = at_least(0)
 POSITIVE = Range("positive", lambda value: value > 0)
 COUNT = at_least(1, whole=True)
-SHARE = Range("above 0 and at most 1", lambda value: 0 < value <= 1)
 INNER_SHARE = Range("above 0 and below 1", lambda value: 0 < value < 1)

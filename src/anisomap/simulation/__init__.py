@@ -6,9 +6,9 @@ Running a simulation needs the extra ``simulation`` (MuJoCo); importing the pack
 from anisomap.simulation.bodies import BODIES as BODIES
 from anisomap.simulation.bodies import body_from_points as body_from_points
 from anisomap.simulation.body import Body as Body
+from anisomap.simulation.bombardment import BombardmentOptions as BombardmentOptions
 from anisomap.simulation.kinematic import RubbingOptions as RubbingOptions
-from anisomap.simulation.physics.bombardment import BombardmentOptions as BombardmentOptions
-from anisomap.simulation.physics.locomotion import LocomotionOptions as LocomotionOptions
+from anisomap.simulation.locomotion import LocomotionOptions as LocomotionOptions
 from anisomap.simulation.scenarios import SCENARIOS as SCENARIOS
 from anisomap.simulation.scenarios import Simulation as Simulation
 from anisomap.simulation.scenarios import find_body as find_body

@@ -22,11 +22,11 @@ from anisomap.numerics.ranges import COUNT
 from anisomap.recording import Recording, Scalar
 from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
+from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.kinematic import RubbingOptions, rubbing
+from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
-from anisomap.simulation.physics.bombardment import BombardmentOptions, bombardment
-from anisomap.simulation.physics.locomotion import LocomotionOptions, can_roll, locomotion
-from anisomap.simulation.physics.models import load_mujoco
+from anisomap.simulation.physics import load_mujoco
 
 DEFAULT_FRAMES = 2000  # as in the paper
 DEFAULT_SEED = 1

@@ -34,7 +34,7 @@ from anisomap.simulation.options import (
     positive,
     report_frames,
 )
-from anisomap.simulation.physics.models import add_geom, add_ground, load_mujoco, new_model
+from anisomap.simulation.physics import add_geom, add_ground, load_mujoco, new_model
 
 _TRUNCATION = 4.0  # of the Gaussian, x its standard deviation
 _ARRIVAL_DISTANCE = 1.5  # reaches from a goal
@@ -115,7 +115,7 @@ class LocomotionOptions(PhysicsOptions):
         in several places at once and does not stall.
     correlation : float
         Correlation length of the ground, in m, see
-        `anisomap.simulation.physics.locomotion.bumpy_terrain`. 0.5: half of the body, so that the
+        `anisomap.simulation.locomotion.bumpy_terrain`. 0.5: half of the body, so that the
         two ends of a cylinder can be at different heights.
     cell : float
         Grid spacing of the ground, in m. 0.2: less than half of `correlation`, so that bumps are

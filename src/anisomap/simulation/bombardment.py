@@ -32,7 +32,7 @@ from anisomap.simulation.options import (
     report_frames,
     static_props,
 )
-from anisomap.simulation.physics.models import add_geom, add_solid, load_mujoco, new_model
+from anisomap.simulation.physics import add_geom, add_solid, load_mujoco, new_model
 
 ENERGY_TOLERANCE = 0.02
 """Relative change of energy above which a run is returned with a warning."""

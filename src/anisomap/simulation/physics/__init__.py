@@ -1,1 +1,0 @@
-"""Scenarios in which bodies move by physics, computed by MuJoCo."""
