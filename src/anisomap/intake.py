@@ -52,7 +52,8 @@ def take(values: Any) -> Taken:
         return _of_xarray(values)
     if hasattr(values, "columns") and hasattr(values, "iloc"):
         return _of_frame(values)
-    return _of_array(as_array(values))
+    array = as_array(values)
+    return Taken(_floats(array)) if array.ndim == 2 else _of_array(array)
 
 
 def take_events(

@@ -97,7 +97,14 @@ class Recording(Immutable):
             isinstance(rate_hz, int | float | np.number) and 0 < rate_hz < np.inf
         ):
             raise InputError(f"rate_hz must be a positive number, got {rate_hz!r}")
-        _check_facts(self)
+        for name in ("units", "source"):  # every file format can store texts and metadata
+            if not isinstance(getattr(self, name), str):
+                raise InputError(f"{name} must be text, got {getattr(self, name)!r}")
+        for key, value in self.metadata.items():
+            if not isinstance(key, str) or not isinstance(value, Scalar | np.generic):
+                raise InputError(
+                    f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
+                )
         truth = {
             "positions": ((n_sensors, 2), (n_sensors, 3)),
             "normals": ((n_sensors, 3),),
@@ -360,18 +367,6 @@ class Recording(Immutable):
         )
 
 
-def _check_facts(recording: Recording) -> None:
-    """Check the texts and metadata, which every file format can store."""
-    for name in ("units", "source"):
-        if not isinstance(getattr(recording, name), str):
-            raise InputError(f"{name} must be text, got {getattr(recording, name)!r}")
-    for key, value in recording.metadata.items():
-        if not isinstance(key, str) or not isinstance(value, Scalar | np.generic):
-            raise InputError(
-                f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
-            )
-
-
 def default_names(n_sensors: int) -> tuple[str, ...]:
     """Return default sensor names: ``s0, s1, ...``."""
     return tuple(f"s{i}" for i in range(n_sensors))
@@ -399,28 +394,35 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
 def find_sensors(
     names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
 ) -> NDArray[np.intp]:
-    """Look sensors up by name, index, range (``c0-c35``) or pattern (``*_z``); sorted and unique.
+    """Look sensors up: the indices of those in `sensor_mask`."""
+    return np.flatnonzero(sensor_mask(names, sensors, kind))
+
+
+def sensor_mask(
+    names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
+) -> NDArray[np.bool_]:
+    """Mark sensors given by name, index, range (``c0-c35``) or pattern (``*_z``): shape (N,).
 
     kind: What an error calls them.
     """
     if isinstance(sensors, str | int):
         sensors = [sensors]
     by_name = {name: i for i, name in enumerate(names)}
-    found = set()
+    found = np.zeros(len(names), dtype=bool)
     for sensor in sensors:
         text = str(sensor)
         if isinstance(sensor, str) and text in by_name:
-            found.add(by_name[text])
+            found[by_name[text]] = True
         elif text.isdecimal() and int(text) < len(names):
-            found.add(int(text))
+            found[int(text)] = True
         elif several := _several(names, by_name, text):
-            found.update(several)
+            found[several] = True
         else:
             raise InputError(
                 f"there is no {kind} {text!r}; names are {names[0]} ... {names[-1]}, indices 0 to "
                 f"{len(names) - 1}"
             )
-    return np.array(sorted(found), dtype=np.intp)
+    return found
 
 
 def _several(names: Sequence[str], by_name: Mapping[str, int], text: str) -> list[int]:
@@ -471,15 +473,6 @@ def _unnamed(names: Sequence[str]) -> bool:
     return tuple(names) in (default_names(len(names)), *counted)
 
 
-def sensor_mask(
-    names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
-) -> NDArray[np.bool_]:
-    """Mark sensors given by name or index: a mask of shape (N,). kind: See `find_sensors`."""
-    mask = np.zeros(len(names), dtype=bool)
-    mask[find_sensors(names, sensors, kind)] = True
-    return mask
-
-
 _MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand
 
 
@@ -503,7 +496,8 @@ def as_runs(
     runs = [run if isinstance(run, Recording) else Recording(run) for run in given]
     if missing is not None:
         runs = [run.complete(missing) for run in runs]
-    return level_runs(runs) if sensors_differ(runs) else (join_runs(runs),)
+    several = len(runs) > 1 and sensors_differ(runs)
+    return level_runs(runs) if several else (join_runs(runs),)
 
 
 def join_runs(runs: Sequence[Recording]) -> Recording:

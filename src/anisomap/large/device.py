@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.errors import InputError, import_extra
-from anisomap.method.configuration import Configuration
-from anisomap.method.dimensions import AUTO, check_dimensions
+from anisomap.method.configuration import Configuration, as_map, caveats, parameters_of
+from anisomap.method.dimensions import AUTO, check_dimensions, check_frames, check_size
+from anisomap.method.evidence import check_unlike
 from anisomap.method.named import MethodOptions, find_method
-from anisomap.method.result import as_map, caveats, parameters_of
-from anisomap.method.validation import check_frames, check_sensors, check_unlike
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.precision import Floats, float_type, slices_of
@@ -357,7 +356,8 @@ def reconstruct_on_device(
     if xp.isdtype(readings.dtype, "bool"):
         readings = xp.astype(readings, xp.uint8)  # the standard puts no booleans in order
     varying = _varying(readings)
-    check_sensors(varying, dimensions, chosen)
+    n_varying, least = int(np.count_nonzero(varying)), chosen.min_sensors
+    check_size(dimensions, n_varying, least=least, total=n_sensors)
     if not varying.all():
         readings = xp.take(readings, _moved(np.flatnonzero(varying), readings), axis=1)
     check_unlike(readings, rows_of=lambda some: centred_rows(to_numpy(some)))

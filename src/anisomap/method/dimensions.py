@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from anisomap.errors import InputError
 from anisomap.notes import Note
-from anisomap.numerics.graph.neighbour_graphs import components
+from anisomap.numerics.neighbours import components
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
 from anisomap.recording import Scalar
@@ -53,6 +53,7 @@ _FLOOR = 0.01  # Stress-1 that counts as perfect; bounds the elbows of exact dis
 _MOST = 0.5
 _MIN_POINTS = 8  # fewer have hardly more distances than coordinates in 4 dimensions
 _MAX_POINTS = 1000  # regularly sampled; their 500,000 distances determine the stress
+_MAX_EXAMINED = 250  # for a note on a number that is given
 # With 1e-8, elbows differ by less than .001 (53 recordings, real and simulated).
 _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-5)
 
@@ -142,18 +143,25 @@ def plan_dimensions(
     """
     given = dimensions != AUTO
     if metric is None or dimensions not in (AUTO, SPATIAL):
-        return DimensionChoice(given_dimensions(dimensions), given, examined=not given)
-    found = choose_dimensions(metric, weights, common_share=common_share)
+        number = int(dimensions) if dimensions != AUTO else SPATIAL
+        return DimensionChoice(number, given, examined=not given)
+    most = _MAX_EXAMINED if given else _MAX_POINTS
+    found = choose_dimensions(metric, weights, common_share=common_share, most=most)
     return replace(found, dimensions=SPATIAL, given=True) if given else found
 
 
 def choose_dimensions(
-    metric: ArrayLike, weights: Reals | None = None, *, common_share: float = 0.0
+    metric: ArrayLike,
+    weights: Reals | None = None,
+    *,
+    common_share: float = 0.0,
+    most: int = _MAX_POINTS,
 ) -> DimensionChoice:
     """Choose between 2 and 3 dimensions by the elbow of the stress.
 
     metric (N, N), weights (N, N). common_share: Of the signal that all sensors have in common,
-    which was subtracted; only the rest counts as evidence for the third dimension.
+    which was subtracted; only the rest counts as evidence for the third dimension. most: Of the
+    points, of which so many are sampled.
 
     More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
     doi:10.1007/BF02289565). The fourth fits only errors, and the third is required if it lowers the
@@ -163,7 +171,7 @@ def choose_dimensions(
     lengths = np.asarray(metric)
     known = lengths if weights is None else np.where(weights > 0, lengths, np.inf)
     largest = np.flatnonzero(components(known) == 0)
-    largest = largest[:: -(-len(largest) // _MAX_POINTS)]
+    largest = largest[:: -(-len(largest) // most)]
     if len(largest) < _MIN_POINTS:
         return DimensionChoice()
     inside = np.ix_(largest, largest)
@@ -204,14 +212,39 @@ def _is_curve(positions: Reals, line: Reals) -> bool:
 
 def check_dimensions(dimensions: Dimensions) -> None:
     """Check a number of dimensions."""
-    if isinstance(dimensions, str) and dimensions == AUTO:
-        return
-    if not isinstance(dimensions, int | np.integer) or dimensions < 1:
+    if dimensions != AUTO and (not isinstance(dimensions, int | np.integer) or dimensions < 1):
         raise InputError(
             f"dimensions must be a whole number of at least 1, or auto, got {dimensions!r}"
         )
 
 
-def given_dimensions(dimensions: Dimensions) -> int:
-    """Return the given number of dimensions; 3 in place of ``"auto"``."""
-    return SPATIAL if dimensions == AUTO else int(dimensions)
+def check_size(dimensions: Dimensions, n_sensors: int, *, least: int, total: int) -> None:
+    """Check that some of all sensors can be mapped into some dimensions.
+
+    least: Minimum number of sensors. total: Of all sensors.
+    """
+    check_dimensions(dimensions)
+    if n_sensors < least:
+        raise InputError(
+            f"a map requires at least {least} sensors that vary and are not dropped, "
+            f"got {n_sensors} of {total}"
+        )
+    if dimensions != AUTO and dimensions > n_sensors:
+        raise InputError(
+            f"a map in {dimensions} dimensions requires at least {dimensions} sensors, "
+            f"got {n_sensors}"
+        )
+
+
+def check_frames(n_frames: int, dimensions: Dimensions) -> None:
+    """Check that correlations of so many frames can place points.
+
+    Centred and scaled readings of T frames are points of a sphere of T - 2 dimensions.
+    """
+    k = PLANE if dimensions == AUTO else dimensions
+    held = max(0, n_frames - 2)
+    if held < k:
+        raise InputError(
+            f"a map in {k} dimensions requires at least {k + 2} frames, got {n_frames}, whose "
+            f"correlations place sensors in at most {held} dimension{'s' * (held != 1)}"
+        )

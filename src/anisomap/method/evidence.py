@@ -10,7 +10,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.columns import ranked
+from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Floats, Reals
@@ -48,7 +48,7 @@ from anisomap.recording import Recording, sensors_differ
 logger = logging.getLogger(__name__)
 
 _MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
-_ROUNDING = 1e-6  # by which a computed correlation may exceed 1
+_ALIKE = 1e-5  # difference of readings in [-1, 1] by rounding, in float32
 
 Scores: TypeAlias = Blend | Contacts
 """Scores of frames, whose sums over weighted blocks give the similarity of a resample."""
@@ -172,7 +172,7 @@ class Evidence:
     ) -> Evidence:
         """Compare all pairs of the sensors of runs; each pair over the runs that contain both."""
         logger.info("comparing all pairs of sensors (%s)", statistic)
-        if sensors_differ(runs):
+        if len(runs) > 1 and sensors_differ(runs):
             return _of_different_sensors(runs, statistic, bins)
         how, readings = SIMILARITIES[statistic], _joined(runs, runs[0].names)
         if not with_variance:
@@ -285,14 +285,23 @@ class Evidence:
         """Return the share of the variance of S that distances on a map, (n, k), do not explain."""
         return unexplained_share(self.similarity, positions, self.noise, known=self.known)
 
-    def check_correlations(self) -> None:
-        """Check that the similarity is a correlation, at most 1 in magnitude."""
-        largest = np.abs(self.similarity).max(initial=0)
-        if largest > 1 + _ROUNDING:
-            raise InputError(
-                f"this method requires correlations in [-1, 1], got a similarity of magnitude "
-                f"{largest:g}; r-anisomap accepts any similarity"
-            )
+
+def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_rows) -> None:
+    """Check that sensors differ by more than offset, gain and sign: else all maps are alike.
+
+    runs: Readings, each (T, n), or other matrices that have a column for each sensor.
+    rows_of: Takes some columns, and returns what is alike in such sensors, up to its size.
+    """
+    for run, count in product(runs, (2, None)):  # nearly always, two sensors differ
+        rows = rows_of(run[:, :count])
+        rows = rows / np.maximum(np.abs(rows).max(axis=1), np.finfo(rows.dtype).tiny)[:, None]
+        signs = np.sign(rows @ rows[0])[:, None]
+        if (np.abs(signs * rows - rows[0]) > _ALIKE).any():
+            return
+    raise InputError(
+        "all sensors read the same, but for offset and gain, so their readings do not show where "
+        "they are; touch one place after another"
+    )
 
 
 def _centred(how: Similarity, readings: NDArray[Any]) -> tuple[NDArray[Any], float]:

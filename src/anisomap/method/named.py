@@ -52,6 +52,7 @@ MAX_MAJORIZED = 500
 """Largest number of sensors that the paper's methods scale by majorization, as the paper did (up to
 169): above, it takes minutes, and L-BFGS seconds."""
 
+_ROUNDING = 1e-6  # by which a computed correlation may exceed 1
 _MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
 
 DEFAULT_MU = 1.0
@@ -143,11 +144,6 @@ class Method:
     contact_similarity: str | None = None
     solver: str = AUTO_SOLVER
 
-    @property
-    def shows_dimensions(self) -> bool:
-        """Whether the number of dimensions can be chosen from the metric."""
-        return self.refine is not None
-
     def dissimilarity_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
         """Compute M, shape (n, n), infinite for unknown evidence."""
         dissimilarity = self.dissimilarity(evidence, options)
@@ -165,8 +161,9 @@ class Method:
 
     def scaling_of(self, n_sensors: int, options: SmacofOptions) -> SmacofOptions:
         """Return how a number of sensors is scaled."""
-        chosen = options.solver != AUTO_SOLVER or n_sensors > MAX_MAJORIZED
-        return options if chosen else replace(options, solver=self.solver)
+        if options.solver != AUTO_SOLVER or n_sensors > MAX_MAJORIZED or self.solver == AUTO_SOLVER:
+            return options
+        return replace(options, solver=self.solver)
 
     def similarity_of(self, runs: Sequence[Recording]) -> str:
         """Return the key of the similarity for some recordings."""
@@ -185,7 +182,12 @@ def _information_distance(evidence: Evidence, _: MethodOptions) -> Reals:
 
 
 def _direct(evidence: Evidence, options: MethodOptions) -> Reals:
-    evidence.check_correlations()
+    largest = np.abs(evidence.similarity).max(initial=0)
+    if largest > 1 + _ROUNDING:
+        raise InputError(
+            f"this method requires correlations in [-1, 1], got a similarity of magnitude "
+            f"{largest:g}; r-anisomap accepts any similarity"
+        )
     if evidence.known.mean() < _MIN_KNOWN:
         return regularised_reciprocal(evidence.similarity, options.regularisation)
     direct = direct_dissimilarity(evidence.similarity, evidence.variance)

@@ -15,9 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.defaults import DEFAULT_METHOD
-from anisomap.errors import AnisomapWarning
+from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.blocks import sum_blocks
-from anisomap.method.configuration import Configuration, configure
+from anisomap.method.configuration import (
+    Configuration,
+    as_map,
+    caveats,
+    configure,
+    parameters_of,
+    unknown_pairs,
+)
 from anisomap.method.dimensions import (
     AUTO,
     PLANE,
@@ -25,10 +32,11 @@ from anisomap.method.dimensions import (
     DimensionChoice,
     Dimensions,
     check_dimensions,
-    given_dimensions,
+    check_frames,
+    check_size,
     plan_dimensions,
 )
-from anisomap.method.evidence import Evidence
+from anisomap.method.evidence import Evidence, check_unlike
 from anisomap.method.named import (
     DEFAULT_OPTIONS,
     METHODS,
@@ -36,12 +44,7 @@ from anisomap.method.named import (
     MethodOptions,
     find_method,
 )
-from anisomap.method.result import as_map, caveats, parameters_of, unknown_pairs
 from anisomap.method.validation import (
-    check_frames,
-    check_related,
-    check_size,
-    check_unlike,
     checked_noise,
     checked_start,
     checked_weights,
@@ -50,7 +53,7 @@ from anisomap.method.validation import (
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.numerics.precision import Floats, Reals
+from anisomap.numerics.precision import Floats, Reals, check_pair_memory
 from anisomap.recording import (
     Recording,
     Scalar,
@@ -190,9 +193,11 @@ def reconstruct_with_stages(
     runs = as_runs(recording)
     joined = join_runs(runs)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
-    check_size(mapped, dimensions, options, refined=recipe.refine is not None)
-    check_frames(joined.n_frames, dimensions)
     names = [joined.names[i] for i in np.flatnonzero(mapped)]
+    least, total = options.min_sensors, mapped.size
+    check_size(dimensions, len(names), least=least, total=total)
+    check_frames(joined.n_frames, dimensions)
+    check_pair_memory(len(names), refined=recipe.refine is not None)
     complete = [run.complete() for run in select_sensors(runs, names)]
     check_unlike(*(run.readings for run in complete))
 
@@ -315,14 +320,17 @@ def reconstruct_from(
     names = tuple(names) or given or default_names(n_sensors)
     check_names(names, n_sensors)
     mapped = ~sensor_mask(names, drop)
-    check_size(mapped, dimensions, options, refined=recipe.refine is not None)
+    n_mapped = int(np.count_nonzero(mapped))
+    check_size(dimensions, n_mapped, least=options.min_sensors, total=n_sensors)
+    check_pair_memory(n_mapped, refined=recipe.refine is not None)
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
     pair_weights = None if weights is None else checked_weights(weights, n_sensors)[inside]
     if start is not None and dimensions == AUTO:
         dimensions = int(np.shape(start)[-1]) if np.ndim(start) == 2 else SPATIAL
-    k = given_dimensions(dimensions)
-    initial = None if start is None else checked_start(start, n_sensors, k)[mapped]
+    initial = None
+    if start is not None:
+        initial = checked_start(start, n_sensors, int(dimensions))[mapped]
     evidence = None
     with limited_blas(len(matrix)):
         if stage == "similarity":
@@ -357,7 +365,12 @@ def reconstruct_from(
 def _map(given: _Input, stack_level: int) -> tuple[SensorMap, Configuration, DimensionChoice]:
     """Make the map of evidence or of a metric, with its notes and its provenance."""
     configuration, choice = _placed(given)
-    check_related(configuration.component, given.options)
+    least, largest = given.options.min_sensors, np.count_nonzero(configuration.component == 0)
+    if largest < least:
+        raise InputError(
+            f"a map requires at least {least} related sensors, but the largest group has "
+            f"{largest}; check that the skin was touched during the recording"
+        )
     names = [given.names[i] for i in np.flatnonzero(given.mapped).tolist()]
     facts = parameters_of(given.method, given.options, len(names))
     facts |= choice.facts(objects=given.objects)
@@ -400,7 +413,7 @@ def _choice(given: _Input) -> DimensionChoice:
     if evidence is None:
         metric = given.metric if dimensions == AUTO else None
         return plan_dimensions(dimensions, metric, given.weights)
-    if given.recipe.shows_dimensions:
+    if given.recipe.refine is not None:
         share = evidence.common_share
         return plan_dimensions(dimensions, given.metric, given.weights, common_share=share)
     if dimensions == AUTO and (usual := given.usual(default)) is not None:

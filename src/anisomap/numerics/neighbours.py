@@ -1,4 +1,4 @@
-"""Nearest neighbours of points, spanning trees, labels of components, and interpolated fields."""
+"""Nearest neighbours of points, spanning trees, connected components, and interpolated fields."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -85,6 +86,25 @@ def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
     for node, end in tree_edges(-lengths):
         joined[node, end] = joined[end, node] = True
     return joined
+
+
+def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
+    """Label the components connected by finite dissimilarities.
+
+    Parameters
+    ----------
+    dissimilarity : array_like of shape (N, N)
+        Infinite where there is no edge.
+
+    Returns
+    -------
+    ndarray of int, shape (N,)
+        Component of each object; 0 is the largest, ties by the first object.
+    """
+    joined = np.isfinite(dissimilarity)
+    if joined.all():  # the most frequent case, without a slow search
+        return np.zeros(len(joined), dtype=np.intp)
+    return labels_by_size(connected_components(joined, directed=False)[1])
 
 
 def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:

@@ -18,7 +18,7 @@ from anisomap.numerics.graph.metric import (
     shortest_paths,
     with_bounded_stems,
 )
-from anisomap.numerics.graph.neighbour_graphs import components
+from anisomap.numerics.neighbours import components
 from skins import lattice
 
 

@@ -10,12 +10,11 @@ from sklearn.manifold import Isomap
 
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.neighbour_graphs import (
-    components,
     local_path_lengths,
     neighbour_graph,
     smallest_connected_neighbour_graph,
 )
-from anisomap.numerics.neighbours import spanning_tree
+from anisomap.numerics.neighbours import components, spanning_tree
 
 
 @given(st.integers(2, 12), st.integers(0, 10_000))

@@ -1,4 +1,4 @@
-"""Connected components and neighbour graphs.
+"""Neighbour graphs.
 
 Distances along paths of neighbours, from correlations.
 
@@ -22,27 +22,8 @@ from anisomap.numerics.compiled.parallel import (
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.neighbours import labels_by_size, spanning_tree
+from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.precision import Reals
-
-
-def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
-    """Label the components connected by finite dissimilarities.
-
-    Parameters
-    ----------
-    dissimilarity : array_like of shape (N, N)
-        Infinite where there is no edge.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Component of each object; 0 is the largest, ties by the first object.
-    """
-    joined = np.isfinite(dissimilarity)
-    if joined.all():  # the most frequent case, without a slow search
-        return np.zeros(len(joined), dtype=np.intp)
-    return labels_by_size(connected_components(joined, directed=False)[1])
 
 
 def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool_]:

@@ -305,7 +305,7 @@ def group_sensors(similarity: ArrayLike, variance: ArrayLike) -> Groups:
 
 def _least_bridge(size: int, n_sensors: int) -> float:
     """Return the strength from which links between a group and the others are significant."""
-    return _MIN_BRIDGE * _expected_maximum(size * (n_sensors - size))
+    return _MIN_BRIDGE * math.sqrt(2 * math.log(max(2, size * (n_sensors - size))))
 
 
 def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
@@ -317,8 +317,8 @@ def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
-    n_pairs = n_sensors * (n_sensors - 1) // 2
-    strong = links >= _MIN_LINK * _expected_maximum(n_pairs)
+    n_pairs = max(2, n_sensors * (n_sensors - 1) // 2)
+    strong = links >= _MIN_LINK * math.sqrt(2 * math.log(n_pairs))
     np.fill_diagonal(strong, val=False)
     kept = links_with_shared_neighbours(strong)
     graph: Any = csr_array(kept)
@@ -368,11 +368,6 @@ def standardised_correlation(
     return links
 
 
-def _expected_maximum(n_links: int) -> float:
-    """Return the asymptotic maximum of `n_links` independent standard normal variables."""
-    return math.sqrt(2 * math.log(max(2, n_links)))
-
-
 def _strongest_first(links: Reals) -> list[tuple[int, int]]:
     """List the edges of the maximum spanning tree of links by decreasing strength."""
     edges = ((links[new, joined], joined, new) for new, joined in tree_edges(links))
@@ -413,23 +408,12 @@ _MIN_SPLIT_SENSORS = 3  # for a reliability: a correlation over 3 pairs
 _NO_VARIANCE = 1e-12  # relative, of a variance over pairs that is 0
 
 
-def split_blocks(n_frames: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Split frames into two halves of alternating blocks: contacts last for several frames."""
-    if n_frames < 2:
-        raise InputError(f"split-half needs at least 2 frames, got {n_frames}")
-    blocks = np.array_split(np.arange(n_frames), min(N_BLOCKS, n_frames))
+def split_blocks(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Split frames, (T, ...), into two halves of alternating blocks: contacts last for several."""
+    if len(values) < 2:
+        raise InputError(f"split-half needs at least 2 frames, got {len(values)}")
+    blocks = np.array_split(values, min(N_BLOCKS, len(values)))
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
-
-
-def at_frames(values: NDArray[Any], frames: NDArray[np.intp]) -> NDArray[Any]:
-    """Return the readings of increasing frames, (t, N), in the memory order of all.
-
-    As ``values[frames]``, but runs of consecutive frames are copied at once.
-    """
-    ends = np.flatnonzero(np.diff(frames, append=-1) != 1)
-    begins = frames[np.concatenate([[0], ends[:-1] + 1])]
-    runs = zip(begins.tolist(), frames[ends].tolist(), strict=True)
-    return np.concatenate([values[first : last + 1] for first, last in runs])
 
 
 def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
@@ -442,7 +426,7 @@ def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
     if n_frames < _MIN_SPLIT_FRAMES:
         return pearson(values), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
-    first, second = (PairSums.of(at_frames(values, half)) for half in split_blocks(n_frames))
+    first, second = map(PairSums.of, split_blocks(values))
     step = -(-n_sensors // _MAX_SENSORS)
     halves = (one.correlation()[::step, ::step] for one in (first, second))
     return first.merged(second).correlation(), _agreement(*halves)

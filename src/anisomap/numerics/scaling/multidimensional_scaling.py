@@ -20,7 +20,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric, metricise
-from anisomap.numerics.graph.neighbour_graphs import components
+from anisomap.numerics.neighbours import components
 from anisomap.numerics.precision import Floats, Reals, row_blocks
 from anisomap.numerics.ranges import NOT_NEGATIVE, at_least, check_ranges
 
@@ -161,13 +161,12 @@ def minimise_lbfgs(
         raw, gradient = stress(parameters.reshape(start.shape) / root)
         return raw / step**2, (gradient / root / step**2).ravel()
 
-    def is_minimal() -> bool:
-        before = trace[-1 - _CONVERGENCE_STEPS] if len(trace) > _CONVERGENCE_STEPS else np.inf
-        return trace[-1] <= _NEGLIGIBLE * squares or before - trace[-1] <= tolerance * trace[-1]
-
     def check(intermediate_result: OptimizeResult) -> None:
+        nonlocal minimal
         trace.append(float(intermediate_result.fun) * step**2)
-        if is_minimal():
+        before = trace[-1 - _CONVERGENCE_STEPS] if len(trace) > _CONVERGENCE_STEPS else np.inf
+        minimal = trace[-1] <= _NEGLIGIBLE * squares or before - trace[-1] <= tolerance * trace[-1]
+        if minimal:
             raise StopIteration
 
     found = minimize(
@@ -180,7 +179,7 @@ def minimise_lbfgs(
         options={"maxiter": max_iterations, "maxfun": 20 * max_iterations, "ftol": 0, "gtol": 0},
     )
     # A search that ends early cannot decrease the stress any further.
-    converged = len(trace) <= max_iterations or is_minimal()
+    converged = minimal or len(trace) <= max_iterations
     return SolverResult(np.asarray(found.x).reshape(start.shape) / root, trace, converged)
 
 
@@ -464,7 +463,11 @@ def smacof(
     known = targets if problem.equal_weights else _connected_targets(problem)
     if start is None:
         start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
-    positions = _check_start(start, len(targets))
+    positions = np.array(start, dtype=np.float64)
+    if positions.ndim != 2 or len(positions) != len(targets) or not positions.shape[1]:
+        raise InputError(f"the start has shape {positions.shape}; it must be ({len(targets)}, k)")
+    if not np.isfinite(positions).all():
+        raise InputError("the start has NaN or infinite coordinates")
     positions -= positions.mean(axis=0)  # float32 could not resolve points far from the origin
     if not problem.equal_weights:
         problem = replace(problem, targets=np.where(np.isinf(targets), 0, targets))
@@ -512,12 +515,3 @@ def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
     np.fill_diagonal(checked, 0)
     checked[np.isinf(targets)] = 0
     return checked
-
-
-def _check_start(start: ArrayLike, n_points: int) -> Floats:
-    positions = np.array(start, dtype=np.float64)
-    if positions.ndim != 2 or len(positions) != n_points or not positions.shape[1]:
-        raise InputError(f"the start has shape {positions.shape}; it must be ({n_points}, k)")
-    if not np.isfinite(positions).all():
-        raise InputError("the start has NaN or infinite coordinates")
-    return positions

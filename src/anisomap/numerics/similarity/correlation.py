@@ -40,17 +40,15 @@ class PairSums:
     @classmethod
     def of(cls, readings: ArrayLike) -> PairSums:
         """Sum over finite readings, (T, N), T >= 1."""
-        values = np.asarray(readings)
-        chunks = (values[frames] for frames in slices_of(len(values), CHUNK_FRAMES))
-        return reduce(cls.merged, map(cls._of_chunk, chunks))
-
-    @classmethod
-    def _of_chunk(cls, chunk: NDArray[Any]) -> PairSums:
-        # Differences from the first frame leave no rounding error for constant sensors.
-        deviations = np.subtract(chunk, chunk[0], dtype=np.float64)
-        mean = deviations.mean(axis=0)
-        deviations -= mean
-        return cls(len(chunk), chunk[0] + mean, deviations.T @ deviations)
+        values, parts = np.asarray(readings), []
+        for frames in slices_of(len(values), CHUNK_FRAMES):
+            first = values[frames.start]
+            # Differences from the first frame leave no rounding error for constant sensors.
+            deviations = np.subtract(values[frames], first, dtype=np.float64)
+            mean = deviations.mean(axis=0)
+            deviations -= mean
+            parts.append(cls(len(deviations), first + mean, deviations.T @ deviations))
+        return reduce(cls.merged, parts)
 
     def merged(self, other: PairSums) -> PairSums:
         """Merge with the sums over other frames of the same sensors, in any order up to rounding.
