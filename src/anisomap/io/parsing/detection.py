@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from anisomap.base.wording import counted
 from anisomap.errors import FileError
-from anisomap.io.parsing.lines import as_objects, find_template
+from anisomap.io.parsing.lines import Template, as_objects, find_template
 from anisomap.io.parsing.source import quote
 from anisomap.io.parsing.tables import (
     DELIMITERS,
@@ -281,12 +281,22 @@ def _find_lines(path: Path, sample: Sequence[str], preamble: int) -> Table | Non
     if template is None:
         return None
     start = lines.index(template.example)
-    names, above = template.names, lines[start - 1 : start]
-    header = next(records(above, find_delimiter(above)), (0, []))[1] if above else []
-    named = len(header) == len(names) and not all(names) and not any(map(is_number, header))
-    names = tuple(map(str.strip, header)) if named else names
+    names, header = template.names, _header_of(template, lines[start - 1 : start])
+    named = bool(header) and not all(names)
+    names = tuple(header) if named else names
     table = _of_lines(path, filled, start, names, convert=template, n_headers=int(named))
     return replace(table, clocks=tuple(sorted(template.clocks)))
+
+
+def _header_of(template: Template, above: Sequence[str]) -> list[str]:
+    """Return the names in the line above the values, below a clock as of a terminal; or none."""
+    fields = next(records(above, find_delimiter(above)), (0, []))[1] if above else []
+    if fields and template.clocks == {0} and len(fields) == template.n_values - 1:
+        _, mark, first = fields[0].partition(template.texts[1])
+        fields = ["", first if mark else fields[0], *fields[1:]]
+    if len(fields) != template.n_values or any(map(is_number, fields[1:])):
+        return []
+    return [field.strip() for field in fields]
 
 
 def _of_lines(

@@ -29,12 +29,15 @@ _DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
 _WORDS = r"[-+]?(?:nan|inf|infinity|null|none|n/a|na)(?![\w/])"
 _NUMBER, _CLOCK = r"([-+]?+\d++(?:\.\d*+)?+(?:[eE][-+]?\d++)?+)", r"([\d:./TZ+-]++)"
 _START = r"(?<![\w.:/])"
+# A number that is followed by the rest of the word, as the first one of T0_1 in "T0_1: 12".
+_IN_LABEL = r"\w*[A-Za-z_]\w*(?:[\])}\"']*\s*(?::|=|->|>)|\s+[-+]?\.?\d)"
 
 
 def _tokens(number: str) -> re.Pattern[str]:
     return re.compile(
         rf"{_START}(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})(?![\w:])"
-        rf"|(?<![\w.])(?:[-+]?{number}(?:[eE][-+]?\d+)?|{_WORDS})|(?<=[A-Za-z_])\d+(?:\.\d+)?",
+        rf"|(?<![\w.])(?:[-+]?{number}(?:[eE][-+]?\d+)?|{_WORDS})"
+        rf"|(?<=[A-Za-z_])\d+(?:\.\d+)?(?!{_IN_LABEL})",
         re.IGNORECASE,
     )
 
@@ -211,7 +214,7 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
 
 
 def _has_digit(text: str) -> bool:
-    return any(map(str.isdigit, text))
+    return re.search(r"(?<!\w)\d", text) is not None
 
 
 def _labels(raw: Sequence[str], i: int) -> bool:

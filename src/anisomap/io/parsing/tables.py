@@ -121,6 +121,8 @@ def unguard_formula(field: str) -> str:
 
 NO_NUMBER = "is not a number"
 
+_GOOD_PER_BAD = 100  # lines of a log beside each one that is left out
+
 
 class LineError(FileError):
     """A line, from 1, that cannot be parsed; with surplus fields it is not truncated."""
@@ -128,6 +130,36 @@ class LineError(FileError):
     def __init__(self, path: Path, line: int, problem: str, *, surplus: bool = False) -> None:
         super().__init__(f"{path}, line {line}{problem}")
         self.line, self.surplus, self.reason = line, surplus, f"line {line}{problem}"
+
+
+class HeaderError(LineError):
+    """A line of names below the first frame, as of a second recording."""
+
+
+@dataclass
+class LeftOut:
+    """Lines that do not fit the others, up to 1 in 100, and always one.
+
+    repeats: Whether the frame before takes the place of each, so that the frames keep their clock.
+    """
+
+    repeats: bool = False
+    n_lines: int = 0
+    n_left: int = 0
+    first: LineError | None = None
+    before: Sequence[float] | NDArray[np.float64] | None = None
+
+    def check(self) -> None:
+        """Raise the first error if too many lines were left out, or all."""
+        most = max(1, self.n_lines / _GOOD_PER_BAD)
+        if self.first is not None and (self.n_left > most or self.before is None):
+            raise self.first
+
+    def __str__(self) -> str:
+        """Say how many lines were left out, and show the first."""
+        reason = "" if self.first is None else self.first.reason
+        place = "; the frame before stands in their place" if self.repeats else ""
+        return f"left out {counted(self.n_left, 'line')} of {self.n_lines}{place}: {reason}"
 
 
 def field_error(
@@ -138,11 +170,12 @@ def field_error(
     *,
     problem: str = NO_NUMBER,
     name: str = "",
+    kind: type[LineError] = LineError,
 ) -> LineError:
     """Return the error of a field, with the index of its column and perhaps its name."""
     label = f" ({name})" if name else ""
     problem += remedy_of(field) if problem == NO_NUMBER else ""
-    return LineError(path, line, f", column {column + 1}{label}: {quote(field)} {problem}")
+    return kind(path, line, f", column {column + 1}{label}: {quote(field)} {problem}")
 
 
 def read_undamaged(
@@ -290,18 +323,25 @@ def depth_of(line: str) -> int:
 
 
 def read_blocks(
-    table: Table, *, quietly: bool = False
+    table: Table, *, quietly: bool = False, repeats: bool = False
 ) -> Iterator[tuple[NDArray[np.float64], float]]:
     """Read frames in blocks, each with the fraction of the file read so far.
 
-    Comments begin with ``#``; an empty field is NaN. The rest after damage is dropped as above.
+    Comments begin with ``#``; an empty field is NaN. The rest after damage is dropped as above, and
+    lines that do not fit are left out: see `LeftOut`.
     """
 
     def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
-        lines = _frame_lines(text, table, quietly=quietly)
+        lines, left = _frame_lines(text, table, quietly=quietly), LeftOut(repeats)
         for some in batches(lines, lambda line: len(line[1]) + _LEAST_PER_LINE, _BLOCK_CHARACTERS):
-            for rows in _parsed(some, table):
+            is_cut = some[-1][0] == text.number and not text.last.endswith(("\n", "\r"))
+            for rows in parsed(some, table, left, is_cut=is_cut):
                 yield rows, text.fraction()
+            if 2 * left.n_left > left.n_lines:
+                left.check()
+        left.check()
+        if left.n_left and not quietly:
+            warn(table.path, str(left))
 
     return read_undamaged(
         table.path, parse, "frames", count=lambda block: len(block[0]), quietly=quietly
@@ -323,8 +363,14 @@ def line_of(table: Table, row: int) -> str:
     """Return the line of a row of `read_blocks`: ``"line 12"``."""
     with open_text(table.path) as stream:
         lines = _frame_lines(stream, table, quietly=True)
-        filled = (number for number, line in lines if not table.is_skipped(line))
+        filled = (number for number, line in lines if _holds_frame(line, table, number))
         return f"line {next(itertools.islice(filled, row, None))}"
+
+
+def _holds_frame(line: str, table: Table, number: int) -> bool:
+    with suppress(LineError):
+        return not table.is_skipped(line) and bool(_row(line, table, number))
+    return False
 
 
 def is_skipped(line: str, delimiter: str | None = None) -> bool:
@@ -371,8 +417,13 @@ def _missing_in(delimiter: str | None) -> re.Pattern[str]:
     return re.compile(rf"{start}{blank}{words}{blank}{end}", re.IGNORECASE)
 
 
-def _parsed(lines: list[Numbered], table: Table) -> Iterator[NDArray[np.float64]]:
-    """Yield the rows of some lines, those before a wrong line before its error."""
+def parsed(
+    lines: list[Numbered], table: Table, left: LeftOut, *, is_cut: bool = False
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the rows of some lines, those before a wrong line before its error.
+
+    is_cut: Whether the last line may be cut short, which is an error of its own.
+    """
     block = np.empty((0, 0))
     with suppress(ValueError):
         texts = [line for _, line in lines]
@@ -386,13 +437,31 @@ def _parsed(lines: list[Numbered], table: Table) -> Iterator[NDArray[np.float64]
                 block = _by_numpy([missing.sub("nan", s) for s in filled], table)
     # np.loadtxt compares the widths of lines only within the block.
     if block.shape[1] == table.n_columns:
+        left.n_lines, left.before = left.n_lines + len(block), block[-1]
         yield block
         return
-    filled_rows = (
-        _row(line, table, number) for number, line in lines if not table.is_skipped(line)
-    )
-    for rows in batches(filled_rows, len, _BLOCK_CHARACTERS):
+    for rows in batches(_rows(lines, table, left, is_cut), len, _BLOCK_CHARACTERS):
         yield np.array(rows)
+
+
+def _rows(
+    lines: list[Numbered], table: Table, left: LeftOut, is_cut: bool
+) -> Iterator[Sequence[float] | NDArray[np.float64]]:
+    for number, line in lines:
+        if table.is_skipped(line):
+            continue
+        left.n_lines += 1
+        try:
+            left.before = _row(line, table, number)
+        except HeaderError:
+            raise
+        except LineError as error:
+            if is_cut and number == lines[-1][0]:
+                raise
+            left.n_left, left.first = left.n_left + 1, left.first or error
+            if not left.repeats or left.before is None:
+                continue
+        yield left.before
 
 
 def _parsers(table: Table) -> dict[int | str, Callable[[str], float]]:
@@ -437,8 +506,9 @@ def _row(line: str, table: Table, number: int) -> list[float]:
             below = number > table.first_line and not any(map(is_number, fields))
             if below and not remedy_of(original):
                 problem += " (a second header? save each recording in a file of its own)"
+            kind = HeaderError if below and not is_text else LineError
             raise field_error(
-                table.path, number, column, original, problem=problem, name=name
+                table.path, number, column, original, problem=problem, name=name, kind=kind
             ) from None
     return values
 

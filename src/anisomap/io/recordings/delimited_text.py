@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anisomap.base.clocks import continued, is_date, words_of
 from anisomap.base.wording import counted, join_items, printable
@@ -96,6 +97,7 @@ _WITH_COMMA = re.compile(r"(?<![\d.,])\d++,\d++(?![\d.,])")
 _WITH_POINT = re.compile(r"(?<![\d.,])\d++\.\d++(?![\d.,])")
 _WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
+_ROW, _CYCLIC = {"row", "line", "zeile"}, 0.9  # words; share of steps to the next row
 _MIN_NUMBERED, _FRAMES = 3, {"", "frame", "frames", "sample", "index"}  # of several rows
 _logger = logging.getLogger(__name__)
 
@@ -149,7 +151,7 @@ def _stream_table(
     """Create a stream of the sensors of a table; `known` are entries of a file of anisomap."""
     path = table.path
     parse_name = unguard_formula if known else str.strip
-    names = tuple(map(parse_name, table.names))
+    names, matrix = tuple(map(parse_name, table.names)), None
     roles = Roles() if known else _detected_roles(table, names)
     if known.get("times") == _IN_FIRST_COLUMN:
         roles = Roles(time=0, non_sensors=(0,))
@@ -157,30 +159,38 @@ def _stream_table(
         text = (*table.text_columns, *table.clocks)
         names, roles = with_kept(names, roles, options.keep, table.n_columns, text)
         warn_of_guesses(path, names, roles)
-        if not options.keep:
+        matrix = None if options.keep else _find_matrix(table, names, roles)
+        if not (options.keep or matrix):
             known_for = {*roles.non_sensors} - {*table.text_columns}
             refuse_turned(table, sample, known_for)
         roles = _without_frame_numbers(table, roles, options.grid)
+    if matrix:
+        warn(
+            path,
+            f"{_column_label(table, matrix.column)} numbers the {matrix.height} rows of a frame",
+        )
+        roles = dataclasses.replace(roles, non_sensors=(*roles.non_sensors, matrix.column))
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
     names = tuple(name for i, name in enumerate(names) if i not in roles.non_sensors)
     facts: dict[str, Any] = {"names": names if all(names) or known or table.delimiter else ()}
-    if table.block and table.block[0] * table.block[1] == n_sensors:
-        size = table.block
+    size = (matrix.height, n_sensors) if matrix else table.block or (0, 0)
+    if matrix or size[0] * size[1] == n_sensors:
+        n_sensors = size[0] * size[1]
         facts = {"names": grid_names(*size), "positions": grid_positions(*size), "units": UNITS}
     facts |= _known_points(path, known, n_sensors)
     rate_hz = known.get("rate_hz")
     return Stream(
         path,
         n_sensors,
-        _blocks(table, roles),
+        _blocks(table, roles, matrix),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
         from_zero=roles.time in table.clocks,
         raw_columns=not known,
-        locate=None if known else functools.partial(line_of, table),
+        locate=None if known or matrix else functools.partial(line_of, table),
         **facts,
     )
 
@@ -456,15 +466,79 @@ def _column_label(table: Table, column: int) -> str:
     return f"column {column + 1} ({name})"
 
 
-def _blocks(table: Table, roles: Roles) -> Iterator[Block]:
+def _blocks(table: Table, roles: Roles, matrix: MatrixRows | None = None) -> Iterator[Block]:
     before = -math.inf
-    for values, fraction in read_blocks(table):
+    repeats = roles.time is None and table.block is None and matrix is None
+    for values, fraction in read_blocks(table, repeats=repeats):
         times = roles.times_in(values)
         if times is not None and roles.time in table.clocks:
             times = continued(times, before)
             before = float(times[-1])
         readings = np.delete(values, roles.non_sensors, axis=1)
-        yield Block(to_float32_if_exact(readings), fraction, times)
+        if matrix:
+            readings, times = matrix.join(values[:, matrix.column], readings, times)
+        if len(readings):
+            yield Block(to_float32_if_exact(readings), fraction, times)
+
+
+@dataclasses.dataclass
+class MatrixRows:
+    """Lines that are the rows of a matrix, which a column numbers; each frame ends with the last.
+
+    Rows without a line are as in the frame before, and frames are left out that begin in between.
+    """
+
+    column: int
+    first: int
+    height: int
+    _held: Any = None
+    _before: Any = None
+
+    def join(
+        self, rows: NDArray[np.float64], readings: NDArray[np.float64], times: Any
+    ) -> tuple[NDArray[np.float64], Any]:
+        """Join lines, (t,) and (t, n_columns), to frames, (T, height * n_columns)."""
+        lines = np.column_stack(
+            [rows - self.first, np.zeros(len(rows)) if times is None else times]
+        )
+        lines = np.column_stack([lines, readings])
+        if self._held is not None:
+            lines = np.concatenate([self._held, lines])
+        starts = np.flatnonzero(np.diff(lines[:, 0]) <= 0) + 1
+        if lines[-1, 0] == self.height - 1:
+            starts = np.append(starts, len(lines))
+        parts = np.split(lines, starts)
+        self._held = parts.pop()
+        frames, begins = [], []
+        for part in parts:
+            frame = np.full((self.height, readings.shape[1]), np.nan)
+            frame[part[:, 0].astype(int)] = part[:, 2:]
+            if self._before is not None:
+                frame = np.where(np.isfinite(frame), frame, self._before)
+            elif part[0, 0]:
+                continue
+            self._before = frame
+            frames.append(frame.ravel())
+            begins.append(part[0, 1])
+        joined = np.array(frames).reshape(len(frames), self.height * readings.shape[1])
+        return joined, None if times is None else np.array(begins)
+
+
+def _find_matrix(table: Table, names: Sequence[str], roles: Roles) -> MatrixRows | None:
+    """Find a column that numbers the rows of a matrix: named row, and 0, 1, ... or 1, 2, ..."""
+    named = (i for i, name in enumerate(names) if _ROW & {*words_of(name)})
+    column = next((i for i in named if i not in roles.non_sensors), None)
+    if column is None or table.block or table.nested:
+        return None
+    rows = first_rows(table, ROWS_LOOKED_AT)[:, column]
+    levels = np.unique(rows)
+    if not (1 < len(levels) <= len(rows) / 3 and levels[0] in (0, 1)):
+        return None
+    if (np.diff(levels) != 1).any():
+        return None
+    steps = (np.diff(rows) - 1) % len(levels)
+    steady = np.mean(steps == 0) >= _CYCLIC
+    return MatrixRows(column, int(levels[0]), len(levels)) if steady else None
 
 
 def _column_metadata(table: Table, roles: Roles) -> dict[str, Scalar]:
