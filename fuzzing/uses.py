@@ -13,7 +13,7 @@ from numpy.random import Generator
 from anisomap import io
 from anisomap.evaluation import align, compare_maps
 from anisomap.layout import check_layout
-from anisomap.live.batches import Batch, Names, Notice, batched
+from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.quick_map import QuickMapper, read_levels
 from anisomap.live.sources.lines import LineParser
 from anisomap.placement import Anchors, place
@@ -62,8 +62,9 @@ def check_source(path: Path, found: Findings, rng: Generator) -> None:
         items = [
             item
             for start, end in pairwise(ends)
-            for item in batched(parser.feed(content[start:end], complete=end == len(content)))
+            for item in parser.feed(content[start:end], complete=end == len(content))
         ]
+        items += parser.end()
         mappers: dict[int, QuickMapper] = {}
         for item in items:
             if not isinstance(item, Batch | Names | Notice):

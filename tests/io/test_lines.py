@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap import io
-from anisomap.errors import FileError
+from anisomap.errors import AnisomapWarning, FileError
 
 ROWS, COLUMNS = 3, 4
 READINGS = np.random.default_rng(3).integers(0, 400, (40, ROWS * COLUMNS))
@@ -150,9 +150,60 @@ def test_the_first_line_that_does_not_fit_is_shown(put, kind: str, wrong: str) -
     write, _, _ = LINES[kind]
     lines = [write(i, row) for i, row in enumerate(READINGS.tolist())]
     lines[30] = wrong
-    with pytest.raises(FileError, match="line 31") as caught:
+    with pytest.warns(AnisomapWarning, match="left out 1 line of 40.*: line 31") as caught:
+        found = io.read(put("log.txt", "\n".join(lines) + "\n"))
+    assert wrong[:9] in str(caught[-1].message)
+    expected = READINGS.copy()
+    expected[30] = READINGS[29]
+    np.testing.assert_array_equal(found.readings[-9:], expected[-9:])
+    lines[31] = wrong
+    with pytest.raises(FileError, match="line 31"):
         io.read(put("log.txt", "\n".join(lines)))
-    assert wrong[:9] in str(caught.value)
+
+
+@pytest.mark.parametrize("n_bad", [1, 10, 11])
+def test_up_to_one_line_in_a_hundred_is_left_out(put, n_bad: int) -> None:
+    rows = [f"{i / 50},{i % 7},{i % 5}\n" for i in range(1000)]
+    for i in range(n_bad):
+        rows[50 + 80 * i] = "WARN: i2c timeout\n" if i % 2 else "0.5,12\n"
+    path = put("log.csv", "".join(["time,a,b\n", *rows]))
+    if n_bad > 10:
+        with pytest.raises(FileError, match="line 52 has 2 fields"):
+            io.read(path)
+        return
+    with pytest.warns(AnisomapWarning, match=rf"left out {n_bad} lines? of 1000: line 52 has"):
+        found = io.read(path)
+    assert found.n_frames == 1000 - n_bad
+    assert found.rate_hz == pytest.approx(50)
+
+
+@pytest.mark.parametrize("mark", ["\t", ", ", " "])
+@pytest.mark.parametrize("label", ["T{}_{}:", "t{}p{}=", "L{}_R{}: "])
+def test_labels_with_two_numbers(put, mark: str, label: str) -> None:
+    names = [label.format(i // 4, i % 4) for i in range(12)]
+    lines = [mark.join(map("{}{}".format, names, map(int, row))) for row in READINGS.tolist()]
+    found = io.read(put("log.txt", "\n".join(lines) + "\n"))
+    assert found.names == tuple(name.rstrip(":= ") for name in names)
+    np.testing.assert_array_equal(found.readings, READINGS.astype(int))
+
+
+@pytest.mark.filterwarnings("ignore:.*numbers the 3 rows of a frame")
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("head", ["", "row,a,b,c,d\n", "timestamp,row,c0,c1,c2,c3\n"])
+def test_rows_of_a_matrix_are_joined(put, head: str, first: int) -> None:
+    frames = np.random.default_rng(0).integers(1, 9, (40, 3, 4))
+    lines = [
+        (f"{t / 50}," if "time" in head else "")
+        + (f"{i + first}," if head else f"Row {i + first}: ")
+        + (",".join if head else " ".join)(map(str, row))
+        for t, frame in enumerate(frames)
+        for i, row in enumerate(frame)
+    ]
+    del lines[0]  # the log begins in a frame
+    found = io.read(put("log.csv", head + "\n".join(lines) + "\n"))
+    np.testing.assert_array_equal(found.readings, frames[1:].reshape(39, 12))
+    assert found.names[4] == "r1c0"
+    assert (found.rate_hz or 50) == pytest.approx(50)
 
 
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")

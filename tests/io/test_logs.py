@@ -150,7 +150,6 @@ REFUSED = {
         table(PRESSED[:99]) + table(PRESSED[99:, ::-1], names=NAMES[::-1]),
         "line 101, .*a second header",
     ),
-    "glued": (table(PRESSED).rstrip("\n") + table(PRESSED), "line 301 has 23 fields"),
 }  # fmt: skip
 
 

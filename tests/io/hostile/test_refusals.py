@@ -11,9 +11,9 @@ from anisomap.errors import FileError
 
 
 def log(line: str) -> str:
-    """Return a log of YARP with a changed line 20; its other lines have 8 fields."""
+    """Return a log of YARP with changed lines 20 and 21; its other lines have 8 fields."""
     lines = [f"{i} {1_379_926_523 + i / 64:.6f} 1.0 2.0 3.0 4.0 5.0 6.0" for i in range(40)]
-    lines[19] = line.format(lines[19])
+    lines[19:21] = [line.format(lines[19]), line.format(lines[20])]
     return "\n".join(lines)
 
 
@@ -30,7 +30,7 @@ def mat(rows: str = "2", columns: str = "2", third: str = "3,4\n") -> str:
 LISTS = "".join(f'{i},"1,2,3"\n' for i in range(60))
 
 INSOLE = "file:\twalk\n\nsensors\t99\n\n\nt [s]\tl1\tl2\tr1\tr2\n" + "".join(
-    "1\t2\n" if i == 9 else f"{i / 50}\t1\t2\t{i % 7}\t4\n" for i in range(30)
+    "1\t2\n" if i in (9, 10) else f"{i / 50}\t1\t2\t{i % 7}\t4\n" for i in range(30)
 )
 
 
@@ -52,9 +52,9 @@ CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
 """What is refused with options of reading."""
 
 RECORDINGS = [
-    ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n", "line 5 has 2 fields, but line 3 has 3"),
+    ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n7 8\n", "line 5 has 2 fields, but line 3 has 3"),
     ("x.csv", "1,2,3\n" * 600 + "1,2\n" * 600, "line 601 has 2 fields, but line 1 has 3"),
-    ("x.csv", "1,5;2,5\nx,5;3\n", "line 2, column 1: 'x,5' is not a number"),
+    ("x.csv", "1,5;2,5\nx,5;3\ny,5;3\n", "line 2, column 1: 'x,5' is not a number"),
     ("x.csv", "a,b\n1," + "x" * 10_000, "line 2, column 2 (b): '" + "x" * 40 + "...' is not"),
     ("x.csv", "a,b,c\n", "holds only a header"),
     ("x.csv", "# a comment\n\n", "no line of numbers"),
@@ -64,7 +64,6 @@ RECORDINGS = [
     ("x.csv", 'a,"b\n' + "1,2\n" * 10, "unbalanced quotation marks"),
     ("x.csv", "a,b\n1,2\n3,4\n# \u00b5\n".encode("latin-1"), "not UTF-8 text (line 4, byte 0xb5)"),
     ("x.csv", "a,b\n1,2\n".encode("utf-16"), "is UTF-16 text"),
-    ("x.csv", b"1,2\n" * 20_000 + b"3,\0\0\n", "line 20001, column 2: '\\x00\\x00' is not"),
     ("x.csv", gzip.compress(b"1,2\n3,4\n" * 9)[:11], "damaged or cut short"),
     (
         "x.csv",
@@ -87,7 +86,6 @@ RECORDINGS = [
     ),
     ("data.log", "0 1.4e9\n1 1.5e9\n2 1.6e9\n", "data.log"),
     ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
-    ("hand.txt", cyskin("38135", ""), "line 6 has 6 fields, but 2 taxels need 7"),
     ("walk.asf", mat(third="x3,4\n"), "the frame at line"),
     ("walk.asf", mat(rows="5"), "2 x 2 cells, but the header says 5 x 2"),
     ("walk.asf", mat(rows="99999999"), "at most 4194304 are supported"),

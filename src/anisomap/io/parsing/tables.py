@@ -436,7 +436,7 @@ def parsed(
                 filled = [s for s in cleaned if not is_skipped(s, table.separator)]
                 block = _by_numpy([missing.sub("nan", s) for s in filled], table)
     # np.loadtxt compares the widths of lines only within the block.
-    if block.shape[1] == table.n_columns:
+    if len(block) and block.shape[1] == table.n_columns:
         left.n_lines, left.before = left.n_lines + len(block), block[-1]
         yield block
         return

@@ -152,14 +152,18 @@ def _stream_table(
     path = table.path
     parse_name = unguard_formula if known else str.strip
     names, matrix = tuple(map(parse_name, table.names)), None
-    roles = Roles() if known else _detected_roles(table, names)
+    roles = Roles() if known else detected_roles(table, names, first_rows(table, ROWS_LOOKED_AT))
     if known.get("times") == _IN_FIRST_COLUMN:
         roles = Roles(time=0, non_sensors=(0,))
     if not known:
         text = (*table.text_columns, *table.clocks)
         names, roles = with_kept(names, roles, options.keep, table.n_columns, text)
         warn_of_guesses(path, names, roles)
-        matrix = None if options.keep else _find_matrix(table, names, roles)
+        matrix = (
+            None
+            if options.keep
+            else find_matrix(table, names, roles, first_rows(table, ROWS_LOOKED_AT))
+        )
         if not (options.keep or matrix):
             known_for = {*roles.non_sensors} - {*table.text_columns}
             refuse_turned(table, sample, known_for)
@@ -277,7 +281,8 @@ def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str)
     text = tuple(sorted({*table.text_columns, *(place for place, _ in lists.values())}))
     roles = Roles()
     if len(text) < table.n_columns:
-        roles = _detected_roles(dataclasses.replace(table, text_columns=text), table.names)
+        text_table = dataclasses.replace(table, text_columns=text)
+        roles = detected_roles(text_table, table.names, first_rows(text_table, ROWS_LOOKED_AT))
         warn_of_guesses(table.path, table.names, roles)
     before = table.first_line - 1
 
@@ -403,8 +408,8 @@ def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Sca
     return sample, dict(entries), metadata
 
 
-def _detected_roles(table: Table, names: tuple[str, ...]) -> Roles:
-    start = first_rows(table, ROWS_LOOKED_AT)
+def detected_roles(table: Table, names: tuple[str, ...], start: NDArray[np.float64]) -> Roles:
+    """Find the columns that are no sensors, by their names and the first rows."""
     never = {*table.text_columns, *table.clocks}
     numeric = [i for i in range(table.n_columns) if i not in never]
     if all(names[i] for i in numeric) if names else False:
@@ -524,13 +529,15 @@ class MatrixRows:
         return joined, None if times is None else np.array(begins)
 
 
-def _find_matrix(table: Table, names: Sequence[str], roles: Roles) -> MatrixRows | None:
+def find_matrix(
+    table: Table, names: Sequence[str], roles: Roles, start: NDArray[np.float64]
+) -> MatrixRows | None:
     """Find a column that numbers the rows of a matrix: named row, and 0, 1, ... or 1, 2, ..."""
     named = (i for i, name in enumerate(names) if _ROW & {*words_of(name)})
     column = next((i for i in named if i not in roles.non_sensors), None)
     if column is None or table.block or table.nested:
         return None
-    rows = first_rows(table, ROWS_LOOKED_AT)[:, column]
+    rows = start[:, column]
     levels = np.unique(rows)
     if not (1 < len(levels) <= len(rows) / 3 and levels[0] in (0, 1)):
         return None

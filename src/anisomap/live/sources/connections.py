@@ -35,7 +35,9 @@ class _Lines(Source):
     _parser: LineParser
 
     def parse(self, content: bytes) -> Iterable[Found]:
-        return self._parser.feed(content, complete=self.whole or not content)
+        yield from self._parser.feed(content, complete=self.whole or (not content and self.ends))
+        if not content:
+            yield from self._parser.end()
 
 
 class StandardInput(_Lines):
@@ -82,13 +84,14 @@ class Tcp(_Lines):
     def open(self) -> Iterator[None]:
         with socket.create_connection(self._place, RETRY_S) as self._connection:
             self._connection.settimeout(WAIT_S)
-            self._parser = LineParser()
+            self._parser, self._is_closed = LineParser(), False
             yield
 
     def receive(self) -> bytes:
-        content = self._connection.recv(READ_BYTES)
-        if not content:
+        if self._is_closed:
             raise EOFError
+        content = self._connection.recv(READ_BYTES)
+        self._is_closed = not content
         return content
 
 

@@ -1,15 +1,25 @@
-"""Lines of text as frames."""
+"""Lines of text as frames, which are read as files are: in the layout that the first lines have."""
 
 from __future__ import annotations
 
-import json
 import math
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
 
-from anisomap.live.batches import Found, Frame, Names, Notice
+import numpy as np
+from numpy.typing import NDArray
+
+from anisomap.base.clocks import continued
+from anisomap.base.wording import counted
+from anisomap.errors import InputError
+from anisomap.io.parsing.detection import find_table
+from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.tables import LeftOut, LineError, is_apart, parsed
+from anisomap.io.recordings.delimited_text import detected_roles, find_matrix
+from anisomap.live.batches import Batch, Item, Names, Notice
 
 MAX_LINE = 1 << 22
 """Bytes; a longer line is no frame. A frame of 100,000 sensors in JSON has fewer."""
@@ -17,28 +27,25 @@ MAX_LINE = 1 << 22
 MIN_SENSORS = 2
 """Fewer numbers are no frame."""
 
-_MISSING = frozenset({"", "nan", "null", "none", "na", "-"})
-_TIMES = frozenset({"t", "time", "time_s", "timestamp", "stamp"})
-_SHOWN = 40  # characters of a line in a notice
+_LOOKED_AT, _LOOKED_AT_S = 20, 2.0  # lines, or time, from which the layout is found
+_MAX_HELD = 1000  # lines without a frame
+_WHERE = Path("lines")  # in errors of readers of files
 
 
-@dataclass
 class LineParser:
-    """Splits bytes into lines and parses each as a frame.
+    """Splits bytes into lines, and reads those by `anisomap.io.parsing`.
 
-    A line is numbers separated by commas, semicolons or white space, a JSON array of numbers, or a
-    JSON object with a list of numbers, or with one number per sensor. An object may have a time in
-    seconds (``t``, ``time`` or ``timestamp``). A first line of text names the sensors; a column
-    ``time`` among them holds the times. Empty fields, ``nan`` and ``null`` are missing readings.
+    Some lines are held until their layout is known: a header, a time, text around the numbers.
     """
 
-    _rest: bytearray = field(default_factory=bytearray)
-    _names: tuple[str, ...] = ()
-    _time_column: int | None = None
-    _overlong: bool = False
-    _width: int = 0
+    def __init__(self) -> None:
+        self._rest = bytearray()
+        self._overlong = False
+        self._held: list[str] = []
+        self._since = 0.0
+        self._layout: _Layout | None = None
 
-    def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Found]:
+    def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
         """Parse the whole lines of the next bytes, and keep the rest."""
         # The rest is only added to while no line ends: a line may come byte by byte.
         ended, end, rest = content.rpartition(b"\n")
@@ -53,96 +60,104 @@ class LineParser:
         elif len(self._rest) > MAX_LINE:
             self._rest.clear()
             self._overlong = True
-        for line in lines:
-            if self._overlong:  # the end of a line of which the beginning was discarded
-                self._overlong = False
-                yield _rejected(f"a line of more than {MAX_LINE} bytes")
-                continue
-            text = line.decode("utf-8", "replace").strip()
-            if not text or text.startswith("#"):
-                continue
-            try:
-                yield from self._parse(text)
-            except (ValueError, OverflowError, RecursionError):
-                yield _rejected(repr(text[:_SHOWN]))
+        if lines and self._overlong:  # the end of a line of which the beginning was discarded
+            self._overlong = False
+            del lines[0]
+            yield Notice(f"ignored a line that holds no frame: it has more than {MAX_LINE} bytes")
+        texts = [line.decode("utf-8", "replace").strip() for line in lines]
+        yield from self._read([f"{text}\n" for text in texts if not is_apart(text)])
 
-    def _parse(self, text: str) -> Iterator[Frame | Names]:
-        """Yield the names that a line gives, if they are new, and its frame."""
-        if text[0] in "[{":
-            yield from self._parse_json(text)
+    def end(self) -> Iterator[Item]:
+        """Parse the lines that are held."""
+        yield from self._read([], ended=True)
+
+    def _read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
+        n_read = 0
+        while self._layout is None and n_read < len(lines):
+            self._since = self._since if self._held else time.monotonic()
+            self._held.append(lines[n_read])
+            n_read += 1
+            if len(self._held) % _LOOKED_AT == 0 or time.monotonic() - self._since > _LOOKED_AT_S:
+                yield from self._found()
+        if ended and self._held:
+            yield from self._found()
+        if self._layout is not None and n_read < len(lines):
+            yield from self._layout.read(lines[n_read:])
+
+    def _found(self) -> Iterator[Item]:
+        """Find the layout of the lines that are held, and parse them."""
+        # The first line may be cut: a port is opened while a board sends.
+        layouts = [each for start in (0, 1) if (each := _layout_of(self._held[start:]))]
+        if not layouts:
+            del self._held[: max(0, len(self._held) - _MAX_HELD)]
             return
-        fields = _split(text)
-        if len(fields) > 1 and not fields[-1] and len(fields) != self._width:
-            fields.pop()  # every line ends with a separator
-        self._width = self._width or len(fields)
-        try:
-            row = [math.nan if one.lower() in _MISSING else _number(one) for one in fields]
-        except ValueError:
-            if self._names or not _are_names(fields):
-                raise
-            clock = next((i for i, name in enumerate(fields) if name.lower() in _TIMES), None)
-            self._time_column = clock
-            self._names = tuple(name for i, name in enumerate(fields) if i != clock)
+        self._layout = min(layouts, key=lambda layout: layout.n_left)
+        yield from self._layout.begin(self._held)
+        self._held = []
+
+
+class _Layout:
+    """How lines are read, by the first of them.
+
+    n_left: How many of those do not fit.
+    """
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        self._table = table = find_table(_WHERE, lines)
+        self._body, left = lines[table.first_line - 1 :], LeftOut()
+        if table.n_columns < MIN_SENSORS or table.block or table.nested:
+            raise InputError("no line of two numbers or more")
+        rows = list(parsed([*enumerate(self._body, 1)], table, left))
+        left.check()
+        names, start = tuple(map(str.strip, table.names)), np.concatenate(rows)
+        roles = detected_roles(table, names, start)
+        self._matrix = find_matrix(table, names, roles, start)
+        if self._matrix:
+            non_sensors = (*roles.non_sensors, self._matrix.column)
+            roles = replace(roles, non_sensors=non_sensors)
+        self._roles, self.n_left, self._before = roles, left.n_left, -math.inf
+        kept = tuple(name for i, name in enumerate(names) if i not in roles.non_sensors)
+        self._names = kept if all(kept) and not self._matrix else ()
+        if table.n_columns - len(roles.non_sensors) < MIN_SENSORS:
+            raise InputError("no line of two readings or more")
+
+    def begin(self, lines: Sequence[str]) -> Iterator[Item]:
+        """Say what is skipped above the first frame, and parse the rest."""
+        n_above = len(lines) - len(self._body)
+        if n_above > bool(self._table.names):
+            yield Notice(f"skipped {counted(n_above, 'line')} from {quote(lines[0].strip())} on")
+        if self._names:
             yield Names(self._names)
-            return
-        moment = None
-        if self._time_column is not None and len(row) == len(self._names) + 1:
-            moment = row.pop(self._time_column)
-        yield _checked(moment, row)
+        yield from self.read(self._body)
 
-    def _parse_json(self, text: str) -> Iterator[Frame | Names]:
-        value: Any = json.loads(text)
-        moment: Any = None
-        if isinstance(value, dict):
-            for key in [key for key in value if key.lower() in _TIMES]:
-                moment = value.pop(key)
-            lists = [item for item in value.values() if isinstance(item, list)]
-            if lists:
-                value = max(lists, key=len)
-            else:
-                known = {k: item for k, item in value.items() if item is None or _is_real(item)}
-                if not self._names and len(known) >= MIN_SENSORS:
-                    self._names = tuple(known)
-                    yield Names(self._names)
-                # In the order of the first object.
-                value = [known.pop(name, None) for name in self._names] + list(known.values())
-        if not all(item is None or _is_real(item) for item in value):
-            raise ValueError("no list of numbers")
-        row = [math.nan if item is None else float(item) for item in value]
-        yield _checked(float(moment) if _is_real(moment) else None, row)
+    def read(self, lines: Sequence[str]) -> Iterator[Item]:
+        """Parse lines; those that do not fit are left out with a notice."""
+        table, left = self._table, LeftOut()
+        fresh = [line for line in lines if line.strip() not in table.above]
+        try:
+            for rows in parsed([*enumerate(fresh)], table, left):
+                if len(rows):
+                    yield from self._batch(rows)
+        except LineError as error:
+            left.first = left.first or error
+        if left.first is not None:
+            shown = quote(fresh[left.first.line].strip())
+            yield Notice(f"ignored a line that holds no frame of numbers: {shown}")
 
-
-def _rejected(what: str) -> Notice:
-    return Notice(f"ignored a line that holds no frame of numbers: {what}")
+    def _batch(self, rows: NDArray[np.float64]) -> Iterator[Batch]:
+        readings = np.delete(rows, self._roles.non_sensors, axis=1)
+        times = self._roles.times_in(rows)
+        if times is not None and self._roles.time in self._table.clocks:
+            times = continued(times, self._before)
+            self._before = float(times[-1])
+        if self._matrix:
+            readings, times = self._matrix.join(rows[:, self._matrix.column], readings, times)
+        if len(readings):
+            is_known = times is not None and bool(np.isfinite(times).all())
+            yield Batch(readings, times if is_known else None)
 
 
-def _split(text: str) -> list[str]:
-    for mark in (",", ";", "\t"):
-        if mark in text:
-            return [field.strip().strip('"') for field in text.split(mark)]
-    return text.split()
-
-
-def _number(text: str) -> float:
-    if "_" in text:  # which Python takes as a separator of digits
-        raise ValueError(text)
-    return float(text)
-
-
-def _is_real(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _checked(moment: float | None, row: list[float]) -> Frame:
-    if len(row) < MIN_SENSORS:
-        raise ValueError("fewer than two numbers")
-    return (moment if moment is not None and math.isfinite(moment) else None), row
-
-
-def _are_names(fields: list[str]) -> bool:
-    """Return whether fields are a header: distinct printable texts, none of which is a number."""
-    return (
-        len(set(fields)) == len(fields) >= MIN_SENSORS
-        and all(text and text.isprintable() for text in fields)
-        and not any(re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", text.lower()) for text in fields)
-    )
+def _layout_of(lines: Sequence[str]) -> _Layout | None:
+    with suppress(InputError, ValueError):
+        return _Layout(lines)
+    return None
