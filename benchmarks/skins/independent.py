@@ -284,9 +284,10 @@ def _multi(skin: Skin, t: int, rng: Rng, *, reach: float = 0) -> Touches:
 
 
 def _stroke(
-    skin: Skin, t: int, rng: Rng, *, reach: float = 0, bristles: int = 1, line: bool = False
+    skin: Skin, t: int, rng: Rng, *, reach: float = 0, bristles: float = 1, line: bool = False
 ) -> Touches:
     """Slide a contact, or several that move together, or roll a line contact, over the skin."""
+    bristles = int(bristles)
     at, depth = np.zeros((bristles, t), int), np.zeros(t)
     for part, course in _events(t, rng, (15, 40), (0, 6)):
         depth[part] = course
@@ -337,6 +338,17 @@ def _grasp(skin: Skin, t: int, rng: Rng) -> Touches:
     return [Touch(*both, reach) for both in zip(at, depth, strict=True)]
 
 
+def _hold(skin: Skin, t: int, rng: Rng, *, frames: float = 250) -> Touches:
+    """Rest a hand in one place after another, where it shifts its weight a little."""
+    at, depth = np.zeros(t, int), np.zeros(t)
+    for part, course in _events(t, rng, (int(frames), int(frames)), (0, 10)):
+        place, length = skin.surface[rng.integers(len(skin.surface))], len(course)
+        sway = np.cumsum(rng.normal(0, 0.05, (length, 3)), axis=0)
+        at[part] = skin.nearest(place + sway)
+        depth[part] = course * (1 + 0.3 * np.sin(np.arange(length) * rng.uniform(0.05, 0.3)))
+    return [Touch(at, depth, rng.uniform(3, 5))]
+
+
 def _jumps(skin: Skin, t: int, rng: Rng, *, reach: float = 2) -> Touches:
     """Touch another place in each frame."""
     return [Touch(rng.integers(len(skin.surface), size=t), rng.gamma(6, 1 / 6, t), reach)]
@@ -356,6 +368,7 @@ STIMULATIONS: Mapping[str, Callable[..., Touches]] = {
     "multi": _multi,
     "uneven": partial(_poke, uneven=8.0),
     "jumps": _jumps,
+    "hold": _hold,
 }
 """Functions of a skin, a number of frames, a generator, and parameters."""
 
@@ -434,7 +447,7 @@ def drawn(seed: int, *, body: str = "", damage: str = "", longest: int = 20_000)
     """Draw a case of 500 frames or more."""
     rng = np.random.default_rng([seed, *body.encode()])
     body = body or str(rng.choice([*FLAT, *SOLID]))
-    touches = {*STIMULATIONS} - {"jumps"}
+    touches = {*STIMULATIONS} - {"jumps", "hold"}
     if body in ("sphere", "cylinder", "finger", "hand"):
         touches -= {"footsteps"}  # which load one side
     n_frames = int(np.exp(rng.uniform(np.log(500), np.log(longest))))

@@ -118,6 +118,13 @@ def _of_sensors(change: Callable[[Floats, Rng], Floats]) -> Damage:
     return damage
 
 
+def _dropping(x: Floats, rng: Rng) -> Floats:
+    """Hold a constant, such as the end of the range, in spells that make up 6 to 30 %."""
+    course = uniform_filter1d(rng.normal(size=len(x)), 40)
+    constant = rng.choice([x.min(), x.max(), x.min() - np.ptp(x) / 2, rng.choice(x)])
+    return np.where(course > np.quantile(course, rng.uniform(0.7, 0.94)), constant, x)
+
+
 def _copied(
     x: Floats, rng: Rng, share: float = 0.05, mixed: float = 0, noise: float = 0
 ) -> Damaged:
@@ -216,9 +223,17 @@ def _lost(
     return Damaged(x if gaps else x[~hit])
 
 
-def _steps(x: Floats, rng: Rng, steps: float = 3, share: float = 0.2) -> Damaged:
-    """Let the baselines of some sensors step."""
-    x, some = x.copy(), np.flatnonzero(rng.random(x.shape[1]) < share)
+def _steps(
+    x: Floats, rng: Rng, steps: float = 3, *, share: float = 0.2, boards: float = 0,
+    sensors: float = 0,
+) -> Damaged:  # fmt: skip
+    """Let the baselines of some sensors step, of some boards, or of a number of sensors."""
+    x, numbers = x.copy(), _boards(x.shape[1])
+    some = np.flatnonzero(rng.random(x.shape[1]) < share)
+    if boards:
+        some = np.flatnonzero(np.isin(numbers, rng.permutation(numbers[-1] + 1)[: int(boards)]))
+    if sensors:
+        some = np.sort(rng.permutation(x.shape[1])[: int(sensors)])
     for start in rng.integers(0, len(x), int(steps)):
         x[start:, some] += 0.2 * _deep(x) * rng.normal(size=len(some))
     return Damaged(x, some)
@@ -245,6 +260,7 @@ DAMAGES: Mapping[str, Damage] = {
     "intermittent": _of_sensors(
         lambda c, rng: np.where(uniform_filter1d(rng.normal(size=len(c)), 40) > 0, c, c.min())
     ),
+    "dropping": _of_sensors(_dropping),
     "inverted": _of_sensors(lambda c, rng: c.max() + c.min() - c),
     "saturating": _of_sensors(lambda c, rng: np.minimum(c, c.min() + 0.3 * np.ptp(c))),
     "copied": _copied,

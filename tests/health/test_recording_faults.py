@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from benchmarks.skins.independent import damaged
+from benchmarks.skins.independent import Case as SkinCase
+from benchmarks.skins.independent import damaged, make
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -513,6 +514,29 @@ def test_sensors_whose_rest_steps_are_named_with_a_frame_and_no_others(seed):
     assert set(found.values["frames"]) <= {500, 1100}
     assert set(found.sensors) <= {sound.names[i] for i in some}
     assert len(found.sensors) >= 6
+
+
+def test_a_board_whose_supply_steps_is_named_with_the_frame_and_no_other():
+    """Not if similar sensors are touched at this moment, but no other is ever named."""
+    n_found, n_sensors = 0, 12
+    for seed in range(6):
+        rng, sound = np.random.default_rng(seed), make(SkinCase("plate:n=64", "poke", seed=seed))
+        frame, first = int(rng.integers(400, 1100)), 12 * int(rng.integers(5))
+        some, readings = np.arange(first, first + n_sensors), np.array(sound.readings)
+        signs = rng.permutation(np.resize([-1, 1], n_sensors))
+        readings[frame:, some] += signs * rng.uniform(0.3, 0.6, n_sensors)
+        for found in CHECKS["steps"](replace(sound, readings=readings)):
+            n_found += 1
+            assert found.values["frames"] == [frame]
+            assert set(found.sensors) <= set(some)
+    assert n_found >= 2
+
+
+@pytest.mark.parametrize("seed", [842, 845, 851])
+@pytest.mark.parametrize("body", ["hand:n=60", "glove:n=60", "plate:n=49"])
+def test_hands_that_rest_in_one_place_after_another_change_and_step_nothing(body, seed):
+    held = make(SkinCase(body, "hold", n_frames=3000, seed=seed))
+    assert not kinds(find_faults(held)) & {"changed", "steps"}
 
 
 @pytest.mark.parametrize("noise", [0, 0.01])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from anisomap.numerics.columns import transposed
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
-from anisomap.numerics.reliability.sampling_noise import LEAST_RATIO, outlying
+from anisomap.numerics.reliability.sampling_noise import outlying
 from anisomap.numerics.signals import (
     MAX_FRAMES,
     MAX_PAIRED,
@@ -51,7 +51,6 @@ _HARMFUL_NOISE = 0.15  # share of the variance: r is 8 % lower
 _NEGLIGIBLE = 0.01  # noise, in standard deviations of the typical sensor
 _OF_WHITE_NOISE = 0.6745 * 6**0.5  # median of the second differences of white noise
 _OF_MEDIAN = 2.0  # relative variance of that median times their number, which overlap; simulated
-_LESS = 0.99  # of a limit, for rounding in float32
 _FLOAT32_RANGE = 1e15  # of readings whose differences are squared in float32
 _MIN_AT_REST = 20  # of them; chosen by hand
 _N_PARTNERS = 8  # most similar sensors that explain readings: the neighbours on a square lattice
@@ -115,29 +114,6 @@ class Behaviour:
         white[enough] = rows[enough, counts[enough] // 2] / _OF_WHITE_NOISE
         variance[enough] = _OF_MEDIAN / counts[enough]
         return np.stack([white, variance, deviation])
-
-    def is_quieter(self, than: NDArray[np.floating] | float) -> NDArray[np.bool_]:
-        """Return whether there is less white noise than a number, or nothing can be told, (n,).
-
-        Much faster than `noise`, which puts second differences in order.
-        """
-        _, changes, quiet = self._excerpt
-        small = np.count_nonzero(quiet & (changes < than * _OF_WHITE_NOISE), axis=0)
-        counts = np.count_nonzero(quiet, axis=0)
-        return np.asarray((2 * small > counts) | (counts < _MIN_AT_REST))
-
-    def may_be_noisy(self) -> bool:
-        """Return whether a sensor has noise that is harmful, and more than most: see `_noisy`."""
-        least = _LESS * _HARMFUL_NOISE**0.5 * self._excerpt[0]
-        suspects = np.flatnonzero(~self.is_quieter(least))
-        if not suspects.size:
-            return False
-        # None exceeds the median enough if half of the sensors have so much noise themselves.
-        limit = float(self.noise(suspects)[0].max()) / LEAST_RATIO / _LESS
-        quieter = self.is_quieter(limit)
-        if 2 * np.count_nonzero(quieter) < quieter.size:
-            quieter |= ~self.signals.differ_by_less(np.full(quieter.size, limit))
-        return bool(2 * np.count_nonzero(quieter) >= quieter.size)
 
     def shared(self, sensor: int) -> float:
         """Return the share of a sensor's variance that those most similar to it explain."""
@@ -363,8 +339,6 @@ def _few_contacts(b: Behaviour) -> dict[int, str]:
 
 
 def _noisy(b: Behaviour) -> dict[int, str]:
-    if not b.may_be_noisy():
-        return {}
     measured = b.noise()
     (noise, variance, deviation), share = measured, noise_share(measured)
     floor = _NEGLIGIBLE * max(float(np.median(deviation)), 1e-300)
@@ -388,18 +362,20 @@ def _intermittent(b: Behaviour) -> dict[int, str]:
     Readings that are cut off at the end of a range are held as well, but while there is no contact,
     and they come near this end by degrees.
     """
-    readings, rest = b.signals.readings, b.signals.rest.value.astype(b.signals.readings.dtype)
-    still = np.count_nonzero(readings[1:] == readings[:-1], axis=0)
+    readings = b.signals.readings
+    repeats = readings[1:] == readings[:-1]
+    still = np.count_nonzero(repeats, axis=0)
     if np.median(still) > _MAX_STILL * len(readings):
         return {}
-    share = np.count_nonzero(readings == rest, axis=0) / len(readings)
     rows, reasons = b.signals.excerpt_rows, {}
-    for i in np.flatnonzero((share >= _MIN_HELD) & (still >= _MIN_STAY * _MIN_HELD)).tolist():
+    for i in np.flatnonzero(still >= _MIN_STAY * _MIN_HELD * len(readings)).tolist():
+        values, counts = np.unique(readings[1:, i][repeats[:, i]], return_counts=True)
+        value = values[counts.argmax()]
         similar = np.abs(rows @ rows[i])
         similar[i] = -1
         near = np.argsort(-similar, kind="stable")[:_N_NEAR]
         free = np.asarray(~b.signals.touched[:, near].any(axis=1))
-        held, both = readings[:, i] == rest[i], free[1:] & free[:-1]
+        held, both = readings[:, i] == value, free[1:] & free[:-1]
         ends, begins = (both & (one[:-1] > one[1:]) for one in (held, ~held))
         if ends.sum() < _MIN_SPELLS or not (free & ~held).any():
             continue
@@ -407,7 +383,7 @@ def _intermittent(b: Behaviour) -> dict[int, str]:
             1 - one.sum() / (both & state[:-1]).sum()
             for one, state in ((ends, held), (begins, ~held))
         )
-        off = np.abs(readings[:, i].astype(np.float64) - rest[i])
+        off = np.abs(readings[:, i].astype(np.float64) - value)
         beside = np.concatenate([off[1:][ends], off[:-1][begins]])
         if (
             stays >= _MIN_STAY
@@ -415,8 +391,8 @@ def _intermittent(b: Behaviour) -> dict[int, str]:
             and np.median(beside) >= _MIN_JUMP * np.median(off[free & ~held])
         ):
             reasons[i] = (
-                f"holds one value in {share[i]:.0%} of the frames, in spells that have nothing to "
-                "do with contact"
+                f"holds one value in {held.mean():.0%} of the frames, in spells that have nothing "
+                "to do with contact"
             )
     return reasons
 

@@ -1,4 +1,4 @@
-"""Steps of the reading at rest, of several sensors at once: a supply or an amplifier that jumps."""
+"""Steps of the reading at rest: a supply or an amplifier that jumps, wires that were moved."""
 
 from __future__ import annotations
 
@@ -7,102 +7,91 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrc
 
 from anisomap.health.recording_faults import Found
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.numerics.signals import excerpt_frames, unit_rows
+from anisomap.numerics.signals import excerpt_frames, medians, normal_maximum, unit_rows
 from anisomap.recording import Recording
 
-# Chosen by hand on the seeds 741 to 750 of benchmark `faults`, and on blocks that are moved from
-# place to place at once, of which 2 of 360 recordings are accused.
-_WINDOW, _N_WINDOWS = 25, 8  # frames whose median is taken; windows on either side
-_MIN_SENSORS, _MAX_MOMENTS = 3, 40  # that step at once; moments that are examined
-_NOISE, _FINEST = 6.0, 1e-3  # deviations of the noise of a step, which is this share of the range
+_WINDOW, _N_WINDOWS = 25, 8  # frames of a level, and levels on either side that are compared
+_NOISE, _FINEST = 4.0, 1e-3  # deviations of the noise of a step, which is this share of the range
 _NEAR = 5  # frames on either side in which most of a step is made
-_BEYOND, _TOUCHED, _AT_REST = 0.02, 0.3, 0.5  # shares of frames
-_MAX_AGAIN, _MAX_ALIKE = 0.3, 0.5  # see `find_steps`
 _N_SIMILAR = 3
+_MAX_MOMENTS = 40  # that are examined
+# Share of the sensors similar to one that a contact moves that it does not move to the same side,
+# and probability with which more of them do not by chance.
+_UNLIKE, _FALSE_ALARMS = 0.2, 0.01
 
 
 def find_steps(recording: Recording) -> Iterator[Found]:
-    """Find sensors whose reading at rest steps, to both sides, at one frame and for good.
+    """Find sensors whose reading at rest steps at one frame, and does not return.
 
-    A contact that begins or ends moves sensors to one side. Where one contact replaces another,
-    most similar sensors move alike, return to levels that they had, or are few of those that move
-    at this frame. Skins that are hardly touched are not judged.
+    Contacts move readings to one side of rest, so the least level on the other side, of quartiles
+    of 8 successive windows of 25 frames, is the level at rest unless a contact lasts for all of
+    them. It steps if it differs before and after a frame by 4 deviations of the noise, most of it
+    within 5 frames, and if no level of the recording beyond the step reaches the other one. A
+    contact that begins and stays, or was there and ends, moves sensors to one side, and similar
+    ones alike. Sensors that step at one frame are a finding if too few of the most similar ones
+    move to the same side, by a binomial test, and if they step to both sides or none of these moves
+    at all. Sensors with fewer than 5 contacts are not judged.
     """
     readings, signals = recording.readings, recording.signals
     n_windows = len(readings) // _WINDOW
-    if n_windows < 2 * _N_WINDOWS or np.median(signals.contacts) < MIN_CONTACTS:
+    if n_windows < 2 * _N_WINDOWS + 1:
         return
-    changes = np.abs(np.diff(readings[excerpt_frames(readings)], axis=0))
-    noise = np.median(changes, axis=0) / 0.954  # of the differences of two normal numbers
+    side = signals.rest.side.astype(readings.dtype)
+    changes = np.diff(readings[excerpt_frames(readings)], axis=0)
+    size = np.abs(changes)
+    noise = np.median(size, axis=0) / 0.954  # of the differences of two normal numbers
+    noise = np.maximum(noise, size.min(axis=0, where=size > 0, initial=np.inf) / 2)  # of codes
     noise = np.maximum(noise, _FINEST * np.ptp(readings, axis=0)).astype(np.float64)
-    least = _NOISE * np.maximum(noise, 1e-300)
-    windows = readings[: n_windows * _WINDOW].reshape(n_windows, _WINDOW, -1)
-    medians = np.median(windows, axis=1).astype(np.float64)
-    several = np.lib.stride_tricks.sliding_window_view(medians, _N_WINDOWS, axis=0)
-    level = np.median(several, axis=-1)
-    at = np.arange(n_windows)
-    change = level[np.minimum(at, len(level) - 1)] - level[np.maximum(at - _N_WINDOWS, 0)]
-    change[:2] = change[-1:] = 0
-    counts = np.count_nonzero(np.abs(change) > least, axis=1)
-    frames, stepping = set[int](), np.zeros(len(noise), dtype=bool)
+    least = _NOISE * noise
+    windows = (side * readings[: n_windows * _WINDOW]).reshape(n_windows, _WINDOW, -1)
+    levels = np.partition(windows, _WINDOW // 4, axis=1)[:, _WINDOW // 4].astype(np.float64)
+    several = np.lib.stride_tricks.sliding_window_view(levels, _N_WINDOWS, axis=0).min(axis=-1)
+    before, after = several[: -_N_WINDOWS - 1], several[_N_WINDOWS + 1 :]  # beside window k + 8
+    step = after - before
+    lowest_before = np.minimum.accumulate(levels, axis=0)[_N_WINDOWS - 1 :][: len(step)]
+    lowest_after = np.minimum.accumulate(levels[::-1], axis=0)[::-1][_N_WINDOWS + 1 :][: len(step)]
+    beyond = np.where(step > 0, lowest_after - before, lowest_before - after)
+    # Slow noise and drift change levels everywhere: the greatest of so many normal numbers.
+    usual = medians(np.abs(step)) / 0.6745 * normal_maximum(step.size)
+    stepping = (np.abs(step) > np.maximum(least, usual)) & (beyond > np.abs(step) / 2)
+    stepping &= signals.contacts >= MIN_CONTACTS  # of others, the side of contact is not known
+    rows = unit_rows(changes)
+    counts = np.count_nonzero(stepping, axis=1)
+    frames, found = set[int](), np.zeros(len(noise), dtype=bool)
     for _ in range(_MAX_MOMENTS):
-        i = int(counts.argmax())
-        if counts[i] < _MIN_SENSORS:
+        k = int(counts.argmax())
+        if not counts[k]:
             break
-        counts[max(0, i - 2) : i + 3] = 0
-        moved = np.abs(change[i]) > least
-        near = readings[(i - 2) * _WINDOW : (i + 2) * _WINDOW, moved].astype(np.float64)
-        jumps = np.diff(near, axis=0) * np.sign(change[i, moved]) > np.abs(change[i, moved]) / 2
-        frame = (i - 2) * _WINDOW + 1 + int(jumps.sum(axis=1).argmax())
-        if frame in frames or not 2 * _WINDOW <= frame <= len(readings) - 2 * _WINDOW:
-            continue
-        found = _at(recording, frame, least)
-        stepping[found] = True
-        frames |= {frame} if found.size else set()
+        counts[max(0, k - 2) : k + 3] = 0
+        some = np.flatnonzero(stepping[k])
+        begin = (k + _N_WINDOWS - 1) * _WINDOW
+        near = (side * readings[begin - _NEAR : begin + 3 * _WINDOW + _NEAR]).astype(np.float64)
+        soon = np.median(np.lib.stride_tricks.sliding_window_view(near, _NEAR, axis=0), axis=-1)
+        change = soon[_NEAR:] - soon[:-_NEAR]
+        jumps = np.diff(near, axis=0)[_NEAR - 1 :][: len(change)]
+        score = np.clip(jumps[:, some] / step[k, some], -1, 1).sum(axis=1)
+        at = int(score.argmax())
+        sudden = np.abs(change[at]) > least / 2
+        some = some[change[at, some] / step[k, some] > 0.5]
+        if some.size and not _by_contact(some, np.sign(change[at]) * sudden, rows):
+            frames.add(begin + at)
+            found[some] = True
     if frames:
         values = {"frames": sorted(frames), "n_sensors": recording.n_sensors}
-        yield Found(np.flatnonzero(stepping), float(stepping.mean()), values)
+        yield Found(np.flatnonzero(found), float(found.mean()), values)
 
 
-def _at(recording: Recording, frame: int, least: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the sensors that step at a frame; none unless they are as `find_steps` says."""
-    readings, reach = recording.readings, _N_WINDOWS * _WINDOW
-    before, after = (
-        part.astype(np.float64)
-        for part in (readings[max(0, frame - reach) : frame], readings[frame : frame + reach])
-    )
-    low, high = np.median(before, axis=0), np.median(after, axis=0)
-    step, jump, sign = high - low, after[0] - before[-1], np.sign(high - low)
-    soon = np.median(after[:_NEAR], axis=0) - np.median(before[-_NEAR:], axis=0)
-    sudden = (np.abs(soon) > least) & (np.sign(soon) * jump > np.abs(soon) / 2)
-    stepping = np.abs(step) > least
-    stepping &= sign * np.where(sign * jump < sign * soon, jump, soon) > np.abs(step) / 2
-    near = np.maximum(least, _NOISE * np.abs(step) / 20)
-
-    def share(part: NDArray[Any], level: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray((np.abs(part - level) <= near).mean(axis=0))
-
-    # A contact moves readings to one side: the other side of a level at rest is not visited.
-    middle = (low + high) / 2
-    crossed = [
-        (sign * (before - middle) > 0).mean(axis=0),
-        (sign * (after - middle) < 0).mean(axis=0),
-    ]
-    stepping &= (np.min(crossed, axis=0) <= _BEYOND) & (np.max(crossed, axis=0) <= _TOUCHED)
-    stepping &= np.minimum(share(before, low), share(after, high)) >= _AT_REST
-    stepping &= (
-        np.maximum(share(readings[:frame], high), share(readings[frame:], low)) <= _MAX_AGAIN
-    )
-    some = np.flatnonzero(stepping)
-    n_up = np.count_nonzero(step[some] > 0)
-    if some.size < max(_MIN_SENSORS, np.count_nonzero(sudden) / 2) or n_up in (0, some.size):
-        return some[:0]
-    rows = unit_rows(np.diff(readings[excerpt_frames(readings)], axis=0))
+def _by_contact(some: NDArray[np.intp], sign: NDArray[Any], rows: NDArray[Any]) -> bool:
+    """Return whether a contact may move some sensors; sign (N,): to which side each moves, or 0."""
     similar = rows[some] @ rows.T
     similar[np.arange(some.size), some] = -np.inf
     nearest = np.argsort(-similar, axis=1, kind="stable")[:, :_N_SIMILAR]
-    alike = (np.abs(step) > least)[nearest] & (sign[nearest] == sign[some][:, None])
-    return some if alike.any(axis=1).mean() <= _MAX_ALIKE else some[:0]
+    alike = sign[nearest] * sign[some][:, None]
+    unlike = int(np.count_nonzero(alike <= 0))
+    chance = bdtrc(unlike - 1, alike.size, _UNLIKE) if unlike else 1.0
+    one_side = np.ptp(sign[some]) == 0 and alike.any()
+    return bool(one_side or chance >= _FALSE_ALARMS)

@@ -15,7 +15,7 @@ from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
-from anisomap.numerics.reliability.sampling_noise import FALSE_ALARMS
+from anisomap.numerics.reliability.sampling_noise import FALSE_ALARMS, block_length
 from anisomap.numerics.signals import (
     MAX_FRAMES,
     Signals,
@@ -196,8 +196,7 @@ def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) ->
     return np.asarray(suspects & (n_explained > 0) & enough)
 
 
-_N_BLOCKS = 16  # of a recording, an even number; it may change after every second one
-_MIN_BLOCK = 40  # frames; of 25, two of 127 recordings without a change are accused
+_MAX_BLOCKS = 16  # of a recording, an even number; it may change after every second one
 _MAX_COMPARED = 16_384  # of which ranks are correlated
 _MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
 _MIN_SENSORS = 8  # that have these contacts
@@ -221,14 +220,17 @@ def find_change(recording: Recording) -> Iterator[Found]:
     Recordings are not judged if sensors resemble many more others in one part: contacts were
     larger.
     """
-    if recording.n_frames < _MIN_BLOCK * _N_BLOCKS:
-        return
     chosen = some_sensors(recording.n_sensors)
     step = -(-recording.n_frames // _MAX_COMPARED)
-    moments, contacts = _of_blocks(recording.readings[::step][:, chosen])
+    readings = recording.readings[::step][:, chosen]
+    # Blocks that share contacts are more alike than in random order.
+    n_blocks = 2 * (min(_MAX_BLOCKS, len(readings) // block_length(readings)) // 2)
+    if n_blocks < 4:
+        return
+    moments, contacts = _of_blocks(readings, n_blocks)
     rng = np.random.default_rng(0)
     best: tuple[float, int, NDArray[np.intp]] | None = None
-    for division in range(2, _N_BLOCKS - 1, 2):
+    for division in range(2, n_blocks - 1, 2):
         sums = np.array([part.sum(axis=0) for part in np.split(contacts, [division])])
         judged = np.flatnonzero(sums.min(axis=0) >= _MIN_CONTACTS)
         if judged.size < _MIN_SENSORS:
@@ -252,18 +254,20 @@ def find_change(recording: Recording) -> Iterator[Found]:
             best = loss / judged.size, division, lost
     if best is not None:
         _, division, lost = best
-        frame = division * recording.n_frames // _N_BLOCKS
+        frame = division * recording.n_frames // n_blocks
         where = {"frame": frame, "n_frames": recording.n_frames}
         yield Found(chosen[lost], lost.size / chosen.size, where)
 
 
-def _of_blocks(readings: NDArray[Any]) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+def _of_blocks(
+    readings: NDArray[Any], n_blocks: int
+) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
     """Return sums of products of ranks, (blocks, n + 1, n + 1), and contacts, (blocks, n).
 
     readings (T, n). A column of ones turns products into sums and counts as well.
     """
     moments, contacts = [], []
-    for piece in np.array_split(readings, _N_BLOCKS // 2):
+    for piece in np.array_split(readings, n_blocks // 2):
         signals = Signals(piece)
         ranks = ranks_of_depths(piece, signals.rest, single=True)
         values = np.column_stack([ranks - ranks.mean(axis=0), np.ones(len(ranks), ranks.dtype)])

@@ -161,6 +161,11 @@ BLOCK_FACTOR = 4
 """Length of a block, relative to the lag at which autocorrelations fade; see `block_edges`."""
 
 
+def block_length(readings: ArrayLike) -> int:
+    """Return frames of a block that is long against the autocorrelation of readings (T, N)."""
+    return BLOCK_FACTOR * max(1, correlation_time(readings))
+
+
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     """Split readings (T, N) into blocks that are long against their autocorrelation.
 
@@ -168,8 +173,8 @@ def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
     few against the recording to estimate variances.
     """
     values = np.asarray(readings)
-    length = BLOCK_FACTOR * max(1, correlation_time(values))
-    count = min(max(len(values) // length, MIN_BLOCKS), MAX_BLOCKS, len(values))
+    count = len(values) // block_length(values)
+    count = min(max(count, MIN_BLOCKS), MAX_BLOCKS, len(values))
     return np.linspace(0, len(values), count + 1).astype(np.intp)
 
 
