@@ -123,7 +123,7 @@ def test_buttons(page):
 
 
 def test_the_page_at_the_end_is_one_file_with_the_map_and_links(page):
-    path = save_page(page.session, page.folder / "end.html", [page.folder / "r.csv"])
+    path = save_page(page.session, page.folder / "end.html", [page.folder / "r #1%.csv"])
     text = path.read_text()
     assert not any(
         word in text
@@ -133,7 +133,7 @@ def test_the_page_at_the_end_is_one_file_with_the_map_and_links(page):
     shown = json.loads(text.partition('type="application/json">')[2].partition("</script>")[0])
     assert shown["map"]["names"][0] == NAME
     assert shown["status"]["frames"] == 800
-    assert shown["files"] == [{"name": "r.csv", "url": "r.csv"}]
+    assert shown["files"] == [{"name": "r #1%.csv", "url": "r%20%231%25.csv"}]
 
 
 @pytest.mark.parametrize(

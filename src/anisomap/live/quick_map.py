@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted, join_items
 from anisomap.drawing.view import MAX_JOINED, neighbour_pairs
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import SensorHealth
@@ -35,20 +34,21 @@ from anisomap.sensor_map import is_faulty
 MAX_PLACES = 3
 """Number of places that are marked: what a person can follow while touching."""
 
-_MAX_NAMED = 5
+_MOST_DEAD = 0.1  # of the sensors; of more, a part of the skin was never touched
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
     """Advice to the person who touches the skin: places that lack contacts, most urgent first.
 
+    untouched, dead: Sensors without a contact; those of them around which there were enough.
     enough: Whether more contacts would gain little.
     """
 
     places: tuple[Place, ...] = ()
     untouched: tuple[int, ...] = ()
+    dead: tuple[int, ...] = ()
     enough: bool = False
-    text: str = "touch the skin"
 
     @property
     def next_sensors(self) -> tuple[int, ...]:
@@ -69,12 +69,11 @@ def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]
 def advise(
     positions: NDArray[np.float64],
     touched: NDArray[np.bool_],
-    names: Sequence[str],
     drop: Collection[int] = (),
 ) -> Advice:
     """Advise where to touch next. positions (N, k); touched (T, N)."""
     contacts = count_contacts(touched)
-    wanted = np.ones(len(names), dtype=bool)
+    wanted = np.ones(touched.shape[1], dtype=bool)
     wanted[list(drop)] = False
     placed = np.isfinite(positions).all(axis=1)
     untouched = tuple(np.flatnonzero(wanted & (contacts == 0)).tolist())
@@ -83,21 +82,11 @@ def advise(
     pairs = neighbouring_sensors(positions)
     need = needed_evidence(contacts, pairs, count_joint_contacts(touched, pairs))
     places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
+    # Sensors without a contact have no place: few of them, when all others had enough, are dead.
+    few = len(untouched) <= max(1, _MOST_DEAD * wanted.sum())
+    dead, untouched = ((), untouched) if places or not few else (untouched, ())
     enough = wanted.any() and not (places or untouched)
-    return Advice(places, untouched, bool(enough), _in_words(places, untouched, names))
-
-
-def _in_words(places: Sequence[Place], untouched: Sequence[int], names: Sequence[str]) -> str:
-    parts = [f"touch {' and '.join(p.in_words(names) for p in places[:2])}"] if places else []
-    if untouched:
-        listed = join_items([names[i] for i in untouched], _MAX_NAMED)
-        parts.append(f"{counted(len(untouched), 'sensor')} never touched: {listed}")
-    if parts:
-        return "; ".join(parts)
-    return (
-        f"all sensors had about {ENOUGH_CONTACTS} contacts or more, alone and together with their "
-        "neighbours"
-    )
+    return Advice(places, untouched, dead, bool(enough))
 
 
 QUICK_METHOD = "r-anisomap"
@@ -182,7 +171,7 @@ class QuickMapper:
             seconds=time.monotonic() - begun,
             contacts=signals.contacts,
             pairs=neighbour_lines(positions),
-            advice=advise(positions, signals.touched, self.names, self.drop),
+            advice=advise(positions, signals.touched, self.drop),
             rest=rest,
             highest_depth=rest.depth(side_of_contact[None])[0],
             names=tuple(self.names),

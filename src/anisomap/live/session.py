@@ -146,9 +146,11 @@ class SessionMaps:
             return f"Touch {names}: not touched yet", False
         if advice.places:
             return f"Touch {advice.places[0].in_words(self.names)}", False
+        dead = join_items([self.names[i] for i in advice.dead], _MAX_NAMED)
+        told = f"{dead} never responded: dead? " if dead else ""
         if not self.is_good:
-            return "Touch the whole skin again, each place in other directions", False
-        return f"Good: {self.error_told}. Keep going, or end the session", True
+            return f"{told}Touch the whole skin again, each place in other directions", False
+        return f"{told}Good: {self.error_told}. Keep going, or end the session", True
 
     @property
     def made(self) -> SensorMap:
@@ -397,12 +399,14 @@ class LiveSession:
 
     @property
     def state(self) -> str:
-        """``"running"``, ``"paused"``, ``"finishing"`` or ``"ended"``."""
+        """``"running"``, ``"lost"``, ``"paused"``, ``"finishing"`` or ``"ended"``."""
         if self.finishing:
             return "finishing"
         if self.ended.is_set():
             return "ended"
-        return "paused" if self.paused else "running"
+        if self.paused:
+            return "paused"
+        return "running" if self.source.is_open or not self.recorder.n_frames else "lost"
 
     @property
     def rate_hz(self) -> float:
@@ -427,13 +431,16 @@ class LiveSession:
     @property
     def guidance(self) -> tuple[str, bool]:
         """What to do now, in one sentence, and whether the map is good."""
-        match self.state:
-            case "finishing":
-                return "Making the final map", False
-            case "ended":
-                return f"The session is over. {self.maps.outcome}".rstrip(), self.maps.is_good
-            case "paused":
-                return "Paused: nothing is recorded. Press P to go on", False
+        state = self.state
+        if state == "ended":
+            return f"The session is over. {self.maps.outcome}".rstrip(), self.maps.is_good
+        waits = {
+            "finishing": "Making the final map",
+            "paused": "Paused: nothing is recorded. Press P to go on",
+            "lost": f"No connection to {printable(self.source.description)}: trying again",
+        }
+        if state in waits:
+            return waits[state], False
         if self.recorder.n_frames == 0:
             return "Waiting for the first frame", False
         if self.lags:

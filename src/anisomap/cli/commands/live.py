@@ -174,6 +174,8 @@ def live(
                 webbrowser.open(server.url)
         _run(session, page, printer, received)
         _finish(session, printer, maps, report, spacing, received=received)
+        if server is not None and session.page is not None and session.page.exists():
+            server.keep(session.page)
         if page.browser and session.page is not None and session.page.exists():
             webbrowser.open(session.page.absolute().as_uri())
     if session.failure is not None:

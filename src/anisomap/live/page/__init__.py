@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,7 +197,11 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
 
 def save_page(session: LiveSession, path: Path, files: Sequence[Path]) -> Path:
     """Write the page as it is at the end: one file, with the final map and links to files."""
-    links = [{"name": file.name, "url": os.path.relpath(file, path.parent)} for file in files]
+    places = [Path(os.path.relpath(file, path.parent)).as_posix() for file in files]
+    links = [
+        {"name": file.name, "url": quote(place, errors="surrogateescape")}
+        for file, place in zip(files, places, strict=True)
+    ]
     shown = {"map": map_snapshot(session), "status": status_snapshot(session), "files": links}
     data = json.dumps(shown, allow_nan=False).replace("<", "\\u003c")
     style, *modules = (

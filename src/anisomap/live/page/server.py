@@ -34,6 +34,7 @@ _POLICY = (
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}  # as of any system
 _BYTES = {"errors": "surrogateescape"}  # of file names
 _STATUS_S = 0.5  # between two states of what changes slowly
+_KEEP_S = 2.0  # for browsers to take the page at the end
 _HOST = re.compile(
     r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?"
 )  # address or name, port
@@ -62,6 +63,9 @@ class Server(ThreadingHTTPServer):
         self.closing = threading.Event()
         self.viewers = threading.BoundedSemaphore(_MAX_VIEWERS)
         self.written: dict[str, Path] = {}
+        self.end: Path | None = None
+        self.is_watched = False
+        self.kept = threading.Event()
         try:
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
@@ -76,6 +80,12 @@ class Server(ThreadingHTTPServer):
         self.url = f"http://{shown}:{self.port}/{query}"
         self._thread = threading.Thread(target=self.serve_forever, daemon=True)
         self._thread.start()
+
+    def keep(self, page: Path) -> None:
+        """Give the page at the end to browsers, which show it when they reload the address."""
+        self.end = page
+        if self.is_watched:
+            self.kept.wait(_KEEP_S)
 
     def __exit__(self, *_: object) -> None:
         self.closing.set()
@@ -103,6 +113,9 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer a request for a file, an event stream or a download."""
         address = _split(self.path)
+        if self.server.closing.is_set():  # on a connection that is still open
+            self.close_connection = True
+            return
         if not self._allowed(address.query):
             return
         page = STATIC / (address.path[1:] or "index.html")
@@ -110,6 +123,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(page.read_bytes(), f"{_TYPES[page.suffix]}; charset=utf-8")
         elif address.path == "/events":
             self._send_events()
+        elif address.path == "/end" and self.server.end is not None:
+            self._send(self.server.end.read_bytes(), "text/html; charset=utf-8")
+            self.server.kept.set()
         elif address.path.startswith("/files/"):
             self._send_file(unquote(address.path.removeprefix("/files/"), **_BYTES))
         else:
@@ -188,7 +204,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._start(HTTPStatus.OK, "text/event-stream")
             self.send_header("Connection", "close")
             self.end_headers()
-            _stream(server.session, server.closing, self._send_event)
+            server.is_watched = True
+            _stream(server, self._send_event)
         finally:
             self.close_connection = True
             server.viewers.release()
@@ -236,13 +253,12 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Cache-Control", "no-store")
 
 
-def _stream(
-    session: LiveSession, closing: threading.Event, send: Callable[[str, object], None]
-) -> None:
+def _stream(server: Server, send: Callable[[str, object], None]) -> None:
     """Send the state of a session again and again; a slow reader misses states, not the last."""
+    session, has_end = server.session, False
     shown: tuple[object, object] = (None, None)
     tick, told = -1, 0.0
-    while not closing.is_set():
+    while not server.closing.is_set():
         with session.changed:
             session.changed.wait(_STATUS_S)
         maps = session.maps.quick, session.maps.checked
@@ -255,6 +271,9 @@ def _stream(
         if time.monotonic() - told >= _STATUS_S:
             told = time.monotonic()
             send("status", status_snapshot(session))
+        if server.end is not None and not has_end:
+            has_end = True
+            send("end", server.end.name)
 
 
 def _split(address: str) -> SplitResult:

@@ -114,6 +114,7 @@ function showEnd(shown) {
 }
 
 function connect() {
+  navigator.serviceWorker?.register("/keep.js").catch(() => {});
   const events = new EventSource("/events");
   events.addEventListener("map", (event) => takeMap(JSON.parse(event.data)));
   events.addEventListener("readings", (event) => {
@@ -127,6 +128,7 @@ function connect() {
     status = JSON.parse(event.data);
     showStatus();
   });
+  events.addEventListener("end", keep);
   events.addEventListener("open", () => { $("disconnected").hidden = true; });
   events.addEventListener("error", () => {
     $("state").textContent = "closed";
@@ -136,6 +138,13 @@ function connect() {
     $("disconnected").textContent = status?.page
       ? `The session is over. Its page is ${status.page}.` : "The session cannot be reached.";
   });
+}
+
+// What `keep.js` shows after the session. Browsers refuse it on other computers than this one.
+async function keep() {
+  const page = await (await fetch("/end")).text();
+  const kept = await self.caches?.open("end");
+  await kept?.put("/end", new Response(page, { headers: { "Content-Type": "text/html; charset=utf-8" } }));
 }
 
 async function act(request) {
