@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import AnisomapWarning, Recording, SensorMap, reconstruct, score
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED
 from anisomap.method.named import METHODS, PAPER_METHODS

@@ -27,7 +27,7 @@ from scipy.spatial.distance import pdist
 from sklearn.isotonic import IsotonicRegression
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.evaluation import mantel
 from anisomap.method.configuration import best_scale
 from anisomap.method.evidence import Evidence

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from benchmarks.harness import frame, keyed_table, measured, options, publish
 from benchmarks.skins.independent import Case, make
 

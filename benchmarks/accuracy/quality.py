@@ -17,7 +17,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.method.named import METHODS
 from benchmarks.accuracy.compare import COMPARED, Comparison, compare_methods, to_csv, to_markdown
 from benchmarks.accuracy.rivals import RIVALS

@@ -19,7 +19,7 @@ from unittest.mock import patch
 import numpy as np
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.method import evidence
 from anisomap.method.named import METHODS, Method
 from anisomap.method.pipeline import reconstruct_with_stages

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 import anisomap
 from anisomap import Recording, SensorMap, align, reconstruct, simulate
-from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
 from anisomap.evaluation import compare_maps, median_spacing
+from anisomap.numerics.surfaces import Mesh
 from anisomap.placement import (
     Anchors,
     Modules,

@@ -14,7 +14,7 @@ from sklearn.metrics import pairwise_distances
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.dimensions import AUTO, Dimensions
 from anisomap.method.named import DEFAULT_MU, MethodOptions

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.axes import frames_of
 from anisomap.base.clocks import is_time, seconds
-from anisomap.base.columns import find_others, find_taxels, without_units
+from anisomap.base.columns import find_others, find_taxels, frames_of, without_units
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 

@@ -18,7 +18,7 @@ from anisomap.base.immutable import Immutable
 from anisomap.base.wording import agreed, counted, html_table, noun_and_items
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.intake import take, take_events, times_of
-from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.columns import fill_gaps
 from anisomap.numerics.levelling import offsets, steps_of_rest
 from anisomap.numerics.signals import Signals
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from anisomap.base.scene import Mesh
 from anisomap.drawing import figures as fig
 from anisomap.drawing.figures import charts, maps, scenes
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.evaluation import score
 from anisomap.health import SensorHealth
 from anisomap.layout import LayoutCheck, LayoutFinding
+from anisomap.numerics.surfaces import Mesh
 from anisomap.placement import Anchors, place
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap

@@ -14,8 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anisomap.base.wording import UNKNOWN, number, printable
-from anisomap.drawing.report import MAX_ROWS, Touches, check_writable, render_report, write_report
-from anisomap.drawing.report.interactive import MAX_DOTS
+from anisomap.drawing.report import (
+    MAX_DOTS,
+    MAX_ROWS,
+    Touches,
+    check_writable,
+    render_report,
+    write_report,
+)
 from anisomap.errors import MissingExtraError
 from anisomap.evaluation import score
 from anisomap.health import STATUSES, SensorHealth, touch_coverage

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 import anisomap
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.method.named import METHODS
 from anisomap.recording import MissingPolicy, Recording
 

@@ -5,11 +5,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from anisomap.base.scene import Mesh, Prop, Scene
 from anisomap.drawing.report import render_report
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth
+from anisomap.numerics.surfaces import Mesh
 from anisomap.sensor_map import SensorMap
+from anisomap.simulation.options import Prop, Scene
 
 PNG = b"\x89PNG\r\n\x1a\n not decoded"
 UNFRIENDLY = (

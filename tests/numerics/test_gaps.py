@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.columns import fill_gaps
 
 N_FRAMES, N_SENSORS = 24, 3
 

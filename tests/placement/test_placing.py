@@ -13,10 +13,9 @@ from scipy.stats import special_ortho_group
 
 import anisomap
 from anisomap import SensorMap, align
-from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
 from anisomap.notes import Note
-from anisomap.numerics.surfaces import TriangleSearch
+from anisomap.numerics.surfaces import Mesh, TriangleSearch
 from anisomap.placement import (
     Anchors,
     anchors_from_map,

@@ -11,9 +11,15 @@ from scipy.spatial import KDTree
 
 from anisomap.simulation import SCENARIOS
 from anisomap.simulation.bodies import BODIES, cylinder, plane, sphere
-from anisomap.simulation.kinematic import read_balls
+from anisomap.simulation.kinematic import (
+    StrokeOptions,
+    draw_strokes,
+    placed,
+    read_balls,
+    sample_skin,
+    settle,
+)
 from anisomap.simulation.options import options_for
-from anisomap.simulation.strokes import StrokeOptions, draw_strokes, placed, sample_skin, settle
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
-from anisomap.numerics.surfaces import TriangleSearch, nearest_on_triangles
+from anisomap.numerics.surfaces import Mesh, TriangleSearch, nearest_on_triangles
 from anisomap.simulation import solids
 from anisomap.simulation.solids import Solid
 

@@ -1,6 +1,6 @@
 """Comparison of maps with true positions: Mantel r, alignment and neighbourhoods."""
 
-from anisomap.base.defaults import PERMUTATIONS
+from anisomap.base import PERMUTATIONS
 from anisomap.evaluation.difference import Difference, compare_maps
 from anisomap.evaluation.mantel_r import Mantel, mantel
 from anisomap.evaluation.scoring import (

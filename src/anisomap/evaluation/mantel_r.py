@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.base.defaults import PERMUTATIONS
+from anisomap.base import PERMUTATIONS
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import limited_blas

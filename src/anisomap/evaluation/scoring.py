@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.base.defaults import PERMUTATIONS
+from anisomap.base import PERMUTATIONS
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, Mantel, mantel
 from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded

@@ -20,7 +20,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.axes import frames_of
+from anisomap.base.columns import frames_of
 from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError, error_reason
 from anisomap.files.budget import Budget

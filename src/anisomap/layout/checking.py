@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.base.defaults import N_SHIFTS
 from anisomap.base.wording import agreed, counted, join_items
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
@@ -36,7 +35,7 @@ from anisomap.layout.findings import (
 from anisomap.layout.joint import Change
 from anisomap.layout.judging import Judge
 from anisomap.layout.modules import Mounting, find_modules
-from anisomap.layout.readings import ReadingStatistics, reading_statistics
+from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
 from anisomap.layout.search import Search
 from anisomap.layout.turned import unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.defaults import N_SHIFTS
 from anisomap.errors import InputError
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.signals import count_contacts, unit_rows
 from anisomap.numerics.similarity.rest import ranks_of_depths
+
+N_SHIFTS = 19
+"""Number of circular shifts: an unrelated sensor exceeds all of them with probability 1/20."""
 
 MIN_FRAMES = 40
 """Minimum number of frames."""

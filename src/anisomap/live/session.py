@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap import io
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.base.wording import join_items, printable
 from anisomap.drawing import report
 from anisomap.errors import AnisomapError, InputError

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io, route
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import AnisomapError, InputError
 from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth

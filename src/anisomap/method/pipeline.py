@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.blocks import sum_blocks
 from anisomap.method.configuration import (

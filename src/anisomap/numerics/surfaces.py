@@ -1,8 +1,9 @@
-"""Normals of a surface at points on it, and the nearest points of triangle meshes."""
+"""Triangle meshes: normals, nearest points and random points of surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +11,37 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial import KDTree
 
-from anisomap.base.scene import Mesh
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
+
+
+def frozen(values: ArrayLike) -> NDArray[np.float64]:
+    """Copy numbers into a read-only array."""
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh(Immutable):
+    """A triangle mesh.
+
+    vertices (V, 3)
+    faces: Vertices of each triangle, counter-clockwise as seen from outside.
+    """
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.intp]
+
+    def __post_init__(self) -> None:
+        faces = np.array(self.faces, dtype=np.intp).reshape(-1, 3)
+        self.set_fields(vertices=frozen(self.vertices), faces=faces)
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """Vertices of each triangle, (n, 3, 3)."""
+        return np.asarray(self.vertices[self.faces])
+
 
 NEIGHBOURS = 8
 """Neighbours used for the tangent plane at a point; a point of a square lattice has 8."""
@@ -117,13 +147,11 @@ class TriangleSearch:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self._corners = _split_large(mesh.vertices[mesh.faces])
+        self._corners = _split_large(mesh.corners)
         centroids = self._corners.mean(axis=1)
         self._largest = float(np.linalg.norm(self._corners - centroids[:, None], axis=2).max())
         self._centroids, self._vertices = KDTree(centroids), KDTree(self._corners.reshape(-1, 3))
-        cross = np.cross(
-            self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]
-        )
+        cross = doubled_normals(self._corners)
         # A triangle without area has no normal; its neighbours determine the sign.
         self._normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
 
@@ -180,10 +208,35 @@ class TriangleSearch:
             yield chosen, index, triangle, feet, here - feet
 
 
+def doubled_normals(corners: Points) -> Points:
+    """Return the normals of triangles with the length of twice their areas, (n, 3, 3) -> (n, 3)."""
+    return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+
+
+def areas_of(corners: Points) -> NDArray[np.float64]:
+    """Return twice the areas of triangles, (n, 3, 3) -> (n,)."""
+    return np.asarray(np.linalg.norm(doubled_normals(corners), axis=1))
+
+
+def sample_triangles(
+    corners: Points, count: int, rng: np.random.Generator
+) -> tuple[Points, Points]:
+    """Draw points uniformly from triangles, (n, 3, 3) -> (count, 3), and the unit normals there.
+
+    Osada et al. (2002), doi:10.1145/571647.571648.
+    """
+    doubled = doubled_normals(corners)
+    areas = np.linalg.norm(doubled, axis=1)
+    chosen = rng.choice(len(areas), count, p=areas / areas.sum())
+    root, along = np.sqrt(rng.random(count)), rng.random(count)
+    weights = np.column_stack([1 - root, root * (1 - along), root * along])
+    points = np.einsum("nc,ncd->nd", weights, corners[chosen])
+    return points, doubled[chosen] / areas[chosen, None]
+
+
 def _split_large(corners: Points) -> Points:
     """Halve triangles with long edges; corners of shape (n, 3, 3)."""
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    typical = np.sqrt(np.linalg.norm(doubled, axis=1).mean())
+    typical = np.sqrt(areas_of(corners).mean())
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     longest = max(_MAX_EDGE * typical, extent / _MAX_SPLITS)
     done = []

@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.scene import Mesh
 from anisomap.base.wording import agreed, counted, join_items, noun_and_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.surfaces import Points
+from anisomap.numerics.surfaces import Mesh, Points
 from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     METRES,

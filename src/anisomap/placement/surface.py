@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import KDTree
 
-from anisomap.base.scene import Mesh
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import Kernel
 from anisomap.numerics.procrustes import extent, fit_similarity
-from anisomap.numerics.surfaces import Points, TriangleSearch
+from anisomap.numerics.surfaces import Mesh, Points, TriangleSearch, areas_of, sample_triangles
 from anisomap.placement.handedness import Tied
 from anisomap.sensor_map import MAX_COORDINATE
 
@@ -36,22 +35,15 @@ class Surface:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        corners = mesh.vertices[mesh.faces]
+        corners = mesh.corners
         if not len(corners) or not np.isfinite(corners).all():
             raise InputError("a mesh must have triangles with finite vertices")
         if np.abs(corners).max() > MAX_COORDINATE:
             raise InputError(f"coordinates of a mesh must be at most {MAX_COORDINATE:g} m")
-        doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        areas = np.linalg.norm(doubled, axis=1)
-        if not areas.sum() > 0:
+        if not areas_of(corners).sum() > 0:
             raise InputError("the triangles of a mesh must have an area")
         rng = np.random.default_rng(0)  # fixed: one mesh is always searched alike
-        drawn = rng.choice(len(areas), _N_SAMPLES, p=areas / areas.sum())
-        # Uniform on a triangle: Osada et al. (2002), ACM Trans. Graphics 21(4): 807-832.
-        root, along = np.sqrt(rng.random(_N_SAMPLES)), rng.random(_N_SAMPLES)
-        weights = np.stack([1 - root, root * (1 - along), root * along])
-        self._points = np.einsum("cs,scd->sd", weights, corners[drawn])
-        self._normals = doubled[drawn] / areas[drawn, None]
+        self._points, self._normals = sample_triangles(corners, _N_SAMPLES, rng)
         self._tree = KDTree(self._points)
         self.nearest = TriangleSearch(mesh).nearest
 

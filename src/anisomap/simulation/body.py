@@ -13,9 +13,9 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.scene import frozen
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, nearest_others
+from anisomap.numerics.surfaces import frozen
 from anisomap.recording import default_names
 from anisomap.simulation.solids import (
     Points,

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.scene import Prop
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.numerics.ranges import COUNT, Range
 from anisomap.simulation import solids
@@ -25,6 +24,7 @@ from anisomap.simulation.options import (
     REACH,
     PhysicsOptions,
     Progress,
+    Prop,
     ScenarioResult,
     no_progress,
     option,

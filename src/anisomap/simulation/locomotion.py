@@ -20,15 +20,15 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.scene import Mesh, Prop
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.numerics.surfaces import Points, TriangleSearch
+from anisomap.numerics.surfaces import Mesh, Points, TriangleSearch
 from anisomap.simulation.body import Body
 from anisomap.simulation.options import (
     REACH,
     SPACING,
     PhysicsOptions,
     Progress,
+    Prop,
     ScenarioResult,
     no_progress,
     positive,

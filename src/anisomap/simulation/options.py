@@ -16,9 +16,10 @@ import numpy as np
 from docstring_parser import parse as parse_docstring
 from numpy.typing import NDArray
 
-from anisomap.base.scene import Prop
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.numerics.ranges import POSITIVE, Range
+from anisomap.numerics.surfaces import Mesh
 from anisomap.recording import Scalar
 from anisomap.simulation.bodies import sphere
 from anisomap.simulation.body import Body
@@ -147,6 +148,58 @@ def report_frames(n_frames: int, progress: Progress) -> Iterator[int]:
         yield frame
         if frame % interval == 0:
             progress(frame / n_frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Prop(Immutable):
+    """Objects of one shape in a scene, static or moving.
+
+    role: Determines the style of drawing; only the edges of a room are drawn.
+    mesh: Surface in local coordinates.
+    centres (T, B, 3): Positions of the local origins of B objects in each frame; T = 1 for static
+        objects.
+    rotations (T, B, 3, 3): Rotation matrix of each object in each frame. Default: identity.
+    scales (B,): Size of each object relative to the mesh. Default: 1.
+    """
+
+    role: str
+    mesh: Mesh
+    centres: NDArray[np.float64]
+    rotations: NDArray[np.float64] | None = None
+    scales: NDArray[np.float64] | None = None
+
+    def surfaces(self, frame: int) -> list[NDArray[np.float64]]:
+        """Return the vertices of each of the B objects in a frame, each of shape (V, 3)."""
+        centres = self.centres[frame % len(self.centres)]
+        scales = np.ones(len(centres)) if self.scales is None else self.scales
+        corners = scales[:, None, None] * self.mesh.vertices
+        if self.rotations is not None:
+            rotations = self.rotations[frame % len(self.rotations)]
+            corners = np.einsum("bij,bvj->bvi", rotations, corners)
+        return list(corners + centres[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(Immutable):
+    """Objects, sensors and readings of a simulated run.
+
+    sensors (T, N, 3): Sensor positions in each frame; T = 1 for static sensors.
+    readings (T, N)
+    times (T,): In seconds.
+    units: Unit of lengths.
+    """
+
+    title: str
+    props: tuple[Prop, ...]
+    sensors: NDArray[np.float64]
+    readings: NDArray[np.floating]
+    times: NDArray[np.float64]
+    units: str
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames, T."""
+        return len(self.readings)
 
 
 @dataclass(frozen=True, eq=False)

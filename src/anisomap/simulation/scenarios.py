@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from anisomap._version import __version__
-from anisomap.base.scene import Scene
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.ranges import COUNT
@@ -25,7 +24,7 @@ from anisomap.simulation.body import Body
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.kinematic import RubbingOptions, rubbing
 from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
-from anisomap.simulation.options import Progress, ScenarioResult, no_progress, options_for
+from anisomap.simulation.options import Progress, ScenarioResult, Scene, no_progress, options_for
 from anisomap.simulation.physics import load_mujoco
 
 DEFAULT_FRAMES = 2000  # as in the paper

@@ -13,9 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.scene import Mesh, frozen
 from anisomap.errors import InputError
-from anisomap.numerics.surfaces import TriangleSearch
+from anisomap.numerics.surfaces import Mesh, TriangleSearch, areas_of, frozen, sample_triangles
 
 Points: TypeAlias = NDArray[np.float64]
 Chosen: TypeAlias = Callable[[Points], NDArray[np.bool_]]
@@ -273,7 +272,7 @@ def sample_surface(
     solids: Sequence[Solid], n_points: int, rng: np.random.Generator
 ) -> tuple[Points, Points]:
     """Draw points uniformly from the surface of a union of solids. Returns (n_points, 3)."""
-    areas = np.array([_doubled_areas(solid.outline)[0].sum() for solid in solids])
+    areas = np.array([areas_of(solid.outline.corners).sum() for solid in solids])
     depth = _ROUNDING * max(solid.reach for solid in solids)
     found: list[tuple[Points, Points]] = []
     n_found = 0
@@ -303,28 +302,15 @@ def sample_surface(
 
 def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tuple[Points, Points]:
     """Draw points and normals from the surface of one solid."""
-    doubled, cross = _doubled_areas(solid.outline)
-    corners = solid.outline.vertices[solid.outline.faces]
-    chosen = rng.choice(len(corners), size=n_points, p=doubled / doubled.sum())
-    # The root makes points uniform on a triangle (Osada et al. 2002, doi:10.1145/571647.571648).
-    first, second = np.sqrt(rng.random(n_points)), rng.random(n_points)
-    weights = np.column_stack([1 - first, first * (1 - second), first * second])
-    points = np.einsum("nc,ncd->nd", weights, corners[chosen])
+    points, normals = sample_triangles(solid.outline.corners, n_points, rng)
     if solid.is_flat:
-        return points, cross[chosen] / doubled[chosen, None]
+        return points, normals
     if solid.kind == "sphere":
         local = points - solid.centre
         local /= np.linalg.norm(local, axis=1, keepdims=True)
         return local * solid.size + solid.centre, local
     points = project([solid], points)
     return points, surface_normals([solid], points)
-
-
-def _doubled_areas(mesh: Mesh) -> tuple[NDArray[np.float64], Points]:
-    """Return twice the area of each triangle, and its outward normal with that length."""
-    corners = mesh.vertices[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.linalg.norm(cross, axis=1), np.asarray(cross)
 
 
 def spread(

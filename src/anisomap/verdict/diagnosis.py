@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.scoring import align, median_spacing
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses

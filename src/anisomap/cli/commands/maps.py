@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
-from anisomap.base.defaults import PERMUTATIONS
+from anisomap.base import PERMUTATIONS
 from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress

@@ -13,11 +13,11 @@ from cyclopts import Group, Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
-from anisomap.base.scene import Mesh
 from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
+from anisomap.numerics.surfaces import Mesh
 from anisomap.usability import UNKNOWN
 
 _MM = 1e3  # per metre

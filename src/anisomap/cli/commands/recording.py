@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import io
-from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS
+from anisomap.base import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.base.wording import agreed, counted
 from anisomap.cli import parameters as options
 from anisomap.cli.console import print_warning, progress

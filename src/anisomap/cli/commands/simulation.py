@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io
-from anisomap.base.defaults import DEFAULT_METHOD, PERMUTATIONS
+from anisomap.base import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, errors, progress

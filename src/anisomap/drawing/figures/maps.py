@@ -57,8 +57,8 @@ from anisomap.sensor_map import SensorMap
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from anisomap.base.scene import Mesh
     from anisomap.layout import LayoutCheck
+    from anisomap.numerics.surfaces import Mesh
     from anisomap.placement import Anchors, Placement
 
 MAX_VECTOR_DOTS = 5_000

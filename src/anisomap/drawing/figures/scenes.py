@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.scene import Mesh, Scene
 from anisomap.drawing.figures.backend import (
     FAINT,
     INK,
@@ -22,6 +21,7 @@ from anisomap.drawing.figures.backend import (
 )
 from anisomap.drawing.view import axis_title
 from anisomap.errors import InputError
+from anisomap.simulation.options import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 _FACES = {"ground": "#b7c7a8", "body": "#c9ced4", "stimulus": "#e69f00"}
 _ALPHA = {"ground": 0.9, "body": 0.5, "stimulus": 0.35}
 _READINGS = "viridis"
-_LIGHT = np.array([0.3, -0.5, 0.81])  # direction of the light
-_DARKEST = 0.55
-_SHARP = 0.9  # cosine of the largest angle between two faces whose edge is not drawn
+_LIGHT = (150, 54)  # azimuth and altitude of the light
 _GROUND_EXTENT = 1.8  # of the ground drawn, in extents of everything else
 
 
@@ -99,7 +97,7 @@ def _draw_scene(ax: Axes, scene: Scene, frame: int) -> None:
     lowest, highest = visible.min(axis=0), visible.max(axis=0)
     for prop, vertices in parts:
         if prop.role == "room":
-            ax.add_collection3d(_sharp_edges(prop.mesh, vertices))
+            ax.add_collection3d(_edges_of_box(vertices))
     for role in _FACES:
         triangles = [vertices[prop.mesh.faces] for prop, vertices in parts if prop.role == role]
         if triangles:
@@ -155,32 +153,21 @@ def _within(
 
 
 def _surface(triangles: NDArray[np.float64], role: str) -> Any:
-    light = (1 + _normals(triangles) @ _LIGHT) / 2
-    face = np.array(load("matplotlib.colors").to_rgb(_FACES[role]))
-    colours = np.empty((len(triangles), 4))
-    colours[:, :3] = face * (_DARKEST + (1 - _DARKEST) * light[:, None])
-    colours[:, 3] = _ALPHA[role]
-    layer = list(_FACES).index(role) + 2
     return load("mpl_toolkits.mplot3d.art3d").Poly3DCollection(
-        triangles, facecolors=colours, edgecolors="none", zorder=layer
-    )
+        triangles, facecolors=_FACES[role], linewidths=0, alpha=_ALPHA[role], shade=True,
+        lightsource=load("matplotlib.colors").LightSource(*_LIGHT),
+        zorder=list(_FACES).index(role) + 2,
+    )  # fmt: skip
 
 
-def _normals(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the unit normals of triangles, (n, 3, 3) -> (n, 3)."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+def _edges_of_box(vertices: NDArray[np.float64]) -> Any:
+    """Return the edges of a box between two of its corners, which are all that is drawn of a room.
 
-
-def _sharp_edges(mesh: Mesh, vertices: NDArray[np.float64]) -> Any:
-    """Return the edges where faces meet at an angle, which are all that is drawn of a room."""
-    normals = _normals(vertices[mesh.faces])
-    sides = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-    face_of = np.repeat(np.arange(len(mesh.faces)), 3)
-    order = np.lexsort(sides.T)
-    sides, face_of = sides[order], face_of[order]
-    pairs = np.flatnonzero((sides[1:] == sides[:-1]).all(axis=1))
-    sharp = np.einsum("ed,ed->e", normals[face_of[pairs]], normals[face_of[pairs + 1]]) < _SHARP
+    Edges are along the axes: their ends differ in one coordinate.
+    """
+    first, second = np.triu_indices(len(vertices), 1)
+    edge = np.count_nonzero(vertices[first] != vertices[second], axis=1) == 1
+    ends = np.stack([vertices[first[edge]], vertices[second[edge]]], axis=1)
     return load("mpl_toolkits.mplot3d.art3d").Line3DCollection(
-        vertices[sides[pairs[sharp]]], colors=FAINT, linewidths=0.8, zorder=2
+        ends, colors=FAINT, linewidths=0.8, zorder=2
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from anisomap.health.recording_faults import Found, with_readings
-from anisomap.numerics.gaps import fill_gaps
+from anisomap.numerics.columns import fill_gaps
 from anisomap.numerics.signals import standardised
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording

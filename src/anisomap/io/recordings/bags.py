@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.axes import XYZ
+from anisomap.base.columns import XYZ
 from anisomap.base.wording import counted, join_items
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.io.presets import grid_names, grid_positions

@@ -20,8 +20,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from anisomap.base.axes import frames_of
 from anisomap.base.clocks import clock_of, is_time
+from anisomap.base.columns import frames_of
 from anisomap.errors import FileError, import_extra
 from anisomap.files.budget import Budget, bytes_kept
 from anisomap.io.parsing.refusals import FROM_EVENTS
