@@ -123,9 +123,9 @@ class _Layout:
 
     def begin(self, lines: Sequence[str]) -> Iterator[Item]:
         """Say what is skipped above the first frame, and parse the rest."""
-        n_above = len(lines) - len(self._body)
-        if n_above > bool(self._names):
-            yield Notice(f"skipped {counted(n_above, 'line')} from {quote(lines[0].strip())} on")
+        n_skipped = len(lines) - len(self._body) - bool(self._names)
+        if n_skipped > 0:
+            yield Notice(f"skipped {counted(n_skipped, 'line')} from {quote(lines[0].strip())} on")
         if self._names:
             yield Names(self._names)
         yield from self.read(self._body)
