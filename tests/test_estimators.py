@@ -1,6 +1,5 @@
 """The scikit-learn estimators: the contract of scikit-learn, and equality with the functions."""
 
-import re
 import warnings
 
 import numpy as np
@@ -168,23 +167,9 @@ def test_dissimilarities_as_points_raise_a_warning():
     Anisomap().fit(distances[:, :5])
 
 
-@pytest.mark.parametrize(
-    ("parameters", "ours"),
-    [
-        ({"metric": False}, "method"),
-        ({"metric_mds": False}, "method"),
-        ({"dissimilarity": "precomputed"}, "metric='precomputed'"),
-        ({"normalized_stress": "auto"}, "stress_"),
-        ({"eps": 1e-3}, "tol"),
-        ({"init": "random"}, "fit(X, init=positions)"),
-        ({"n_jobs": 2}, "threadpoolctl"),
-        ({"verbose": 1}, "logging"),
-        ({"n_init": 0}, "n_init must be at least 1"),
-    ],
-)
-def test_parameters_of_other_estimators_are_refused_with_ours(parameters, ours):
-    with pytest.raises(InputError, match=re.escape(ours)):
-        Anisomap(**parameters).fit(np.eye(3))
+def test_there_is_at_least_one_start():
+    with pytest.raises(InputError, match="n_init must be at least 1"):
+        Anisomap(n_init=0).fit(np.eye(3))
 
 
 def test_the_best_of_several_starts_is_kept_and_repeats_with_the_seed():

@@ -256,7 +256,8 @@ class Anisomap(BaseEstimator):
 
     An alternative to scikit-learn's ``MDS`` and ``Isomap`` that supports any semi-metric, weights
     and missing pairs. Like ``MDS``, it has no `transform` for new objects. Of the parameters of
-    ``MDS``, `init` is an argument of `fit` here, and `n_jobs` and `verbose` have no counterpart.
+    ``MDS``, `metric_mds` is `method` here, `dissimilarity` is `metric`, `eps` is `tol`, and `init`
+    is an argument of `fit`; `normalized_stress`, `n_jobs` and `verbose` have no counterpart.
 
     Parameters
     ----------
@@ -278,8 +279,6 @@ class Anisomap(BaseEstimator):
         Random numbers of the further initial configurations.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
-    metric_mds, normalized_stress, eps, dissimilarity, init, n_jobs, verbose : None
-        Parameters of ``MDS``, refused with an error that names those of this class.
 
     Attributes
     ----------
@@ -319,13 +318,6 @@ class Anisomap(BaseEstimator):
         random_state: Any = None,
         tol: float = SmacofOptions.tolerance,
         max_iter: int = SmacofOptions.max_iterations,
-        metric_mds: bool | None = None,
-        normalized_stress: bool | None = None,
-        eps: float | None = None,
-        dissimilarity: str | None = None,
-        init: str | None = None,
-        n_jobs: int | None = None,
-        verbose: int | None = None,
     ) -> None:
         self.n_components = n_components
         self.metric = metric
@@ -335,13 +327,6 @@ class Anisomap(BaseEstimator):
         self.method = method
         self.n_init = n_init
         self.random_state = random_state
-        self.metric_mds = metric_mds
-        self.normalized_stress = normalized_stress
-        self.eps = eps
-        self.dissimilarity = dissimilarity
-        self.init = init
-        self.n_jobs = n_jobs
-        self.verbose = verbose
 
     def fit(
         self,
@@ -381,7 +366,8 @@ class Anisomap(BaseEstimator):
         AnisomapWarning
             If X is a matrix of dissimilarities, but `metric` is not ``"precomputed"``.
         """
-        self._check_parameters()
+        if self.n_init < 1:
+            raise InputError(f"n_init must be at least 1, got {self.n_init}")
         precomputed = self.metric == "precomputed"
         values = validate_data(
             self,
@@ -458,15 +444,6 @@ class Anisomap(BaseEstimator):
         """
         return self.fit(X, y, weights=weights, init=init).embedding_
 
-    def _check_parameters(self) -> None:
-        if isinstance(self.metric, bool):
-            raise InputError(f"metric={self.metric} is {_OF_MDS['metric_mds']}")
-        for name, here in _OF_MDS.items():
-            if getattr(self, name) is not None:
-                raise InputError(f"{name} of scikit-learn's MDS is {here}")
-        if self.n_init < 1:
-            raise InputError(f"n_init must be at least 1, got {self.n_init}")
-
     def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.input_tags.pairwise = self.metric == "precomputed"
@@ -476,16 +453,6 @@ class Anisomap(BaseEstimator):
 
 
 _ROUNDING = 1e-9  # of 1 - r and the like, relative to the largest dissimilarity
-_OF_MDS = {
-    "metric_mds": "method here: 'mds' or 'anisomap' for True, 'ordinal' for False",
-    "normalized_stress": "always on here: stress_ is normalised",
-    "eps": "tol here",
-    "dissimilarity": "metric here: metric='precomputed' for a matrix of dissimilarities",
-    "init": "init of fit and fit_transform here: fit(X, init=positions)",
-    "n_jobs": "not needed here: initial configurations are few; threadpoolctl limits threads",
-    "verbose": "logging here: logging.getLogger('anisomap').setLevel('INFO')",
-}
-"""Parameters of scikit-learn's MDS, and what they are here."""
 
 
 def _are_dissimilarities(values: NDArray[np.float64]) -> bool:
