@@ -157,7 +157,14 @@ def _of_frame(frame: Any) -> Taken:
     if doubt:
         _say(f"{'index' if clock is None else 'column ' + names[clock]}: {doubt}")
     columns = [i for i in range(len(names)) if i != clock]
-    taken = _sensors(as_array(frame.iloc[:, columns]), [names[i] for i in columns])
+    if texts := [names[i] for i in columns if frame.dtypes.iloc[i].kind not in "biuf"]:
+        raise InputError(
+            f"these columns hold no numbers: {join_items(texts)}", f"use .drop(columns={texts[:9]})"
+        )
+    chosen = frame.iloc[:, columns]
+    mixed = len({dtype.kind for dtype in chosen.dtypes}) > 1  # which NumPy holds as objects
+    values = as_array(chosen.astype(np.float64) if mixed else chosen)
+    taken = _sensors(values, [names[i] for i in columns])
     return Taken(taken.readings, taken.names, times)
 
 

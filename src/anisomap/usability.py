@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from anisomap.base.immutable import Value
 from anisomap.base.wording import number
 from anisomap.errors import InputError
 from anisomap.notes import scaled_note
@@ -33,8 +34,8 @@ ACCURACY = (*(f"{name}{end}" for name in RANGES for end in ("", "_low", "_high")
 """Names of the numbers of a verdict."""
 
 
-@dataclass(frozen=True)
-class Verdict:
+@dataclass(frozen=True, eq=False)
+class Verdict(Value):
     """Verdict on a map: a level, the accuracy to expect at three ranges, and the reasons.
 
     Errors are RMS errors of positions after the best similarity transform, in spacings: medians of

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anisomap import io
+from anisomap import io, reconstruct
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io import ReadOptions
 from anisomap.recording import Recording, as_runs, join_runs, match_sensors
@@ -241,22 +241,47 @@ def test_data_frames(kind: str) -> None:
     assert found.rate_hz == pytest.approx(50)
 
 
-class Labelled:
-    """The part of a DataArray of xarray that is used."""
-
-    def __init__(self, values: np.ndarray, dims: tuple[str, ...], **coords: Any) -> None:
-        self.values, self.dims, self.coords = values, dims, coords
+def test_columns_of_a_frame_are_numbers_of_any_kind() -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(PRESSED, columns=NAMES)
+    mixed = frame.assign(c3=PRESSED[:, 3] > 0, c5=frame.c5.astype("Float64"))
+    expected = PRESSED.copy()
+    expected[:, 3] = PRESSED[:, 3] > 0
+    np.testing.assert_array_equal(Recording(mixed).readings, expected)
+    with pytest.raises(InputError, match=r"no numbers: hand; use .drop\(columns=\['hand'\]\)"):
+        Recording(frame.assign(hand="left"))
 
 
 def test_labelled_arrays() -> None:
-    found = Recording(Labelled(PRESSED, ("time", "sensor"), time=DATES, sensor=NAMES))
+    xarray = pytest.importorskip("xarray")
+    labels = {"time": DATES, "sensor": NAMES}
+    array = xarray.DataArray(PRESSED, dims=("time", "sensor"), coords=labels)
+    found = Recording(array)
     np.testing.assert_array_equal(found.readings, PRESSED)
     assert (found.names, found.rate_hz) == (tuple(NAMES), pytest.approx(50))
     with pytest.raises(InputError, match=r"transpose\('time', 'sensor'\)"):
-        Recording(Labelled(PRESSED.T, ("sensor", "time")))
-    cells = Recording(Labelled(PRESSED.reshape(-1, 3, 4), ("time", "row", "column"), time=TIMES))
-    np.testing.assert_array_equal(cells.readings, PRESSED)
-    assert cells.names[5] == "r1c1"
+        Recording(array.transpose("sensor", "time"))
+    cells = xarray.DataArray(
+        PRESSED.reshape(-1, 3, 4), dims=("time", "row", "column"), coords={"time": TIMES}
+    )
+    np.testing.assert_array_equal(Recording(cells).readings, PRESSED)
+    assert Recording(cells).names[5] == "r1c1"
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
+def test_maps_of_labelled_arrays_are_those_of_their_readings() -> None:
+    xarray = pytest.importorskip("xarray")
+    array = xarray.DataArray(PRESSED, dims=("time", "sensor"), coords={"sensor": NAMES})
+    found = reconstruct(array, dimensions=2)
+    assert found.names == tuple(NAMES)
+    np.testing.assert_array_equal(found.positions, reconstruct(PRESSED, dimensions=2).positions)
+    with pytest.raises(InputError, match=r"got a DataArray; use .*array\.data of xarray"):
+        reconstruct(array.chunk(), "r-anisomap", dimensions=2)
+
+
+def test_objects_in_memory_are_no_files() -> None:
+    with pytest.raises(InputError, match=r"got a list; anisomap\.Recording takes"):
+        io.read([PRESSED])  # type: ignore[arg-type]
 
 
 def test_raw_recordings_of_mne() -> None:

@@ -1,13 +1,20 @@
-"""Immutable values: frozen dataclasses whose arrays and mappings are read-only."""
+"""Immutable values: frozen dataclasses whose arrays and mappings are read-only.
+
+Comparisons that dataclasses generate depend on the version of Python where a field is NaN. `Value`
+compares alike on each.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
+
+_NAN = object()
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +42,29 @@ class Immutable:
         own = {one.name: getattr(self, one.name) for one in fields(self)}
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in own.items()}
         return _rebuilt, (type(self), plain)
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """A frozen dataclass that equals another if all fields do, where NaN equals NaN."""
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Value) or type(other) is not type(self):
+            return NotImplemented
+        return self._compared() == other._compared()
+
+    def __hash__(self) -> int:
+        return hash(self._compared())
+
+    def _compared(self) -> object:
+        return _with_nan(tuple(getattr(self, one.name) for one in fields(self) if one.compare))
+
+
+def _with_nan(value: object) -> object:
+    """Replace NaN by what equals itself, in tuples, too."""
+    if isinstance(value, tuple):
+        return tuple(map(_with_nan, value))
+    return _NAN if isinstance(value, float) and math.isnan(value) else value
 
 
 def _rebuilt(kind: Callable[..., Any], values: dict[str, Any]) -> Any:

@@ -286,6 +286,9 @@ def plain(value: Any) -> Any:
 @contextmanager
 def progress(task: str) -> Iterator[Callable[[float], None]]:
     """Show progress and the remaining time on stderr, if it is a terminal."""
+    if not errors.is_terminal:
+        yield lambda share: None
+        return
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
@@ -296,9 +299,7 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
         TextColumn("left"),
     )
     library = logging.getLogger("anisomap")
-    with Progress(
-        *columns, console=errors, transient=True, disable=not errors.is_terminal
-    ) as display:
+    with Progress(*columns, console=errors, transient=True) as display:
         shown = display.add_task(printable(task), total=None)
         handler = _Description(lambda text: display.update(shown, description=printable(text)))
         level = library.level

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from anisomap.base.immutable import Value
 from anisomap.base.wording import agreed, counted, join_items, noun_and_items
 
 
-@dataclass(frozen=True)
-class Finding:
+@dataclass(frozen=True, eq=False)
+class Finding(Value):
     """A fault of the read-out or of the stimulation that spoils maps.
 
     Attributes

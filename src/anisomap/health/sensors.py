@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.immutable import Value
 from anisomap.numerics.columns import transposed
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
@@ -186,8 +187,8 @@ def exceeded_by_chance(
     return found
 
 
-@dataclass(frozen=True)
-class SensorHealth:
+@dataclass(frozen=True, eq=False)
+class SensorHealth(Value):
     """Health and statistics of a sensor.
 
     Attributes

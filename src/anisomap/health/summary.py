@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anisomap.base.immutable import Value
 from anisomap.base.wording import agreed, counted, join_items, number, percent
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.numerics.signals import some_sensors
@@ -31,8 +32,8 @@ _MEANINGS: dict[str, tuple[str, ...]] = {
 """What follows from each status but "ok"."""
 
 
-@dataclass(frozen=True)
-class RecordingSummary:
+@dataclass(frozen=True, eq=False)
+class RecordingSummary(Value):
     """Summary of a recording.
 
     Attributes

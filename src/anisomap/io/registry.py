@@ -446,7 +446,14 @@ def files_of(path: str | os.PathLike[str]) -> tuple[Path, ...]:
     ------
     FileError
         If a folder holds no recording.
+    InputError
+        If it is no path.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(
+            f"the path of a file is required here, got a {type(path).__name__}",
+            "anisomap.Recording takes arrays, and objects of pandas, xarray and mne",
+        )
     folder = Path(path)
     if not folder.is_dir() or any(f.matches(folder, b"") for f in FORMATS):
         return (folder,)

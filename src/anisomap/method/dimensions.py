@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
+from anisomap.base.immutable import Value
 from anisomap.errors import InputError
 from anisomap.notes import Note
 from anisomap.numerics.neighbours import components
@@ -58,8 +59,8 @@ _MAX_EXAMINED = 250  # for a note on a number that is given
 _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-5)
 
 
-@dataclass(frozen=True)
-class DimensionChoice:
+@dataclass(frozen=True, eq=False)
+class DimensionChoice(Value):
     """Number of dimensions of a map, and why.
 
     Attributes

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import rankdata
 
+from anisomap.base.immutable import Value
 from anisomap.base.wording import join_items
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.accuracy import ALL_PAIRS, DIRECT, RUNS, SMALLEST, tables_of
@@ -49,8 +50,8 @@ Runs: TypeAlias = NDArray[np.float64]
 """A value of each run, (S, ...), in the same order for all methods; NaN if its map is at chance."""
 
 
-@dataclass(frozen=True)
-class Interval:
+@dataclass(frozen=True, eq=False)
+class Interval(Value):
     """A statistic over runs, and its bootstrap interval; or the range of the runs."""
 
     value: float

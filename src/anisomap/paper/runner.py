@@ -123,7 +123,7 @@ def reproduce(
 
 
 def _check(settings: Settings) -> None:
-    if not all(map(find_spec, ("mujoco", "matplotlib", "jinja2"))):
+    if not all(map(find_spec, ("mujoco", "matplotlib", "jinja2", "numba"))):
         raise MissingExtraError("reproducing the paper", "paper")
     if settings.recordings is not None and not settings.recordings.is_dir():
         raise FileError(f"the folder of recordings {settings.recordings} does not exist")

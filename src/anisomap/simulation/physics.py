@@ -50,7 +50,8 @@ def add_solid(spec: Any, solid: Solid, **contact: Any) -> None:
         flex = spec.add_flex(name=name, dim=2, radius=thickness, vertbody=["world"], **contact)
         flex.vert, flex.elem = solid.outline.vertices.ravel(), solid.outline.faces.ravel()
     else:
-        turn = Rotation.from_matrix(solid.rotation).as_quat(scalar_first=True)
+        rotation = Rotation.from_matrix(solid.rotation.copy())  # writable, as SciPy 1.15 asks
+        turn = rotation.as_quat(scalar_first=True)
         add_geom(spec.worldbody, solid.kind, solid.size, pos=solid.centre, quat=turn, **contact)
 
 
