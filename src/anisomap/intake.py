@@ -128,17 +128,19 @@ def _of_array(array: NDArray[Any]) -> Taken:
 
 def _sensors(readings: NDArray[Any], names: Sequence[str]) -> Taken:
     """Leave out columns that are no sensors, and take z of taxels with three axes."""
-    names = without_units(names)
     others = find_others(names, readings[:1000])
+    names = without_units(names)
+    taxels = find_taxels(names, others)
+    others |= taxels.others if taxels else {}
     if others:
         listed = join_items([f"{names[i]} ({what})" for i, what in others.items()])
         _say(f"these columns do not look like sensors and are left out: {listed}")
     kept = [i for i in range(readings.shape[1]) if i not in others]
-    names = tuple(names[i] for i in kept)
-    taxels = find_taxels(names)
-    if taxels is not None:
+    if taxels:
         _say(f"{len(taxels.columns)} taxels with three axes: z is taken; give one column each")
-        kept, names = [kept[z] for _, _, z in taxels.columns.values()], tuple(taxels.columns)
+        kept, names = [z for _, _, z in taxels.columns.values()], tuple(taxels.columns)
+    else:
+        names = tuple(names[i] for i in kept) if names else ()
     whole = len(kept) == readings.shape[1]
     return Taken(_floats(readings if whole else readings[:, kept]), names)
 

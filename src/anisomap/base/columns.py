@@ -1,8 +1,10 @@
 """Columns of a recording: what their names and values say they are.
 
 Units leave names (``T00 [kPa]`` is ``T00``). Taxels with three axes are at least four names that
-are each there with x, y and z, such as ``c0_x``, ``c0.By``, ``Fz_c0``. Columns of labels, inertial
-units, temperatures, counters and sums of all others are no sensors, unless most columns are alike.
+are each there with x, y and z, such as ``c0_x``, ``c0.By``, ``Fz_c0``; one quantity of each is a
+sensor, and flags and quantities of all are none. Columns of labels, inertial units, temperatures,
+counters, flags and sums are no sensors, by any word or the unit of their names, unless most columns
+are alike.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -82,8 +84,12 @@ Axis: TypeAlias = Literal["z", "norm", "x", "y", "all"]
 """What is read of taxels with three axes: one of them, their length, or each as a sensor."""
 
 AXES: tuple[Axis, ...] = ("z", "norm", "x", "y", "all")
-_SUFFIXED = re.compile(r"(.*?)([ _.\-/\\:\[(]*)([BFMHbfmh]?)([xyzXYZ])[\])]?")
-_PREFIXED = re.compile(r"([BFMHbfmh]?)([xyzXYZ])([ _.\-/\\:\[(]*)(.*?\d.*?)[\])]?")
+_QUANTITY = r"((?:[BFMHbfmh]|(?<![A-Za-z])[DTdt])?)"
+_SUFFIXED = re.compile(rf"(.*?)([ _.\-/\\:\[(]*){_QUANTITY}([xyzXYZ])[\])]?")
+_PREFIXED = re.compile(rf"{_QUANTITY}([xyzXYZ])([ _.\-/\\:\[(]*)(.*?\d.*?)[\])]?")
+_LIKED = "tdhm bf"
+"""First letters of quantities, the one that is read of a taxel with several last."""
+_NUMBERED = re.compile(r".*?\d")
 _INERTIAL = re.compile(r"acc|gyr|imu|quat|euler|orient|lin", re.IGNORECASE)
 _MAGNETIC = re.compile(r"mag", re.IGNORECASE)
 
@@ -93,19 +99,27 @@ class Taxels:
     """Taxels with three axes among N columns.
 
     columns: For each name, those of x, y and z.
-    incomplete: Columns of taxels that lack an axis.
+    others: Columns that are no sensors beside them, and what they are.
     """
 
     columns: dict[str, tuple[int, int, int]]
-    incomplete: tuple[int, ...] = ()
+    others: dict[int, str]
 
 
-def find_taxels(names: Sequence[str]) -> Taxels | None:
-    """Find taxels with three axes by the names of their columns; None if there are fewer than 4."""
+_Key: TypeAlias = tuple[str, str, str]
+"""Stem of the name of a taxel, the mark after it, and the letter of a quantity."""
+
+
+def find_taxels(names: Sequence[str], known: Collection[int] = ()) -> Taxels | None:
+    """Find taxels with three axes by the names of their columns; None if there are fewer than 4.
+
+    known: Columns that are no sensors.
+    """
+    names = [name.strip() for name in names]
     for pattern in (_SUFFIXED, _PREFIXED):
-        found: dict[tuple[str, ...], dict[str, int]] = {}
+        found: dict[_Key, dict[str, int]] = {}
         for i, name in enumerate(names):
-            match = pattern.fullmatch(name.strip())
+            match = None if i in known else pattern.fullmatch(name)
             if not match:
                 continue
             if pattern is _SUFFIXED:
@@ -114,19 +128,60 @@ def find_taxels(names: Sequence[str]) -> Taxels | None:
                 quantity, axis, mark, stem = match.groups()
             apart = mark or quantity or stem[-1:].isdigit() or axis.isupper()
             if stem and apart and not _INERTIAL.match(stem):
-                found.setdefault((stem, mark, quantity, axis.lower()[:0]), {})[axis.lower()] = i
-        whole = {key: places for key, places in found.items() if len(places) == len(XYZ)}
+                found.setdefault((stem, mark, quantity), {})[axis.lower()] = i
+        whole = [key for key, places in found.items() if len(places) == len(XYZ)]
         if any(map(_INERTIAL.match, names)):
-            whole = {key: places for key, places in whole.items() if not _MAGNETIC.match(key[0])}
-        stems = [stem for stem, *_ in whole]
-        if len(whole) >= MIN_TAXELS and len(set(stems)) == len(stems):
-            names_of = stems if not all(map(str.isdigit, stems)) else [f"taxel{s}" for s in stems]
-            columns = [(p["x"], p["y"], p["z"]) for p in whole.values()]
-            others = {(mark, quantity) for _, mark, quantity, _ in whole}
-            parts = [p for k, p in found.items() if k not in whole and (k[1], k[2]) in others]
-            incomplete = sorted(i for p in parts for i in p.values())
-            return Taxels(dict(zip(names_of, columns, strict=True)), tuple(incomplete))
+            whole = [key for key in whole if not _MAGNETIC.match(key[0])]
+        numbered = [key for key in whole if _NUMBERED.search(key[0])]
+        if len({stem for stem, *_ in numbered}) >= MIN_TAXELS:
+            whole = numbered
+        counts = Counter(key[1:] for key in whole)
+        whole.sort(key=lambda key: (counts[key[1:]], _LIKED.index(key[2].lower() or " ")))
+        chosen = {key[0]: key for key in whole}  # the last is liked best
+        if len(chosen) >= MIN_TAXELS:
+            digits = all(map(str.isdigit, chosen))
+            columns = {
+                f"taxel{stem}" if digits else stem: (places["x"], places["y"], places["z"])
+                for stem, places in ((key[0], found[key]) for key in found if key in whole)
+                if places is found[chosen[stem]]
+            }
+            return Taxels(columns, _beside(names, {*known}, found, chosen, whole is numbered))
     return None
+
+
+def _beside(
+    names: Sequence[str],
+    known: set[int],
+    found: Mapping[_Key, Mapping[str, int]],
+    chosen: Mapping[str, _Key],
+    numbered: bool,
+) -> dict[int, str]:
+    """Find columns beside taxels: other quantities and flags of them, and quantities of all."""
+    others = dict[int, str]()
+    used = known | {i for key in chosen.values() for i in found[key].values()}
+    kinds = {key[1:] for key in chosen.values()}
+    for key, places in found.items():
+        if key[0] not in chosen and key[1:] in kinds and (not numbered or len(places) < len(XYZ)):
+            others |= dict.fromkeys(places.values(), "a taxel that lacks an axis")
+    rests = dict[str, list[int]]()
+    for i, name in enumerate(names):
+        numbers = _NUMBERED.match(name)
+        if i in used or i in others:
+            continue
+        if numbered and not numbers:
+            others[i] = "a quantity of all taxels"
+        elif numbers and (stem := _stem_of(name, chosen)):
+            rests.setdefault(name.removeprefix(stem), []).append(i)
+    for places_of_rest in rests.values():
+        if len(places_of_rest) > _MAX_SHARE * len(chosen):
+            others |= dict.fromkeys(places_of_rest, "another quantity of a taxel")
+    return others
+
+
+def _stem_of(name: str, stems: Collection[str]) -> str:
+    """Return the stem of a taxel that a name begins with, before its rest; empty without one."""
+    ends = [match.end() for match in re.finditer(r"\d(?!\d)", name)]
+    return next((name[:end] for end in reversed(ends) if name[:end] in stems), "")
 
 
 _UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\d\[\]()][^\[\]()]{0,15})\s*[\])]")
@@ -155,7 +210,7 @@ _LABELS = (
 _OTHERS = {
     **dict.fromkeys(_LABELS.split(), "a label"),
     **dict.fromkeys(
-        ["imu", "quat", "quaternion", "euler", "roll", "pitch", "yaw", "heading"],
+        ["imu", "quat", "quaternion", "euler", "roll", "pitch", "yaw", "heading", "angular"],
         "an inertial unit",
     ),
     **dict.fromkeys(["temp", "temperature", "temperatur", "humidity"], "a temperature or humidity"),
@@ -164,8 +219,14 @@ _OTHERS = {
     **dict.fromkeys(["sum", "total", "checksum", "crc"], "a sum or checksum"),
     **dict.fromkeys(["mean", "average", "avg", "max", "min", "std"], "a statistic of others"),
     **dict.fromkeys(["cop", "copx", "copy"], "a centre of pressure"),
+    **dict.fromkeys(["flag", "contact", "slip"], "a flag"),
 }
 _MOTION = re.compile(r"(?:acc|accel\w*|gyr|gyro\w*|mag|magnetometer)[xyz]?", re.IGNORECASE)
+_PHRASES = {
+    "a centre of pressure": re.compile(r"cent(?:er|re) of (?:pressure|force|mass)"),
+    "an inertial unit": re.compile(r"[\[(](?:dps|(?:deg|rad|\u00b0)/s|m/s(?:\^?2|\u00b2))[\])]"),
+    "a temperature or humidity": re.compile(r"[\[(](?:\u00b0c|deg ?c)[\])]"),
+}
 _MAX_SHARE, _MIN_SENSORS = 0.5, 3
 _MIN_ROWS, _MAX_LEVELS, _MAX_SWITCHES = 20, 10, 0.1
 
@@ -175,18 +236,20 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
 
     table (t, n_columns): First rows. Names are empty if there is no header.
     """
-    named = dict[int, str]()
-    for i, name in enumerate(names):
-        words = words_of(name)
-        motion = bool(words) and _MOTION.fullmatch(words[0]) is not None
-        what = "an inertial unit" if motion else _OTHERS.get(words[0]) if words else None
-        if what:
-            named[i] = what
+    named = {i: what for i, name in enumerate(names) if (what := _what_is_named(name))}
     kinds = Counter(named.values())  # mag0 ... mag35 are sensors
     found = {i: what for i, what in named.items() if kinds[what] <= _MAX_SHARE * len(names)}
     found |= _by_values(names, table, found)
     n_sensors = table.shape[1] - len(found)
     return found if n_sensors >= _MIN_SENSORS else {}
+
+
+def _what_is_named(name: str) -> str:
+    """Return what the words and the unit of a name say that is no sensor; empty for a sensor."""
+    plain, words = re.sub(r"[\s_]+", " ", name.lower()), words_of(name)
+    phrases = (what for what, pattern in _PHRASES.items() if pattern.search(plain))
+    motion = ("an inertial unit" for word in words if _MOTION.fullmatch(word))
+    return next(iter((*phrases, *motion, *(what for w in words if (what := _OTHERS.get(w))))), "")
 
 
 def _by_values(

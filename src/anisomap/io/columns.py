@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.columns import find_others, find_taxels, without_units
+from anisomap.base.columns import Taxels, find_others, find_taxels, without_units
 from anisomap.base.wording import join_items
 from anisomap.errors import FileError
 from anisomap.io.parsing.source import quote_if_needed, warn
@@ -24,29 +24,32 @@ _FEW = 3
 def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
     """Leave out the columns that are no sensors, and take an axis of taxels with three, both said.
 
-    Only `options.keep` decides if it is given.
+    Only `options.keep` decides which columns are sensors if it is given.
     """
     if not (stream.raw_columns or options.keep):
         return stream
-    names = without_units(stream.names)
-    stream = replace(stream, names=names)
+    others, taxels = dict[int, str](), None
     if options.keep:
-        own = names or default_names(stream.n_sensors)
+        stream = replace(stream, names=without_units(stream.names))
+        own = stream.names or default_names(stream.n_sensors)
         stream = _selected(stream, find_sensors(own, options.keep, "column"))
-        names = stream.names
-    elif options.preset or (options.grid and not names):
-        return stream
+    elif options.preset or (options.grid and not stream.names):
+        return replace(stream, names=without_units(stream.names))
     else:
         first, stream = _peeked(stream)
-        if others := find_others(names, first):
-            _say_others(stream.path, names, others)
-            kept = [i for i in range(stream.n_sensors) if i not in others]
-            known = (
-                {} if not names else {"other_columns": ", ".join(f"({names[i]})" for i in others)}
-            )
-            stream = _selected(stream, np.array(kept, dtype=np.intp))
-            stream = replace(stream, metadata={**stream.metadata, **known})
-    return stream if options.axis == "all" else _one_axis(stream, options.axis)
+        others = find_others(stream.names, first)
+        stream = replace(stream, names=without_units(stream.names))
+    if options.axis != "all" and (taxels := find_taxels(stream.names, others)):
+        others |= taxels.others
+    if others:
+        _say_others(stream.path, stream.names, others)
+    if others and stream.names:
+        named = ", ".join(f"({stream.names[i]})" for i in sorted(others))
+        stream = replace(stream, metadata={**stream.metadata, "other_columns": named})
+    if taxels:
+        return _one_axis(stream, options.axis, taxels, others)
+    kept = [i for i in range(stream.n_sensors) if i not in others]
+    return _selected(stream, np.array(kept, dtype=np.intp))
 
 
 def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
@@ -84,19 +87,13 @@ def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
     return _converted(stream, tuple(names[i] for i in kept), kept, lambda rows: rows[:, kept])
 
 
-def _one_axis(stream: Stream, axis: str) -> Stream:
+def _one_axis(stream: Stream, axis: str, taxels: Taxels, left_out: Collection[int]) -> Stream:
     """Take an axis, or the length, of taxels with three; columns that are none of them stay."""
-    taxels = find_taxels(stream.names)
-    if taxels is None:
-        return stream
     places = np.array([*taxels.columns.values()])
-    used = {*places.ravel().tolist(), *taxels.incomplete}
+    used = {*places.ravel().tolist(), *left_out}
     others = [i for i in range(stream.n_sensors) if i not in used]
     what = "the length from rest" if axis == "norm" else axis
     problem = f"{len(places)} taxels with three axes: {what} is read"
-    if taxels.incomplete:
-        labels = join_items([stream.names[i] for i in taxels.incomplete], _FEW)
-        problem += f"; taxels that lack an axis are left out ({labels})"
     warn(stream.path, f"{problem}; choose with --axis z, norm, x, y, or all for each by itself")
     names = (*taxels.columns, *(stream.names[i] for i in others))
     if len(set(names)) < len(names):
