@@ -171,7 +171,8 @@ def reconstruct(
     >>> bool(abs(np.corrcoef(sensor_map.positions[:, 0], places)[0, 1]) > 0.99)
     True
     """
-    if hasattr(recording, "__dask_graph__"):  # without an import of Dask
+    graph = getattr(recording, "__dask_graph__", None)  # without an import of Dask
+    if callable(graph) and graph() is not None:  # an array of xarray in memory has no graph
         return _reconstruct_blocks(recording, method, dimensions, options or DEFAULT_OPTIONS, drop)
     return reconstruct_with_stages(
         recording, method, dimensions, options=options, drop=drop, stack_level=3
