@@ -1,7 +1,6 @@
 """The covariogram fit: exact derivatives, known solutions and invariances."""
 
 import itertools
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -16,17 +15,14 @@ from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.covariogram.covariogram_fit import (
     fit_covariogram,
     minimise,
-    overlapping_blocks,
 )
 from anisomap.numerics.covariogram.objective import (
-    Block,
     CompiledPairs,
     CovariogramOptions,
+    Objective,
     Pairs,
     Problem,
     Weights,
-    gauss_newton_matrix,
-    objective,
     pack,
 )
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
@@ -56,7 +52,7 @@ def set_out(similarity, dimensions, noise):
     return metric, smacof(metric, dimensions=dimensions).positions
 
 
-@pytest.mark.parametrize("most", [600, 5])
+@pytest.mark.parametrize("most", [14, 13])
 @pytest.mark.parametrize("unknown", [0.0, 0.3])
 def test_the_gradient_is_that_of_finite_differences(most, unknown):
     rng = np.random.default_rng(1)
@@ -65,11 +61,11 @@ def test_the_gradient_is_that_of_finite_differences(most, unknown):
     metric = metric + metric.T
     known = rng.uniform(size=(14, 14)) >= unknown
     known &= known.T & ~np.eye(14, dtype=bool)
-    problem = Problem(similarity, metric, known, 0.3, CovariogramOptions())
-    blocks = [Block(b, problem) for b in overlapping_blocks(places, most)]
+    options = CovariogramOptions(max_whitened=most)
+    objective = Objective(Problem(similarity, metric, known, 0.3, options))
 
     def value(p):
-        return objective(blocks, p[:-1].reshape(14, 3), p[-1])
+        return objective.value_and_slope(p[:-1].reshape(14, 3), p[-1])
 
     for _ in range(3):
         at = np.append(places.ravel() + 0.3 * rng.standard_normal(42), rng.uniform(-0.5, 0.7))
@@ -164,42 +160,18 @@ def test_unknown_pairs_are_ignored():
     assert likeness(first.positions, places) > 0.99
 
 
-@given(st.integers(1, 400), st.integers(3, 80), st.integers(1, 3), st.integers(0, 9))
-def test_blocks_cover_every_sensor_within_the_size_limit(n, most, dimensions, seed):
-    places = np.random.default_rng(seed).standard_normal((n, dimensions))
-    blocks = overlapping_blocks(places, most)
-    assert max(len(block) for block in blocks) <= most
-    assert all(np.array_equal(block, np.unique(block)) for block in blocks)
-    times = np.bincount(np.concatenate(blocks), minlength=n)
-    assert (times == (1 if n <= most else 3)).all()
-
-
-def test_blocks_give_nearly_the_map_of_one_block():
+def test_a_fit_that_is_not_whitened_gives_nearly_the_map_of_one_that_is():
     places, similarity = skin(120, 2)
     observed = drawn(similarity, 1000, 0)
     metric, start = set_out(observed, 2, 0.001)
-    whole, parted = (
+    whitened, plain = (
         fit_covariogram(
-            observed, start, metric, noise=0.001, options=CovariogramOptions(block=size)
+            observed, start, metric, noise=0.001, options=CovariogramOptions(max_whitened=most)
         ).positions
-        for size in (600, 80)
+        for most in (120, 0)
     )
-    assert likeness(whole, parted) > 0.995
-    assert 1 - likeness(parted, places) < 2 * (1 - likeness(whole, places)) + 0.001
-
-
-def test_the_objective_of_threads_is_bitwise_equal():
-    places, similarity = skin(60, 2)
-    metric, start = set_out(similarity, 2, 0.001)
-    problem = Problem(similarity, metric, similarity < 1, 0.001, CovariogramOptions())
-    blocks = [Block(b, problem) for b in overlapping_blocks(places, 20)]
-    with ThreadPoolExecutor(3) as pool:
-        value, gradient = objective(
-            blocks, start, 0.1, lambda task, items: list(pool.map(task, items))
-        )
-    expected, slope = objective(blocks, start, 0.1)
-    assert value == expected
-    np.testing.assert_array_equal(gradient, slope)
+    assert likeness(whitened, plain) > 0.995
+    assert 1 - likeness(plain, places) < 2 * (1 - likeness(whitened, places)) + 0.001
 
 
 @pytest.mark.parametrize(
@@ -222,7 +194,7 @@ def test_invalid_arguments_are_refused(change, message):
 
 
 @pytest.mark.parametrize(
-    "change", [{"prior_weight": -1}, {"repulsion": np.nan}, {"ridge": 0}, {"block": 2},
+    "change", [{"prior_weight": -1}, {"repulsion": np.nan}, {"ridge": 0}, {"max_whitened": -1},
                {"max_iterations": -1}]
 )  # fmt: skip
 def test_invalid_options_are_refused(change):
@@ -257,15 +229,14 @@ def test_a_fit_near_another_starts_from_its_exponent_and_curvature():
 LOG_EXPONENT = 0.3
 
 
-def exact_blocks(points, block_size, prior=0.0, repulsion=0.0, noise=1e-3):
-    """Return blocks of a similarity that one function of distance explains exactly."""
+def exact(points, max_whitened=500, prior=0.0, repulsion=0.0, noise=1e-3):
+    """Return the objective for a similarity that one function of distance explains exactly."""
     distances = cdist(points, points)
     similarity = 0.8 * np.exp(-(distances ** np.exp(LOG_EXPONENT))) + 0.05
     np.fill_diagonal(similarity, 1.0)
     known = ~np.eye(len(points), dtype=bool)
-    options = CovariogramOptions(prior_weight=prior, repulsion=repulsion)
-    problem = Problem(similarity, distances, known, noise, options)
-    return [Block(sensors, problem) for sensors in overlapping_blocks(points, block_size)]
+    options = CovariogramOptions(prior_weight=prior, repulsion=repulsion, max_whitened=max_whitened)
+    return Objective(Problem(similarity, distances, known, noise, options))
 
 
 def by_axes(positions, gradient):
@@ -273,12 +244,14 @@ def by_axes(positions, gradient):
     return np.append(gradient[:-1].reshape(positions.shape).T.ravel(), gradient[-1])
 
 
-@pytest.mark.parametrize("block_size", [20, 7])
+@pytest.mark.parametrize(("max_whitened", "tolerance"), [(14, 1e-5), (0, 0.1)])
 @pytest.mark.parametrize("dimensions", [2, 3])
-def test_the_curvature_is_the_hessian_where_nothing_is_left_to_explain(block_size, dimensions):
+def test_the_curvature_is_the_hessian_where_nothing_is_left_to_explain(
+    max_whitened, tolerance, dimensions
+):
     points = np.random.default_rng(dimensions).uniform(0, 2, (14, dimensions))
-    blocks = exact_blocks(points, block_size)
-    found = np.triu(gauss_newton_matrix(blocks, points, LOG_EXPONENT))
+    objective = exact(points, max_whitened)
+    found = np.triu(objective.gauss_newton_matrix(points, LOG_EXPONENT))
     step, expected = 1e-5, []
     parameters = np.append(points.T.ravel(), LOG_EXPONENT)
     for i in range(parameters.size):
@@ -287,16 +260,17 @@ def test_the_curvature_is_the_hessian_where_nothing_is_left_to_explain(block_siz
             moved = parameters.copy()
             moved[i] += sign * step
             x = np.ascontiguousarray(moved[:-1].reshape(dimensions, -1).T)
-            slopes.append(by_axes(x, objective(blocks, x, moved[-1])[1]))
+            slopes.append(by_axes(x, objective.value_and_slope(x, moved[-1])[1]))
         expected.append((slopes[0] - slopes[1]) / (2 * step))
     scale = np.abs(expected).max()
-    np.testing.assert_allclose(found, np.triu(expected), atol=1e-5 * scale)
+    np.testing.assert_allclose(found, np.triu(expected), atol=tolerance * scale)
 
 
-def test_the_curvature_with_priors_is_positive_semi_definite():
+@pytest.mark.parametrize("max_whitened", [30, 0])
+def test_the_curvature_with_priors_is_positive_semi_definite(max_whitened):
     points = np.random.default_rng(1).uniform(0, 2, (30, 3))
-    blocks = exact_blocks(points, 12, prior=1.0, repulsion=0.1)
-    upper = np.triu(gauss_newton_matrix(blocks, points * 1.1, 0.0))
+    objective = exact(points, max_whitened, prior=1.0, repulsion=0.1)
+    upper = np.triu(objective.gauss_newton_matrix(points * 1.1, 0.0))
     values = np.linalg.eigvalsh(upper + np.triu(upper, 1).T)
     assert values[0] > -1e-9 * values[-1]
 
@@ -305,14 +279,14 @@ def test_the_curvature_with_priors_is_positive_semi_definite():
 def test_the_minimum_is_that_of_a_long_search(seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform(0, 4, (60, 2))
-    blocks = exact_blocks(points, 60, prior=1.0, repulsion=0.1)
+    objective = exact(points, prior=1.0, repulsion=0.1)
     start = points + rng.normal(0, 0.1, points.shape)
     options = CovariogramOptions()
-    found = minimise(blocks, start, options, tolerance=1e-8, displacement=1e-3)
+    found = minimise(objective, start, options, tolerance=1e-8, displacement=1e-3)
     assert found.converged
 
     def plain(parameters):
-        return objective(blocks, parameters[:-1].reshape(start.shape), parameters[-1])
+        return objective.value_and_slope(parameters[:-1].reshape(start.shape), parameters[-1])
 
     long = minimize(
         plain, np.append(start.ravel(), 0.0), jac=True, method="L-BFGS-B",
@@ -325,9 +299,9 @@ def test_the_minimum_is_that_of_a_long_search(seed):
 
 def test_no_iterations_leave_the_start():
     points = np.random.default_rng(0).uniform(0, 2, (20, 2))
-    blocks = exact_blocks(points, 20)
+    objective = exact(points)
     found = minimise(
-        blocks, points, CovariogramOptions(max_iterations=0), tolerance=1e-7, displacement=1e-3
+        objective, points, CovariogramOptions(max_iterations=0), tolerance=1e-7, displacement=1e-3
     )
     np.testing.assert_array_equal(found.positions, points)
     assert found.iterations == 0

@@ -7,7 +7,7 @@ leaves some of them unexplained, path lengths have a share in the map.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
@@ -35,6 +35,14 @@ _PATHS_UNEXPLAINED = 0.05
 """Unexplained share that the errors of path lengths themselves, from noise and bends, amount to;
 .02 to .1 give about equal maps (``python -m benchmarks.accuracy.steps``).
 """
+
+_METRIC_SHARE = 2.5e-4
+"""Weight of the metric per sensor, times the variance of its ratios; 1e-4 to 4e-4 give about equal
+maps (``python -m benchmarks.accuracy.steps``).
+"""
+
+_LEAST_VARIANCE = 1e-4  # of ratios: no metric is known to 1 %
+_ROUGH = 1e-4  # tolerance of the fit that the metric is compared with
 
 _NEAR_MINIMUM = SmacofOptions(tolerance=1e-6)
 
@@ -73,15 +81,25 @@ def refine(
     """
     if len(positions) < MIN_SENSORS:
         return None
-    fit = fit_covariogram(
-        evidence.similarity,
-        positions,
-        metric,
-        noise=evidence.noise,
-        known=evidence.known,
-        options=options,
-        near=near,
-    )
+
+    def fitted(
+        lengths: Reals, start: Reals, options: CovariogramOptions, near: Covariogram | None
+    ) -> Covariogram:
+        return fit_covariogram(
+            evidence.similarity,
+            start,
+            lengths,
+            noise=evidence.noise,
+            known=evidence.known,
+            options=options,
+            near=near,
+        )
+
+    rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
+    first = fitted(metric, positions, rough, None) if near is None else near
+    lengths, weight = _in_unit_of(first.positions, metric)
+    weighted = replace(options, prior_weight=max(options.prior_weight, weight))
+    fit = fitted(lengths, first.positions, weighted, first)
     logger.debug("covariogram with exponent %.2f, %d steps", fit.exponent, fit.iterations)
     share = evidence.unexplained(fit.positions)
     if share <= 0:
@@ -93,6 +111,19 @@ def refine(
     weight = precision / (1 + precision)
     mean = (1 - weight) * fit.positions + weight * proposed
     return Refinement(mean, fit, share, weight)
+
+
+def _in_unit_of(positions: Reals, metric: Reals) -> tuple[Reals, float]:
+    """Return a metric, (n, n), in the unit of a map, (n, k), and its weight in a fit of the map.
+
+    The weight is inversely proportional to the variance of the ratios of distances on the map to
+    the metric, by which either is in error. It grows with the number of sensors: correlations show
+    distances of near sensors only, whose errors add up over a large map.
+    """
+    ratios = pdist(positions) / squareform(metric, checks=False)
+    mean = float(ratios.mean())
+    variance = max(float(ratios.var()) / mean**2, _LEAST_VARIANCE)
+    return mean * metric, _METRIC_SHARE * len(metric) / variance
 
 
 def _by_paths(evidence: Evidence, positions: Reals) -> Reals:

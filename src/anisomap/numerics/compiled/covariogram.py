@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from anisomap.numerics.compiled.parallel import loop
-from anisomap.numerics.compiled.stress import REORDERED, WIDTH, Ints, Reals, Singles
+from anisomap.numerics.compiled.stress import REORDERED, WIDTH, Reals, Singles
 
 # Not in any order, since the reduction of exponents is exact only in the order written.
 _IN_ORDER = REORDERED - {"reassoc"}
@@ -188,12 +188,3 @@ def unpack(values: Singles, matrix: Singles) -> None:
             matrix[i, j] = value
             matrix[j, i] = value
         first += n_points - 1 - i
-
-
-@loop()
-def add_block(matrix: Reals, block: Reals, rows: Ints, columns: Ints) -> None:
-    """Add ``block[i, j]`` to ``matrix[rows[i], columns[j]]`` for all i and j."""
-    for i in range(len(rows)):
-        target, source = matrix[rows[i]], block[i]
-        for j in range(len(columns)):
-            target[columns[j]] += source[j]

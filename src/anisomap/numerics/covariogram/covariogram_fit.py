@@ -1,14 +1,11 @@
 """Joint fit of a covariogram and of the sensor positions to all correlations.
 
 A covariogram is the covariance of two points as a function of their distance (geostatistics). It is
-fitted together with the positions, to correlations with correlated errors. Too many sensors to use
-all pairs at once are fitted in overlapping blocks.
+fitted together with the positions, to correlations with correlated errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,22 +15,15 @@ from scipy.linalg.blas import dtrsv, strsv
 from scipy.linalg.lapack import dpotrf, spotrf
 from scipy.optimize import Bounds, isotonic_regression, minimize
 from scipy.spatial.distance import pdist, squareform
-from threadpoolctl import threadpool_limits
 
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import (
-    MIN_COMPILED_ROWS,
-    MIN_PARALLEL_ROWS,
-    parallel_map,
-)
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
 from anisomap.numerics.covariogram.objective import (
     DEFAULT_COVARIOGRAM,
-    Block,
     CovariogramOptions,
+    Objective,
     Problem,
-    gauss_newton_matrix,
-    objective,
     pack,
     solve_amplitude_and_offset,
 )
@@ -43,9 +33,6 @@ from anisomap.numerics.precision import Floats, Reals
 _MAX_RANGE_SENSORS = 4000  # from which the range is estimated; bounds time and memory
 _RANGE_CORRELATIONS = (0.15, 0.45)  # around 1 / e; pairs with these are about one range apart
 _MIN_SINGLE = 100  # sensors from which matrices are float32; below, it saves little time
-# Times the tolerance, with several blocks. With 10, maps of 600 sensors correlated with these by
-# 1 - 6e-6 after half as many iterations again.
-_BLOCK_TOLERANCE = 100
 # Relative displacement by the next step at which positions have converged; they correlate with
 # those of the minimum by 1 - 5e-7.
 _DISPLACEMENT = 1e-3
@@ -155,9 +142,8 @@ def fit_covariogram(
     Pereyra 1973, SIAM Journal on Numerical Analysis 10: 413-432). Both priors scale with the noise
     and vanish as recordings grow.
 
-    More than `CovariogramOptions.block` sensors are fitted by composite likelihood: the sum of the
-    objective over blocks of neighbours, over blocks shifted by half their size, and over blocks
-    that span the whole skin. Blocks are evaluated in parallel.
+    The residuals of more than `CovariogramOptions.max_whitened` sensors are not whitened: W is
+    proportional to ``I - 11'/N``, which takes quadratic time.
     """
     chosen = options or DEFAULT_COVARIOGRAM
     correlation = as_symmetric(similarity, "similarity")
@@ -172,27 +158,20 @@ def fit_covariogram(
         unit = float(np.linalg.norm(positions) / np.linalg.norm(near.positions))
     positions /= unit
     np.fill_diagonal(mask, val=False)
-    one_block = len(positions) <= chosen.block
     precision = np.float32 if len(positions) >= _MIN_SINGLE else np.float64
     compiled = len(positions) >= MIN_COMPILED_ROWS
     problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision, compiled)
-    size = chosen.block if one_block else max(3, chosen.block // 2)
-    # BLAS is single-threaded beside threads. Setting limits takes as long as a small fit.
-    limits = threadpool_limits(1) if len(positions) >= MIN_PARALLEL_ROWS else nullcontext()
-    with limits:
-        members = overlapping_blocks(positions, size)
-        blocks = parallel_map(lambda sensors: Block(sensors, problem), members, len(positions))
-        found = minimise(
-            blocks,
-            positions,
-            chosen,
-            tolerance=chosen.tolerance * (1 if one_block else _BLOCK_TOLERANCE),
-            displacement=_DISPLACEMENT,
-            near=near,
-        )
-    terms = (block.terms(found.positions, found.log_exponent) for block in blocks)
-    products = np.sum([term.products for term in terms], axis=0)
-    amplitude, offset = solve_amplitude_and_offset(products)
+    objective = Objective(problem)
+    found = minimise(
+        objective,
+        positions,
+        chosen,
+        tolerance=chosen.tolerance,
+        displacement=_DISPLACEMENT,
+        near=near,
+    )
+    terms = objective.terms(found.positions, found.log_exponent)
+    amplitude, offset = solve_amplitude_and_offset(terms.products)
     return Covariogram(
         positions=found.positions - found.positions.mean(axis=0),
         amplitude=amplitude,
@@ -240,32 +219,6 @@ def _check(
         raise InputError(f"noise must be finite and positive, got {noise}")
 
 
-def overlapping_blocks(positions: ArrayLike, max_size: int) -> list[NDArray[np.intp]]:
-    """Assign sensors (N, k) to blocks: most near pairs and many far pairs share a block."""
-    points = np.asarray(positions, dtype=np.float64)
-    n_points = len(points)
-    if n_points <= max_size:
-        return [np.arange(n_points)]
-    order = _bisection_order(points, np.arange(n_points))
-    count = -(-n_points // max_size)
-    shifted = np.roll(order, -(n_points // (2 * count)))
-    near = [*np.array_split(order, count), *np.array_split(shifted, count)]
-    return [np.sort(block) for block in [*near, *(order[i::count] for i in range(count))]]
-
-
-def _bisection_order(points: Floats, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Order points by recursive bisection along their longest axis."""
-    if len(chosen) <= 2:
-        return chosen
-    inside = points[chosen]
-    axis = int(np.ptp(inside, axis=0).argmax())
-    ranked = chosen[np.argsort(inside[:, axis], kind="stable")]
-    half = len(ranked) // 2
-    return np.concatenate(
-        [_bisection_order(points, ranked[:half]), _bisection_order(points, ranked[half:])]
-    )
-
-
 class Minimum(NamedTuple):
     """A minimum of the objective, and the factor of the last curvature; positions (N, k)."""
 
@@ -278,7 +231,7 @@ class Minimum(NamedTuple):
 
 
 def minimise(
-    blocks: Sequence[Block],
+    objective: Objective,
     start: Reals,
     options: CovariogramOptions,
     *,
@@ -302,12 +255,12 @@ def minimise(
             if near is None or found.iterations:
                 dtype = np.float32 if start.size >= _SINGLE else np.float64
                 factor = _factor(
-                    gauss_newton_matrix(blocks, found.positions, found.log_exponent, dtype)
+                    objective.gauss_newton_matrix(found.positions, found.log_exponent, dtype)
                 )
         else:
             # Without the curvature, the length of the next step is not known.
             displacement = np.inf
-        search = _Search(blocks, found, factor, (tolerance, displacement))
+        search = _Search(objective, found, factor, (tolerance, displacement))
         found = search.run(steps)
     return found
 
@@ -317,12 +270,12 @@ class _Search:
 
     def __init__(
         self,
-        blocks: Sequence[Block],
+        objective: Objective,
         start: Minimum,
         factor: Reals,
         tolerances: tuple[float, float],
     ) -> None:
-        self._blocks, self._start, self._factor = blocks, start, factor
+        self._objective, self._start, self._factor = objective, start, factor
         self._tolerance, self._displacement = tolerances
         self._origin = np.append(start.positions.T.ravel(), start.log_exponent)
         self._slope = np.zeros_like(self._origin)
@@ -370,7 +323,7 @@ class _Search:
 
     def _value_and_slope(self, y: Floats) -> tuple[float, Floats]:
         positions, log_exponent = self._at(y)
-        value, slope = objective(self._blocks, positions, log_exponent)
+        value, slope = self._objective.value_and_slope(positions, log_exponent)
         by_axes = slope[:-1].reshape(positions.shape).T
         gradient = np.append(by_axes.ravel(), slope[-1]).astype(np.float64)
         self._slope = self._solved(gradient, transposed=True)

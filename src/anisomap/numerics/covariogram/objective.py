@@ -1,4 +1,4 @@
-"""Objective of the covariogram fit: whitened residuals of correlations, summed over blocks.
+"""Objective of the covariogram fit: whitened residuals of correlations.
 
 Symmetric matrices are given by their pairs i < j, in the order of `scipy.spatial.distance.pdist`,
 which takes half the arithmetic.
@@ -6,7 +6,6 @@ which takes half the arithmetic.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -16,11 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk, ssyrk
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.numerics.compiled.parallel import (
-    MIN_COMPILED_ROWS,
-    load_loops,
-    parallel_map,
-)
+from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.ranges import NOT_NEGATIVE, POSITIVE, at_least, check_ranges
@@ -196,6 +191,9 @@ _AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pair
 
 _ROWS = 50  # of a product at a time; with 40 to 80, products of 250 rows took equal time
 _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
+# Weight of residuals that are not whitened, relative to that of whitened residuals of unrelated
+# sensors: those of the correlations of eight skins had .43 to .71.
+_NOT_WHITENED = 0.5
 _ROUNDING = 1e-15  # relative, of an eigenvalue that is 0, as in numpy.linalg.pinv
 
 
@@ -203,7 +201,7 @@ _RANGES = {
     **dict.fromkeys(("prior_weight", "repulsion", "tolerance"), NOT_NEGATIVE),
     "ridge": POSITIVE,
     "max_iterations": at_least(0, whole=True),
-    "block": at_least(3, whole=True),
+    "max_whitened": at_least(0, whole=True),
 }
 
 
@@ -224,13 +222,12 @@ class CovariogramOptions:
         variance; above 0.
     tolerance : float
         Relative decrease of the objective below which the fit stops, if the next step would also
-        move positions by less than 1e-3; 100 times as large with several blocks.
+        move positions by less than 1e-3.
     max_iterations : int
         Maximum number of L-BFGS iterations.
-    block : int
-        Maximum number of sensors that are whitened together, at least 3. More are
-        fitted in overlapping blocks of half this size, since whitening takes cubic time. For 1,200
-        and 2,000 sensors, blocks of 150 to 500 gave equally good maps.
+    max_whitened : int
+        Maximum number of sensors whose residuals are whitened, which takes cubic time. Of more,
+        only the mean over sensors is removed.
 
     Raises
     ------
@@ -243,7 +240,7 @@ class CovariogramOptions:
     ridge: float = 1.0
     tolerance: float = 1e-6
     max_iterations: int = 300
-    block: int = 500
+    max_whitened: int = 500
 
     def __post_init__(self) -> None:
         check_ranges(self, _RANGES)
@@ -265,9 +262,8 @@ class Problem:
     compiled: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class BlockTerms:
-    """Contribution of one block at given positions.
+class Terms(NamedTuple):
+    """Residuals at given positions.
 
     With ``<A, B> = tr(A W B W)``, `products` are <E,E>, <E,O>, <E,S>, <O,O>, <O,S>, <S,S> for the
     shape E of the covariogram, the offset O (1 where a pair is known) and the similarity S.
@@ -278,18 +274,21 @@ class BlockTerms:
     whitened_shape: Reals
 
 
-class Block:
-    """Contribution of some sensors to the objective, with its constant matrices."""
+class Objective:
+    """The objective of the covariogram fit, with its constant matrices."""
 
-    def __init__(self, sensors: NDArray[np.intp], problem: Problem) -> None:
-        inside = np.ix_(sensors, sensors)
-        self.sensors, self._options = sensors, problem.options
-        known = problem.known[inside]
-        similarity = np.where(known, problem.similarity[inside], 0.0).astype(np.float64)
-        # Inverted in float64; all other matrices take half the time in float32.
-        self._whitening = _whitening(similarity, problem.options.ridge).astype(problem.precision)
-        similarity, offset = similarity.astype(problem.precision), known.astype(problem.precision)
-        inverse_metric = 1 / pack(problem.metric[inside]).astype(np.float64)
+    def __init__(self, problem: Problem) -> None:
+        self._options, self._noise = problem.options, problem.noise
+        similarity = np.where(problem.known, problem.similarity, 0.0).astype(np.float64)
+        self._scale = _NOT_WHITENED / (1 + problem.options.ridge)
+        self._weights: Reals | None = None
+        if len(similarity) <= problem.options.max_whitened:
+            # Inverted in float64; all other matrices take half the time in float32.
+            weights = _whitening(similarity, problem.options.ridge)
+            self._weights = weights.astype(problem.precision)
+        similarity = similarity.astype(problem.precision)
+        offset = problem.known.astype(problem.precision)
+        inverse_metric = 1 / pack(problem.metric).astype(np.float64)
         kind = CompiledPairs if problem.compiled else Pairs
         self._pairs = pairs = kind(
             known=pack(offset),
@@ -297,168 +296,130 @@ class Block:
             whitened_known=self._whitened(offset),
             whitened_similarity=self._whitened(similarity),
             inverse_metric=inverse_metric.astype(problem.precision),
-            n_sensors=len(sensors),
+            n_sensors=len(similarity),
         )
         self._fixed_products = (
             pairs.product(pairs.known, pairs.whitened_known),
             pairs.product(pairs.known, pairs.whitened_similarity),
             pairs.product(pairs.similarity, pairs.whitened_similarity),
         )
-        self._noise = problem.noise
-        self._latest: tuple[Reals, float, BlockTerms] | None = None
+        self._latest: tuple[Reals, float, Terms] | None = None
 
-    def terms(self, positions: Reals, log_exponent: float) -> BlockTerms:
-        """Evaluate the block at positions of all sensors, shape (N, k)."""
-        points = positions[self.sensors]
+    def terms(self, positions: Reals, log_exponent: float) -> Terms:
+        """Evaluate the residuals at positions, shape (n, k)."""
         # A curvature is followed by a search from the same positions, and the reverse.
         if self._latest is not None:
             before, exponent, terms = self._latest
-            if exponent == log_exponent and np.array_equal(before, points):
+            if exponent == log_exponent and np.array_equal(before, positions):
                 return terms
         pairs = self._pairs
-        decayed = pairs.decay(points, log_exponent)
+        decayed = pairs.decay(positions, log_exponent)
         whitened = self._whitened(pairs.unpack(decayed.shape))
         others = (whitened, pairs.whitened_known, pairs.whitened_similarity)
         products = [pairs.product(decayed.shape, other) for other in others]
-        terms = BlockTerms(np.array([*products, *self._fixed_products]), decayed, whitened)
-        self._latest = points, log_exponent, terms
+        terms = Terms(np.array([*products, *self._fixed_products]), decayed, whitened)
+        self._latest = positions, log_exponent, terms
         return terms
 
-    def gradient(
-        self, terms: BlockTerms, positions: Reals, exponent: float, amplitude: float, offset: float
-    ) -> tuple[float, Reals, float]:
-        """Return the value, and the gradient by the positions and by the log exponent."""
-        options = self._options
+    def value_and_slope(self, positions: Reals, log_exponent: float) -> tuple[float, Reals]:
+        """Return the objective and its gradient. positions (n, k) -> value, gradient (n k + 1,)."""
+        terms = self.terms(positions, log_exponent)
+        amplitude, offset = solve_amplitude_and_offset(terms.products)
+        options, exponent = self._options, float(np.exp(log_exponent))
         prior, repulsion = self._noise * options.prior_weight, self._noise * options.repulsion
         weights = Weights(amplitude, exponent, offset, prior, repulsion)
         value, by_exponent, force = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
-        return value, self._pairs.gradient(force, positions[self.sensors]), by_exponent
+        by_positions = self._pairs.gradient(force, positions)
+        return value, np.append(by_positions.ravel(), by_exponent)
 
-    def curvature(
-        self, terms: BlockTerms, positions: Reals, exponent: float, amplitude: float
-    ) -> tuple[dict[tuple[int, int], Reals], Reals, Reals]:
-        """Return the contribution to `gauss_newton_matrix`, with the curvatures of the priors.
+    def gauss_newton_matrix(
+        self, positions: Reals, log_exponent: float, dtype: type[np.floating] = np.float64
+    ) -> Reals:
+        """Return the Gauss-Newton matrix by positions (n, k) and log exponent, (n k + 1, n k + 1).
 
-        These are the products of the derivatives by coordinates p and q >= p of two sensors,
-        (n, n) each; of those by amplitude, offset and log exponent with those by coordinates,
-        (3, k, n); and of the former with one another, (3, 3).
+        With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
+        ``<J_p, J_q>``; all take k (k + 3) / 2 products of (n, n) matrices, as the derivative by a
+        coordinate is not 0 only in one row and column. Amplitude and offset are eliminated by the
+        Schur complement (Golub & Pereyra 1973; the approximation of Kaufman 1975, BIT 15: 49-57).
+        The upper triangle is complete.
         """
-        points, weights, decayed = positions[self.sensors], self._whitening, terms.decay
-        unpack, options = self._pairs.unpack, self._options
-        n_axes = points.shape[1]
-        steep = -amplitude * exponent * decayed.steepness
+        n_sensors, n_axes = positions.shape
+        terms, pairs = self.terms(positions, log_exponent), self._pairs
+        amplitude, _ = solve_amplitude_and_offset(terms.products)
+        decayed, unpack = terms.decay, pairs.unpack
+        steep = -amplitude * float(np.exp(log_exponent)) * decayed.steepness
         slopes = unpack(steep / decayed.squares)
-        apart = [np.subtract.outer(axis, axis).astype(weights.dtype) for axis in points.T]
+        apart = [np.subtract.outer(axis, axis).astype(slopes.dtype) for axis in positions.T]
         derivatives = [slopes * axis for axis in apart]
-        products = [derivative @ weights for derivative in derivatives]
+        products = [self._weighted(derivative) for derivative in derivatives]
         # The second derivative of the repulsion is taken along the line between two sensors only,
         # where it is positive; likewise the mean ratio of distances is taken as constant.
-        bend = 2 * options.prior_weight * self._pairs.inverse_metric**2
-        bend += options.repulsion / decayed.squares
+        bend = 2 * self._options.prior_weight * pairs.inverse_metric**2
+        bend += self._options.repulsion / decayed.squares
         radial = unpack(bend * (self._noise / decayed.squares))
-        coordinates = {}
+        matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
         for p in range(n_axes):
             for q in range(p, n_axes):
-                pairs = radial * apart[p] * apart[q]
-                found = products[p] @ derivatives[q].T
-                found *= weights
-                found += products[p] * products[q].T
-                found *= 2
-                found -= pairs
-                found[np.diag_indices_from(found)] += pairs.sum(axis=1)
-                coordinates[p, q] = found
-        linear_terms = (decayed.shape, self._pairs.known, steep * decayed.logarithms)
+                found = self._curved(products[p], derivatives[q], products[q])
+                radially = radial * apart[p] * apart[q]
+                found -= radially
+                found[np.diag_indices_from(found)] += radially.sum(axis=1)
+                rows, columns = (slice(i * n_sensors, (i + 1) * n_sensors) for i in (p, q))
+                matrix[rows, columns] = found
+        linear_terms = (decayed.shape, pairs.known, steep * decayed.logarithms)
         by_exponent = self._whitened(unpack(linear_terms[2]))
-        whitened = (terms.whitened_shape, self._pairs.whitened_known, by_exponent)
+        whitened = (terms.whitened_shape, pairs.whitened_known, by_exponent)
         cross = [[2 * (d * w).sum(axis=1) for d in derivatives] for w in map(unpack, whitened)]
-        linear = [[self._pairs.product(a, b) for b in whitened] for a in linear_terms]
-        return coordinates, np.array(cross), np.array(linear)
+        flat = np.array(cross, dtype=np.float64).reshape(3, positions.size)
+        linear = np.array([[pairs.product(a, b) for b in whitened] for a in linear_terms])
+        matrix[:-1, -1] = flat[2]
+        matrix[-1, -1] = linear[2, 2]
+        # Rows whose outer products are those of the inverse: eigenvectors over roots of values.
+        values, vectors = np.linalg.eigh(linear[:2, :2])
+        kept = values > _ROUNDING * values[-1]
+        roots = vectors[:, kept].T / np.sqrt(values[kept])[:, None]
+        eliminated = roots @ np.hstack([flat[:2], linear[:2, 2:]])
+        # The upper triangle of a C-contiguous matrix is the lower one of its transpose for BLAS.
+        rank_update = ssyrk if matrix.dtype == np.float32 else dsyrk
+        rank_update(-1.0, eliminated.T, beta=1.0, c=matrix.T, lower=True, overwrite_c=True)
+        return matrix
+
+    def _weighted(self, derivative: Reals) -> Reals:
+        """Return A W, shape (n, n)."""
+        if self._weights is not None:
+            return np.asarray(derivative @ self._weights)
+        return np.asarray(self._scale * (derivative - derivative.mean(axis=1, keepdims=True)))
+
+    def _curved(self, product: Reals, derivative: Reals, other: Reals) -> Reals:
+        """Return the curvature by two coordinates of all sensors, (n, n), without the priors.
+
+        product, other (n, n): A W and B W, of the derivatives A and B. derivative (n, n): B.
+        """
+        if self._weights is not None:
+            found = product @ derivative.T
+            found *= self._weights
+            found += product * other.T
+        else:  # off the diagonal, W is -1 / n, which hardly changes the sum
+            found = product * other.T
+            sums = self._scale * np.einsum("ij,ij->i", product, derivative)
+            found[np.diag_indices_from(found)] += sums
+        found *= 2
+        return np.asarray(found)
 
     def _whitened(self, matrix: Reals) -> Reals:
         """Return the pairs of W A W, which is symmetric as A is."""
-        weights, n_sensors = self._whitening, len(matrix)
+        weights, n_sensors = self._weights, len(matrix)
+        if weights is None:
+            means = matrix.mean(axis=1)
+            centred = matrix - means[:, None]
+            centred -= means - means.mean()
+            centred *= self._scale**2
+            return pack(centred)
         product, whitened = weights @ matrix, np.empty_like(weights)
-        # Only blocks that reach above the diagonal are computed.
+        # Only rows of products that reach above the diagonal are computed.
         for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
             np.matmul(product[first:last], weights[:, first:], out=whitened[first:last, first:])
         return pack(whitened)
-
-
-def objective(
-    blocks: Sequence[Block],
-    positions: Reals,
-    log_exponent: float,
-) -> tuple[float, Reals]:
-    """Return the objective and its gradient. positions (N, k) -> value, gradient (N k + 1,)."""
-    terms = parallel_map(lambda block: block.terms(positions, log_exponent), blocks, len(positions))
-    products = np.sum([term.products for term in terms], axis=0)
-    amplitude, offset = solve_amplitude_and_offset(products)
-    exponent = float(np.exp(log_exponent))
-    slopes = parallel_map(
-        lambda pair: pair[0].gradient(pair[1], positions, exponent, amplitude, offset),
-        zip(blocks, terms, strict=True),
-        len(positions),
-    )
-    value, by_exponent = 0.0, 0.0
-    by_positions = np.zeros_like(positions)
-    for block, (part, by_position, by_log_exponent) in zip(blocks, slopes, strict=True):
-        value += part
-        by_positions[block.sensors] += by_position
-        by_exponent += by_log_exponent
-    return value, np.append(by_positions.ravel(), by_exponent)
-
-
-def gauss_newton_matrix(
-    blocks: Sequence[Block],
-    positions: Reals,
-    log_exponent: float,
-    dtype: type[np.floating] = np.float64,
-) -> Reals:
-    """Return the Gauss-Newton matrix by positions (N, k) and log exponent, (N k + 1, N k + 1).
-
-    With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
-    ``<J_p, J_q>``; all take k (k + 3) / 2 products of (n, n) matrices, as the derivative by a
-    coordinate is not 0 only in one row and column. Amplitude and offset are eliminated by the Schur
-    complement (Golub & Pereyra 1973; the approximation of Kaufman 1975, BIT 15: 49-57).
-    """
-    n_sensors, n_axes = positions.shape
-    terms = [block.terms(positions, log_exponent) for block in blocks]
-    amplitude, _ = solve_amplitude_and_offset(np.sum([term.products for term in terms], axis=0))
-    matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
-    cross, linear = np.zeros((3, n_axes, n_sensors)), np.zeros((3, 3))
-    starts = np.arange(n_axes) * n_sensors
-    compiled = n_sensors >= MIN_COMPILED_ROWS
-    add_block = load_loops("covariogram").add_block if compiled else _add_block
-    for block, term in zip(blocks, terms, strict=True):
-        exponent = float(np.exp(log_exponent))
-        coordinates, crossed, lines = block.curvature(term, positions, exponent, amplitude)
-        for (p, q), found in coordinates.items():
-            add_block(matrix, found, starts[p] + block.sensors, starts[q] + block.sensors)
-        cross[:, :, block.sensors] += crossed
-        linear += lines
-    flat = cross.reshape(3, positions.size)
-    matrix[:-1, -1] = flat[2]
-    matrix[-1, -1] = linear[2, 2]
-    # Rows whose outer products are those of the inverse: eigenvectors over roots of eigenvalues.
-    values, vectors = np.linalg.eigh(linear[:2, :2])
-    kept = values > _ROUNDING * values[-1]
-    roots = vectors[:, kept].T / np.sqrt(values[kept])[:, None]
-    eliminated = roots @ np.hstack([flat[:2], linear[:2, 2:]])
-    # The upper triangle of a C-contiguous matrix is the lower one of its transpose for BLAS.
-    rank_update = ssyrk if matrix.dtype == np.float32 else dsyrk
-    rank_update(-1.0, eliminated.T, beta=1.0, c=matrix.T, lower=True, overwrite_c=True)
-    return matrix
-
-
-def _add_block(
-    matrix: Reals, block: Reals, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> None:
-    """Add a block as `anisomap.numerics.compiled.covariogram.add_block`, at sorted indices."""
-    if rows[-1] - rows[0] < len(rows) and columns[-1] - columns[0] < len(columns):
-        # All sensors are in one block: slices take a tenth of the time of indices.
-        matrix[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += block
-    else:
-        matrix[np.ix_(rows, columns)] += block
 
 
 def solve_amplitude_and_offset(products: Reals) -> tuple[float, float]:
