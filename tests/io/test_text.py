@@ -58,7 +58,7 @@ TABLES = [
             readings=[[1, 2, 3], [1, NAN, 3], [NAN] * 3, [math.inf, 2, NAN], [4, 5, 6]],
         )
         for mark in ",;\t"
-        for no in ("", "  ", "nan", "NAN", "-nan")
+        for no in ("", "-nan")
     ),
     *(
         hold(
@@ -67,7 +67,7 @@ TABLES = [
             metadata={"counter_column": f"column 1 ({name})" if name else "column 1"},
             times=None,
         )
-        for name in ("frame", "Frame", "index", "seq", "frame_id", "", "Unnamed: 0")
+        for name in ("Frame", "seq", "", "Unnamed: 0")
     ),
     hold(
         ",0,1,2,3\n" + table(beside(COUNT)),
@@ -94,7 +94,7 @@ TABLES = [
     ),
     *(
         hold(f"{name},b,c,d,e\n" + table(beside(COUNT)), readings=beside(COUNT), times=None)
-        for name in ("t1", "s", "us", "tip", "sensor", "mst", "timer", "thumb", "ts0")
+        for name in ("t1", "s", "timer", "ts0")
     ),
     *(
         hold(header + table(beside(COUNT / 50)), readings=beside(COUNT / 50), times=None)
@@ -250,16 +250,17 @@ def test_what_a_text_holds(put, text: str, facts: dict[str, Any]) -> None:
 
 
 HEADERS = ("", "a{0}b{0}c{0}d", '"a"{0}"b"{0}"c"{0}"d"')
+DIALECTS = (",.", ", .", ";.", ";,", "\t.", "\t,", " .", "  .")
 ENDS = ("\n", "\r\n", "\r")
 ENCODINGS = ("utf-8", "utf-8-sig", "gzip")
 
 
 @pytest.mark.parametrize("header", range(3))
-@pytest.mark.parametrize("end", range(3))
-@pytest.mark.parametrize("dialect", [",.", ", .", ";.", ";,", "\t.", "\t,", " .", "  ."])
-def test_dialects(put, dialect: str, end: int, header: int) -> None:
-    delimiter, decimal = dialect[:-1], dialect[-1]
-    # Every pair of a header, a line end and an encoding, in a Latin square.
+@pytest.mark.parametrize("dialect", range(8))
+def test_dialects(put, dialect: int, header: int) -> None:
+    delimiter, decimal = DIALECTS[dialect][:-1], DIALECTS[dialect][-1]
+    # Every pair of a header, a line end and an encoding, over the dialects.
+    end = dialect % 3
     line, encoding = ENDS[end], ENCODINGS[(end + header) % 3]
     head = f"# made by hand{line}{line}"
     head += HEADERS[header].format(delimiter) + line if header else ""
@@ -275,10 +276,9 @@ def test_dialects(put, dialect: str, end: int, header: int) -> None:
 @pytest.mark.parametrize(
     ("name", "per_second"),
     [
-        *((name, 1) for name in ("time", "t", "Time [s]", "TIME_S", "timestamp", "stamp")),
-        *((name, 1) for name in ("seconds", "time_stamp", "Zeit", "temps", "\u65f6\u95f4")),
-        *((name, 1e3) for name in ("t [ms]", "time (ms)", "time_ms", "ms", "millis", "zeit_ms")),
-        *(("Zeitstempel [ms]", 1e3), ("stamp_us", 1e6), ("time [\u00b5s]", 1e6), ("t_ns", 1e9)),
+        *((name, 1) for name in ("t", "Time [s]", "TIME_S", "seconds", "Zeit", "\u65f6\u95f4")),
+        *((name, 1e3) for name in ("t [ms]", "time (ms)", "millis", "zeit_ms")),
+        *(("stamp_us", 1e6), ("time [\u00b5s]", 1e6), ("t_ns", 1e9)),
     ],
 )
 def test_time_column_by_name(put, name: str, per_second: float, caplog) -> None:
@@ -348,6 +348,7 @@ def test_times_that_do_not_increase_are_ignored(put, bad: str) -> None:
 @pytest.mark.parametrize("far", [2, 511, 512, 513, 1700])
 def test_wrong_lines_are_located(put, far: int) -> None:
     words = ("abc", "1.2.3", "0x1F", "1_000", "12:30", "+-", "\u0661", "1 2")
+    words = words if far == 513 else words[:1]
     for wrong, said in (
         *(("1,2", " has 2 field"), ("1,2,3,4", " has 4 field"), ("7", " has 1 field")),
         *((f"1,{word},3", f", column 2 (b): '{word}' is not a number") for word in words),
@@ -388,8 +389,8 @@ def test_wide_and_long_files(put) -> None:
     for shape in ((60, 3000), (20_000, 2)):
         values = np.random.default_rng(5).integers(0, 256, shape)
         np.testing.assert_array_equal(io.read(put("x.csv", table(values))).readings, values)
-    names = [f"sensor {i:0200d}" for i in range(20_000)]  # more than is looked at for the layout
-    row = ",".join(["1"] * 19_999)
+    names = [f"sensor {i:0200d}" for i in range(11_000)]  # more than is looked at for the layout
+    row = ",".join(["1"] * 10_999)
     found = io.read(put("wide.csv", ",".join(names) + "\n" + f"{row},2\n{row},3\n"))
     assert found.names == tuple(names)
     np.testing.assert_array_equal(found.readings[:, -1], [2, 3])

@@ -48,4 +48,3 @@ def check_ranges(options: object, ranges: Mapping[str, Range]) -> None:
 NOT_NEGATIVE = at_least(0)
 POSITIVE = Range("positive", lambda value: value > 0)
 COUNT = at_least(1, whole=True)
-INNER_SHARE = Range("above 0 and below 1", lambda value: 0 < value < 1)
