@@ -53,8 +53,8 @@ def test_recordings_are_immutable():
         ({"readings": SensorMap(np.eye(4)[:, :3])}, "got a map"),
         ({"readings": np.zeros((2, 2), complex)}, "complex"),
         ({"readings": np.zeros((2, 2), object)}, "object"),
-        ({"names": ["a"]}, "2 sensors need 2 names, got 1"),
-        ({"names": ["a", "a"]}, "several sensors have the name a"),
+        ({"names": ["a"]}, "sensors: 2, names: 1"),
+        ({"names": ["a", "a"]}, "names of several sensors: a"),
         ({"times": [0, 1, 2]}, r"\(2,\)"),
         ({"times": [1, 1]}, "frame 1"),
         ({"times": [0, np.inf]}, "frame 1 is not finite"),
@@ -216,7 +216,7 @@ def test_sensors_may_be_missing_in_a_run(method):
     """The left two thirds of a skin in one run, the right two thirds in the other."""
     x = NAMED.positions[:, 0]
     runs = [frames(0, 1500, x < 4.4), frames(1500, 3000, x > 1.8)]
-    with pytest.warns(AnisomapWarning, match="pairs of sensors were never recorded together"):
+    with pytest.warns(AnisomapWarning, match="pairs of sensors that were never recorded together"):
         found = reconstruct(runs, method, 2)
     joined = join_runs(runs)
     assert joined.n_frames == 3000
@@ -298,7 +298,7 @@ def test_readings_out_of_range_are_missing(value):
     readings[4] = value
     recording = Recording(readings)
     with pytest.raises(
-        InputError, match=r"3 readings are NaN or infinite, or above 1e\+30.*frame 4"
+        InputError, match=r"NaN or infinite, or above 1e\+30: 3; sensors: .*; frames: 4"
     ):
         recording.complete()
     assert recording.complete("drop-frames").n_frames == 8

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from anisomap.base.wording import agreed, counted, join_items, noun_and_items
+from anisomap.base.wording import join_items
 
 
 class Note(str):
@@ -82,16 +82,16 @@ def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
 
 
 def _hidden_links(sensors: Sequence[str], total: int) -> str:
-    some = counted(len(sensors), "sensor", total)
-    so = "{are} related to the others, so {their} {positions} {are} uncertain"
-    return f"noise hides how {some} {agreed(len(sensors), so)}: {join_items(sensors)}"
+    return (
+        "sensors with uncertain positions, because noise hides how they are related to the others: "
+        f"{len(sensors)} of {total} ({join_items(sensors)})"
+    )
 
 
 def _unknown_pairs(count: int, sensors: Sequence[str]) -> str:
-    apart = " of sensors {were} never recorded together; {their} {distances} {follow} from other "
     return (
-        f"{counted(count, 'pair')}{agreed(count, apart)}pairs only: "
-        f"{noun_and_items('sensor', sensors)}"
+        f"pairs of sensors that were never recorded together: {count:,} (sensors: "
+        f"{join_items(sensors, 5)}); their distances follow from other pairs only"
     )
 
 
@@ -147,14 +147,13 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "two-dimensions": _two_dimensions,
         "three-dimensions": _three_dimensions,
         "apart": lambda apart, placed, touched=True: (
-            agreed(apart, "the {positions} of ")
-            + counted(apart, "sensor", placed)
-            + agreed(apart, " relative to the others {are} unknown: ")
+            "sensors whose positions relative to the others are unknown: "
+            f"{apart} of {placed}; "
             + ("touch the skin where they join" if touched else "record longer")
         ),
         "unlinked": lambda count, total: (
-            f"{counted(count, 'sensor', total)} {agreed(count, '{have}')} no correlation with the "
-            "others that exceeds noise: record longer"
+            "sensors whose correlations with the others do not exceed noise: "
+            f"{count} of {total}; record longer"
         ),
         "halves-disagree": lambda agreement, touched=True: (
             f"similarities differ between halves of the recording (their correlation is "
@@ -174,8 +173,8 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             )
         ),
         "rarely-touched": lambda count, total: (
-            f"{counted(count, 'sensor', total)} had too few contacts for a position: touch all of "
-            "the skin"
+            f"sensors with too few contacts for a position: {count} of {total}; touch all of the "
+            "skin"
         ),
         "small-body": lambda extent: (
             f"the sensors are only {extent:.1f} spacings from their centre (RMS), so that errors "
@@ -187,7 +186,7 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             + (": record longer, and touch all of the skin" if much and touched else "")
         ),
         "second-map": lambda size, much, unit="spacings": (
-            f"a second map, assuming even spacing, disagrees by {size:.2f} {unit}"
+            f"a second map, which assumes even spacing, differs by {size:.2f} {unit}"
             + (": contacts may be elongated or differ in size from place to place" if much else "")
         ),
         "if-flat": lambda size, unit="spacings": (
@@ -201,15 +200,14 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"the recordings have fewer than {least} sensors in common: map one of them"
         ),
         "few-sensors": lambda count, least, touched=True: (
-            f"only {counted(count, 'sensor')} {agreed(count, '{are}')} related, and a verdict "
-            f"needs {least}: {'touch more of the skin' if touched else 'record more of them'}"
+            f"too few sensors are related: {count}, and a verdict needs {least}: "
+            + ("touch more of the skin" if touched else "record more of them")
         ),
         "many-sensors": lambda most: (
             f"resampling more than {most:,} sensors takes too much memory: map parts of the skin"
         ),
         "few-frames": lambda count, least: (
-            f"the recording has {counted(count, 'frame')}, and a verdict needs {least}: record "
-            "longer"
+            f"too few frames: {count}, and a verdict needs {least}: record longer"
         ),
     }
 )

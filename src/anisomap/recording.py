@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.wording import agreed, counted, html_table, noun_and_items
+from anisomap.base.wording import counted, html_table, join_items
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.intake import take, take_events, times_of
 from anisomap.numerics.columns import fill_gaps
@@ -253,8 +253,8 @@ class Recording(Immutable):
         if not steps:
             return self
         warnings.warn(
-            f"the level at rest of most sensors steps at {noun_and_items('frame', steps)}; the "
-            "readings are taken relative to the level of each part",
+            "the level at rest of most sensors steps; the readings are taken relative to the level "
+            f"of each part; frames of steps: {join_items(steps, 5)}",
             AnisomapWarning,
             stacklevel=2,
         )
@@ -359,11 +359,9 @@ class Recording(Immutable):
     def _describe_missing(self, absent: NDArray[np.bool_]) -> str:
         sensors = [self.names[i] for i in np.flatnonzero(absent.any(axis=0))]
         frames = np.flatnonzero(absent.any(axis=1))
-        n_absent = int(absent.sum())
         return (
-            f"{counted(n_absent, 'reading')} {agreed(n_absent, '{are}')} NaN or infinite, or above "
-            f"{MAX_READING:g}: "
-            f"{noun_and_items('sensor', sensors)}, {noun_and_items('frame', frames.tolist())}"
+            f"readings that are NaN or infinite, or above {MAX_READING:g}: {absent.sum():,}; "
+            f"sensors: {join_items(sensors, 5)}; frames: {join_items(frames.tolist(), 5)}"
         )
 
 
@@ -380,14 +378,11 @@ def column_names(values: object) -> tuple[str, ...]:
 def check_names(names: Sequence[str], n_sensors: int) -> None:
     """Check that there is one unique name per sensor."""
     if len(names) != n_sensors:
-        need = agreed(n_sensors, "{need}")
-        raise InputError(
-            f"{counted(n_sensors, 'sensor')} {need} {counted(n_sensors, 'name')}, got {len(names)}"
-        )
+        raise InputError(f"each sensor needs a name: sensors: {n_sensors:,}, names: {len(names):,}")
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise InputError(
-            f"names must be unique, but several sensors have the {noun_and_items('name', repeated)}"
+            f"names must be unique; names of several sensors: {join_items(repeated, 5)}"
         )
 
 
@@ -570,10 +565,10 @@ def level_runs(runs: Sequence[Recording]) -> tuple[Recording, ...]:
     shifted = [i for i, shift in enumerate(shifts) if shift is not None]
     if not shifted:
         return tuple(runs)
-    listed = noun_and_items("recording", [runs[i].source or str(i + 1) for i in shifted])
+    listed = join_items([runs[i].source or str(i + 1) for i in shifted], 5)
     warnings.warn(
-        f"the sensors rest at other levels in the {listed} than in the first one; the readings are "
-        "taken relative to the level of each recording",
+        "the level at rest differs between recordings; the readings are taken relative to the "
+        f"level of each recording; recordings that differ from the first one: {listed}",
         AnisomapWarning,
         stacklevel=3,
     )

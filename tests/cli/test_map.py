@@ -180,9 +180,9 @@ def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
     readings = np.concatenate([course[:, None] * press for press in depth])
     anisomap.write(anisomap.Recording(readings), tmp_path / "short.npz")
     made = run("map", "short.npz", "-d", 2, "-o", "m.csv")
-    assert "noise hides how" in made.err
+    assert "sensors with uncertain positions, because noise" in made.err
     assert "Not usable: positions are off by about" in " ".join(made.out.split())
-    assert "no correlation with the others that exceeds noise" in " ".join(made.out.split())
+    assert "correlations with the others do not exceed noise" in " ".join(made.out.split())
 
 
 def test_commands_say_where_to_touch_next(run, run_map, tmp_path):
@@ -217,4 +217,4 @@ def test_a_warning_is_given_once(run, tmp_path):
         noisy = skin.readings + noise.normal(0, 1e-3, skin.readings.shape)
         anisomap.write(replace(skin, readings=noisy + shift), tmp_path / name)
     said = run("map", "a.npz", "b.npz", "-o", "map.csv", "-d", 2).err
-    assert said.count("rest at other levels") == 1
+    assert said.count("level at rest differs between recordings") == 1

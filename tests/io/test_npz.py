@@ -88,7 +88,7 @@ WRONG_RECORDINGS = [
     ({"readings": np.zeros((2, 4, 3))}, "time, its longest axis, first or last"),
     ({"readings": np.zeros((0, 3))}, "got shape (0, 3)"),
     ({"readings": READINGS.astype(object)}, "readings must hold numbers, got dtype object"),
-    ({"readings": READINGS, "names": ["a", "b"]}, "3 sensors need 3 names"),
+    ({"readings": READINGS, "names": ["a", "b"]}, "sensors: 3, names: 2"),
     ({"readings": READINGS, "names": [["a", "b", "c"]]}, "names has shape"),
     ({"readings": READINGS, "names": np.array(["a", 1, None])}, "Object arrays cannot be loaded"),
     ({"readings": READINGS, "positions": np.zeros((3, 2), complex)}, "it must be numbers"),

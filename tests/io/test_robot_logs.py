@@ -79,7 +79,7 @@ LOGS = [
         names=("38135", "38136", "38433", "38140", "38433_2"),
         readings=COUNT[:, None] * np.arange(5),
         times=COUNT / 10,
-        warns="several sensors have the name 38433",
+        warns="names of several sensors: 38433",
     ),
 ]
 """Logs of YARP and CySkin."""
@@ -99,7 +99,7 @@ def calibration(**changes: object) -> str:
     return json.dumps({"info": {"file_version": "2"}, "skin": {"taxels": taxels, "faces": []}})
 
 
-@pytest.mark.filterwarnings("ignore:.*several sensors have the name 38433")
+@pytest.mark.filterwarnings("ignore:.*names of several sensors")
 def test_a_recording_with_its_calibration(put) -> None:
     truth = put("handle.json", calibration())
     found = io.read(put("hand.txt", GRIPPED), options=io.ReadOptions(positions=truth))

@@ -187,10 +187,10 @@ def sessions(n: int) -> tuple[np.ndarray, list[Recording]]:
 @pytest.mark.parametrize("n", [2, 3])
 def test_sessions_with_zeros_of_their_own(n: int) -> None:
     noisy, runs = sessions(n)
-    with pytest.warns(AnisomapWarning, match="rest at other levels in the recording"):
+    with pytest.warns(AnisomapWarning, match="level at rest differs between recordings"):
         joined = join_runs(runs)
     np.testing.assert_allclose(joined.readings, noisy, atol=3)
-    with pytest.warns(AnisomapWarning, match="steps at frame"):
+    with pytest.warns(AnisomapWarning, match="most sensors steps"):
         (whole,) = as_runs(np.vstack([run.readings for run in runs]))
     np.testing.assert_allclose(whole.readings, noisy, atol=3)
 

@@ -116,7 +116,7 @@ TABLES = [
         "a,b,a,a_2,a\n1,2,3,4,5\n6,7,8,9,10\n",
         names=("a", "b", "a_3", "a_2", "a_4"),
         readings=[[1, 2, 3, 4, 5], [6, 7, 8, 9, 10]],
-        warns="x\\.csv: several sensors have the name a; they",
+        warns="x\\.csv: names of several sensors: a; they",
     ),
     hold(
         "a,b,c\n1,2,3\n4,5,6\n7,8",

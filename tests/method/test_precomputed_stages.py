@@ -109,7 +109,7 @@ SIMILARITY = np.corrcoef(flat_skin().readings.T)
         ),
         ({"metric": 1 - np.eye(9), "weights": np.zeros((2, 2))}, r"\(9, 9\), got \(2, 2\)"),
         ({"dissimilarity": -np.ones((9, 9))}, "dissimilarity"),
-        ({"metric": 1 - np.eye(9), "names": ["a"]}, "9 sensors need 9 names, got 1"),
+        ({"metric": 1 - np.eye(9), "names": ["a"]}, "sensors: 9, names: 1"),
         *(
             ({"similarity": SIMILARITY, **companion}, message)
             for companion, message in (

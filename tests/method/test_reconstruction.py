@@ -91,7 +91,7 @@ def test_arrays_and_lists_of_frames_are_recordings():
 def test_dead_sensors_are_left_out_and_listed():
     readings = np.array(flat_skin().readings)
     readings[:, [4, 17]] = [0, 3]
-    with pytest.warns(AnisomapWarning, match="never varied.*: s4$|is stuck .*: s17"):
+    with pytest.warns(AnisomapWarning, match=r"never varied.*: 1 of 49 \(s4\)$|stuck .*\(s17\)"):
         sensor_map = diagnose(reconstruct(readings, "r-anisomap", 2), readings)
     np.testing.assert_array_equal(np.flatnonzero(~sensor_map.placed), [4, 17])
     assert np.isnan(sensor_map.positions[[4, 17]]).all()

@@ -1,9 +1,8 @@
 """Times as people write them: the names of their columns, their units, and clocks of the day.
 
 One rule serves files and objects. A unit in the name of a column counts. Without one, large numbers
-are times since 1970 in s, ms, us or ns; other numbers are seconds unless more than 1.5 s would pass
-between frames, which no skin is read so slowly as to give; then they are the first of ms, us and ns
-that gives a higher rate.
+are times since 1970 in s, ms, us or ns. Other numbers are seconds; if seconds would imply more than
+1.5 s per frame, slower than any skin is read, ms is tried, then us, then ns.
 """
 
 from __future__ import annotations

@@ -67,11 +67,6 @@ def shortened(text: str, max_characters: int) -> str:
     return f"{text[: max_characters - n_last - len(_CUT)]}{_CUT}{text[-n_last:]}"
 
 
-def noun_and_items(noun: str, items: Sequence[object]) -> str:
-    """Precede `join_items` with a noun, in the plural if there are several: ``frames 3, 4``."""
-    return f"{noun}{'s' if len(items) > 1 else ''} {join_items(items, 5)}"
-
-
 def counted(count: int, noun: str, of: int | None = None) -> str:
     """Precede a noun with a count, in the plural unless it is 1: ``3 sensors``, ``1 of 8 sensors``.
 
@@ -79,29 +74,6 @@ def counted(count: int, noun: str, of: int | None = None) -> str:
     """
     whole = f" of {of:,}" if of is not None else ""
     return f"{count:,}{whole} {noun}{'' if (of or count) == 1 else 's'}"
-
-
-_FOR_ONE = {
-    "are": "is",
-    "were": "was",
-    "have": "has",
-    "carry": "carries",
-    "look": "looks",
-    "need": "needs",
-    "resemble": "resembles",
-    "they": "it",
-    "them": "it",
-    "their": "its",
-    "positions": "position",
-    "distances": "distance",
-    "follow": "follows",
-}
-_FOR_SEVERAL = {word: word for word in _FOR_ONE}
-
-
-def agreed(count: int, text: str) -> str:
-    """Put the words in braces in the number of a count: ``{they} {are} dead``, ``it is dead``."""
-    return text.format_map(_FOR_ONE if count == 1 else _FOR_SEVERAL)
 
 
 def html_table(title: str, rows: Mapping[str, object]) -> str:

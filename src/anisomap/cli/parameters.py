@@ -110,7 +110,7 @@ class PlacingOptions:
         told in millimetres; the median is taken. Formats of robot software are in metres and
         require it.
     mirror
-        Reflect the map: readings do not tell its handedness.
+        Reflect the map, whose handedness is unknown.
     frame
         Name of the coordinate frame.
     split_components

@@ -276,7 +276,10 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
         )
     around = "; ".join(place.in_words(names) for place in coverage.places[:_PLACES_TOLD])
     untouched = join_items([names[i] for i in coverage.untouched[:_PLACES_TOLD].tolist()])
-    enough = f"no place: neighbours were touched together about {ENOUGH_CONTACTS} times or more"
+    enough = (
+        "nothing left to touch: every pair of neighbours was touched together at least "
+        f"{ENOUGH_CONTACTS} times"
+    )
     return {
         "contacts": ", ".join(told),
         "touch next": around or (f"wherever {untouched} may be" if untouched else enough),

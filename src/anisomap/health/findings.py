@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from anisomap.base.immutable import Value
-from anisomap.base.wording import agreed, counted, join_items, noun_and_items
+from anisomap.base.wording import counted, join_items
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Finding(Value):
 
     def __str__(self) -> str:
         """Return the finding as a sentence."""
-        listed = f": {noun_and_items('sensor', self.sensors)}" if self.sensors else ""
+        listed = f"; sensors: {join_items(self.sensors, 5)}" if self.sensors else ""
         return f"{self.what} ({self.consequence}){listed}"
 
 
@@ -119,8 +119,8 @@ def _regions(finding: Finding) -> str:
     (one, other), frame = finding.values["sizes"], finding.values["frame"]
     return (
         f"two regions of {one} and {counted(other, 'sensor')} were touched one after the other, "
-        f"the second from frame {frame} on; {counted(round(finding.size), 'sensor')} "
-        f"{agreed(round(finding.size), '{were}')} touched together with both"
+        f"the second from frame {frame} on; sensors touched together with both: "
+        f"{round(finding.size)}"
     )
 
 
@@ -172,16 +172,16 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "steps": _Words(
             "share of the sensors",
             lambda f: (
-                f"the level at rest of {_of_all(f)} steps at "
-                f"{noun_and_items('frame', f.values['frames'])}"
+                f"the level at rest of {_of_all(f)} steps, at frames "
+                f"{join_items(f.values['frames'], 5)}"
             ),
             "sensors that step alike look related, and contacts are hidden",
         ),
         "saturation": _Words(
             "share of the frames",
             lambda f: (
-                f"{_of_all(f)} {agreed(len(f.sensors), '{are} at the end of {their}')} range in "
-                f"{f.size:.1%} of the frames (median)"
+                f"readings of {_of_all(f)} are at the end of the range in {f.size:.1%} of the "
+                "frames (median)"
             ),
             "the heights of contacts are cut off",
         ),
@@ -208,8 +208,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "changed": _Words(
             "share",
             lambda f: (
-                f"{_count(f)} {agreed(len(f.sensors), '{resemble}')} other sensors from about "
-                f"frame {f.values['frame']} of {f.values['n_frames']} on"
+                f"the neighbours of {_count(f)} change at about frame {f.values['frame']} of "
+                f"{f.values['n_frames']}"
             ),
             "wires were exchanged, or the body took another posture; map the frames before and "
             "after separately",

@@ -244,10 +244,10 @@ def assess(
 
     Notes
     -----
-    Sensors that are constant at rest are ``"silent"``: readings cannot tell a sensor that is dead
-    from one that was never touched. Sensors with fewer than 5 contacts have ``"few contacts"``:
-    too little to tell. The other statuses are faults: a sensor has far more white noise than the
-    others, or resembles none of them. Each test accuses 0.05 healthy sensors of a recording on
+    Sensors that are constant at rest are ``"silent"``: dead sensors and sensors that were never
+    touched have the same readings. Sensors with fewer than 5 contacts have ``"few contacts"``, too
+    few for other tests. The other statuses are faults: a sensor has far more white noise than the
+    others, or resembles none of them. Each test flags 0.05 healthy sensors of a recording on
     average, and at most one in 1,000: see `anisomap.numerics.reliability.sampling_noise`. The paper
     leaves out sensors that never vary, and keeps one that saturates intermittently (section
     "Prototyping Issues").
@@ -334,7 +334,7 @@ def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, 
 
 def _few_contacts(b: Behaviour) -> dict[int, str]:
     return {
-        i: f"{b.contacts[i]} contacts; {MIN_CONTACTS} are needed to tell more"
+        i: f"{b.contacts[i]} of the {MIN_CONTACTS} contacts that a position needs"
         for i in np.flatnonzero(b.contacts < MIN_CONTACTS).tolist()
     }
 
@@ -392,8 +392,8 @@ def _intermittent(b: Behaviour) -> dict[int, str]:
             and np.median(beside) >= _MIN_JUMP * np.median(off[free & ~held])
         ):
             reasons[i] = (
-                f"holds one value in {held.mean():.0%} of the frames, in spells that have nothing "
-                "to do with contact"
+                f"holds one value in {held.mean():.0%} of the frames, in spells unrelated to "
+                "contact"
             )
     return reasons
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anisomap.base.immutable import Value
-from anisomap.base.wording import agreed, counted, join_items, number, percent
+from anisomap.base.wording import counted, join_items, number, percent
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.numerics.signals import some_sensors
 from anisomap.recording import Recording
@@ -22,13 +22,12 @@ _CLEAR_R = 0.6  # median of the highest correlations, above which none is due to
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
-    "never varied, so {they} {are} dead or {were} never touched": (SILENT,),
-    f"had fewer than {MIN_CONTACTS} contacts, so {{their}} {{positions}} {{are}} unreliable; "
-    "touch {them} again":
-    (FEW_CONTACTS,),
-    "{are} stuck and {carry} no information": ("stuck",),
-    "{look} faulty, so {their} {positions} {are} unreliable": _FAULTY,
-}  # fmt: skip
+    "sensors that never varied, and are dead or were never touched": (SILENT,),
+    f"sensors with fewer than {MIN_CONTACTS} contacts, too few for reliable positions (touch them "
+    "again)": (FEW_CONTACTS,),
+    "stuck sensors, which carry no information": ("stuck",),
+    "faulty sensors, whose positions are unreliable": _FAULTY,
+}
 """What follows from each status but "ok"."""
 
 
@@ -149,6 +148,5 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
         names = [sensor.name for sensor in health if sensor.status in statuses]
         if names and (recording.touched or statuses != (FEW_CONTACTS,)):
             before = caution if all(map(is_faulty, statuses)) else ""
-            some = counted(len(names), "sensor", len(health))
-            found.append(f"{before}{some} {agreed(len(names), meaning)}: {join_items(names)}")
+            found.append(f"{before}{meaning}: {len(names)} of {len(health)} ({join_items(names)})")
     return tuple(found)

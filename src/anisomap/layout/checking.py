@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.base.wording import agreed, counted, join_items
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
@@ -21,12 +21,12 @@ from anisomap.layout.evidence import REACH, Evidence, Move, fit_falloff, neighbo
 from anisomap.layout.explanation import Explained, explain, explain_modules, span
 from anisomap.layout.findings import (
     CONSISTENT,
-    CONTRADICTED,
     DEAD,
     KINDS,
     NOT_CONSISTENT,
     NOT_TESTED,
     OK,
+    REJECTED,
     UNKNOWN,
     LayoutCheck,
     LayoutFinding,
@@ -103,7 +103,7 @@ def check_layout(
     Notes
     -----
     First, the layout is compared with shuffled ones. If it explains the readings no better, or so
-    little that half of the sensors or more are elsewhere, no single sensor is accused.
+    little that half of the sensors or more are elsewhere, the whole layout is rejected.
 
     The evidence is how the similarity of two sensors falls with their distance on the layout. A
     proposed change of places must raise the log-likelihood of all similarities, also in both
@@ -184,9 +184,8 @@ class _Checked:
         n_usable = int(np.count_nonzero(self.usable))
         if n_usable < MIN_SENSORS:
             raise InputError(
-                f"only {counted(n_usable, 'sensor', len(self.rows))} {agreed(n_usable, '{are}')} "
-                f"related to others beyond chance, and a check needs {MIN_SENSORS}; record more "
-                "contacts"
+                f"too few sensors are related to others beyond chance: {n_usable} of "
+                f"{len(self.rows)}, and a check needs {MIN_SENSORS}; record more contacts"
             )
         inside = self.statistics.similarity[np.ix_(self.usable, self.usable)]
         falloff = fit_falloff(inside, self.unbent[self.usable], self.spacing)
@@ -207,7 +206,7 @@ class _Checked:
         # With any sensor at a wrong place, a symmetric layout is no image of itself.
         rival = best_rival(search.evidence, judge)
         if rival is not None and not rival.worse:
-            return self._as_a_whole(f"hardly tells the stated order from {rival.order.text}")
+            return self._as_a_whole(f"fits {rival.order.text} about as well as the stated order")
         if any(finding.kind != DEAD for finding in self.findings):
             return self._summary(proposed, NOT_CONSISTENT)
         if not self.told or self.explained < _MANY_WRONG:
@@ -216,20 +215,19 @@ class _Checked:
         return self._summary(proposed, CONSISTENT)
 
     def _tell_limits(self, search: Search) -> None:
-        """Note what the readings cannot tell of a consistent layout."""
+        """Note what the readings leave open in a consistent layout."""
         unsure = [span(self.mounting.members[m], self.names) for m in search.unsure]
         if unsure:
-            count = f"{len(unsure)} modules" if len(unsure) > 1 else "one module"
             self.notes += (
-                f"the recording says too little about the orientation of {count}: "
-                f"{join_items(unsure, _MAX_NAMED)}",
+                "modules whose orientation this recording cannot test: "
+                f"{len(unsure)} ({join_items(unsure, _MAX_NAMED)})",
             )
         apart = unsure_patches(search.evidence, search.mounting)
         if apart:
             named = [span(self.mounting.members[patch[0]], self.names) for patch in apart]
             self.notes += (
-                "the recording says too little about the orientation of patches of modules apart "
-                f"from others, those that begin with {join_items(named, _MAX_NAMED)}",
+                "separate patches of modules whose orientation this recording cannot test begin "
+                f"with modules {join_items(named, _MAX_NAMED)}",
             )
         if not len(self.mounting.members) and self.positions.shape[1] == 3:
             self.notes += (
@@ -239,15 +237,14 @@ class _Checked:
         n_images = own_images(self.positions, self.spacing)
         if n_images:
             self.notes += (
-                "consistent up to the symmetry of the layout: readings cannot tell it from "
-                f"{'its image' if n_images == 1 else f'the {n_images} images'} under rotation or "
-                "reflection",
+                "the layout is symmetric: images of it under rotation or reflection that fit the "
+                f"recording equally well: {n_images}",
             )
 
     def _check_order(self, evidence: Evidence, judge: Judge, *, paired: bool) -> LayoutCheck | None:
         """Judge the order of all sensors; None if it is worth to look at them one by one."""
         if paired:
-            return self._as_a_whole("touches the skin at two places at a time, in pairs")
+            return self._as_a_whole("holds contacts at pairs of places, two at a time")
         rival = best_rival(evidence, judge)
         if rival is not None and rival.better and self._fits(rival.evidence, _MANY_WRONG):
             return self._in_another_order(rival.order)
@@ -259,24 +256,24 @@ class _Checked:
         return p <= _MAX_P and explained >= least
 
     def _as_a_whole(self, lacking: str = "") -> LayoutCheck:
-        """Judge a layout that explains too little for accusations of single sensors.
+        """Judge a layout that explains too little for findings on single sensors.
 
-        lacking: What the recording says too little of.
+        lacking: What the recording does instead of testing the layout.
         """
         told = self.told and not lacking
         self.findings = [finding for finding in self.findings if finding.kind == DEAD]
         tested = int(self.usable.sum())
         text = (
-            f"about {1 - max(0.0, self.explained) ** 0.5:.0%} of the sensors are not where the "
-            "layout states, too many to name: check that the layout belongs to this skin, and "
-            "the order of its sensors"
+            "the whole layout is rejected; no single sensors are listed, since about "
+            f"{1 - max(0.0, self.explained) ** 0.5:.0%} of them are at wrong places: check that "
+            "the layout belongs to this skin, and the order of its sensors"
             if told
-            else f"the recording {lacking or f'tests {tested} of {len(self.rows)} sensors only'}; "
+            else f"the recording {lacking or f'tests only {tested} of {len(self.rows)} sensors'}; "
             "touch all sensors more, evenly, and one place at a time"
         )
         self.usable = np.zeros_like(self.usable)
         self.notes = (text, *self.notes)
-        return self._summary(self.positions, CONTRADICTED if told else UNKNOWN)
+        return self._summary(self.positions, REJECTED if told else UNKNOWN)
 
     def _in_another_order(self, order: ScanOrder) -> LayoutCheck:
         """Report that the sensors are in another order than the layout states."""
@@ -403,7 +400,7 @@ class _Checked:
         )
         distance = np.linalg.norm(move.places - before_all[sensors], axis=1)
         changed = distance > 0
-        # A few tested sensors do not accuse many others.
+        # A few tested sensors are no evidence against many others.
         told = np.mean(self.usable[sensors[changed]]) >= _MIN_TESTED
         if not (told and verdict.holds and there > stated):
             proposed[sensors] = before_all[sensors]
@@ -446,9 +443,8 @@ class _Checked:
         untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
         if untested and len(untested) < n_sensors:
             self.notes += (
-                f"{counted(len(untested), 'sensor', n_sensors)} "
-                + agreed(len(untested), "{are} not tested: the recording says nothing about {them}")
-                + f": {join_items(untested, _MAX_NAMED)}",
+                f"sensors that this recording cannot test: {len(untested)} of {n_sensors} "
+                f"({join_items(untested, _MAX_NAMED)})",
             )
         positions = self.layout.positions.copy()
         positions[self.rows] = proposed
@@ -496,9 +492,7 @@ def _matched(
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:
         listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)
-        counts = counted(missing.size, "sensor")
-        have = agreed(missing.size, "{have}")
-        notes = (f"{counts} of the recording {have} no position: {listed}",)
+        notes = (f"sensors of the recording without a position: {missing.size} ({listed})",)
     rows = np.flatnonzero((columns >= 0) & layout.placed)
     if len(rows) < MIN_SENSORS:
         raise InputError(

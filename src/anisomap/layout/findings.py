@@ -38,8 +38,8 @@ KINDS: Mapping[str, str] = MappingProxyType(
 
 
 CONSISTENT, NOT_CONSISTENT = "consistent", "not consistent"
-CONTRADICTED, UNKNOWN = "contradicted as a whole", "unknown"
-"""Verdicts on a layout; after the last two, no single sensor is accused."""
+REJECTED, UNKNOWN = "rejected", "unknown"
+"""Verdicts on a layout; with the last two, no single sensors are listed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,9 +108,9 @@ class LayoutCheck:
         Agreement of the layout beyond that of shuffled ones, over the highest possible: about 1 for
         a right layout, 0 for a shuffled one, 0.25 if half of the sensors are shuffled.
     verdict : str
-        ``"consistent"``, ``"not consistent"``: readings contradict the positions of the sensors in
-        findings; ``"contradicted as a whole"``: those of half of the sensors or more, which makes
-        single sensors uncertain; or ``"unknown"``: the readings say too little.
+        ``"consistent"``; ``"not consistent"``: sensors are flagged, in findings; ``"rejected"``:
+        half of the sensors or more are at wrong places, so that single ones are not listed; or
+        ``"unknown"``: the recording has too little evidence.
     notes : tuple of str
         What was not tested, and other caveats.
     """
@@ -154,7 +154,7 @@ class LayoutCheck:
     def __repr__(self) -> str:
         return (
             f"<LayoutCheck: {self.verdict}, {int(self.accused.sum())} of {self.n_tested} tested "
-            f"sensors accused, {self.layout.n_sensors} in the layout>"
+            f"sensors flagged, {self.layout.n_sensors} in the layout>"
         )
 
     def _repr_html_(self) -> str:

@@ -29,23 +29,25 @@ PLANE, SPATIAL = 2, 3
 FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
 """Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
 
-Of 300 simulated skins of 15 shapes (benchmark `dimension`), none was wrong and 22 were not clear.
+On 300 simulated skins of 15 shapes (benchmark `dimension`), no choice was wrong and 22 were
+unclear.
 """
 
 MIN_EXPLAINED = 0.04
-"""Share of the variance of the correlations that a map in 3 dimensions explains and one in 2 does
-not, from which the third is confirmed; below, the second is.
+"""Minimum gain of a third dimension, in shares of the variance of the correlations: a map in 3
+dimensions must explain this much more than one in 2, else the skin is taken to be flat.
 
-Of 225 recordings of `benchmarks.skins.independent` but for cylinders, the elbow alone was wrong on
-37, and with this on 18, while 82 for 56 were not clear. Of 116 that have a map with an error below
-.7 spacings, 13 were wrong, now 3.
+Measured on 225 recordings of `benchmarks.skins.independent`, without cylinders. With the elbow
+alone, 37 choices were wrong and 56 unclear; with this minimum, 18 were wrong and 82 unclear. Among
+the 116 recordings with a map whose error is below .7 spacings, 13 choices were wrong, and then 3.
 """
 
 PLANE_ELBOW = 1.18
 """Minimum elbow at 2 dimensions of a flat skin: 1.15 or less on points in 5 and 6 dimensions."""
 
 DISTINCT, WEAK_FLAT_ELBOW = 3.0, 1.09
-"""Elbow at 1 or 2 dimensions below which the elbow at 3 has to be smaller, and its limit there.
+"""If the elbow at 1 or 2 dimensions is below the first, a flat skin must have an elbow at 3 below
+the second.
 
 Where stimuli reach far, no dimension fits well: flat skins had at most 1.08, and bodies 1.106.
 """

@@ -20,7 +20,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.wording import noun_and_items
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import (
@@ -199,8 +199,8 @@ def modules_by_size(names: Sequence[str], size: int, first: int | None = None) -
     repeated = [n for n, count in Counter(numbers[numbered].tolist()).items() if count > 1]
     if repeated:
         raise InputError(
-            "modules are found by the numbers at the end of names, but several sensors have the "
-            f"{noun_and_items('number', repeated)}"
+            "modules are found by the numbers at the end of names; numbers of several sensors: "
+            f"{join_items(repeated, 5)}"
         )
     if first is None:
         counts = [len(np.unique((numbers[numbered] - start) // size)) for start in (0, 1)]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import agreed, counted, join_items, noun_and_items
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
@@ -320,8 +320,8 @@ def _with_missing(found: Placement, before: SensorMap) -> Placement:
     if not missing:
         return found
     note = (
-        f"{counted(len(missing), 'sensor')} {agreed(len(missing), '{were}')} left out, "
-        f"since no anchors place the component: {join_items(missing)}"
+        "sensors left out, since no anchors place their component: "
+        f"{len(missing)} ({join_items(missing)})"
     )
     return replace(found, map=replace(after, notes=(*before.notes, note)), left_out=missing)
 
@@ -336,10 +336,10 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
     rows = match_names(anchors.names, sensor_map.names)
     if (rows < 0).any():
         names = sensor_map.names
-        unknown = noun_and_items("sensor", [anchors.names[i] for i in np.flatnonzero(rows < 0)])
+        unknown = join_items([anchors.names[i] for i in np.flatnonzero(rows < 0)], 5)
         raise InputError(
-            f"anchors must be sensors of the map, and it has no {unknown}: "
-            f"names are {names[0]} ... {names[-1]}"
+            f"anchors must be sensors of the map, whose names are {names[0]} ... {names[-1]}; "
+            f"unknown sensors: {unknown}"
         )
     return rows
 

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 import anisomap
 from anisomap import drawing, io, placement
 from anisomap.base import PERMUTATIONS
-from anisomap.base.wording import agreed, counted, join_items, number, percent
+from anisomap.base.wording import counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
@@ -210,8 +210,8 @@ def check(
     swapped and moved sensors, and doubled and dead ones. Sensors without evidence in the recording
     are not tested. Without options of modules, blocks of consecutive sensors whose shapes repeat
     are modules; with --module-layout, modules are fitted to their places whatever their shape
-    there. The exit code is 0 if no position is contradicted, 1 if readings contradict positions,
-    those of single sensors or of the layout as a whole, and 2 if the recording says too little.
+    there. The exit code is 0 if the layout is consistent, 1 if sensors are flagged or the whole
+    layout is rejected, and 2 if the recording has too little evidence.
 
     Parameters
     ----------
@@ -286,9 +286,8 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
             f"(p = {found.p:.2g} against shuffled layouts)",
             "verdict": found.verdict
             if not found.findings
-            else f"{found.verdict}: the readings of {counted(accused, 'sensor')} "
-            f"({percent(accused / found.n_tested)}) contradict "
-            + agreed(accused, "{their} {positions}"),
+            else f"{found.verdict}; sensors flagged: {accused} "
+            f"({percent(accused / found.n_tested)})",
         },
     )
     records = [_record(found, finding) for finding in found.findings]

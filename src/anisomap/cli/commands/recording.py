@@ -13,7 +13,6 @@ from cyclopts import Parameter
 import anisomap
 from anisomap import io
 from anisomap.base import DEFAULT_METHOD, PERMUTATIONS
-from anisomap.base.wording import agreed, counted
 from anisomap.cli import parameters as options
 from anisomap.cli.console import print_warning, progress
 from anisomap.errors import InputError
@@ -67,9 +66,8 @@ def info(
         print_warning(weakness)
     if examined.summary.missing:
         print_warning(
-            f"{counted(examined.summary.missing, 'reading')} "
-            f"{agreed(examined.summary.missing, '{are}')} NaN or infinite: "
-            "map them with --missing drop-frames or --missing interpolate"
+            f"readings that are NaN or infinite: {examined.summary.missing:,}; "
+            "to map the recording, add --missing drop-frames or --missing interpolate"
         )
 
 
@@ -128,7 +126,7 @@ class VerdictOptions:
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
     min_quality
-        Exit with code 1 if the verdict is worse than this, or cannot tell. All files are written.
+        Exit with code 1 if the verdict is worse than this, or "cannot tell". All files are written.
     seed
         Seed of what is drawn at random: the same seed gives the same result.
     """
@@ -193,8 +191,8 @@ def map_recording(
 ) -> int:
     """Make a map of a skin from one or several recordings.
 
-    Sensors of several recordings are matched by name; recordings may lack some sensors. Of readings
-    above 512 MiB, frames are sampled evenly in time, and the map says so.
+    Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
+    above 512 MiB are subsampled evenly, and a note says so.
 
     Parameters
     ----------

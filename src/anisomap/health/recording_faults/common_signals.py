@@ -35,7 +35,7 @@ _LOW_AND_HIGH = (0.25, 0.75)
 _MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
 _MIN_GROUP = 3  # sensors of a board
 # In fewer frames, one or two strokes over the sensors look like a signal that they share: of such
-# recordings of 100 and 200 frames, 5 % were accused (measured).
+# recordings of 100 and 200 frames, 5 % were flagged (measured).
 _MIN_FRAMES = 256
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
 # Variance of the second component of the fast noise over that of the first. On simulated skins,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import NAMING_TIME, SINCE_1970_S, Clock, clock_of, is_time, words_of
-from anisomap.base.wording import noun_and_items
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.io.parsing.source import quote_if_needed, warn
 from anisomap.recording import default_names, find_sensors
@@ -261,8 +261,8 @@ def distinct_names(path: Path, names: Sequence[str]) -> tuple[str, ...]:
     example = next(iter(counts))
     warn(
         path,
-        f"several sensors have the {noun_and_items('name', repeated)}; they are numbered in order, "
-        f"as in {quote_if_needed(example)} and {quote_if_needed(f'{example}_2')}",
+        f"names of several sensors: {join_items(repeated, 5)}; they are numbered in order, as in "
+        f"{quote_if_needed(example)} and {quote_if_needed(f'{example}_2')}",
     )
     return tuple(found)
 
