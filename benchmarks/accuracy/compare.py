@@ -247,15 +247,16 @@ def _facts(comparison: Comparison) -> tuple[str, str, str]:
 def columns(methods: Sequence[str]) -> list[str]:
     """Return the columns of `to_csv`."""
     errors = [f"{method}: error" for method in methods]
-    return [*_FACTS, *methods, *errors, "best stock", "best stock r", "margin"]
+    stock = ("best stock", "best stock r", "best stock: error")
+    return [*_FACTS, *methods, *errors, *stock, "margin"]
 
 
 def to_csv(comparisons: Sequence[Comparison]) -> str:
     """Format comparisons of the same methods as CSV, one line per recording.
 
     The columns are named after the methods (Mantel r), after the methods with ``: error`` (RMS
-    error in spacings), and ``best stock``, ``best stock r`` and ``margin``: Mantel r of the first
-    method of anisomap minus that of the best stock method.
+    error in spacings), and ``best stock``, ``best stock r``, ``best stock: error`` and ``margin``:
+    Mantel r of the first method of anisomap minus that of the best stock method.
     """
     text = StringIO()
     table = csv.writer(text, lineterminator="\n")
@@ -268,7 +269,11 @@ def to_csv(comparisons: Sequence[Comparison]) -> str:
                 *_facts(comparison),
                 *(_number(s.mantel_r) for s in comparison.scores),
                 *(_number(s.rms_in_spacings) for s in comparison.scores),
-                *((stock.method, _number(stock.mantel_r)) if stock else "--"),
+                *(
+                    (stock.method, _number(stock.mantel_r), _number(stock.rms_in_spacings))
+                    if stock
+                    else "---"
+                ),
                 _number(comparison.margin, "+.3f"),
             ]
         )
