@@ -128,7 +128,7 @@ def test_dropping_frames_keeps_whole_frames_only(readings):
 def test_missing_readings_are_named():
     readings = np.zeros((4, 3))
     readings[2, 1] = readings[3, 1] = np.nan
-    with pytest.raises(InputError, match=r"2 readings .* sensor s1, frames 2, 3; .*drop-frames"):
+    with pytest.raises(InputError, match=r": 2; sensors: s1; frames: 2, 3; .*drop-frames"):
         Recording(readings).complete()
 
 
@@ -262,7 +262,7 @@ def test_missing_readings_of_a_run_are_refused():
     readings = NAMED.readings[:900].copy()
     readings[7, 3] = np.nan
     runs = [Recording(readings, names=NAMED.names), frames(0, 900, slice(0, 40))]
-    with pytest.raises(InputError, match="sensor pad3, frame 7"):
+    with pytest.raises(InputError, match="sensors: pad3; frames: 7"):
         reconstruct(runs, "r-anisomap", 2)
 
 

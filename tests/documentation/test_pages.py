@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from benchmarks import stale
 from benchmarks.accuracy import check, compare, dimension, limits, quality
 from benchmarks.harness import columns
 from benchmarks.live import coach, session
@@ -109,3 +110,11 @@ def test_columns_are_those_that_the_command_writes(path):
     with path.open(encoding="utf-8", newline="") as file:
         header = next(csv.reader(file))
     assert header == list(HEADERS[path.stem])
+
+
+def test_every_table_and_picture_states_its_commit_and_modules_that_exist():
+    rows = stale.read(ROOT / stale.MEASURED)
+    assert set(rows) == set(stale.written(ROOT / "docs"))
+    for row in rows.values():
+        assert re.fullmatch("[0-9a-f]{8}", row["commit"])
+        assert all((ROOT / module).exists() for module in row["modules"].split())

@@ -290,7 +290,7 @@ def test_a_verdict_needs_complete_readings():
     skin = flat_skin(n_frames=300)
     readings = np.array(skin.readings)
     readings[7, 3] = np.nan
-    with pytest.raises(InputError, match="sensor s3, frame 7"):
+    with pytest.raises(InputError, match="sensors: s3; frames: 7"):
         diagnose(flat_map(n_frames=300), readings)
 
 
