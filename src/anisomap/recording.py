@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.base.channels import match_by_number
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import counted, html_table, join_items
 from anisomap.errors import AnisomapWarning, InputError
@@ -445,13 +446,18 @@ def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
 def match_sensors(
     names: Sequence[str], among: Sequence[str], what: str
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Match sensors by name, or by order if a side has no names; return indices, and a note then.
+    """Match sensors by name, by channel, or by order if a side has no names; return indices.
 
-    A side without names has the default ones, or numbers.
+    Also a note unless by name. A side without names has the default ones, or numbers.
     """
     found = match_names(names, among)
     if (found >= 0).any():
         return found, ()
+    by_number = match_by_number(names, among)
+    if by_number is not None:
+        first = int(np.flatnonzero(by_number >= 0)[0])
+        pair = f"{names[first]} is {among[by_number[first]]}"
+        return by_number, (f"{what} share no sensor name: matched by number, {pair}",)
     sides = " and ".join(f"{side[0]} ... {side[-1]}" for side in (names, among))
     if not (_unnamed(names) or _unnamed(among)):
         raise InputError(f"{what} share no sensor name ({sides}); use the same names")

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 
 import anisomap
 from anisomap import SensorMap
-from anisomap.errors import FileError, InputError
+from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io.maps.skin_displays import PADS, read_display, write_display
 from skins import rubbed
 
 TOUCHED = [pad for pad in range(12) if pad not in (6, 10)]
 
 
+@pytest.mark.filterwarnings("ignore:.*triangles lie on each other")
 @given(data=st.data())
 def test_what_is_written_is_read_back(data, tmp_path_factory):
     numbers = data.draw(st.lists(st.integers(0, 63), min_size=1, max_size=6, unique=True))
@@ -33,6 +34,14 @@ def test_what_is_written_is_read_back(data, tmp_path_factory):
     found = anisomap.read_map(path)
     assert (found.names, found.units, found.frame) == (layout.names, "mm", "torso")
     np.testing.assert_allclose(found.positions, layout.positions, atol=2e-3)
+
+
+def test_triangles_on_each_other_are_told(tmp_path):
+    rows = ["triangle_10pad 3 0 0 0", "triangle_10pad 5 9 0 60", "triangle_10pad 7 40 0 0"]
+    path = tmp_path / "part.ini"
+    path.write_text("\n".join(["[SENSORS]", *rows]))
+    with pytest.warns(AnisomapWarning, match="3 and 5, 9 mm apart; triangles side by side are 18"):
+        read_display(path)
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,9 @@ from anisomap.layout.chance import (
     agreement_gain,
     own_agreement,
 )
-from anisomap.layout.evidence import Evidence, Move, fit_falloff, neighbour_spacing
-from anisomap.layout.modules import orientations
+from anisomap.layout.evidence import Evidence, Move, coded, neighbour_spacing
+from anisomap.layout.modules import blocks_of_size, orientations, rigid_repeats
 from anisomap.layout.readings import reading_statistics
-from anisomap.layout.repeats import blocks_of_size, rigid_repeats
 from skins import rubbed, triangles
 
 TRUTH = triangles(columns=2, rows=1)
@@ -30,10 +29,9 @@ def statistics():
 
 @pytest.fixture(scope="module")
 def evidence(statistics):
-    falloff = fit_falloff(statistics.similarity, TRUTH, 1.0)
     usable = np.ones(len(TRUTH), dtype=bool)
     usable[7] = False
-    return Evidence(statistics.similarity, TRUTH, usable, falloff)
+    return Evidence.of(statistics.similarity, TRUTH, usable, 1.0)
 
 
 def total(evidence):
@@ -47,7 +45,7 @@ def total(evidence):
     ]
     falloff = evidence.falloff
     return sum(
-        float(falloff.log_likelihood(evidence.similarity[i, j], falloff.bins(distances[i, j])))
+        float(falloff.table[falloff.bins(distances[i, j]), coded(evidence.similarity[i, j])])
         for i, j in pairs
     )
 
@@ -97,7 +95,7 @@ def test_spacing_ignores_the_frame_and_doubled_places(seed, k):
 @pytest.mark.parametrize(
     ("name", "points", "expected"),
     [
-        ("triangle", TRUTH[:10], 5),
+        ("triangle", TRUTH[:10], 11),
         ("square", np.array([[x, y] for x in range(4) for y in range(4)], float), 7),
         ("rectangle", np.array([[x, y] for x in range(4) for y in range(2)], float), 3),
         ("scalene", np.array([[0.0, 0], [1, 0], [3, 0], [0, 1], [2, 1.8]]), 0),
@@ -105,15 +103,17 @@ def test_spacing_ignores_the_frame_and_doubled_places(seed, k):
     ],
 )
 def test_orientations_form_a_group(name, points, expected):
-    found = orientations(points)
+    found = [one for one in orientations(points) if not one.backwards]
     assert len(found) == expected + 1
-    places = [one.places for one in found]
+    places = [one.places for one in found if one.fits]
     for one in found:
         moved = one.places
         np.testing.assert_allclose(cdist(moved, moved), cdist(points, points), atol=1e-9)
         sides = [np.linalg.det((p - p.mean(axis=0))[:2]) for p in (points, moved)]
         if abs(sides[0]) > 1e-9:
             assert one.reflected == (sides[0] * sides[1] < 0)
+        if not one.fits:
+            continue
         # One after another is among them, too.
         order = cdist(moved, points).argmin(axis=1)
         for other in places:

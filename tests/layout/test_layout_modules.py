@@ -21,8 +21,9 @@ NAMES = tuple(f"taxel{i}" for i in range(len(TRUTH)))
 MODULES = modules_by_size(NAMES, 10, first=0).with_template(TEMPLATE)
 RIGHT = SensorMap(TRUTH, names=NAMES, units="mm")
 MOUNTING = Mounting.of(MODULES, TRUTH, "mm")
-MIRRORED = [o for o, one in enumerate(MOUNTING.orientations) if one.reflected]
-TURNED = [o for o, one in enumerate(MOUNTING.orientations) if o and not one.reflected]
+MIRRORED = [o for o, one in enumerate(MOUNTING.orientations) if one.reflected and one.fits]
+BACKWARDS = len(MOUNTING.orientations) - 1
+TURNED = [o for o, one in enumerate(MOUNTING.orientations[:BACKWARDS]) if o and not one.reflected]
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,84 @@ def test_modules_in_any_orientations_are_named_and_restored(data, statistics):
     assert named(found) == set(turns)
     assert found.consistent == (not turns)
     np.testing.assert_allclose(found.corrected.positions, TRUTH, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", range(1, BACKWARDS + 1))
+def test_every_orientation_is_named_with_its_angle(turn, statistics):
+    """Turns by 60 and 180 degrees map no pads onto pads; the last one reverses the pads."""
+    stated = with_orientations({5: turn})
+    found = check_layout(stated, RECORDING, modules=MODULES, statistics=statistics)
+    (finding,) = found.findings
+    assert named(found) == {5}
+    np.testing.assert_allclose(found.corrected.positions, TRUTH, atol=1e-9)
+    way = MOUNTING.orientations[turn]
+    expected = "reversed" if way.backwards else "mirrored" if way.reflected else "turned"
+    assert finding.kind == expected
+    assert finding.certainty == "certain"
+    (module,) = finding.modules
+    assert module.mirror == way.reflected
+    if not way.reflected:
+        assert abs(module.angle) == pytest.approx(abs(way.angle), abs=0.1)
+    turned = module.new_orientation - module.old_orientation
+    assert (turned - module.angle + 180) % 360 == pytest.approx(180, abs=0.2)
+
+
+def test_a_reversed_connector_is_named_by_its_cause(statistics):
+    found = check_layout(
+        with_orientations({5: BACKWARDS}), RECORDING, modules=MODULES, statistics=statistics
+    )
+    (finding,) = found.findings
+    assert finding.explanation.endswith("pads in reverse order")
+
+
+@pytest.mark.parametrize("run", [(2, 5), (1, 4)])
+def test_modules_in_reverse_order_are_one_finding(run, statistics):
+    first, last = run
+    stated = TRUTH.copy()
+    for m in range(first, last + 1):
+        stated[MOUNTING.members[m]] = MOUNTING.places(m, first + last - m, 0)
+    layout = replace(RIGHT, positions=stated)
+    found = check_layout(layout, RECORDING, modules=MODULES, statistics=statistics)
+    (finding,) = found.findings
+    assert named(found) == set(range(first, last + 1))
+    np.testing.assert_allclose(found.corrected.positions, TRUTH, atol=1e-9)
+    if finding.kind == "reversed":  # else the row is a patch that is turned as one
+        assert finding.explanation.endswith(f"{last - first + 1} in a row, in reverse order")
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 4))
+@settings(max_examples=40)
+def test_exchanged_pads_do_not_flip_their_module(seed, count):
+    rng = np.random.default_rng(seed)
+    inside = rng.permutation(10)[: 2 * (count // 2) or 2]
+    stated = TRUTH.copy()
+    if count % 2:  # with a pad of another module
+        stated[[50 + inside[0], 3]] = stated[[3, 50 + inside[0]]]
+    else:
+        stated[50 + inside] = stated[50 + np.roll(inside, 1)]
+    mounting = Mounting.of(MODULES, stated, "mm")
+    there = mounting.places(5, 5, 0)
+    np.testing.assert_allclose(there, TRUTH[mounting.members[5]], atol=0.2)
+
+
+def test_modules_on_each_other_are_a_finding(statistics):
+    stated = TRUTH.copy()
+    far, near = MOUNTING.members[7], MOUNTING.members[0]
+    stated[far] += stated[near].mean(axis=0) - stated[far].mean(axis=0) + [0.4, 0.2]
+    silent = np.array(RECORDING.readings)
+    silent[:, far] = 0
+    found = check_layout(
+        replace(RIGHT, positions=stated), Recording(silent, names=NAMES), modules=MODULES
+    )
+    (finding,) = (one for one in found.findings if one.kind == "overlapping")
+    assert "side by side" in finding.explanation
+    assert {int(found.module[i]) for i in finding.sensors} <= {0, 7}
+
+
+def test_a_consistent_layout_names_what_was_not_tested(statistics):
+    found = check_layout(RIGHT, RECORDING, modules=MODULES, statistics=statistics)
+    assert found.consistent
+    assert "less than two to three spacings (1.73 and 2.6 mm)" in " ".join(found.notes)
 
 
 def test_a_mirrored_patch_is_one_finding(statistics):

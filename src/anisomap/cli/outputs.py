@@ -144,8 +144,13 @@ class Outputs:
         sensor_map: SensorMap,
         draw: Callable[[], Figure] | None = None,
         content: str = "map",
+        *,
+        source: tuple[Path, SensorMap] | None = None,
     ) -> list[tuple[str, Path]]:
-        """Write the maps and the picture; return the files, each with its content."""
+        """Write the maps and the picture; return the files, each with its content.
+
+        source: A file, and what it states, whose lines are kept where nothing changed.
+        """
         written: list[tuple[str, Path]] = []
         n_components = len(sensor_map.component_sizes)
         with progress("writing"), together():
@@ -160,6 +165,8 @@ class Outputs:
                         "unknown relative positions; write each to a file of its own with "
                         "--split-components, or leave out the sensors of the others with --drop"
                     )
+                elif source is not None:
+                    io.write_corrected(*source, sensor_map, path)
                 else:
                     io.write(sensor_map, path)
                 written += [(content, file) for file in files]

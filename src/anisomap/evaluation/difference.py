@@ -93,7 +93,8 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     Parameters
     ----------
     before, after : SensorMap
-        Two maps of one skin. Sensors are matched by name, or by order if one map has no names.
+        Two maps of one skin. Sensors are matched by name, by the number of the
+        channel if names of an iCub are of two kinds, or by order if one map has no names.
         Their units, frames and handedness may differ.
 
     Returns

@@ -1,3 +1,4 @@
+from .maps.edits import LineEdit as LineEdit
 from .maps.text_files import read_modules as read_modules
 from .presets import apply_preset as apply_preset
 from .presets import numbering as numbering
@@ -7,6 +8,7 @@ from .registry import attach_positions as attach_positions
 from .registry import check_no_frames as check_no_frames
 from .registry import check_writable as check_writable
 from .registry import contents as contents
+from .registry import corrections as corrections
 from .registry import files_of as files_of
 from .registry import needs_scale as needs_scale
 from .registry import open_stream as open_stream
@@ -14,6 +16,7 @@ from .registry import read as read
 from .registry import read_map as read_map
 from .registry import write as write
 from .registry import write_components as write_components
+from .registry import write_corrected as write_corrected
 from .stream import FRAMES_SAMPLED as FRAMES_SAMPLED
 from .stream import ChoiceError as ChoiceError
 from .stream import Content as Content

@@ -15,11 +15,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.channels import channel_name
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.names import cells_of, numbers_of
 from anisomap.io.parsing.source import warn
 from anisomap.io.stream import BLOCK_FRAMES, Block, Stream, rechunk
-from anisomap.placement.modules import channel_name
 from anisomap.recording import Recording, default_names
 
 UNITS = "spacings"

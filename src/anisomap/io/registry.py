@@ -23,6 +23,7 @@ from anisomap.files.paths import atomic_write, check_distinct, check_target, tog
 from anisomap.io import npz
 from anisomap.io.columns import sensors_of
 from anisomap.io.maps import point_files, robot_models, skin_displays, text_files
+from anisomap.io.maps.edits import LineEdit, edited
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names, natural_key
 from anisomap.io.parsing.refusals import refuse_foreign, remedy_of
@@ -59,6 +60,7 @@ class Format:
     suffixes: They select the writer, and the reader of files that no format recognises by content.
     recognises: ``recognises(path, head)`` returns whether a file that begins with none of `magics`
         is of this format, by its first bytes, decompressed; none for a folder. It must not raise.
+    edit_map: Returns the lines of a file that change if sensors get other places.
     contents: Lists the possible recordings in a file.
     extra: Installs the library that reads recordings, in another process.
     in_metres: Whether the format stores metres, so that a map needs a scale.
@@ -79,6 +81,7 @@ class Format:
     in_metres: bool = False
     signature: bytes = b""
     magics: tuple[bytes, ...] = ()
+    edit_map: Callable[[Path, SensorMap, SensorMap], list[LineEdit] | None] | None = None
 
     def matches(self, path: Path, head: bytes) -> bool:
         """Return whether a file is of this format, by its first bytes."""
@@ -115,10 +118,12 @@ FORMATS = (
     Format("transforms", (".launch.xml",), "ROS 2 launch file of static transforms",
            robot_models.has_root("launch"), write_map=robot_models.write_launch, in_metres=True),
     Format("icub", (".icub.txt",), "iCub file of taxel positions", point_files.is_icub,
-           read_map=point_files.read_icub, write_map=point_files.write_icub, in_metres=True),
+           read_map=point_files.read_icub, write_map=point_files.write_icub,
+           edit_map=point_files.edit_icub, in_metres=True),
     Format("icub-display", (".ini",), "iCub display of a skin: flat triangles (skinGui)",
            skin_displays.is_display, read_map=skin_displays.read_display,
-           write_map=skin_displays.write_display, in_metres=True),
+           write_map=skin_displays.write_display, edit_map=skin_displays.edit_display,
+           in_metres=True),
     Format("yarp", (), "YARP data.log, its folder or session", robot_logs.is_yarp,
            robot_logs.open_yarp, contents=robot_logs.contents),
     Format("cyskin", (), "CySkin recording (text)", robot_logs.is_cyskin,
@@ -137,7 +142,8 @@ FORMATS = (
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
            delimited_text.open_recording, text_files.read_text, text_files.write_text,
-           delimited_text.write_recording, contents=delimited_text.contents,
+           delimited_text.write_recording, delimited_text.contents,
+           edit_map=text_files.edit_text,
            signature=delimited_text.SIGNATURE),
 )
 # fmt: on
@@ -546,6 +552,69 @@ def write_components(
 def check_writable(path: str | os.PathLike[str], *, recording: bool = False) -> None:
     """Check, before a long computation, that a map or a recording can be written to a file."""
     _format_of(check_target(path), "write_recording" if recording else "write_map")
+
+
+def corrections(
+    path: str | os.PathLike[str], stated: SensorMap, corrected: SensorMap
+) -> list[LineEdit] | None:
+    """Return the lines of a file of positions that a correction changes.
+
+    Parameters
+    ----------
+    path : path-like
+        A file of a format with lines of numbers: delimited text, taxel positions of an iCub, or the
+        display of its skin.
+    stated, corrected : SensorMap
+        Of this file, and with other positions.
+
+    Returns
+    -------
+    list of LineEdit or None
+        None for files of other formats.
+
+    Raises
+    ------
+    InputError
+        If the format cannot represent the positions.
+    """
+    file = Path(path)
+    kind = _recognise(file)
+    if kind.edit_map is None or file.suffix.lower() == ".gz" or file.is_dir():
+        return None
+    return kind.edit_map(file, stated, corrected)
+
+
+def write_corrected(
+    source: str | os.PathLike[str],
+    stated: SensorMap,
+    corrected: SensorMap,
+    path: str | os.PathLike[str],
+) -> None:
+    """Write a corrected layout: in the file's own format, only the wrong lines change.
+
+    Parameters
+    ----------
+    source : path-like
+        The file of the stated layout.
+    stated, corrected : SensorMap
+    path : path-like
+        With the suffix of the source, the lines that are not in `corrections` are the same, byte
+        for byte; else see `write`.
+
+    Raises
+    ------
+    FileError, InputError
+        See `write`.
+    """
+    file = Path(path)
+    own = file.suffix.lower() == Path(source).suffix.lower()
+    edits = corrections(source, stated, corrected) if own else None
+    if edits is None:
+        write(corrected, file)
+        return
+    changed = edited(Path(source), edits)
+    with atomic_write(file) as partial_file:
+        partial_file.write_bytes(changed)
 
 
 def needs_scale(path: str | os.PathLike[str]) -> bool:

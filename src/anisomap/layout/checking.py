@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,8 +17,9 @@ from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
 from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.layout.arranging import Change
 from anisomap.layout.chance import agreement, own_agreement
-from anisomap.layout.evidence import REACH, Evidence, Move, fit_falloff, neighbour_spacing
+from anisomap.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.layout.explanation import Explained, explain, explain_modules, span
 from anisomap.layout.findings import (
     CONSISTENT,
@@ -30,17 +32,18 @@ from anisomap.layout.findings import (
     UNKNOWN,
     LayoutCheck,
     LayoutFinding,
+    ModuleChange,
     at_positions,
 )
-from anisomap.layout.joint import Change
 from anisomap.layout.judging import Judge
-from anisomap.layout.modules import Mounting, find_modules
+from anisomap.layout.modules import Mounting, find_modules, fit_frame
 from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
 from anisomap.layout.search import Search
-from anisomap.layout.turned import unsure_patches
+from anisomap.layout.together import unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.placement.modules import Modules, match_by_number
+from anisomap.numerics.procrustes import fit_similarity
+from anisomap.placement.modules import Modules
 from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
 
@@ -56,6 +59,7 @@ _HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors
 _MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
 _MIN_TESTED = 0.5  # share of the sensors of a finding, or of all, that must be tested
 _PAIRED = 0.2  # share of the sensors that repeat others, for contacts that come in pairs
+_HARDLY_TOLD = (2, 3)  # spacings: nearer sensors may read alike
 _SAME = 0.01  # spacings; differences of places by rounding
 
 
@@ -187,9 +191,8 @@ class _Checked:
                 f"too few sensors are related to others beyond chance: {n_usable} of "
                 f"{len(self.rows)}, and a check needs {MIN_SENSORS}; record more contacts"
             )
-        inside = self.statistics.similarity[np.ix_(self.usable, self.usable)]
-        falloff = fit_falloff(inside, self.unbent[self.usable], self.spacing)
-        evidence = Evidence(self.statistics.similarity, self.unbent, self.usable, falloff)
+        similarity = self.statistics.similarity
+        evidence = Evidence.of(similarity, self.unbent, self.usable, self.spacing)
         self.told = bool(np.mean(self.usable) >= _MIN_TESTED)
         self.agreement = own_agreement(evidence)
         self.p, self.explained = agreement_as_a_whole(evidence, self.rng)
@@ -203,6 +206,7 @@ class _Checked:
         search.run_sensors()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
+        self._find_overlaps()
         # With any sensor at a wrong place, a symmetric layout is no image of itself.
         rival = best_rival(search.evidence, judge)
         if rival is not None and not rival.worse:
@@ -216,6 +220,12 @@ class _Checked:
 
     def _tell_limits(self, search: Search) -> None:
         """Note what the readings leave open in a consistent layout."""
+        near = " and ".join(f"{length * self.spacing:.3g}" for length in _HARDLY_TOLD)
+        unit = f" {self.layout.units}" if self.layout.units else ""
+        self.notes += (
+            f"not tested: shifts of sensors and modules by less than two to three spacings ({near}"
+            f"{unit})",
+        )
         unsure = [span(self.mounting.members[m], self.names) for m in search.unsure]
         if unsure:
             self.notes += (
@@ -386,8 +396,57 @@ class _Checked:
             chance=max(change.verdict.chance for change in changes),
             gain=sum(change.verdict.gain for change in changes),
             z=min(change.verdict.z for change in changes),
+            modules=tuple(one for change in changes for one in self._turned(change)),
         )
         self.findings.append(finding)
+
+    def _turned(self, change: Change) -> list[ModuleChange]:
+        """Tell how each module of a change lies then."""
+        found = []
+        ends = np.cumsum([len(self.mounting.members[m]) for m in change.modules])[:-1]
+        halves = (np.split(places, ends) for places in (change.stated, change.move.places))
+        for m, before, after in zip(change.modules, *halves, strict=True):
+            label = self.modules.labels[self.modules.index[self.rows[self.mounting.members[m][0]]]]
+            pads = self.mounting.orientations[0].places[self.mounting.pads[m]]
+            now = replace(self.mounting, frames=fit_frame(pads, after)[None])
+            chosen = dict(zip(change.modules, change.turns, strict=False)).get(m, 0)
+            way = self.mounting.orientations[chosen]
+            old, was = self.mounting.orientation(m)
+            new, there = (old, was) if way.backwards else now.orientation(0)
+            turn = fit_similarity(before, after, scaling=False, reflection=None)
+            mirror = was != there
+            if before.shape[1] > 2:
+                mirror = way.reflected
+                cosine = (np.trace(turn.rotation) - 1) / 2
+                angle = 0.0 if mirror else float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+            else:
+                angle = (new - old + 180) % 360 - 180
+            rounded = (0.0 + round(one, 1) for one in (angle, old, new))
+            angle, old, new = rounded
+            found.append(ModuleChange(label, angle, mirror, old, new))
+        return found
+
+    def _find_overlaps(self) -> None:
+        """Report modules that are nearer than their shape allows, and that no finding explains."""
+        moved = {i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()}
+        left = [
+            (a, b, length)
+            for a, b, length in self.mounting.overlaps()
+            if not moved & {*self.mounting.members[a].tolist(), *self.mounting.members[b].tolist()}
+        ]
+        while left:
+            counts = Counter(m for a, b, _ in left for m in (a, b))
+            worst = {m: -_mean(self.agreement[self.mounting.members[m]]) for m in counts}
+            m = max(counts, key=lambda m: (counts[m], worst[m]))
+            others = sorted((length, b if a == m else a) for a, b, length in left if m in (a, b))
+            left = [one for one in left if m not in one[:2]]
+            near = [span(self.mounting.members[other], self.names) for _, other in others]
+            text = (
+                f"module {span(self.mounting.members[m], self.names)} is {others[0][0]:.3g} from "
+                f"{join_items(near, _MAX_NAMED)}, but modules of this shape are "
+                f"{self.mounting.clearance:.3g} apart side by side"
+            )
+            self.findings.append(LayoutFinding("overlapping", self.mounting.members[m], text))
 
     def _add_sensors(self, group: Explained, search: Search, proposed: NDArray[np.float64]) -> None:
         """Add a finding on sensors that no module explains, or undo their move."""
@@ -479,16 +538,7 @@ def _matched(
     layout: SensorMap, recording: Recording
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
     """Return rows of the layout, the columns of the same sensors, and notes."""
-    by_number = None
-    if not (match_names(layout.names, recording.names) >= 0).any():
-        by_number = match_by_number(layout.names, recording.names)
-    if by_number is None:
-        columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
-    else:
-        columns, _ = by_number
-        first = int(np.flatnonzero(columns >= 0)[0])
-        pair = f"{layout.names[first]} is {recording.names[columns[first]]}"
-        notes = (f"layout and recording share no sensor name: matched by number, {pair}",)
+    columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:
         listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)

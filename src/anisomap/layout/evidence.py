@@ -53,15 +53,32 @@ class Falloff:
         return _BIN_OF_STEP[np.minimum(steps, len(_BIN_OF_STEP) - 1).astype(np.int32)]
 
     @cached_property
-    def _peak(self) -> NDArray[np.float64]:
-        """Log-likelihood of a similarity at the level of each bin, shape (B,)."""
-        return np.asarray(-np.log(self.spread))
-
-    def log_likelihood(self, similarity: Reals, bins: NDArray[np.uint8]) -> NDArray[np.float64]:
-        """Return the log-likelihood of similarities at distances, up to a constant."""
-        deviation = (similarity - self.level[bins]) / self.spread[bins]
+    def table(self) -> NDArray[np.float32]:
+        """Log-likelihood ratio of each code of a similarity in each bin to the last, (B, 256)."""
+        similarity = np.arange(_N_CODES) / _PER_UNIT - 1
+        deviation = (similarity - self.level[:, None]) / self.spread[:, None]
         tail = (_DEGREES + 1) / 2 * np.log1p(deviation**2 / _DEGREES)
-        return np.asarray(self._peak[bins] - tail)
+        likelihood = -np.log(self.spread)[:, None] - tail
+        return np.asarray(likelihood - likelihood[-1], dtype=np.float32)
+
+    def ratio(self, codes: NDArray[np.uint8], bins: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the log-likelihood ratios of `coded` similarities at distances to far ones."""
+        return np.asarray(self.table.ravel().take(bins.astype(np.intp) * _N_CODES + codes))
+
+    @cached_property
+    def expected(self) -> NDArray[np.float32]:
+        """Log-likelihood ratio of the median similarity in each bin, (B,)."""
+        return np.asarray(self.table[np.arange(len(self.level)), coded(self.level)])
+
+
+_N_CODES = 256
+_PER_UNIT = (_N_CODES - 1) / 2
+
+
+def coded(similarity: Reals) -> NDArray[np.uint8]:
+    """Round similarities to codes, by which likelihoods are looked up."""
+    codes: NDArray[np.uint8] = np.rint((similarity + 1) * _PER_UNIT).astype(np.uint8)
+    return codes
 
 
 def neighbour_spacing(positions: NDArray[np.float64]) -> float:
@@ -107,8 +124,6 @@ REACH = 2.6
 The second ring of a hexagonal lattice is 2 spacings away, and modules have gaps of 2.2 spacings.
 """
 
-_N_SIMILAR = 6  # most similar sensors, near which a sensor may belong; chosen by hand
-
 
 @dataclass(frozen=True, eq=False)
 class Move:
@@ -139,20 +154,30 @@ class Proposal:
 class Evidence:
     """Similarities of n sensors, and the positions that they are compared with.
 
-    similarity (n, n): Row i: of sensor i to each other sensor. It need not be symmetric, since in a
-        null of shifted readings, sensor i is shifted against the others.
+    similarity (n, n): Of each two sensors.
+    codes (n, n): The same, `coded`.
     positions (n, k): Current positions.
     usable: Sensors whose similarities say something.
     """
 
     similarity: Reals
+    codes: NDArray[np.uint8]
     positions: NDArray[np.float64]
     usable: NDArray[np.bool_]
     falloff: Falloff
 
-    def with_similarity(self, similarity: Reals) -> Evidence:
-        """Return the same with other similarities."""
-        return replace(self, similarity=similarity)
+    @classmethod
+    def of(
+        cls,
+        similarity: Reals,
+        positions: NDArray[np.float64],
+        usable: NDArray[np.bool_],
+        spacing: float,
+    ) -> Evidence:
+        """Fit the falloff of the usable sensors at some positions."""
+        inside = similarity[np.ix_(usable, usable)]
+        falloff = fit_falloff(inside, positions[usable], spacing)
+        return cls(similarity, coded(similarity), positions, usable, falloff)
 
     def refitted(self) -> Evidence:
         """Return the same with the falloff of the current positions."""
@@ -177,37 +202,45 @@ class Evidence:
         return np.outer(self.usable, self.usable) & ~np.eye(len(self.usable), dtype=bool)
 
     @cached_property
-    def likelihood(self) -> NDArray[np.float64]:
-        """Log-likelihood of each similarity at current positions; 0 for pairs not `known`."""
-        values = self.falloff.log_likelihood(self.similarity, self.bins)
-        return np.where(self.known, values, 0.0)
+    def ratios(self) -> NDArray[np.float32]:
+        """Log-likelihood ratio of each pair at current positions; 0 for pairs not `known`."""
+        return np.where(self.known, self.falloff.ratio(self.codes, self.bins), np.float32(0))
 
-    def likelihood_at(
+    def ratios_at(
         self, sensors: NDArray[np.intp], places: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the log-likelihood of similarities to all sensors, if some were elsewhere.
+    ) -> NDArray[np.float32]:
+        """Return the log-likelihood ratios with all sensors, if some were elsewhere.
 
         places (m, k) -> (m, n).
         """
         bins = self.falloff.bins(cdist(places, self.positions))
-        values = self.falloff.log_likelihood(self.similarity[sensors], bins)
-        return np.where(self.known[sensors], values, 0.0)
+        ratios = self.falloff.ratio(self.codes[sensors], bins)
+        return np.where(self.known[sensors], ratios, np.float32(0))
 
-    def gain(self, move: Move, before: NDArray[np.float64] | None = None) -> float:
-        """Return the increase of the log-likelihood by a move of some sensors together.
+    def gain(self, move: Move) -> float:
+        """Return the increase of the log-likelihood by a move of some sensors together."""
+        return self.gains(move, self.codes[None])[0]
 
-        before (m, n): Log-likelihoods of these sensors, if known from another move of them.
-        """
-        sensors = move.sensors
-        if before is None:
-            before = self.likelihood_at(sensors, self.positions[sensors])
-        change = self.likelihood_at(sensors, move.places) - before
-        # Pairs of moved sensors are at the distance of their new places, and in two rows.
-        bins = self.falloff.bins(cdist(move.places, move.places))
-        inside = np.ix_(sensors, sensors)
-        values = self.falloff.log_likelihood(self.similarity[inside], bins)
-        within = np.where(self.known[inside], values, 0.0) - before[:, sensors]
-        return float(change.sum() - change[:, sensors].sum() + within.sum() / 2)
+    def gains(self, move: Move, codes: NDArray[np.uint8]) -> list[float]:
+        """Return the `gain` with other similarities, codes (g, n, n)."""
+        kept = self.usable[move.sensors]
+        sensors, there = move.sensors[kept], move.places[kept]
+        here = self.positions[sensors]
+        outside = self.usable.copy()
+        outside[sensors] = False
+        others = np.flatnonzero(outside)
+        around = [cdist(places, self.positions[others]) for places in (here, there)]
+        before, after = (self.falloff.bins(distances) for distances in around)
+        apart, near = (self.falloff.bins(cdist(places, places)) for places in (here, there))
+        found, table = [], self.falloff.ratio
+        # Pairs of moved sensors are at the distance of their new places, and counted twice.
+        for one in codes:
+            rows = one[sensors]
+            with_others, within = rows[:, others], rows[:, sensors]
+            gain = (table(with_others, after) - table(with_others, before)).sum(dtype=np.float64)
+            inner = (table(within, near) - table(within, apart)).sum(dtype=np.float64)
+            found.append(float(gain + inner / 2))
+        return found
 
     def similar(self, sensor: int) -> NDArray[np.intp]:
         """Return the usable sensors that are most similar to a sensor."""
@@ -221,6 +254,8 @@ class Evidence:
         """Distance up to which sensors count as neighbours, in units of the positions."""
         return REACH * self.falloff.spacing
 
+
+_N_SIMILAR = 6  # most similar sensors, near which a sensor may belong; chosen by hand
 
 MIN_GAIN = 15.0
 """Least gain in nats of a move.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from anisomap.base.wording import join_items
+from anisomap.layout.arranging import Change
 from anisomap.layout.evidence import Move
-from anisomap.layout.joint import Change
 from anisomap.layout.modules import Mounting
 from anisomap.layout.sensors import shifted_moves
 from anisomap.numerics.procrustes import fit_similarity
@@ -23,6 +23,7 @@ _SAME = 1e-6  # spacings between places that count as the same: places of others
 _MIN_RUN = 4  # sensors; fewer are swaps and cycles
 _MAX_STEP = 2  # channels by which a run may be shifted; as `cable_shifts`
 _MIN_SHARE = 0.7  # of the sensors of cycles that must be shifted equally; chosen by hand
+_SHIFTED = 15.0  # degrees; patches that turn less are told as shifted
 _MAX_NAMED = 6
 
 
@@ -71,7 +72,17 @@ def explain_modules(
         tested = sum(int(usable[mounting.members[m]].sum()) for m in modules)
         of_all = sum(len(mounting.members[m]) for m in modules)
         count = f" ({tested} of {of_all} pads tested)" if tested < of_all else ""
-        if kind in ("turned", "mirrored"):
+        if kind == "reversed":
+            text = (
+                f"module {listed[0]}: pads in reverse order"
+                if len(group) == 1
+                else _reversed_run(sorted(modules), mounting, names)
+            )
+        elif group[0].together and kind == "moved":
+            text = (
+                f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} are shifted together"
+            )
+        elif kind in ("turned", "mirrored"):
             text = _in_place(kind, angle, group, listed)
         elif kind == "exchanged":
             text = (
@@ -92,10 +103,14 @@ def explain_modules(
     return found
 
 
-def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, float, list[Change]]]:
+_Explained: TypeAlias = tuple[str, float, list[Change]]
+"""A kind, an angle in degrees, and the changes that it explains."""
+
+
+def _alike(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
     """Divide changes by kind and angle, and by the patches of adjacent modules that share them."""
     by_kind: dict[tuple[str, float], list[Change]] = {}
-    found = []
+    found: list[_Explained] = []
     for change in changes:
         if change.together:
             kind, angle = _motion(change.stated, change.move.places)
@@ -107,10 +122,14 @@ def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, flo
             hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 1.0
             angle = hand * orientation.angle
             kind = "mirrored" if orientation.reflected else "turned"
+            if orientation.backwards:
+                found.append(("reversed", 0.0, [change]))
+                continue
             by_kind.setdefault((kind, float(round(angle))), []).append(change)
         else:
             closed = set(change.slots) == set(change.modules)
             found.append(("exchanged" if closed else "moved", 0.0, [change]))
+    found = _with_runs(found)
     for (kind, angle), group in by_kind.items():
         modules = [change.modules[0] for change in group]
         graph: Any = csr_array(mounting.adjacent[np.ix_(modules, modules)])
@@ -120,6 +139,35 @@ def _alike(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, flo
             for k in range(int(label.max()) + 1)
         ]
     return found
+
+
+def _with_runs(
+    found: list[_Explained],
+) -> list[_Explained]:
+    """Join exchanges of modules that together reverse a row of modules."""
+    by_sum: dict[int, dict[int, Change]] = {}
+    for kind, _, group in found:
+        pair = sorted(group[0].modules)
+        if kind == "exchanged" and len(pair) == 2:
+            by_sum.setdefault(sum(pair), {})[pair[0]] = group[0]
+    joined: list[_Explained] = []
+    for total, pairs in by_sum.items():
+        row: list[int] = []
+        for low in sorted(pairs, reverse=True):
+            if row and low != row[-1] - 1:
+                break
+            row.append(low)
+        # All between the innermost two are in the row, but for a module in the middle.
+        if len(row) > 1 and total - 2 * row[0] <= 2:
+            joined.append(("reversed", 0.0, [pairs[low] for low in row]))
+    known = {id(change) for _, _, group in joined for change in group}
+    return [one for one in found if id(one[2][0]) not in known] + joined
+
+
+def _reversed_run(modules: Sequence[int], mounting: Mounting, names: Sequence[str]) -> str:
+    first, last = (span(mounting.members[m], names) for m in (modules[0], modules[-1]))
+    count = modules[-1] - modules[0] + 1
+    return f"modules {first} to {last}, {count} in a row, in reverse order"
 
 
 def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence[str]) -> str:
@@ -146,7 +194,8 @@ def _motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[st
     if np.linalg.det(fit.rotation) < 0:
         return "mirrored", 0.0
     cosine = (np.trace(fit.rotation) - (k - 2)) / 2
-    return "turned", float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    return ("turned" if angle > _SHIFTED else "moved"), angle
 
 
 def _targets(

@@ -25,11 +25,12 @@ KINDS: Mapping[str, str] = MappingProxyType(
         "turned": "a module that is rotated on its own places",
         "mirrored": "a module that is a mirror image of what the layout states",
         "exchanged": "modules that have each other's places",
-        "reversed": "all sensors in the reverse order",
+        "reversed": "a reverse order: of all sensors, the pads of a module, or modules in a row",
         "shifted": "a run of consecutive sensors that each have the place of the next",
         "swapped": "two sensors that have each other's places",
         "cycle": "three and more sensors that each have the place of another of them",
         "moved": "sensors that belong to a place where no other sensor is",
+        "overlapping": "a module nearer to another than their shape allows",
         "doubled": "a sensor that repeats the readings of another",
         "dead": "a sensor that stays constant while its neighbours are touched",
     }
@@ -40,6 +41,32 @@ KINDS: Mapping[str, str] = MappingProxyType(
 CONSISTENT, NOT_CONSISTENT = "consistent", "not consistent"
 REJECTED, UNKNOWN = "rejected", "unknown"
 """Verdicts on a layout; with the last two, no single sensors are listed."""
+
+
+_CERTAIN_Z, _CERTAIN_GAIN = 5.0, 60.0  # standard errors, nats
+
+
+@dataclass(frozen=True)
+class ModuleChange:
+    """How a module lies against what is stated.
+
+    Attributes
+    ----------
+    module : str
+    angle : float
+        Degrees by which it is turned, counterclockwise in two dimensions, in (-180, 180].
+    mirror : bool
+        Whether it is a mirror image.
+    old_orientation, new_orientation : float
+        Degrees from the axes of the layout to those of the template, which is mirrored before if
+        the module is; NaN in three dimensions.
+    """
+
+    module: str
+    angle: float
+    mirror: bool
+    old_orientation: float
+    new_orientation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +94,8 @@ class LayoutFinding:
     z : float
         `gain` in standard errors, from ten parts of the recording that are each left out once;
         NaN if no place is proposed.
+    modules : tuple of ModuleChange
+        Those that are turned, mirrored or moved.
     """
 
     kind: str
@@ -79,6 +108,14 @@ class LayoutFinding:
     chance: float = float("nan")
     gain: float = float("nan")
     z: float = float("nan")
+    modules: tuple[ModuleChange, ...] = ()
+
+    @property
+    def certainty(self) -> str:
+        """How sure the finding is: ``"certain"``, ``"likely"``; empty if no place is proposed."""
+        if not np.isfinite(self.z):
+            return ""
+        return "certain" if self.z >= _CERTAIN_Z and self.gain >= _CERTAIN_GAIN else "likely"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from anisomap.layout.chance import Chance, agreement_gain, median_gain, own_agreement
-from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
+from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, coded
 from anisomap.layout.readings import ReadingStatistics
 
 MIN_Z = 3.0
@@ -18,7 +18,9 @@ MIN_Z = 3.0
 MIN_GROUP_GAIN = 30.0
 """Least gain in nats of a module or a run, whose pairs have errors in common."""
 
-_MIN_RIGID = 0.5
+_IN_PLACE = 40.0  # the same of a module that is turned at its place, in one of a dozen ways
+
+_MIN_RIGID = 0.48
 """Least gain of agreement of a patch on free places, relative to the median agreement.
 
 Places that no sensor has are many, and fit a patch at an edge better than its own by chance: on the
@@ -72,7 +74,7 @@ class Judge:
     """
 
     def __init__(self, statistics: ReadingStatistics, evidence: Evidence) -> None:
-        self._parts = statistics.parts
+        self._parts = np.stack([coded(part) for part in statistics.parts])
         own = own_agreement(evidence)[evidence.usable]
         own = own[np.isfinite(own)]
         self._typical = float(np.median(own)) if own.size else 0.0
@@ -80,13 +82,12 @@ class Judge:
 
     def certainly_gains(self, evidence: Evidence, move: Move) -> bool:
         """Return whether the likelihood rises beyond its uncertainty."""
-        gain, z = self._gain(evidence, move)
+        gain, z = self.gain(evidence, move)
         return gain >= MIN_GROUP_GAIN and z >= MIN_Z
 
-    def _gain(self, evidence: Evidence, move: Move) -> tuple[float, float]:
+    def gain(self, evidence: Evidence, move: Move) -> tuple[float, float]:
         """Return the gain of a move, and it in standard errors."""
-        gain = evidence.gain(move)
-        parts = np.array([evidence.with_similarity(part).gain(move) for part in self._parts])
+        gain, parts = evidence.gain(move), np.array(evidence.gains(move, self._parts))
         variance = np.sum((parts - parts.mean()) ** 2) * (1 - 1 / len(parts))
         return gain, gain / max(float(np.sqrt(variance)), 1e-9)
 
@@ -108,10 +109,10 @@ class Judge:
         in_place: Whether it turns a module at its place. Half of its sensors may have no others
             around them then, so that agreement tells less.
         """
-        least = MIN_GROUP_GAIN if alternatives else MIN_GAIN
+        least = _IN_PLACE if in_place else MIN_GROUP_GAIN if alternatives else MIN_GAIN
         if rigid:
             least = max(least, MIN_GAIN * len(move.sensors) / 2)
-        gain, z = self._gain(evidence, move)
+        gain, z = self.gain(evidence, move)
         chance = (
             self._chance.of_moves(evidence, alternatives)
             if alternatives

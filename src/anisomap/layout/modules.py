@@ -9,16 +9,16 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import KDTree
+from scipy.optimize import linear_sum_assignment, linprog
+from scipy.spatial import ConvexHull, KDTree
 from scipy.spatial.distance import cdist
 
+from anisomap.base.channels import channel_numbers
 from anisomap.errors import InputError
-from anisomap.layout.repeats import blocks_of_size, rigid_repeats
 from anisomap.numerics.neighbours import nearest_distances, padded
-from anisomap.numerics.procrustes import fit_similarity
+from anisomap.numerics.procrustes import Similarity, fit_similarity
 from anisomap.placement.frames import METRES
-from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules, channel_numbers
+from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules
 from anisomap.sensor_map import SensorMap
 
 _MIN_SIZE = 3
@@ -27,11 +27,30 @@ _MAX_FOLD = 8  # largest order of a rotation that is tried
 _SAME = 0.3  # of the spacing of pads; errors of places that count as equal; chosen by hand
 _MIN_MAPPED = 0.8  # of the pads that a turned module has in common; thermal pads are others
 _MAX_MISFIT = 0.5  # of the spacing of pads: modules of another shape than the found one
-_OUTLYING = 0.3  # share of the pads of a module that may be misplaced one by one
+# Shares of the extent of a module, and of the pads that agree with most others; by hand.
+_SAME_LENGTH, _SAME_PLACE, _AGREEING = 0.15, 0.1, 0.75
+_CLEARLY = 0.5  # of the misfit in order, at most, that of pads in reverse order
 _MAX_PULL = 1.5  # spacings by which bending displaces pads; pads beyond are on no module
+# Of the distance of modules side by side, flat and in space: there, layouts of the iCub that are
+# right otherwise have 0.73.
+_TOO_NEAR = {2: 0.8, 3: 0.65}
 _NEXT = 1.5  # of the median distance of the nearest modules: modules beside each other
 _FREE = 0.6  # of the spacing between pads of a free place and others
 _MAX_TAKEN = 0.1  # share of the pads of a free place that may be nearer to others
+
+_TOLERANCE = 0.25
+"""Largest error of places that count as equal, as a share of the spacing in a group.
+
+Chosen by hand: layouts of curved bodies bend their modules by up to a tenth of the spacing.
+"""
+
+_MAX_MODULE = 64  # channels
+_MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
+_CLEARLY_MORE = 0.1  # a multiple of the true size has a share that is hardly larger
+_MAX_SHAPES = 8  # different shapes, the first ones found, of which one should be frequent
+_MAX_SIZES = 8  # sizes of modules that are tried, by how periodic the distances are
+_N_NEXT = 3  # following channels of which distances are compared
+_MIN_PADS = 5  # fewer places are congruent too often by chance
 
 
 def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Modules:
@@ -101,21 +120,111 @@ def _channels(layout: SensorMap) -> NDArray[np.intp]:
     return numbers if spread < _MAX_GAPS * layout.n_sensors else order
 
 
+def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> tuple[int, int]:
+    """Find modules, blocks of consecutive sensors whose shapes repeat: size and first number.
+
+    positions (N, k). The size is 0 if no shapes repeat.
+    """
+    best, best_share = (0, 0), _MIN_REPEATED
+    sizes = np.arange(_MIN_PADS, min(_MAX_MODULE, len(positions) // 2) + 1)
+    periodic = np.array([_share_periodic(positions, numbers, size) for size in sizes.tolist()])
+    likely = np.argsort(-periodic, kind="stable")[:_MAX_SIZES]
+    for size in sorted(sizes[likely[periodic[likely] >= _MIN_REPEATED]].tolist()):
+        first, share = blocks_of_size(positions, numbers, size)
+        if share > best_share + _CLEARLY_MORE:
+            best, best_share = (size, first), share
+    return best
+
+
+def blocks_of_size(
+    positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int
+) -> tuple[int, float]:
+    """Divide sensors into blocks of `size` consecutive numbers: first number, and share alike.
+
+    Most are congruent, or, if bending makes all unequal, they are as few as possible.
+    """
+    distances = cdist(positions, positions)
+    found = []
+    for first in range(size):
+        labels = np.unique((numbers - first) // size, return_inverse=True)[1]
+        share = _share_congruent(distances, (numbers - first) % size, labels)
+        found.append((-round(share, 9), int(labels.max()), first))
+    share, _, first = min(found)
+    return first, -share
+
+
+def _share_periodic(positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int) -> float:
+    """Return the share of channels whose next three are as far away as those of `size` later.
+
+    Modules of this size have most distances between nearby channels in common.
+    """
+    order = np.argsort(numbers)
+    channels, places = numbers[order], positions[order]
+    last = channels[-1] - channels[0] + 1
+    row = np.full(last + size + _N_NEXT, -1)
+    row[channels - channels[0]] = np.arange(len(channels))
+    here = row[:last]
+    same = here >= 0
+    compared = np.zeros(last, dtype=bool)
+    for step in range(1, _N_NEXT + 1):
+        ends = (here, row[step:][:last], row[size:][:last], row[size + step :][:last])
+        known = np.all([end >= 0 for end in ends], axis=0)
+        first, second, third, fourth = (places[end[known]] for end in ends)
+        change = np.linalg.norm(first - second, axis=1) - np.linalg.norm(third - fourth, axis=1)
+        same[known] &= np.abs(change) <= _TOLERANCE * np.linalg.norm(first - second, axis=1)
+        compared |= known
+    return float(same[compared].mean()) if compared.any() else 0.0
+
+
+def _share_congruent(
+    distances: NDArray[np.float64], channels: NDArray[np.intp], labels: NDArray[np.intp]
+) -> float:
+    order = np.argsort(labels, kind="stable")
+    blocks = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    shapes: list[tuple[bytes, NDArray[np.float64], int]] = []
+    for inside in blocks:
+        if len(inside) < _MIN_PADS:
+            continue
+        present, shape = channels[inside].tobytes(), distances[np.ix_(inside, inside)]
+        for k, (known, other, count) in enumerate(shapes):
+            if known == present and _congruent(other, shape):
+                shapes[k] = (known, other, count + len(inside))
+                break
+        else:
+            if len(shapes) < _MAX_SHAPES:
+                shapes.append((present, shape, len(inside)))
+    repeated = [count for _, shape, count in shapes if count > len(shape)]
+    return max(repeated, default=0) / len(labels)
+
+
+def _congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
+    """Return whether two matrices of distances are equal."""
+    others = first + np.diag(np.full(len(first), np.inf))
+    return float(np.abs(first - second).max()) <= _TOLERANCE * float(np.median(others.min(axis=0)))
+
+
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """A rotation or reflection after which most pads of a module are where pads were before.
+    """A way in which the pads of a module may lie at its place.
 
-    angle: Of a rotation, in degrees, in (-180, 180]; 0 for a reflection.
+    angle: Of the rotation, in degrees, in (-180, 180], after a reflection if there is one.
     places (P, 2): Where the pads are then, in the frame of the module.
+    fits: Whether most pads are where pads were before.
+    backwards: Whether the pads are in reverse order.
     """
 
     reflected: bool
     angle: float
     places: NDArray[np.float64]
+    fits: bool = True
+    backwards: bool = False
 
 
 def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
-    """Find the orientations in which a module fits its own place, the stated one first.
+    """Find the orientations that a module may have at its place, the stated one first.
+
+    They are its own symmetries. A module with an odd number of these, such as a triangle, also
+    fits lattices half a step further. The last has its pads in reverse order.
 
     template (P, 2): Positions of the pads; NaN for pads that do not exist.
     """
@@ -125,43 +234,71 @@ def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
     if len(pads) < MIN_PADS:
         return tuple(found)
     allowed = _SAME * float(np.median(nearest_distances(pads)))
-    known = {tuple(range(len(pads)))}
-    for angle, reflected in _candidates(pads - pads.mean(axis=0), allowed):
-        target = _mapped(_turned(pads, angle, reflected=reflected), pads, allowed)
-        kept = target >= 0
-        if np.mean(kept) < _MIN_MAPPED:
-            continue
-        # Without the pads that map onto none, which pull the centre.
-        fit = fit_similarity(pads[kept], pads[target[kept]], scaling=False, reflection=reflected)
-        image = fit.apply(pads)
-        target = _mapped(image, pads, allowed)
-        kept = target >= 0
-        if tuple(target.tolist()) in known or np.mean(kept) < _MIN_MAPPED:
-            continue
-        known.add(tuple(target.tolist()))
-        places = np.full_like(template, np.nan)
-        places[exist] = np.where(kept[:, None], pads[target], image)
-        turn = 0.0 if reflected else math.degrees(math.atan2(*fit.rotation[::-1, 0]))
-        found.append(Orientation(reflected, turn, places))
+    centred = pads - pads.mean(axis=0)
+    turns = [_symmetry(pads, 2 * math.pi / n, allowed) for n in range(_MAX_FOLD, 1, -1)]
+    mirrors = [_symmetry(pads, angle, allowed, reflected=True) for angle in _axes(centred, allowed)]
+    turn = next((one for one in turns if one is not None), None)
+    mirror = next((one for one in mirrors if one is not None), None)
+    if turn is None and mirror is None:
+        return tuple(found)
+    fold = _MAX_FOLD - turns.index(turn) if turn is not None else 1
+    centre = pads.mean(axis=0)
+    if turn is not None:
+        centre = np.linalg.solve(np.eye(2) - turn.rotation, turn.translation)
+    n_turns = fold if fold % 2 == 0 else 2 * fold
+    for reflected in (False, True) if mirror is not None else (False,):
+        image = pads if not reflected or mirror is None else mirror.apply(pads)
+        for k in range(n_turns):
+            if k == 0 and not reflected:
+                continue
+            angle = 2 * math.pi * k / n_turns
+            there = _turned(image, angle, centre)
+            target = _mapped(there, pads, allowed)
+            kept = target >= 0
+            fits = bool(np.mean(kept) >= _MIN_MAPPED)
+            places = np.full_like(template, np.nan)
+            places[exist] = np.where(kept[:, None], pads[target], there) if fits else there
+            degrees = math.degrees(math.remainder(angle, 2 * math.pi))
+            found.append(Orientation(reflected, degrees, places, fits))
+    order = np.full_like(template, np.nan)
+    order[exist] = pads[::-1]
+    found.append(Orientation(reflected=False, angle=0.0, places=order, backwards=True))
     return tuple(found)
 
 
-def _candidates(centred: NDArray[np.float64], allowed: float) -> list[tuple[float, bool]]:
-    angles = {2 * math.pi * k / n for n in range(2, _MAX_FOLD + 1) for k in range(1, n)}
+def _symmetry(
+    pads: NDArray[np.float64], angle: float, allowed: float, *, reflected: bool = False
+) -> Similarity | None:
+    """Return the rotation or reflection near one by an angle that maps most pads onto pads."""
+    image = (pads * [1, -1] if reflected else pads) - pads.mean(axis=0) * (
+        [1, -1] if reflected else [1, 1]
+    )
+    target = _mapped(_turned(image, angle, np.zeros(2)) + pads.mean(axis=0), pads, allowed)
+    for _ in range(2):
+        # Without the pads that map onto none, which pull the centre.
+        kept = target >= 0
+        if np.mean(kept) < _MIN_MAPPED:
+            return None
+        fit = fit_similarity(pads[kept], pads[target[kept]], scaling=False, reflection=reflected)
+        target = _mapped(fit.apply(pads), pads, allowed)
+    return fit if np.mean(target >= 0) >= _MIN_MAPPED else None
+
+
+def _axes(centred: NDArray[np.float64], allowed: float) -> list[float]:
+    """Return twice the angles of the axes of reflections that map an outermost pad to another."""
     radius, direction = np.linalg.norm(centred, axis=1), np.arctan2(*centred.T[::-1])
-    # A reflection maps an outermost pad to one that is as far out.
-    mirrors = [
+    return [
         float(direction[outer] + direction[i])
         for outer in np.argsort(-radius)[: len(radius) // 2 + 1]
         for i in np.flatnonzero(np.abs(radius - radius[outer]) <= 2 * allowed)
     ]
-    return [(angle, False) for angle in sorted(angles)] + [(angle, True) for angle in mirrors]
 
 
-def _turned(points: NDArray[np.float64], angle: float, *, reflected: bool) -> NDArray[np.float64]:
-    cos, sin, side = math.cos(angle), math.sin(angle), -1 if reflected else 1
-    centre = points.mean(axis=0)
-    return np.asarray((points - centre) @ [[cos, sin], [-side * sin, side * cos]] + centre)
+def _turned(
+    points: NDArray[np.float64], angle: float, centre: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.asarray((points - centre) @ [[cos, sin], [-sin, cos]] + centre)
 
 
 def _mapped(
@@ -208,29 +345,33 @@ class Mounting:
         exist = np.asarray(np.isfinite(template).all(axis=1))
         used = np.unique(np.concatenate([modules.pads[inside] for inside in members]))
         pitch = float(np.median(nearest_distances(template[used[exist[used]]])))
-        members = [inside[exist[modules.pads[inside]]] for inside in members]
-        fits = [
-            _fit(template[modules.pads[inside]], positions[inside], pitch) for inside in members
-        ]
-        rms = np.array([fit[2] for fit in fits])
-        fitted = np.ones(len(members), bool) if known else rms <= _MAX_MISFIT * pitch
-        kept = []
-        for inside, (frame, centre, _) in zip(members, fits, strict=True):
+        order = used[exist[used]]
+        back = np.arange(len(template))
+        back[order] = order[::-1]
+        kept, pads, fits = [], [], []
+        for inside in members:
+            known_pads = modules.pads[inside]
+            there = exist[known_pads]
+            fit, pad = _fit_either_way(
+                template, known_pads[there], back, positions[inside[there]], pitch
+            )
             # Pads that are elsewhere say nothing about the orientation of the others.
-            there = template[modules.pads[inside]] @ frame[:2] + centre
-            pull = np.linalg.norm(there - positions[inside], axis=1)
-            kept.append(inside[pull <= _MAX_PULL * pitch])
-        fitted &= np.array([len(inside) >= MIN_PADS for inside in kept])
-        kept = [inside for inside, fits_well in zip(kept, fitted, strict=True) if fits_well]
+            at = template[pad] @ fit[0][:2] + fit[1]
+            near = np.linalg.norm(at - positions[inside[there]], axis=1) <= _MAX_PULL * pitch
+            if np.count_nonzero(near) >= MIN_PADS and (known or fit[2] <= _MAX_MISFIT * pitch):
+                kept.append(inside[there][near])
+                pads.append(pad[near])
+                fits.append(fit)
         part = np.full_like(template, np.nan)
         part[used] = template[used]
+        frames, centres, rms = zip(*fits, strict=True) if fits else ((), (), ())
         return cls(
             tuple(kept),
-            tuple(modules.pads[inside] for inside in kept),
+            tuple(pads),
             orientations(part),
-            np.array([fit[0] for fit in fits])[fitted],
-            np.array([fit[1] for fit in fits])[fitted],
-            rms[fitted],
+            np.array(frames).reshape(-1, k, k),
+            np.array(centres).reshape(-1, k),
+            np.array(rms),
             pitch,
         )
 
@@ -253,6 +394,37 @@ class Mounting:
         np.fill_diagonal(between, np.inf)
         return np.asarray(between <= _NEXT * np.median(between.min(axis=1, initial=np.inf)))
 
+    @cached_property
+    def clearance(self) -> float:
+        """Least distance of the centres of two modules that lie side by side."""
+        pads = self.orientations[0].places
+        pads = pads[np.isfinite(pads).all(axis=1)]
+        return 2 * _inscribed(pads)[1] + self.pitch
+
+    def overlaps(self) -> list[tuple[int, int, float]]:
+        """Return pairs of modules whose centres are nearer than their shape allows, and how far.
+
+        On a round skin, modules are tilted, and layouts that were bent hold them less exactly.
+        """
+        if self.n_modules < 2:
+            return []
+        pads = self.orientations[0].places
+        middle = _inscribed(pads[np.isfinite(pads).all(axis=1)])[0]
+        n = self.n_modules
+        centres = middle @ self.frames[:n, :2] + self.centres[:n]
+        between = cdist(centres, centres)
+        least = _TOO_NEAR[self.frames.shape[1]] * self.clearance
+        near = np.argwhere(np.triu(between < least, 1)).tolist()
+        return [(a, b, float(between[a, b])) for a, b in near]
+
+    def orientation(self, slot: int) -> tuple[float, bool]:
+        """Return the angle of a flat module in a slot in degrees, and whether it is mirrored."""
+        frame = self.frames[slot]
+        if len(frame) > 2:
+            return math.nan, False
+        degrees = math.degrees(math.atan2(-frame[1, 0], frame[1, 1]))
+        return degrees, bool(np.linalg.det(frame) < 0)
+
     def places(self, module: int, slot: int, orientation: int) -> NDArray[np.float64]:
         """Return where the sensors of a module are in a slot, (m, k)."""
         pads = self.orientations[orientation].places[self.pads[module]]
@@ -270,8 +442,20 @@ class Mounting:
         frames, centres = self.frames.copy(), self.centres.copy()
         for m in modules:
             pads = self.orientations[0].places[self.pads[m]]
-            frames[m], centres[m], _ = _fit(pads, positions[self.members[m]], self.pitch)
+            frames[m], centres[m], _ = _fit(pads, positions[self.members[m]])
         return replace(self, frames=frames, centres=centres).with_free_slots(positions)
+
+    def part(self, modules: Sequence[int]) -> Mounting:
+        """Return some of the modules, at their places alone."""
+        chosen = list(modules)
+        return replace(
+            self,
+            members=tuple(self.members[m] for m in chosen),
+            pads=tuple(self.pads[m] for m in chosen),
+            frames=self.frames[chosen],
+            centres=self.centres[chosen],
+            rms=self.rms[chosen],
+        )
 
     def with_free_slots(self, positions: NDArray[np.float64]) -> Mounting:
         """Return the same with the free places beside modules, as others are beside others."""
@@ -308,6 +492,16 @@ class Mounting:
             frames=np.concatenate([frames, *(frame[None] for frame in free_frames)]),
             centres=np.vstack([centres, *free_centres]),
         )
+
+
+def _inscribed(pads: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the centre and radius of the largest circle in the convex hull of pads (P, 2)."""
+    planes = ConvexHull(pads).equations
+    norms = np.ones((len(planes), 1))
+    found = linprog(
+        [0, 0, -1], np.hstack([planes[:, :2], norms]), -planes[:, 2], bounds=(None, None)
+    )
+    return np.asarray(found.x[:2]), float(found.x[2])
 
 
 def _scaled(
@@ -350,28 +544,48 @@ def _common_shape(
     return template
 
 
+def _fit_either_way(
+    template: NDArray[np.float64],
+    pads: NDArray[np.intp],
+    back: NDArray[np.intp],
+    places: NDArray[np.float64],
+    pitch: float,
+) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.intp]]:
+    """Fit a module with its pads in order, or in reverse order if that is how they lie.
+
+    back (P,): Of each pad, the one in its place in reverse order.
+    """
+
+    def misfit(way: NDArray[np.intp]) -> float:
+        at = template[way] @ fits[way.tobytes()][0][:2] + fits[way.tobytes()][1]
+        return float(np.minimum(np.linalg.norm(at - places, axis=1), pitch).mean())
+
+    fits = {way.tobytes(): _fit(template[way], places) for way in (pads, back[pads])}
+    reverse = len(pads) > MIN_PADS + 1 and misfit(back[pads]) < _CLEARLY * misfit(pads)
+    chosen = back[pads] if reverse else pads
+    return fits[chosen.tobytes()], chosen
+
+
 def _fit(
-    pads: NDArray[np.float64], places: NDArray[np.float64], pitch: float
+    pads: NDArray[np.float64], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Fit a module, (m, 2), to places, (m, k): axes, origin, and root mean square distance.
 
-    A few pads that are at other places do not count.
+    Pads at other places do not count: their distances to most others are not as on the module.
     """
     k = places.shape[1]
-    source = padded(pads, k)
-
-    def fit(kept: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    source, between = padded(pads, k), cdist(pads, pads)
+    size = float(between.max())
+    agree = np.count_nonzero(np.abs(between - cdist(places, places)) < _SAME_LENGTH * size, axis=1)
+    kept = agree >= _AGREEING * agree.max()
+    for _ in range(2):
         found = fit_similarity(source[kept], places[kept], scaling=False, reflection=None)
         off = np.linalg.norm(found.apply(source) - places, axis=1)
-        return found.rotation.T, found.translation, float(np.sqrt(np.mean(off[kept] ** 2)))
+        rms = float(np.sqrt(np.mean(off[kept] ** 2)))
+        kept = off <= max(_SAME_PLACE * size, float(np.median(off)))
+    return found.rotation.T, found.translation, rms
 
-    kept = np.arange(len(places))
-    best = every = fit(kept)
-    for _ in range(int(_OUTLYING * len(places))):
-        if len(kept) <= MIN_PADS + 1:
-            break
-        off = np.linalg.norm(source @ best[0] + best[1] - places, axis=1)[kept]
-        kept = np.delete(kept, int(off.argmax()))
-        best = fit(kept)
-    # Bent modules have no pad that stands out.
-    return best if best[2] < _SAME * pitch < every[2] else every
+
+def fit_frame(pads: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the axes, (k, k), of a module whose pads (m, 2) are at places (m, k)."""
+    return _fit(pads, places)[0]

@@ -24,6 +24,7 @@ N_PARTS = 10
 _ROUNDS = 3  # blocks of each part at least, so that all parts have touched the whole skin
 _LONG = 5.0  # mean contacts that a block lasts: neighbouring blocks should not share contacts
 _MIN_SHIFT = 0.05  # of the recording: shorter shifts leave contacts correlated; chosen by hand
+_MAX_SHIFTED = 5000  # frames, about, of the null distribution
 _N_BEST = 3  # most similar sensors that show that a sensor says something; chosen by hand
 
 
@@ -99,7 +100,10 @@ def reading_statistics(
     similarity = _symmetric(whole)
     least = max(1, int(_MIN_SHIFT * n_frames))
     lags = rng.integers(least, n_frames - least, size=n_shifts, endpoint=True)
-    shifted = np.stack([_shifted_product(rows.T, int(lag)) for lag in lags])
+    # Contacts last for many frames, so that a part of these tells as much about chance.
+    every = max(1, n_frames // _MAX_SHIFTED)
+    thinned = unit_rows(ranks[::every]).T
+    shifted = np.stack([_shifted_product(thinned, int(lag) // every) for lag in lags])
     strength = _strength(similarity)
     chance = np.stack([_strength(one) for one in shifted])
     tested = (strength > chance.max(axis=0)) & (strength > 0)

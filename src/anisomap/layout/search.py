@@ -8,9 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.layout.borders import AGREEING, border
+from anisomap.layout.arranging import Arrangement, Change
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
-from anisomap.layout.joint import Change, JointSearch
 from anisomap.layout.judging import MIN_GROUP_GAIN, MIN_Z, Judge, Verdict
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import (
@@ -19,20 +18,26 @@ from anisomap.layout.patches import (
     single_moves,
     without_smaller_patches,
 )
-from anisomap.layout.sensors import cable_shifts, cycles, half_swaps, swaps
-from anisomap.layout.turned import TurnedPatch, turned_patches
+from anisomap.layout.sensors import cable_shifts, half_reassigned, reassigned
+from anisomap.layout.together import (
+    AGREEING,
+    MovedPatch,
+    border,
+    moved_patches,
+)
 
 _MAX_ROUNDS = 12
+_PRICE_OF_PATCH = 100.0  # nats; by hand
 _LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
 
 Proposer: TypeAlias = Callable[[Evidence], list[Proposal]]
 
-PERMUTING: tuple[Proposer, ...] = (cable_shifts, cycles, swaps)
+PERMUTING: tuple[Proposer, ...] = (cable_shifts, reassigned)
 """All functions that propose permutations of places."""
 
 SEARCHES: tuple[tuple[Proposer, ...], ...] = (
-    (*PERMUTING, patch_moves),
-    (half_swaps,),
+    (cable_shifts, reassigned, patch_moves),
+    (half_reassigned,),
     (single_moves,),
 )
 """Functions that propose moves; those of one sensor are each used once no other move is left.
@@ -40,6 +45,12 @@ SEARCHES: tuple[tuple[Proposer, ...], ...] = (
 Most sensors that fit another place have changed places with others that say where they belong.
 """
 _OF_PATCHES = (patch_moves, single_moves)  # searches that do not permute places
+
+
+def _price(change: Change) -> float:
+    """Return the nats that a change of modules costs."""
+    free = not set(change.slots) <= set(change.modules)
+    return MIN_GROUP_GAIN * len(change.modules) * (2 if free else 1)
 
 
 class Search:
@@ -64,21 +75,20 @@ class Search:
     def run_modules(self) -> Evidence:
         """Change modules and patches of them, and return the evidence then."""
         start = self.evidence
-        joint = JointSearch(start, self.mounting, self.judge)
+        joint = Arrangement(start, self.mounting, self.judge)
         self.evidence, self.changes = joint.run()
         patches: list[Change] = []
         for _ in range(_MAX_ROUNDS):
-            for patch in turned_patches(start, self.mounting):
+            for patch in moved_patches(start, self.mounting):
                 turned = start.moved(patch.move)
                 mounting = self.mounting.moved(patch.modules, turned.positions)
-                other = JointSearch(turned, mounting, self.judge)
+                other = Arrangement(turned, mounting, self.judge)
                 evidence, changes = other.run()
                 change = self._turned(evidence, start, patch)
-                simpler = len(changes) + 1 < len(self.changes)
                 # Few pads are at the border: their agreement with others tells less than all pads.
                 told = change.verdict.gain >= change.verdict.least and change.verdict.z >= MIN_Z
                 beside = border(evidence, mounting.members, patch.modules) > AGREEING
-                if told and beside and self._better(evidence, simpler=simpler):
+                if told and beside and self._better(evidence, changes, patch):
                     patches.append(change)
                     start, joint, self.mounting = turned, other, mounting
                     self.evidence, self.changes = evidence, changes
@@ -92,15 +102,18 @@ class Search:
         self.arranged = self.evidence
         return self.evidence
 
-    def _better(self, evidence: Evidence, *, simpler: bool) -> bool:
-        """Return whether other places explain the readings better, or by less and as well."""
+    def _better(self, evidence: Evidence, changes: Sequence[Change], patch: MovedPatch) -> bool:
+        """Return whether a further patch explains the readings better, or as well by less."""
         changed = np.flatnonzero((evidence.positions != self.evidence.positions).any(axis=1))
         move = Move(changed, evidence.positions[changed])
-        if simpler and self.evidence.gain(move) > -MIN_GROUP_GAIN:
+        price = sum(map(_price, changes)) + _PRICE_OF_PATCH
+        if price < sum(map(_price, self.changes)) and self.evidence.gain(move) > -MIN_GROUP_GAIN:
             return True
-        return self.judge.certainly_gains(self.evidence, move)
+        # Else modules one by one must leave the border contradicted.
+        left = border(self.evidence, self.mounting.members, patch.modules) < 0
+        return left and self.judge.certainly_gains(self.evidence, move)
 
-    def _turned(self, evidence: Evidence, start: Evidence, patch: TurnedPatch) -> Change:
+    def _turned(self, evidence: Evidence, start: Evidence, patch: MovedPatch) -> Change:
         """Weigh a turn of a patch, with all other modules as proposed after it."""
         stated = start.positions[patch.move.sensors]
         before = evidence.moved(Move(patch.move.sensors, stated))

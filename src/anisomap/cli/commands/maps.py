@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -258,8 +259,12 @@ def check(
         found.corrected,
         lambda: drawing.figures.plot_layout(found, title=title).figure,
         "corrected positions",
+        source=(layout_file, found.layout),
     )
-    _print_check(printer, found, f"{layout_file.name} against {recording_file.name}")
+    edits = None
+    with suppress(InputError):  # of a format that cannot represent the positions
+        edits = io.corrections(layout_file, found.layout, found.corrected)
+    _print_check(printer, found, f"{layout_file.name} against {recording_file.name}", edits or [])
     printer.files(files)
     return _EXIT_CODES.get(found.verdict, INCONSISTENT)
 
@@ -274,7 +279,9 @@ def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -
         return False
 
 
-def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
+def _print_check(
+    printer: Printer, found: LayoutCheck, title: str, edits: Sequence[io.LineEdit]
+) -> None:
     layout = found.layout
     accused = int(np.count_nonzero(found.accused))
     printer.facts(
@@ -304,9 +311,15 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
         }
         printer.rows("Findings", columns, records[:MAX_SHOWN])
         for one in records[:MAX_SHOWN]:
-            printer.say(f"  {one['kind']}: {one['explanation']}")
+            sure = f" ({one['certainty']}, z {one['z']:.1f})" if one["certainty"] else ""
+            printer.say(f"  {one['kind']}{sure}: {one['explanation']}")
         if len(records) > MAX_SHOWN:
             printer.line(f"  ... and {counted(len(records) - MAX_SHOWN, 'more finding')}")
+    if edits:
+        printer.say(f"Lines of the file that change: {len(edits)}")
+        for edit in edits[:MAX_SHOWN]:
+            printer.line(f"  {edit.text}; line {edit.line}:")
+            printer.line(f"    {' '.join(edit.after.split())}")
     printer.notes(found.notes)
     printer.record(
         found,
@@ -319,6 +332,7 @@ def _print_check(printer: Printer, found: LayoutCheck, title: str) -> None:
         median_spacing=found.spacing,
         units=layout.units,
         findings=records,
+        edits=[attributes(edit, "line before after text") for edit in edits],
         status=dict(zip(layout.names, found.status, strict=True)),
         agreement=dict(zip(layout.names, found.agreement.tolist(), strict=True)),
     )
@@ -335,9 +349,11 @@ def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
     ]
     measured = (
         "kind explanation displacement agreement_stated agreement_proposed agreement_second "
-        "chance gain z"
+        "chance gain z certainty"
     )
-    return attributes(finding, measured) | {"sensors": sensors}
+    fields = "module angle mirror old_orientation new_orientation"
+    modules = [attributes(one, fields) for one in finding.modules]
+    return attributes(finding, measured) | {"modules": modules, "sensors": sensors}
 
 
 def _modules(found: LayoutCheck) -> str:

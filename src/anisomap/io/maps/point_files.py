@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from anisomap.base.wording import counted
 from anisomap.errors import FileError, InputError
+from anisomap.io.maps.edits import LineEdit, edited_rows, lines_of
 from anisomap.io.parsing.facts import format_value, read_comments
 from anisomap.io.parsing.names import distinct_names, numbers_of
 from anisomap.io.parsing.source import numbered_lines, quote, read_lines
@@ -204,8 +205,10 @@ def read_icub(path: Path) -> SensorMap:
     representatives = listed.split()
     positions = {}
     body = [(number, line.split()) for number, line in enumerate(lines[start:], start + 1) if line]
-    if len(body) < len(representatives) - 1:  # some programs drop the last line
-        problem = f"taxel2Repr lists {len(representatives)} values, but {len(body)} lines follow"
+    # Some programs drop the last line, and some list values of no taxel beyond the lines.
+    n_taxels = max((i for i, one in enumerate(representatives, 1) if one != "-1"), default=0)
+    if len(body) < min(n_taxels, len(representatives) - 1):
+        problem = f"taxel2Repr lists {n_taxels} values, but {len(body)} lines follow"
         raise FileError(f"{path} is cut short: {problem}")
     for value, (number, fields) in enumerate(body):
         if len(fields) not in (6, 7):
@@ -220,3 +223,16 @@ def read_icub(path: Path) -> SensorMap:
     if not positions:
         raise FileError(f"{path} holds no taxel: all lines are zeros")
     return SensorMap(np.array(list(positions.values())), names=tuple(positions), units="m")
+
+
+def edit_icub(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineEdit]:
+    """Return the lines of taxels with other places; normals go with the places."""
+    lines = [line.rstrip("\r\n") for line in lines_of(path)]
+    start = next(i for i, line in enumerate(lines, 1) if line.strip() == "[calibration]")
+    body = [(i, line) for i, line in enumerate(lines[start:], start + 1) if line.strip()]
+    rows = {}
+    for sensor, value in enumerate(numbers_of(stated.names) or ()):
+        number, line = body[value]
+        spans = [match.span() for match in re.finditer(r"\S+", line)]
+        rows[sensor] = (number, line, spans[: len(_PLY_COLUMNS)])
+    return edited_rows(stated, corrected, rows)

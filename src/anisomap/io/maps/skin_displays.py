@@ -8,24 +8,33 @@ Pads 6 and 10 of a triangle measure temperature.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
-from anisomap.base.wording import counted
+from anisomap.base.channels import channel_name, channels_of
+from anisomap.base.wording import counted, join_items
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.source import quote, read_lines
+from anisomap.io.maps.edits import LineEdit, changed_sensors, lines_of, replaced
+from anisomap.io.parsing.source import quote, read_lines, warn
 from anisomap.io.parsing.tables import LineError, parse_row
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement.frames import METRES
-from anisomap.placement.modules import MIN_PADS, channel_name, channels_of, modules_by_size
+from anisomap.placement.modules import MIN_PADS, modules_by_size
 from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
 
 _TRIANGLE = "triangle_10pad"
 _PADS = 12  # numbers per triangle
 _THERMAL = (6, 10)
 _COLUMNS = {2: "x", 3: "y", 4: "degrees"}
+_CENTRE = 3  # pad in the middle of a triangle
+_LEAST = 14.0  # mm between the centres of triangles; those side by side have 18
+_MAX_NAMED = 6
+_MIRROR = 6  # field of a line; without it, there is none
+_ROUND = 0.05  # mm or degrees: stated numbers that differ by less stay
 _MAX_TRIANGLE = 10_000
 _MAX_MISFIT = 0.5  # mm; root mean square distance of the pads of a triangle
 _GAIN = 4  # of displays in use
@@ -67,11 +76,24 @@ def read_display(path: Path) -> SensorMap:
             placed[triangle] = pads
     if not placed:
         raise FileError(f"{path} has no line {_TRIANGLE} below [SENSORS]")
+    _warn_of_overlaps(path, {triangle: pads[_CENTRE] for triangle, pads in placed.items()})
     kept = [pad for pad in range(_PADS) if pad not in _THERMAL]
     indices = [_PADS * triangle + pad for triangle in sorted(placed) for pad in kept]
     positions = np.concatenate([placed[triangle][kept] for triangle in sorted(placed)])
     names = tuple(map(channel_name, indices))
     return SensorMap(positions, names=names, units="mm", frame=part or DEFAULT_FRAME)
+
+
+def _warn_of_overlaps(path: Path, centres: dict[int, NDArray[np.float64]]) -> None:
+    numbers = sorted(centres)
+    places = np.array([centres[number] for number in numbers])
+    near = [
+        f"{numbers[i]} and {numbers[j]}, {np.linalg.norm(places[i] - places[j]):.3g} mm apart"
+        for i, j in sorted(KDTree(places).query_pairs(_LEAST))
+    ]
+    if near:
+        least = "triangles side by side are 18 mm apart"
+        warn(path, f"triangles lie on each other: {join_items(near, _MAX_NAMED)}; {least}")
 
 
 def _read_triangle(path: Path, line: int, fields: list[str]) -> tuple[int, NDArray[np.float64]]:
@@ -109,22 +131,75 @@ def write_display(sensor_map: SensorMap, path: Path) -> None:
     for m in range(modules.n_modules):
         members = modules.members(m)
         triangle = int(indices[members[0]]) // _PADS
-        pads = PADS[modules.pads[members]]
-        fit = None
-        if len(members) >= MIN_PADS:
-            fit = fit_similarity(pads, positions[members], scaling=False, reflection=None)
-        off = np.inf if fit is None else fit.apply(pads) - positions[members]
-        if fit is None or np.sqrt(np.mean(np.square(off)) * 2) > _MAX_MISFIT:
-            raise InputError(
-                f"the places of {placed.names[members[0]]} to {placed.names[members[-1]]} are not "
-                f"those of a triangle of {_PADS} pads in millimetres"
-            )
-        turn = fit.rotation * ([-1, 1] if fit.reflected else [1, 1])
-        degrees = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
-        x, y = fit.translation.tolist()
-        row = (_TRIANGLE, triangle, *(f"{0.0 + round(v, 3):g}" for v in (x, y, degrees)))
-        lines.append("\t".join(map(str, (*row, _GAIN, int(fit.reflected)))))
+        names = [placed.names[i] for i in members.tolist()]
+        *pose, mirror = _pose(positions[members], modules.pads[members], names)
+        row = (_TRIANGLE, triangle, *(f"{0.0 + round(v, 3):g}" for v in pose), _GAIN, mirror)
+        lines.append("\t".join(map(str, row)))
     part = re.sub(r"[^A-Za-z0-9_.-]", "_", sensor_map.frame)
     width, height = (np.ptp(positions, axis=0) + 2 * _MARGIN).round().astype(int).tolist()
     head = [f"robotPart {part}", f"width {width}", f"height {height}", "", "[SENSORS]"]
     path.write_text("\n".join([*head, *lines, ""]), encoding="utf-8")
+
+
+def _pose(
+    positions: NDArray[np.float64], pads: NDArray[np.intp], names: Sequence[str]
+) -> tuple[float, float, float, int]:
+    """Return x, y, the angle and the mirror of the triangle whose pads have positions in mm."""
+    fit = None
+    if len(pads) >= MIN_PADS:
+        fit = fit_similarity(PADS[pads], positions, scaling=False, reflection=None)
+    off = np.inf if fit is None else fit.apply(PADS[pads]) - positions
+    if fit is None or np.sqrt(np.mean(np.square(off)) * 2) > _MAX_MISFIT:
+        raise InputError(
+            f"the places of {names[0]} to {names[-1]} are not those of a triangle of {_PADS} pads "
+            "in millimetres"
+        )
+    turn = fit.rotation * ([-1, 1] if fit.reflected else [1, 1])
+    degrees = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+    x, y = fit.translation.tolist()
+    return x, y, degrees, int(fit.reflected)
+
+
+def edit_display(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineEdit]:
+    """Return the lines of triangles with other places, of which only wrong numbers change."""
+    indices = channels_of(stated.names)
+    wrong = changed_sensors(stated, corrected)
+    if indices is None or not wrong.size:
+        return []
+    triangles, pads = np.divmod(indices, _PADS)
+    found, inside = [], False
+    for number, ended in enumerate(lines_of(path), 1):
+        line = ended.rstrip("\r\n")
+        spans = [match.span() for match in re.finditer(r"\S+", line.partition("#")[0])]
+        fields = [line[slice(*span)] for span in spans]
+        if fields and fields[0].startswith("["):
+            inside = fields[0] == "[SENSORS]"
+        if not inside or fields[:1] != [_TRIANGLE]:
+            continue
+        members = np.flatnonzero(triangles == int(fields[1]))
+        if not np.isin(members, wrong).any():
+            continue
+        names = [stated.names[i] for i in members.tolist()]
+        x, y, degrees, mirror = _pose(corrected.positions[members], pads[members], names)
+        old = float(fields[4])
+        near = old + (degrees - old + 180) % 360 - 180  # as near to the stated angle as can be
+        whole = round(near)
+        values = {2: x, 3: y, 4: float(whole) if abs(near - whole) < _ROUND else near}
+        new = {
+            i: f"{0.0 + round(value, 3):g}"
+            for i, value in values.items()
+            if abs(value - float(fields[i])) > _ROUND
+        }
+        before = fields[_MIRROR] if len(fields) > _MIRROR else "0"
+        if int(before) != mirror:
+            new[_MIRROR] = str(mirror)
+        after = replaced(line, {spans[i]: text for i, text in new.items() if i < len(fields)})
+        if _MIRROR in new and len(fields) <= _MIRROR:
+            end = spans[-1][1] + len(after) - len(line)
+            gain = "" if len(fields) == _MIRROR else f"\t{_GAIN}"
+            after = f"{after[:end]}{gain}\t{mirror}{after[end:]}"
+        words = {2: "x", 3: "y", 4: "orientation", _MIRROR: "mirror"}
+        was = {**dict(enumerate(fields)), _MIRROR: before}
+        text = ", ".join(f"{words[i]} {was[i]} -> {new[i]}" for i in sorted(new))
+        found.append(LineEdit(number, line, after, f"triangle {fields[1]}: {text}"))
+    return found

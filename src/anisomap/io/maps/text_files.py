@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from anisomap.base.clocks import is_time
 from anisomap.base.wording import counted
 from anisomap.errors import FileError
+from anisomap.io.maps.edits import LineEdit, edited_rows, lines_of
 from anisomap.io.parsing.facts import (
     properties_of,
     read_comments,
@@ -197,6 +198,40 @@ def write_text(sensor_map: SensorMap, path: Path) -> None:
         columns = _columns(sensor_map)
         table.writerow(columns)
         table.writerows(zip(*columns.values(), strict=True))
+
+
+def edit_text(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineEdit] | None:
+    """Return the lines of sensors with other places; None if not every sensor has a line."""
+    plain = [line.rstrip("\r\n") for line in lines_of(path)]
+    delimiter = find_delimiter(plain)
+    rows = list(records(plain, delimiter))
+    if not rows:
+        return None
+    axes, header, _ = _find_columns(path, *rows[0])
+    body = rows[1:] if header else _electrodes(rows)
+    normals = [header[axis] for axis in _NORMAL if axis in header]
+    columns = [*axes, *(normals if len(normals) == len(_NORMAL) else [])]
+    found = {}
+    for sensor, (number, fields) in enumerate(body):
+        line = plain[number - 1]
+        spans = _spans(line, delimiter)
+        if [line[slice(*span)] for span in spans] != [field.strip() for field in fields]:
+            return None  # quotes, or records of several lines
+        found[sensor] = (number, line, [spans[i] for i in columns])
+    return edited_rows(stated, corrected, found) if len(found) == stated.n_sensors else None
+
+
+def _spans(line: str, delimiter: str | None) -> list[tuple[int, int]]:
+    """Return where the fields of a line are, without blanks around them."""
+    pattern = r"\S+" if delimiter is None or delimiter == " " else rf"[^{re.escape(delimiter)}]*"
+    found, end = [], -1
+    for match in re.finditer(pattern, line):
+        if match.start() > end:
+            text = match[0]
+            lead = len(text) - len(text.lstrip())
+            found.append((match.start() + lead, match.start() + max(lead, len(text.rstrip()))))
+            end = match.end()
+    return found
 
 
 def _columns(sensor_map: SensorMap) -> dict[str, Iterable[Any]]:

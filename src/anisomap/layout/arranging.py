@@ -1,0 +1,378 @@
+"""Places and orientations of all modules that explain the readings best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
+
+from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
+from anisomap.layout.judging import MIN_GROUP_GAIN, MIN_Z, Judge, Verdict
+from anisomap.layout.modules import Mounting
+from anisomap.layout.orienting import Orientations
+from anisomap.layout.together import AGREEING, bonds, border
+
+MIN_TESTED = 4
+"""Least number of tested pads that orient a module; three fitted wrong ones by chance."""
+
+MIN_RUN = 4  # modules in reverse order; two are exchanged
+_MAX_ROUNDS = 12
+_N_SLOTS = 12  # places, beside its own, that a module may have; chosen by hand
+_MIN_DISPLACEMENT = 3.0  # spacings to another place: contacts of unequal reach pull by up to 2.5
+_FAR = 9.0  # spacings beyond which sensors say nothing about a place
+_BESIDE = 0.1  # least evidence that a changed module is adjacent to others, of that expected
+_NONE = -1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """Modules at other places, or in another orientation at their own.
+
+    modules: One, or several of which each has the place of the next, or that move together.
+    slots, turns: The proposed ones of these modules.
+    stated: Places before, (m, k).
+    move: From the stated places to the proposed ones.
+    second: From the stated places to the second best ones.
+    """
+
+    modules: tuple[int, ...]
+    slots: tuple[int, ...]
+    turns: tuple[int, ...]
+    stated: NDArray[np.float64]
+    move: Move
+    second: Move
+    verdict: Verdict
+    together: bool = False
+
+
+class Arrangement:
+    """Search for a slot and an orientation of each module, from the stated ones on.
+
+    Orientations are improved by chains of flips, and slots by one linear assignment in which each
+    change has a price, in turn. Then the changes that do not hold are undone, the weakest first.
+
+    evidence: With modules unbent at their stated places.
+    """
+
+    def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
+        self._stated, self._mounting, self._judge = evidence, mounting, judge
+        self._members = mounting.members
+        self._slot, self._turn = np.arange(mounting.n_modules), np.zeros(mounting.n_modules, int)
+        self._falloff = evidence.falloff
+        self._n_turns = len(mounting.orientations)
+        self._tested = np.array(
+            [evidence.usable[m].sum() >= MIN_TESTED for m in self._members], bool
+        )
+
+    def run(self) -> tuple[Evidence, list[Change]]:
+        """Return the evidence after all changes that hold, and these."""
+        if not self._tested.any() or len(self._tested) < 2:
+            return self._stated, []
+        self._reverse(self._stated)
+        calm = False
+        for _ in range(_MAX_ROUNDS):
+            before = np.concatenate([self._slot, self._turn])
+            self._falloff = self._arranged().refitted().falloff
+            self._orient(self._arranged())
+            self._reassign(self._arranged(), free=calm)
+            same = np.array_equal(before, [*self._slot, *self._turn])
+            if same and calm:
+                break
+            calm = same  # without any exchange left, some move to free places
+        return self._changes()
+
+    def unsure(self) -> list[int]:
+        """Return the modules that fit another orientation nearly as well."""
+        evidence = self._arranged()
+        found = []
+        for m, inside in enumerate(self._members):
+            moves = [
+                Move(inside, places)
+                for turn, places in enumerate(self._images(m, int(self._slot[m])))
+                if turn != self._turn[m] and self._mounting.orientations[turn].fits
+            ]
+            if min((-evidence.gain(move) for move in moves), default=np.inf) < MIN_GAIN:
+                found.append(m)
+        return found
+
+    def _arranged(self) -> Evidence:
+        """Return the evidence with all modules at their present places."""
+        positions = self._stated.positions.copy()
+        for m, inside in enumerate(self._members):
+            positions[inside] = self._places(m, int(self._slot[m]), int(self._turn[m]))
+        return replace(self._stated, positions=positions, falloff=self._falloff)
+
+    def _places(self, module: int, slot: int, turn: int) -> NDArray[np.float64]:
+        if slot == module and turn == 0:
+            return self._stated.positions[self._members[module]]
+        return self._mounting.places(module, slot, turn)
+
+    def _images(self, module: int, slot: int) -> NDArray[np.float64]:
+        """Return the places of a module in each orientation, (O, m, k)."""
+        return np.stack([self._places(module, slot, turn) for turn in range(self._n_turns)])
+
+    def _orient(self, evidence: Evidence) -> None:
+        images = [self._images(m, slot) for m, slot in enumerate(self._slot.tolist())]
+        ways = self._mounting.orientations
+        price = np.array([MIN_GAIN if one.fits else 2 * MIN_GAIN for one in ways])
+        price[0] = 0
+        field = Orientations.of(evidence, self._members, images, self._tested, price)
+        self._turn = field.best(self._turn)
+
+    def _fits(self, evidence: Evidence, wanted: NDArray[np.bool_]) -> tuple[Any, Any]:
+        """Return how well modules fit slots, if they are wanted there, and in which orientation.
+
+        wanted (M, S) -> the log-likelihood ratio, and the orientation, both (M, S).
+        """
+        fits, turns = np.full(wanted.shape, _NONE), np.zeros(wanted.shape, int)
+        shapes = [
+            (o, np.nan_to_num(one.places))
+            for o, one in enumerate(self._mounting.orientations)
+            if one.fits and not one.backwards
+        ]
+        home = np.full(len(evidence.usable), -1)
+        for m, inside in enumerate(self._members):
+            home[inside] = m
+        owner = np.where(home >= 0, self._slot[home], -1)
+        spacing, middles = evidence.falloff.spacing, self._mounting.middles
+        for s in np.flatnonzero(wanted.any(axis=0)).tolist():
+            away = np.linalg.norm(evidence.positions - middles[s], axis=1)
+            others = np.flatnonzero(evidence.usable & (away < _FAR * spacing) & (owner != s))
+            if len(others) < MIN_TESTED:
+                continue
+            modules = np.flatnonzero(wanted[:, s]).tolist()
+            inside = np.concatenate([self._members[m] for m in modules])
+            pads = np.concatenate([self._mounting.pads[m] for m in modules])
+            own = home[inside]
+            apart = (own[:, None] != home[others]) & evidence.usable[inside][:, None]
+            codes = evidence.codes[np.ix_(inside, others)]
+            starts = np.flatnonzero(np.diff(own, prepend=-1))
+            frame, centre = self._mounting.frames[s, :2], self._mounting.centres[s]
+            values = []
+            for _, shape in shapes:
+                distances = cdist(shape @ frame + centre, evidence.positions[others])
+                bins = evidence.falloff.bins(distances)[pads]
+                ratios = np.where(apart, evidence.falloff.ratio(codes, bins), 0)
+                values.append(np.add.reduceat(ratios.sum(axis=1), starts))
+            best = np.argmax(values, axis=0)
+            fits[modules, s] = np.max(values, axis=0)
+            turns[modules, s] = np.array([o for o, _ in shapes])[best]
+        return fits, turns
+
+    def _likely(self, evidence: Evidence, n_slots: int) -> NDArray[np.bool_]:
+        """Mark the slots around which the sensors are that are most similar to each module."""
+        usable = evidence.usable
+        radius = evidence.reach + self._mounting.pitch
+        around = cdist(self._mounting.middles[:n_slots], evidence.positions) <= radius
+        weights = around * usable
+        similar = np.zeros((len(self._members), len(usable)))
+        for m, inside in enumerate(self._members):
+            if usable[inside].any():
+                similar[m] = evidence.similarity[inside[usable[inside]]].mean(axis=0)
+            similar[m, inside] = 0
+        votes = similar @ weights.T / np.maximum(weights.sum(axis=1), MIN_TESTED)
+        middles, spacing = self._mounting.middles, evidence.falloff.spacing
+        away = cdist(middles[self._slot], middles[:n_slots])
+        votes[(away > 0) & (away < _MIN_DISPLACEMENT * spacing)] = -np.inf
+        rank = np.argsort(np.argsort(-votes, axis=1, kind="stable"), axis=1, kind="stable")
+        likely = rank < _N_SLOTS
+        inside = self._slot < n_slots
+        likely[np.flatnonzero(inside), self._slot[inside]] = True
+        return np.asarray(likely & self._tested[:, None])
+
+    def _reassign(self, evidence: Evidence, *, free: bool) -> None:
+        """Assign modules to slots, also to free ones, and make the changes that hold."""
+        n_modules = len(self._slot)
+        n_slots = len(self._mounting.frames) if free else n_modules
+        wanted = np.zeros((n_modules, len(self._mounting.frames)), bool)
+        wanted[:, :n_slots] = self._likely(evidence, n_slots)
+        fits, turns = self._fits(evidence, wanted)
+        modules = np.arange(n_modules)
+        fits[modules, self._slot] += 2 * MIN_GAIN
+        fits[:, n_modules:] -= MIN_GAIN
+        fits[modules[~self._tested], self._slot[~self._tested]] = -_NONE
+        new = linear_sum_assignment(-fits)[1]
+        changed = {m: int(new[m]) for m in np.flatnonzero(new != self._slot).tolist()}
+        own = fits[modules, self._slot]
+        there = fits[:, self._slot] - own[:, None]
+        both = np.triu(there + there.T, 1)
+        best = np.argsort(-both, axis=None)[: np.count_nonzero(both > 0)]
+        pairs = np.column_stack(np.unravel_index(best, both.shape)).tolist()
+        tried = [{a: int(self._slot[b]), b: int(self._slot[a])} for a, b in pairs]
+        tried += [{m: changed[m] for m in chain} for chain in _chains(changed, self._slot)]
+        if free:
+            there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
+            lost = (there <= -AGREEING * expected)[:, None] & (fits > _NONE)
+            gains = np.where(lost, fits - own[:, None], 0)
+            gains[:, :n_modules] = 0
+            best = np.argsort(-gains, axis=None)[: np.count_nonzero(gains > MIN_GROUP_GAIN)]
+            tried += [{m: s} for m, s in zip(*np.unravel_index(best, gains.shape), strict=True)]
+        moved: set[int] = set()
+        for target in tried:
+            if not moved & set(target):
+                placed = [(int(m), int(s), int(turns[m, s])) for m, s in target.items()]
+                if self._accept(placed):
+                    moved.update(target)
+
+    def _reverse(self, evidence: Evidence) -> None:
+        """Reverse the order of the row of modules that gains most, if it gains certainly."""
+        sensors = np.concatenate(self._members)
+        kept = evidence.usable[sensors]
+        module = np.repeat(np.arange(len(self._members)), [len(m) for m in self._members])[kept]
+        pads, sensors = np.concatenate(self._mounting.pads)[kept], sensors[kept]
+        shape = np.nan_to_num(self._mounting.orientations[0].places)
+        n_modules = len(self._members)
+        frames, centres = self._mounting.frames, self._mounting.centres[:n_modules]
+        at = (shape @ frames[:n_modules, :2] + centres[:, None]).reshape(-1, frames.shape[1])
+        falloff = evidence.falloff
+        between = falloff.bins(cdist(at, at))
+        stated = falloff.bins(cdist(at, evidence.positions[sensors]))
+        codes = evidence.codes[np.ix_(sensors, sensors)]
+        before = evidence.ratios[np.ix_(sensors, sensors)]
+        best, row = MIN_GROUP_GAIN, range(0)
+        for middle in range(MIN_RUN - 1, 2 * n_modules - MIN_RUN):
+            low, high = max(0, middle - n_modules + 1), min(middle, n_modules - 1)
+            inside = np.flatnonzero((module >= low) & (module <= high))
+            place = (middle - module[inside]) * len(shape) + pads[inside]
+            one = falloff.ratio(codes[inside], stated[place]) - before[inside]
+            within = np.ix_(inside, inside)
+            two = falloff.ratio(codes[within], between[np.ix_(place, place)]) - before[within]
+            index = module[inside] - low
+            apart, both = (np.zeros((high - low + 1,) * 2) for _ in range(2))
+            np.add.at(apart, (index[:, None], index), one[:, inside])
+            np.add.at(both, (index[:, None], index), two)
+            total = np.bincount(index, one.sum(axis=1), minlength=high - low + 1)
+            for skipped in range((high - low + 1 - MIN_RUN) // 2 + 1):
+                if 2 * (high - low + 1 - 2 * skipped) > n_modules:
+                    continue  # the smaller part is wrong
+                run = slice(skipped, high - low + 1 - skipped)
+                gain = total[run].sum() - apart[run, run].sum() + both[run, run].sum() / 2
+                if gain > best:
+                    best, row = gain, range(low + skipped, high + 1 - skipped)
+        self._accept([(m, row[0] + row[-1] - m, 0) for m in row if 2 * m != row[0] + row[-1]])
+
+    def _accept(self, placed: list[tuple[int, int, int]]) -> bool:
+        """Place modules as proposed, and return True, if that gains certainly."""
+        if not placed:
+            return False
+        evidence, move = self._arranged(), self._move(placed)
+        if not self._judge.certainly_gains(evidence, move):
+            return False
+        held = set(self._slot.tolist())
+        if any(slot not in held for _, slot, _ in placed):
+            # A free place is near anything, and must be right by all criteria. A module that
+            # agrees with those around it stays.
+            elsewhere = not border(evidence, self._members, [m for m, _, _ in placed]) > -AGREEING
+            every = [
+                self._move([(m, slot, turn) for m, slot, _ in placed])
+                for turn in range(self._n_turns)
+            ]
+            weighed = self._judge.weigh(evidence, move, every, rigid=True)
+            if not (elsewhere and weighed.holds):
+                return False
+        for m, slot, turn in placed:
+            self._slot[m], self._turn[m] = slot, turn
+        return True
+
+    def _move(self, moved: list[tuple[int, int, int]]) -> Move:
+        sensors = np.concatenate([self._members[m] for m, _, _ in moved])
+        return Move(sensors, np.concatenate([self._places(*one) for one in moved]))
+
+    def _changes(self) -> tuple[Evidence, list[Change]]:
+        """Undo the changes that do not hold, the weakest first, and return the others."""
+        own = np.arange(len(self._slot))
+        self._falloff = self._arranged().refitted().falloff
+        while True:
+            evidence = self._arranged()
+            changed = {m: int(self._slot[m]) for m in np.flatnonzero(self._slot != own).tolist()}
+            groups = [tuple(chain) for chain in _chains(changed, own)]
+            groups += [(m,) for m in np.flatnonzero(self._turn != 0).tolist() if m not in changed]
+            found = [self._weighed(evidence, group) for group in groups]
+            found = self._as_groups(evidence, found)
+            # A module that agrees with none around it is elsewhere, however it lies.
+            there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
+            sure = self._tested & (there >= _BESIDE * expected)
+            wrong = [
+                one for one in found if not (one.verdict.holds and sure[list(one.modules)].all())
+            ]
+            if not wrong:
+                return evidence, found
+            untested = [one for one in wrong if not self._tested[list(one.modules)].any()]
+            weakest = min(untested or wrong, key=lambda one: one.verdict.z)
+            for m in weakest.modules:
+                self._slot[m], self._turn[m] = m, 0
+
+    def _weighed(self, evidence: Evidence, group: tuple[int, ...]) -> Change:
+        """Weigh a change against the stated places, with all others as proposed."""
+        back = self._move([(m, m, 0) for m in group])
+        before = evidence.moved(back)
+        tried = []
+        for other in range(self._n_turns):  # each module turned further by the same
+            moved = [
+                (m, int(self._slot[m]), (int(self._turn[m]) + other) % self._n_turns) for m in group
+            ]
+            tried.append(self._move(moved))
+        move, *others = tried
+        second = max(others, key=before.gain) if others else move
+        slots = tuple(int(self._slot[m]) for m in group)
+        rigid = not set(slots) <= set(group)
+        in_place = slots == group
+        verdict = self._judge.weigh(before, move, tried, rigid=rigid, in_place=in_place)
+        turned = tuple(int(self._turn[m]) for m in group)
+        return Change(group, slots, turned, back.places, move, second, verdict)
+
+    def _as_groups(self, evidence: Evidence, changes: list[Change]) -> list[Change]:
+        """Give adjacent modules that are flipped alike, one fault, the certainty of all of them.
+
+        Each must still gain enough by itself.
+        """
+        alone = [i for i, one in enumerate(changes) if one.slots == one.modules]
+        if len(alone) < 2:
+            return changes
+        modules = np.array([changes[i].modules[0] for i in alone])
+        ways = [self._mounting.orientations[changes[i].turns[0]] for i in alone]
+        alike = np.array([[a.reflected, 0 if a.reflected else a.angle, a.backwards] for a in ways])
+        same = (alike[:, None] == alike).all(axis=2) & self._mounting.adjacent[
+            np.ix_(modules, modules)
+        ]
+        label = connected_components(csr_array(same), directed=False)[1]
+        found = list(changes)
+        for k in range(int(label.max()) + 1):
+            group = [alone[i] for i in np.flatnonzero(label == k).tolist()]
+            if len(group) < 2:
+                continue
+            sensors = np.concatenate([changes[i].move.sensors for i in group])
+            stated = np.concatenate([changes[i].stated for i in group])
+            move = Move(sensors, evidence.positions[sensors])
+            gain, z = self._judge.gain(evidence.moved(Move(sensors, stated)), move)
+            if gain >= MIN_GROUP_GAIN and z >= MIN_Z:
+                for i in group:
+                    verdict = changes[i].verdict
+                    better = replace(verdict, z=max(z, verdict.z))
+                    found[i] = replace(changes[i], verdict=better)
+        return found
+
+
+def _chains(target: dict[int, int], slot: NDArray[np.intp]) -> list[list[int]]:
+    """Divide modules with other targets into chains, each of which has the place of the next."""
+    holder = {int(s): m for m, s in enumerate(slot.tolist())}
+    following = {m: holder.get(s, -1) for m, s in target.items() if s != int(slot[m])}
+    found: list[list[int]] = []
+    left = set(following)
+    starts = sorted(left - set(following.values())) + sorted(left)
+    for start in starts:
+        chain = []
+        here = start
+        while here in left:
+            left.discard(here)
+            chain.append(here)
+            here = following[here]
+        if chain:
+            found.append(chain)
+    return found

@@ -1,0 +1,144 @@
+"""Orientations of all modules together, by chains of flips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from anisomap.layout.evidence import Evidence
+
+_FAR = 4.0  # spacings between two modules up to which they orient each other; chosen by hand
+_LONGEST = 12  # flips of a chain
+_MAX_CHAINS = 20
+_LEAST = 1e-2  # nats by which a chain must gain, which rounding does not
+
+
+@dataclass(frozen=True, eq=False)
+class Orientations:
+    """Log-likelihood of M modules with O orientations each, of which any may be chosen.
+
+    Where a whole patch is mirrored, no module gains by being flipped alone. So chains of flips are
+    followed from each of them, each flip the best of those that are left, also where it loses, and
+    the best beginning of a chain is kept: Kernighan & Lin (1970), Bell System Technical Journal
+    49(2): 291-307.
+
+    alone (M, O): Of each module with sensors on no module, less the price of a change.
+    pairs (M, M, O, O): Of two modules with each other.
+    free (M,): Modules that may be flipped.
+    """
+
+    alone: NDArray[np.float32]
+    pairs: NDArray[np.float32]
+    free: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        evidence: Evidence,
+        members: Sequence[NDArray[np.intp]],
+        images: Sequence[NDArray[np.float64]],
+        free: NDArray[np.bool_],
+        price: NDArray[np.float64],
+    ) -> Orientations:
+        """Look the likelihoods up, for modules whose sensors may be at images (O, m, k).
+
+        price (O,): Of each orientation, in nats.
+        """
+        kept = [evidence.usable[inside] for inside in members]
+        sensors = [inside[chosen] for inside, chosen in zip(members, kept, strict=True)]
+        at = [image[:, chosen] for image, chosen in zip(images, kept, strict=True)]
+        n_modules, n_turns, k = len(members), at[0].shape[0], at[0].shape[2]
+        loose = evidence.usable.copy()
+        loose[np.concatenate(members)] = False
+
+        def ratios(
+            m: int, others: NDArray[np.intp], places: NDArray[np.float64]
+        ) -> NDArray[np.float32]:
+            distances = cdist(at[m].reshape(-1, k), places)
+            bins = evidence.falloff.bins(distances)
+            shape = (n_turns, len(sensors[m]), len(places) // len(others), len(others))
+            bins = bins.reshape(shape)
+            codes = evidence.codes[np.ix_(sensors[m], others)][None, :, None, :]
+            return np.asarray(evidence.falloff.ratio(codes, bins).sum(axis=(1, 3)))
+
+        here = evidence.positions[loose]
+        alone = np.zeros((n_modules, n_turns), np.float32)
+        pairs = np.zeros((n_modules, n_modules, n_turns, n_turns), np.float32)
+        if loose.any():
+            alone += np.stack(
+                [ratios(m, np.flatnonzero(loose), here)[:, 0] for m in range(n_modules)]
+            )
+        alone -= price
+        middle = np.stack([image.mean(axis=(0, 1)) for image in images])
+        radius = [
+            np.linalg.norm(image - c, axis=2).max() for image, c in zip(images, middle, strict=True)
+        ]
+        far = _FAR * evidence.falloff.spacing + np.add.outer(radius, radius)
+        known = np.array([len(inside) > 0 for inside in sensors])
+        near = (cdist(middle, middle) <= far) & np.outer(known, known)
+        for a, b in np.argwhere(np.triu(near, 1)).tolist():
+            pairs[a, b] = ratios(a, sensors[b], at[b].reshape(-1, k))
+            pairs[b, a] = pairs[a, b].T
+        return cls(alone, pairs, free)
+
+    def best(self, turn: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the orientations that no chain improves, from some orientations (M,) on."""
+        for _ in range(_MAX_CHAINS):
+            turn = self._flipped_singly(turn)
+            gain, better = self._chain(turn)
+            if gain <= _LEAST:
+                break
+            turn = better
+        return turn
+
+    def _fields(self, turn: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Return the log-likelihood of each module in each orientation, (M, O)."""
+        modules = np.arange(len(turn))
+        return np.asarray(self.alone + self.pairs[:, modules, :, turn].sum(axis=0))
+
+    def _flipped_singly(self, turn: NDArray[np.intp]) -> NDArray[np.intp]:
+        turn, modules = turn.copy(), np.arange(len(turn))
+        for _ in range(10 * len(turn)):
+            fields = self._fields(turn)
+            gains = (fields.max(axis=1) - fields[modules, turn]) * self.free
+            best = int(gains.argmax())
+            if gains[best] <= _LEAST:
+                break
+            turn[best] = int(fields[best].argmax())
+        return turn
+
+    def _chain(self, turn: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:
+        """Follow a chain from each flip, all at once, and return the best beginning."""
+        n_modules, n_turns = self.alone.shape
+        modules = np.arange(n_modules)
+        starts = np.ones((n_modules, n_turns), bool) & self.free[:, None]
+        starts[modules, turn] = False
+        m, o = np.nonzero(starts)
+        if not m.size:
+            return 0.0, turn
+        chains = np.arange(m.size)
+        now = np.tile(turn, (m.size, 1))
+        fields = np.repeat(self._fields(turn)[None], m.size, axis=0)
+        locked = np.tile(~self.free, (m.size, 1))
+        gained = np.zeros(m.size)
+        most, best = np.full(m.size, -np.inf), now.copy()
+        for _ in range(min(int(self.free.sum()), _LONGEST)):
+            gained += fields[chains, m, o] - fields[chains, m, now[chains, m]]
+            fields += self.pairs[m, :, o, :] - self.pairs[m, :, now[chains, m], :]
+            now[chains, m] = o
+            locked[chains, m] = True
+            better = gained > most
+            most[better], best[better] = gained[better], now[better]
+            left = fields - np.take_along_axis(fields, now[:, :, None], axis=2)
+            np.put_along_axis(left, now[:, :, None], -np.inf, axis=2)
+            left[locked] = -np.inf
+            following = left.reshape(m.size, -1).argmax(axis=1)
+            if not np.isfinite(left.reshape(m.size, -1)[chains, following]).all():
+                break
+            m, o = np.divmod(following, n_turns)
+        chosen = int(most.argmax())
+        return float(most[chosen]), best[chosen]
