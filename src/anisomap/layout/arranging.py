@@ -182,8 +182,8 @@ class Arrangement:
         votes[(away > 0) & (away < _MIN_DISPLACEMENT * spacing)] = -np.inf
         rank = np.argsort(np.argsort(-votes, axis=1, kind="stable"), axis=1, kind="stable")
         likely = rank < _N_SLOTS
-        inside = self._slot < n_slots
-        likely[np.flatnonzero(inside), self._slot[inside]] = True
+        stay = np.flatnonzero(self._slot < n_slots)
+        likely[stay, self._slot[stay]] = True
         return np.asarray(likely & self._tested[:, None])
 
     def _reassign(self, evidence: Evidence, *, free: bool) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -319,7 +320,6 @@ class Mounting:
     orientations: In which a module fits its place; the first is the stated one.
     frames (S, k, k), centres (S, k): Of each slot, a place of a module. The first slots are those
         of the modules, in order; others are free. Rows of a frame are the axes of a module.
-    rms: Root mean square distance of each module from its stated places.
     pitch: Spacing of the pads.
     """
 
@@ -328,7 +328,6 @@ class Mounting:
     orientations: tuple[Orientation, ...]
     frames: NDArray[np.float64]
     centres: NDArray[np.float64]
-    rms: NDArray[np.float64]
     pitch: float
 
     @classmethod
@@ -339,7 +338,7 @@ class Mounting:
         members = [inside for inside in members if len(inside) >= MIN_PADS]
         known = bool(len(modules.template))
         if not members:
-            return cls((), (), (), np.empty((0, k, k)), np.empty((0, k)), np.empty(0), 0.0)
+            return cls((), (), (), np.empty((0, k, k)), np.empty((0, k)), 0.0)
         shapes = [(modules.pads[inside], positions[inside]) for inside in members]
         template = _scaled(modules, shapes, units) if known else _common_shape(shapes)
         exist = np.asarray(np.isfinite(template).all(axis=1))
@@ -364,14 +363,13 @@ class Mounting:
                 fits.append(fit)
         part = np.full_like(template, np.nan)
         part[used] = template[used]
-        frames, centres, rms = zip(*fits, strict=True) if fits else ((), (), ())
+        frames, centres, _ = zip(*fits, strict=True) if fits else ((), (), ())
         return cls(
             tuple(kept),
             tuple(pads),
             orientations(part),
             np.array(frames).reshape(-1, k, k),
             np.array(centres).reshape(-1, k),
-            np.array(rms),
             pitch,
         )
 
@@ -454,7 +452,6 @@ class Mounting:
             pads=tuple(self.pads[m] for m in chosen),
             frames=self.frames[chosen],
             centres=self.centres[chosen],
-            rms=self.rms[chosen],
         )
 
     def with_free_slots(self, positions: NDArray[np.float64]) -> Mounting:
@@ -498,7 +495,7 @@ def _inscribed(pads: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the centre and radius of the largest circle in the convex hull of pads (P, 2)."""
     planes = ConvexHull(pads).equations
     norms = np.ones((len(planes), 1))
-    found = linprog(
+    found: Any = linprog(
         [0, 0, -1], np.hstack([planes[:, :2], norms]), -planes[:, 2], bounds=(None, None)
     )
     return np.asarray(found.x[:2]), float(found.x[2])
