@@ -24,7 +24,7 @@ MIN_TESTED = 4
 MIN_RUN = 4  # modules in reverse order; two are exchanged
 _MAX_ROUNDS = 12
 _N_SLOTS = 12  # places, beside its own, that a module may have; chosen by hand
-_MIN_DISPLACEMENT = 3.0  # spacings to another place: contacts of unequal reach pull by up to 2.5
+_MIN_DISPLACEMENT = 3.0  # spacings to a free place: contacts of unequal reach pull by up to 2.5
 _FAR = 9.0  # spacings beyond which sensors say nothing about a place
 _BESIDE = 0.1  # least evidence that a changed module is adjacent to others, of that expected
 _NONE = -1e6
@@ -179,7 +179,9 @@ class Arrangement:
         votes = similar @ weights.T / np.maximum(weights.sum(axis=1), MIN_TESTED)
         middles, spacing = self._mounting.middles, evidence.falloff.spacing
         away = cdist(middles[self._slot], middles[:n_slots])
-        votes[(away > 0) & (away < _MIN_DISPLACEMENT * spacing)] = -np.inf
+        near = (away > 0) & (away < _MIN_DISPLACEMENT * spacing)
+        near[:, : len(self._slot)] = False  # adjacent modules may be exchanged
+        votes[near] = -np.inf
         rank = np.argsort(np.argsort(-votes, axis=1, kind="stable"), axis=1, kind="stable")
         likely = rank < _N_SLOTS
         stay = np.flatnonzero(self._slot < n_slots)
