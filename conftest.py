@@ -1,6 +1,8 @@
 """Settings of every test run, and the examples in the README and in docstrings as tests."""
 
+import importlib.metadata
 import os
+import platform
 
 from hypothesis import HealthCheck, settings
 from sybil import Sybil
@@ -43,6 +45,16 @@ settings.register_profile(
     print_blob=True,
 )
 settings.load_profile("default")
+
+
+LIBRARIES = ("numpy", "scipy", "scikit-learn", "cyclopts", "matplotlib", "mujoco", "numba")
+
+
+def pytest_report_header() -> str:
+    """State the versions that the tests ran on."""
+    known = {each.metadata["Name"]: each.version for each in importlib.metadata.distributions()}
+    found = (f"{name} {known.get(name, 'absent')}" for name in LIBRARIES)
+    return f"on Python {platform.python_version()} with {', '.join(found)}"
 
 
 readme = Sybil(

@@ -1,10 +1,11 @@
 """Build a release in dist/: wheel, sdist and notes (``make release``).
 
 The wheel is installed in an empty environment, where it makes a map, a report and a URDF file. The
-sdist must give the same wheel. The notes are the section of the changelog. ``--rehearse`` does the
-same for a version that is not ready: a development version, one that is not stated alike
-everywhere, or one with changes that are not committed. ``--no-install`` leaves out the empty
-environment, which needs a package index.
+tests run with the lowest versions that are stated. The sdist must give the same wheel. The notes
+are the section of the changelog. ``--rehearse`` does the same for a version that is not ready: a
+development version, one that is not stated alike everywhere, or one with changes that are not
+committed. ``--no-install`` leaves out the empty environment and the lowest versions, which need a
+package index.
 """
 
 from __future__ import annotations
@@ -112,11 +113,25 @@ def check_wheel(wheel: Path, version: str) -> None:
             raise SystemExit(f"the installed package states {stated.stdout.strip()}, not {version}")
 
 
+def check_lowest_versions(root: Path) -> None:
+    """Run the tests, all but the slow ones, with the lowest versions of direct dependencies."""
+    with tempfile.TemporaryDirectory() as folder:
+        venv.create(folder)
+        python = Path(folder) / ("Scripts" if sys.platform == "win32" else "bin") / "python"
+        install = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", python]
+        lowest = ["--resolution", "lowest-direct", ".[all]", "--group", "test"]
+        subprocess.run([*install, *lowest], cwd=root, check=True)
+        tests = ["-m", "pytest", "--numprocesses", "auto", "-m", "not slow"]
+        subprocess.run([python, *tests], cwd=root, check=True)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Build, check, and write the notes."""
     parser = argparse.ArgumentParser(prog="make release", description=__doc__)
     parser.add_argument("--rehearse", action="store_true", help="also if the version is not ready")
-    parser.add_argument("--no-install", action="store_true", help="leave out the empty environment")
+    parser.add_argument(
+        "--no-install", action="store_true", help="leave out what needs a package index"
+    )
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "dist")
     chosen = parser.parse_args(arguments)
     version = version_of(ROOT)
@@ -131,6 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     check_sdist(sdist, wheel)
     if not chosen.no_install:
         check_wheel(wheel, version)
+        check_lowest_versions(ROOT)
     path = chosen.output / f"notes-{version}.md"
     path.write_text(notes, encoding="utf-8")
     written = ", ".join(one.name for one in (sdist, wheel, path))

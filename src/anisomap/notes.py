@@ -206,6 +206,9 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "many-sensors": lambda most: (
             f"resampling more than {most:,} sensors takes too much memory: map parts of the skin"
         ),
+        "many-dimensions": lambda most: (
+            f"a verdict needs a map in at most {most} dimensions: choose 2 or 3 (-d 2 or -d 3)"
+        ),
         "few-frames": lambda count, least: (
             f"too few frames: {count}, and a verdict needs {least}: record longer"
         ),

@@ -20,6 +20,9 @@ from anisomap.usability import UNJUDGED, Verdict
 UNPLACED = -1
 """The component label of a sensor without a position."""
 
+METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
+"""Length of each supported unit in metres."""
+
 UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
 
@@ -244,7 +247,8 @@ class SensorMap(Immutable):
         details.append(f"method={self.method!r}")
         details.append(f"units={self.units!r}")
         details.append(f"Stress-1={self.stress:.3f}")
-        details.append(f"verdict: {self.verdict.summary}")
+        judged = self.verdict != UNJUDGED
+        details.append(f"verdict: {self.verdict.summary}" if judged else "not judged")
         return f"<SensorMap: {', '.join(details)}>"
 
     def _repr_html_(self) -> str:
@@ -255,7 +259,7 @@ class SensorMap(Immutable):
             "method": self.method,
             "units": self.units,
             "Stress-1": f"{self.stress:.3f}",
-            "verdict": self.verdict,
+            "verdict": "not judged" if self.verdict == UNJUDGED else self.verdict,
             "pose": self.pose,
         } | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
         return html_table("SensorMap", rows)

@@ -199,6 +199,19 @@ def test_error_in_spacings_is_the_error_over_the_spacing():
     assert found.rms == pytest.approx(np.sqrt(2), rel=0.2)
 
 
+def test_the_scale_of_a_map_is_compared_where_both_have_units():
+    truth = cloud(k=2)
+    centred = truth - truth.mean(axis=0)
+    found = score(
+        SensorMap(moved_freely(truth, np.random.default_rng(3), 1390), units="mm"),
+        SensorMap(truth, units="m"),
+    )
+    assert found.rms == pytest.approx(0, abs=1e-9)
+    assert found.scale == pytest.approx(1.39)
+    assert found.rigid_rms == pytest.approx(0.39 * np.sqrt((centred**2).sum(axis=1).mean()))
+    assert np.isnan(score(SensorMap(truth), SensorMap(truth, units="m")).scale)
+
+
 def test_maps_are_matched_by_name_and_else_by_order():
     names = [f"pad {i}" for i in range(42)]
     order = np.random.default_rng(0).permutation(42)

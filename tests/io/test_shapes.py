@@ -94,6 +94,42 @@ def test_columns_that_are_no_sensors(put, name: str, last: bool) -> None:
     assert kept.names == tuple(n for n in names if n in (*NAMES[:6], "c10", "c11", name))
 
 
+def test_columns_beside_pressures_of_insoles(put) -> None:
+    """Inertial units, sums and centres of pressure, which are empty without load."""
+    others = [
+        "acceleration X[g]",
+        "angular Y[dps]",
+        "total force[N]",
+        "center of pressure X[-1...1]",
+    ]
+    names = [f"{s} pressure {k}[N/cm\u00b2]" for s in ("left", "right") for k in range(6)]
+    rows = np.column_stack([PRESSED, RNG.normal(size=(N_FRAMES, 4))]).round(2).astype(object)
+    rows[100:130, -1] = ""
+    path = put("insole.csv", text([*names, *(f"left {name}" for name in others)], rows))
+    with pytest.warns(AnisomapWarning, match="are left out") as said:
+        found = io.read(path)
+    assert len(said) == 1
+    np.testing.assert_array_equal(found.readings, PRESSED)
+
+
+def test_quantities_beside_the_forces_of_taxels(put) -> None:
+    quantities = ["fx", "fy", "fz", "dx", "dy", "dz", "contact"]
+    names = ["gfx", "gfy", "gfz", "gtz"]
+    names += [f"pil{k} {quantity}" for k in range(9) for quantity in quantities]
+    values = RNG.normal(size=(N_FRAMES, len(names) + 1)).round(3)
+    path = put("pillars.csv", text([*names, "angle"], values))
+    said = [
+        pytest.warns(AnisomapWarning, match=m)
+        for m in ("9 taxels with th", "pil0 contact.*left out")
+    ]
+    with said[0], said[1]:
+        found = io.read(path)
+    assert found.names == tuple(f"pil{k}" for k in range(9))
+    np.testing.assert_array_equal(found.readings, values[:, [6 + 7 * k for k in range(9)]])
+    with pytest.warns(AnisomapWarning, match="a flag"):
+        assert io.read(path, options=ReadOptions(axis="all")).n_sensors == 6 * 9 + 5
+
+
 @pytest.mark.parametrize(
     "names", [["thumb", "index", "middle", "ring"], ["state0", "state1", "state2", "state3"]]
 )
@@ -169,6 +205,7 @@ def test_folders(tmp_path: Path) -> None:
         io.read(tmp_path)
     found = io.read(tmp_path, options=ReadOptions(grid=(3, 4)))
     np.testing.assert_array_equal(found.readings, PRESSED[:12])
+    assert io.contents(tmp_path) == ()
     for k in range(12):
         (tmp_path / f"frame_{k}.csv").write_text(text(NAMES, PRESSED[20 * k : 20 * k + 20]))
     np.testing.assert_array_equal(io.read(tmp_path).readings, PRESSED[:240])

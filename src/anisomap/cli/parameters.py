@@ -20,6 +20,7 @@ from anisomap import io, placement
 from anisomap.base.wording import printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.errors import FileError, InputError
+from anisomap.sensor_map import METRES
 
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
 
@@ -95,7 +96,10 @@ PRINTER = Printer()
 """Stands for the printer of a command, which `app` makes."""
 
 
-_GIVE_SPACING = "give the distance between neighbouring sensors, such as --spacing 6.5mm"
+_GIVE_SPACING = (
+    "give the median distance to the nearest sensor, such as --spacing 6.5mm, or find the scale by "
+    "anisomap place --module-layout"
+)
 
 
 @Parameter(name="*", group=outputs_group)
@@ -106,9 +110,9 @@ class PlacingOptions:
     Parameters
     ----------
     spacing
-        Distance between neighbouring sensors, such as 6.5mm. It scales the map, and all errors are
-        told in millimetres; the median is taken. Formats of robot software are in metres and
-        require it.
+        Median distance to the nearest sensor, such as 6.5mm. It scales the map, and all errors are
+        in millimetres. Formats of robot software are in metres and require it.
+        Without it, `anisomap place --module-layout` finds the scale.
     mirror
         Reflect the map, whose handedness is unknown.
     frame
@@ -128,7 +132,7 @@ class PlacingOptions:
             doubt_spacing(self.spacing)
             return
         for path in outputs:
-            if io.needs_scale(path) and units not in placement.METRES:
+            if io.needs_scale(path) and units not in METRES:
                 raise InputError(
                     f"cannot write {path}: its format is in metres, but the map has no scale; "
                     f"{hint}"
@@ -209,7 +213,7 @@ _SMALLEST, _LARGEST = 1e-4, 0.5  # metres; no skin has smaller or larger spacing
 def doubt_spacing(text: str) -> None:
     """Warn of a spacing of sensors that no skin has."""
     value, unit = placement.parse_length(text)
-    if not _SMALLEST <= value * placement.METRES[unit] <= _LARGEST:
+    if not _SMALLEST <= value * METRES[unit] <= _LARGEST:
         print_warning(
             f"a spacing of {text} is unlikely: sensors of skins are between "
             f"{_SMALLEST * 1e3:g} mm and {_LARGEST:g} m apart; check its unit"

@@ -198,6 +198,10 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
         "RMS error": f"{number(result.rms)} {units}, or "
         f"{number(result.rms_in_spacings, 3)} spacings of {number(result.spacing)} {units}",
         "median error": f"{number(result.median_error)} {units}",
+        "scale": ""
+        if np.isnan(result.scale)
+        else f"{number(result.scale, 3)} times the reference; "
+        f"without scaling, the RMS error is {number(result.rigid_rms)} {units}",
         "mirrored": "yes" if result.alignment.reflected else "no",
         "neighbours kept": percent(result.neighbours_kept),
         "sensors compared": str(result.mantel.n_sensors),
@@ -225,7 +229,7 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
             "null_quantiles": {str(level): r for level, r in null.items()},
             "p_value": result.mantel.p_value if null else None,
             "permutations": permutations,
-            **attributes(result, "rms median_error units rms_in_spacings"),
+            **attributes(result, "rms rigid_rms scale median_error units rms_in_spacings"),
             "median_spacing": result.spacing,
             "reflected": result.alignment.reflected,
             "neighbours_kept": result.neighbours_kept,

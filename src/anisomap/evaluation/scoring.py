@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, Mantel, mantel
 from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
 from anisomap.recording import Recording, default_names, match_sensors
-from anisomap.sensor_map import SensorMap, check_coordinates
+from anisomap.sensor_map import METRES, UNSCALED, SensorMap, check_coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +243,10 @@ class Score:
         Units of the truth.
     notes : tuple of str
         Sensors that were not compared, and other caveats.
+    scale : float
+        Size of the map relative to the truth, if both have units; else NaN.
+    rigid_rms : float
+        RMS error after alignment without scaling, in units of the truth; NaN without units.
     """
 
     mantel: Mantel
@@ -253,6 +258,8 @@ class Score:
     excluded: NDArray[np.intp]
     units: str
     notes: tuple[str, ...]
+    scale: float = math.nan
+    rigid_rms: float = math.nan
 
     def __repr__(self) -> str:
         units = f" {self.units}" if self.units else ""
@@ -379,6 +386,12 @@ def score(
         notes += (
             f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared",
         )
+    alignment = align(positions, true_positions)
+    factor, rigid_rms = _unit_in(sensor_map.units, units), math.nan
+    if math.isfinite(factor):
+        x, y = (padded(p, len(alignment.translation)) for p in (factor * positions, true_positions))
+        offsets = fit_similarity(x, y, scaling=False).apply(x) - y
+        rigid_rms = float(np.sqrt(np.mean((offsets**2).sum(axis=1))))
     return Score(
         mantel=mantel(
             SensorMap(positions[drawn]),
@@ -387,7 +400,7 @@ def score(
             rng=generator,
             progress=progress,
         ),
-        alignment=align(positions, true_positions),
+        alignment=alignment,
         truth=true_positions,
         sensors=chosen,
         spacing=median_spacing(true_positions),
@@ -395,7 +408,16 @@ def score(
         excluded=np.flatnonzero(~included),
         units=units,
         notes=notes,
+        scale=factor / alignment.scale if alignment.scale > 0 else math.nan,
+        rigid_rms=rigid_rms,
     )
+
+
+def _unit_in(unit: str, other: str) -> float:
+    """Return the length of a unit in another; NaN if one of them is unknown."""
+    if unit in METRES and other in METRES:
+        return METRES[unit] / METRES[other]
+    return 1.0 if unit not in UNSCALED and unit == other else math.nan
 
 
 def _as_map(recording: Recording) -> SensorMap:

@@ -245,7 +245,7 @@ def contents(
     Returns
     -------
     tuple of Content
-        Empty for formats that hold a single recording.
+        Empty for formats that hold a single recording, and for folders of recordings.
 
     Raises
     ------
@@ -254,7 +254,8 @@ def contents(
     MissingExtraError
         If the format needs a library that is not installed.
     """
-    file = Path(path)
+    if files_of(path) != (file := Path(path),):
+        return ()
     with file_errors(file):
         chosen = _recognise(file)
         if chosen.contents is None:

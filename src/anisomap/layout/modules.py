@@ -18,9 +18,8 @@ from anisomap.base.channels import channel_numbers
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
-from anisomap.placement.frames import METRES
 from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import METRES, SensorMap
 
 _MIN_SIZE = 3
 _MAX_GAPS = 100  # channels per sensor

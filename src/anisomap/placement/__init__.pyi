@@ -3,7 +3,6 @@ from .anchors import anchors_at as anchors_at
 from .anchors import anchors_from_map as anchors_from_map
 from .anchors import parse_anchor as parse_anchor
 from .anchors import suggest_anchors as suggest_anchors
-from .frames import METRES as METRES
 from .frames import Taxels as Taxels
 from .frames import length_shown as length_shown
 from .frames import median_spacing as median_spacing

@@ -15,7 +15,6 @@ from anisomap.errors import InputError
 from anisomap.numerics.neighbours import Kernel, nearest_others
 from anisomap.numerics.procrustes import SINGULAR, similarity_freedom
 from anisomap.numerics.surfaces import Points
-from anisomap.placement.frames import METRES
 from anisomap.placement.handedness import (
     PRIOR_FREEDOM,
     Known,
@@ -25,7 +24,7 @@ from anisomap.placement.handedness import (
     fit_scaled,
     krige,
 )
-from anisomap.sensor_map import SensorMap, check_coordinates
+from anisomap.sensor_map import METRES, SensorMap, check_coordinates
 
 # Anchors that are suggested; tuned on real recordings, rubbed planes and cylinders.
 _RING = 12  # neighbours that tell whether a sensor is inside

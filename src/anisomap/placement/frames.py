@@ -13,10 +13,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
-from anisomap.sensor_map import MAX_COORDINATE, UNSCALED, SensorMap
-
-METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
-"""Length of each supported unit in metres."""
+from anisomap.sensor_map import MAX_COORDINATE, METRES, UNSCALED, SensorMap
 
 _MIN_LENGTH = 1e-150  # its square is a normal floating-point number
 _LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")

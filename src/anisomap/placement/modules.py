@@ -29,8 +29,8 @@ from anisomap.numerics.procrustes import (
     similarity_freedom,
 )
 from anisomap.numerics.surfaces import Points
-from anisomap.placement.frames import METRES, mirrored
-from anisomap.sensor_map import UNPLACED, SensorMap
+from anisomap.placement.frames import mirrored
+from anisomap.sensor_map import METRES, UNPLACED, SensorMap
 
 NO_MODULE = -1
 """Index of the module, or of the pad, of a sensor without one."""

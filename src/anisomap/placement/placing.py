@@ -375,6 +375,10 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
             "These are RMS errors over all sensors; a single sensor is within "
             f"{float(np.median(within)) * factor:.2g} mm of its place with a probability of 90%.",
         )
+    if unit == "mm" and "spacing" in sensor_map.provenance and not sensor_map.anchored:
+        told.append(
+            f"Millimetres assume a median distance of {spacing:.3g} mm to the nearest sensor."
+        )
     return tuple(told)
 
 

@@ -21,7 +21,7 @@ from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling
 from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.method.configuration import configure
-from anisomap.method.dimensions import PLANE
+from anisomap.method.dimensions import PLANE, SPATIAL
 from anisomap.method.named import METHODS, Method, MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note, untouched
@@ -328,6 +328,7 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording], *, whole: bool) -
             if whole
             else Note("no-common-sensors", least=MIN_SENSORS),
         ),
+        (sensor_map.dimensions > SPATIAL, Note("many-dimensions", most=SPATIAL)),
         (n_sensors > MAX_SENSORS, Note("many-sensors", most=MAX_SENSORS)),
         (n_frames < MIN_FRAMES, Note("few-frames", count=n_frames, least=MIN_FRAMES)),
     )

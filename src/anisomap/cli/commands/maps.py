@@ -18,6 +18,7 @@ from anisomap.base.wording import counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
+from anisomap.sensor_map import METRES
 
 if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding
@@ -55,7 +56,7 @@ def convert(
     placing.check([output], sensor_map.units)
     placed = placing.applied(sensor_map)
     n_placed, spacing = int(placed.placed.sum()), None
-    if placed.units in placement.METRES:
+    if placed.units in METRES:
         with suppress(InputError):  # a single sensor has no spacing
             spacing = placement.median_spacing(placed)
     written = outputs.write(placed)

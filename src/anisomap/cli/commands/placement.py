@@ -18,6 +18,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
 from anisomap.numerics.surfaces import Mesh
+from anisomap.sensor_map import METRES
 from anisomap.usability import UNKNOWN
 
 _MM = 1e3  # per metre
@@ -156,11 +157,10 @@ def place_map(
 def _read_mesh(path: Path, units: str) -> Mesh:
     from anisomap.files.meshes import read_mesh
 
-    metres = placement.METRES
-    if units not in metres:
-        raise InputError(f"--mesh-units must be one of {', '.join(metres)}, got {units!r}")
+    if units not in METRES:
+        raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")
     vertices, faces = read_mesh(path)
-    return Mesh(vertices * metres[units], faces)
+    return Mesh(vertices * METRES[units], faces)
 
 
 def _print(printer: Printer, found: placement.Placement, name: str) -> None:
@@ -169,7 +169,7 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
     placed, spacing = found.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
     with suppress(InputError):  # a single sensor, or all at one position
-        spacing = placement.median_spacing(placed) * _MM * placement.METRES[placed.units]
+        spacing = placement.median_spacing(placed) * _MM * METRES[placed.units]
     facts = {
         "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
         "median spacing": f"{number(spacing)} mm",

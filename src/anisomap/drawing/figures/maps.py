@@ -50,9 +50,9 @@ from anisomap.drawing.view import (
 from anisomap.errors import InputError
 from anisomap.evaluation import Score
 from anisomap.evaluation import score as score_map
-from anisomap.placement.frames import METRES, in_millimetres
+from anisomap.placement.frames import in_millimetres
 from anisomap.recording import Recording
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import METRES, SensorMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

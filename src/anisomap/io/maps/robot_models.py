@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from anisomap.errors import AnisomapWarning, FileError, error_reason, import_extra
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import quote
-from anisomap.placement import METRES, Taxels, to_taxels
+from anisomap.placement import Taxels, to_taxels
 from anisomap.placement.placing import judgement
-from anisomap.sensor_map import SensorMap
+from anisomap.sensor_map import METRES, SensorMap
 
 EXTRA = "xml"
 

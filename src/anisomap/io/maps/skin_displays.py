@@ -22,9 +22,8 @@ from anisomap.io.maps.edits import LineEdit, changed_sensors, lines_of, replaced
 from anisomap.io.parsing.source import quote, read_lines, warn
 from anisomap.io.parsing.tables import LineError, parse_row
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.placement.frames import METRES
 from anisomap.placement.modules import MIN_PADS, modules_by_size
-from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
+from anisomap.sensor_map import DEFAULT_FRAME, METRES, SensorMap
 
 _TRIANGLE = "triangle_10pad"
 _PADS = 12  # numbers per triangle

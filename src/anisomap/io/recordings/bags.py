@@ -278,7 +278,7 @@ class _Bag:
     def stream(self, topic: str, field: str) -> Stream:
         """Create a stream of a topic."""
         message_type = str(self.reader.topics[topic].msgtype)
-        fields = self.array_fields(message_type)
+        fields = self.array_fields(message_type) or self.array_fields(message_type, in_lists=True)
         if message_type not in self.reader.typestore.fielddefs:
             raise FileError(
                 f"{self.path} lacks the definition of message type {message_type} of {topic}; "
@@ -303,8 +303,13 @@ class _Bag:
                 raise DamagedError(f"{self.path}: the stamp of a message is not a whole number")
             yield self.reader.deserialize(raw, connection.msgtype), stamp
 
-    def array_fields(self, message_type: str, depth: int = 0) -> list[str]:
-        """List the paths of all arrays of numbers in a message type."""
+    def array_fields(
+        self, message_type: str, depth: int = 0, *, in_lists: bool = False, inside: bool = False
+    ) -> list[str]:
+        """List the paths of all arrays of numbers in a message type, or numbers in its lists.
+
+        inside: Whether the type is that of the messages of a list.
+        """
         if depth > _MAX_DEPTH or message_type not in self.reader.typestore.fielddefs:
             return []
         found = []
@@ -312,8 +317,11 @@ class _Bag:
             listed = node.name in ("ARRAY", "SEQUENCE")
             inner, what = description[0] if listed else (node, description)
             if inner.name == "NAME":
-                found += [f"{name}.{rest}" for rest in self.array_fields(str(what), depth + 1)]
-            elif listed and what[0] in _NUMBERS:
+                within = self.array_fields(
+                    str(what), depth + 1, in_lists=in_lists, inside=inside or (listed and in_lists)
+                )
+                found += [f"{name}.{rest}" for rest in within]
+            elif (listed or inside) and what[0] in _NUMBERS:
                 found.append(name)
         return found
 

@@ -112,8 +112,10 @@ def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, st
         if _FRAME.match(line):
             return entries
         if match := _ENTRY.match(line):
-            key = match[1].strip().lower().replace("_", " ")
-            entries[_SIZES.get(key, key)] = (_number(match[2]), match[3].lower())
+            key, unit = match[1].strip().lower().replace("_", " "), match[3].lower()
+            stem, _, last = key.rpartition(" ")  # of ROW_SPACING_MM
+            key, unit = (stem, last) if stem and last in _LENGTHS and not unit else (key, unit)
+            entries[_SIZES.get(key, key)] = (_number(match[2]), unit)
     raise FileError(f"{path}: no frame starts in the first {_MAX_HEADER} lines")
 
 

@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import clock_of, is_time
-from anisomap.base.columns import frames_of
+from anisomap.base.columns import MIN_TAXELS, Frames, frames_of
 from anisomap.errors import FileError, import_extra
 from anisomap.files.budget import Budget, bytes_kept
 from anisomap.io.parsing.refusals import FROM_EVENTS
@@ -49,10 +49,11 @@ _KINDS = {
     **{f"uint{bits}": "u" for bits in (8, 16, 32, 64)},
 }
 _MAX_DEPTH = 64  # of groups
+_WIDE = 10  # columns per row of a matrix that may hold channels first
 
 _NUMBERS, _REAL, _TEXT = "biuf", "iuf", "SUO"
 _POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", "epos"}
-_RATES = {"rate_hz", "fs", "sample_rate", "sampling_rate"}
+_RATES = {"rate_hz", "fs", "fsamp", "sample_rate", "sampling_rate"}
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,13 @@ class Dataset:
 
 def _contents(datasets: Sequence[Dataset]) -> tuple[Content, ...]:
     """List datasets, and whether they can be a recording."""
-    return tuple(
-        Content(each.name, f"{each.dtype}, {' x '.join(map(str, each.shape))}", _usable(each))
-        for each in datasets
-    )
+    return tuple(Content(each.name, _summary(each), _usable(each)) for each in datasets)
+
+
+def _summary(dataset: Dataset) -> str:
+    size = f"{dataset.dtype}, {' x '.join(map(str, dataset.shape))}"
+    many = len(dataset.shape) > 2 and dataset.kind in _NUMBERS and frames_of(dataset.shape) is None
+    return f"{size}: time, the longest axis, must be the first or the last" if many else size
 
 
 def _stream_of(
@@ -104,8 +108,8 @@ def _stream_of(
     chosen = choose(path, _contents(datasets), options.select, "dataset")
     choose(path, [chosen], "", "dataset")  # raises FileError for one that cannot be a recording
     dataset = next(each for each in datasets if each.name == chosen.name)
-    dataset, names = _frames_first(path, dataset)
     near = [each for each in datasets if each.group == dataset.group and each.name != dataset.name]
+    dataset, names = _frames_first(path, dataset, near)
     n_frames, n_sensors = dataset.shape[0], math.prod(dataset.shape[1:])
     least = bytes_kept(np.dtype(np.float32))
     Budget(path).check_readings(n_frames, n_sensors, least, "its table of readings")
@@ -133,12 +137,18 @@ def _of_events(dataset: Dataset) -> bool:
     return "spike" in dataset.name.lower() or dataset.dtype in ("cell", "struct")
 
 
-def _frames_first(path: Path, dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
+def _frames_first(
+    path: Path, dataset: Dataset, near: Sequence[Dataset]
+) -> tuple[Dataset, tuple[str, ...]]:
     """Return a dataset with time as its first axis, and names of its readings."""
     frames = frames_of(dataset.shape)
-    if frames is None or len(dataset.shape) == 2:
+    if len(dataset.shape) == 2 and (vector := _of_channels(dataset, near)):
+        warn(path, f"the rows of {dataset.name} are taken as sensors, since {vector} is as long")
+        frames = Frames(1, dataset.shape[:1], ())
+    elif frames is None or len(dataset.shape) == 2:
         return dataset, ()
-    warn(path, f"{dataset.name} has {len(dataset.shape)} axes: {frames.said}")
+    else:
+        warn(path, f"{dataset.name} has {len(dataset.shape)} axes: {frames.said}")
     if frames.time == 0:
         return dataset, frames.names
     n_frames = dataset.shape[-1]
@@ -151,6 +161,15 @@ def _frames_first(path: Path, dataset: Dataset) -> tuple[Dataset, tuple[str, ...
     return replace(moved, read=lambda start, stop: whole()[start:stop]), frames.names
 
 
+def _of_channels(dataset: Dataset, near: Sequence[Dataset]) -> str:
+    """Return the name of a vector beside a wide matrix that has a value for each of its rows."""
+    n_rows, n_columns = dataset.shape
+    if n_rows < MIN_TAXELS or n_columns < _WIDE * n_rows:
+        return ""
+    fits = (each for each in near if math.prod(each.shape) == max(each.shape, default=0) == n_rows)
+    return next((each.name for each in fits if not is_time(each.key)), "")
+
+
 def _usable(dataset: Dataset) -> bool:
     shape = dataset.shape
     if dataset.kind not in _NUMBERS or len(shape) < 2 or shape[0] == 1 or 0 in shape:
@@ -158,8 +177,7 @@ def _usable(dataset: Dataset) -> bool:
     if frames_of(shape) is None:
         return False
     # MATLAB stores a vector as a matrix.
-    is_vector = len(shape) == 2 and 1 in shape
-    if is_vector and (is_time(dataset.key) or "spike" in dataset.name.lower()):
+    if len(shape) == 2 and 1 in shape:
         return False
     return dataset.key not in _POSITIONS
 
