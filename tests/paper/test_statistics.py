@@ -1,11 +1,13 @@
 """Scores, responses and shapes in the experiments."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anisomap import reconstruct
+from anisomap import Recording, reconstruct
 from anisomap.paper import Settings
 from anisomap.paper.cases import METHODS
 from anisomap.paper.map_scores import (
@@ -15,14 +17,23 @@ from anisomap.paper.map_scores import (
     null_box,
     score_rows,
 )
-from anisomap.paper.responses import radial_basis
 from anisomap.paper.shapes import cylinder_shape, isolation, sphericity
+from anisomap.paper.similarities import PAIR_COLUMNS, pair_rows, radial_basis
 from anisomap.simulation import find_body
 from skins import flat_skin
 
 cbook = pytest.importorskip("matplotlib.cbook")
 
 CYLINDER = find_body("cylinder").positions
+PAIRS_AXIAL = [*PAIR_COLUMNS].index("axial")
+
+
+def simulated(body, readings):
+    return Recording(readings, positions=body.positions)
+
+
+def rows_of(recording):
+    return list(pair_rows("a run", recording, 1, 3, 1.0))
 
 
 def test_box_plots_keep_every_value_beyond_the_whiskers():
@@ -53,6 +64,22 @@ def test_radial_basis_sensors_respond_most_at_their_optimum(quantile):
     assert abs(depth[response.argmax(), 0] - np.quantile(depth[depth > 0], quantile)) < 0.01
     assert response[0] == pytest.approx(np.exp(-2))
     assert (np.diff(response) >= 0).all() == (quantile == 1)
+
+
+def test_pairs_near_and_far_lines_and_few_frames():
+    cylinder = find_body("cylinder")
+    rng = np.random.default_rng(0)
+    contacts = cylinder.positions[rng.integers(60, size=1600)]
+    apart = np.linalg.norm(cylinder.positions - contacts[:, None], axis=-1)
+    local = replace(simulated(cylinder, np.maximum(0.7 - apart, 0)), metadata={"body": "cylinder"})
+    r, information = (dict(zip(PAIR_COLUMNS, row, strict=True)) for row in rows_of(local))
+    assert min(r["shorter"], information["shorter"]) > 0
+    unrelated = rows_of(simulated(cylinder, rng.random((1600, 60))))[1]
+    assert information["unrelated"] < unrelated[[*PAIR_COLUMNS].index("unrelated")] < 1
+    assert 0 < r["few_frames"] < 1
+    pressed = np.repeat(rng.random((400, 10)), 6, axis=1) + 0.01 * rng.random((400, 60))
+    rolled = replace(simulated(cylinder, pressed), metadata={"body": "cylinder"})
+    assert [row[PAIRS_AXIAL] for row in rows_of(rolled)] == [1, 1]
 
 
 @given(st.floats(0.05, 3), st.integers(0, 100))

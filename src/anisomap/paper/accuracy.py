@@ -29,7 +29,6 @@ from anisomap.numerics.scaling.multidimensional_scaling import smacof
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.cases import (
     CASES,
-    FAILED_RUNS,
     FAILING,
     METHODS,
     PATCH_RUNS,
@@ -62,8 +61,13 @@ from anisomap.paper.map_scores import (
     similarity_of,
     stopped,
 )
-from anisomap.paper.responses import RESPONSE_COLUMNS, response_rows
 from anisomap.paper.shapes import isolation
+from anisomap.paper.similarities import (
+    PAIR_COLUMNS,
+    RESPONSE_COLUMNS,
+    pair_rows,
+    response_rows,
+)
 from anisomap.recording import Recording
 
 ALL_PAIRS, SMALLEST, DIRECT = "all pairs", "smallest connected graph", "no shortest paths"
@@ -119,14 +123,13 @@ _FAILURE_COLUMNS = {
     "one on the map, divided by the median of this distance over all others",
     "isolation": "isolation of the sensor with the failure",
 }
-_N_FAILING = 10
+_N_FAILING = 4
 
 
-def failure_rows(settings: Settings) -> Iterator[Row]:
+def failure_rows(settings: Settings, runs: Iterable[tuple[int, Recording, int]]) -> Iterator[Row]:
     """Let sensors of the patch fail in turn; compare with the same runs without a failure."""
     rng = np.random.default_rng(settings.seed)
-    for number in FAILED_RUNS:
-        sound = patch_run(settings, number, fails=False)
+    for number, sound, _seed in runs:
         names = np.array(sound.names)[sound.varying()]
         others = rng.permutation(names[names != FAILING])[: _N_FAILING - 1]
         for name in (FAILING, *others.tolist()):
@@ -151,6 +154,7 @@ _KINDS = {
     "scores": SCORE_COLUMNS,
     "ablations": _ABLATION_COLUMNS,
     "responses": RESPONSE_COLUMNS,
+    "pairs": PAIR_COLUMNS,
     "failures": _FAILURE_COLUMNS,
 }
 
@@ -168,12 +172,13 @@ def case_tables(
     whole: Whether to try other numbers of bins and unlike sensors.
     """
     dimensions, mu = (2, 3) if case.body == "plane" else (3,), settings.mu
-    rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "responses": []}
+    rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "responses": [], "pairs": []}
     bins = MORE_BINS if whole else ()
     for seed in seeds:
         run = case.record(settings, seed)
         rows["scores"] += score_rows(case.run_name, run, seed, dimensions, settings, more_bins=bins)
         rows["ablations"] += ablation_rows(case.name, run, seed, 3, mu)
+        rows["pairs"] += pair_rows(case.name, run, seed, 3, mu)
         if whole:
             rows["responses"] += response_rows(case.name, run, seed, mu)
     yield from _tables(case.name, rows)
@@ -185,15 +190,18 @@ def _patch_name(dimensions: int) -> str:
 
 def patch_tables(settings: Settings, *, whole: bool = True) -> Iterator[Table]:
     """Score all maps of the simulated patch without the failing sensor, and its failures."""
-    rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "failures": []}
+    rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "pairs": [], "failures": []}
     bins = MORE_BINS if whole else ()
-    for _number, run, seed in patch_runs(settings):
+    n_runs = len(settings.seeds)
+    for _number, run, seed in patch_runs(settings, n_runs=n_runs):
         rows["scores"] += score_rows(
             _patch_name, run, seed, (2, 3), settings, exclude=[FAILING], more_bins=bins
         )
-    for _number, run, seed in patch_runs(settings, fails=False):
+    sound = [*patch_runs(settings, fails=False, n_runs=n_runs)]
+    for _number, run, seed in sound:
         rows["ablations"] += ablation_rows(_patch_name(2), run, seed, 2, settings.mu)
-    rows["failures"] += failure_rows(settings)
+        rows["pairs"] += pair_rows(_patch_name(2), run, seed, 2, settings.mu)
+    rows["failures"] += failure_rows(settings, sound)
     yield from _tables("patch", rows)
 
 
@@ -241,6 +249,8 @@ SUMMARY_COLUMNS = {
         for method in METHODS
         for suffix, statistic in (("", "mean"), (" min", "minimum"), (" max", "maximum"))
     },
+    "least z": "lowest of all maps: Mantel r minus the mean of its null distribution, in standard "
+    "deviations",
     "null max": "maximum of the null distributions of all maps",
     "stopped": "number of maps whose scaling stopped before it converged, by method",
 }
@@ -262,9 +272,8 @@ def figure_3(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     patch = [
         _score_group(f"run {number},\n{k}D", found)
         for k in (2, 3)
-        for number, found in zip(
-            PATCH_RUNS, by(groups[_patch_name(k)], "seed").values(), strict=True
-        )
+        for number, found in enumerate(by(groups[_patch_name(k)], "seed").values(), 1)
+        if number in PATCH_RUNS
     ]
     figure = scores_figure(
         "Figure 3. Accuracy of the maps: simulation (3D) and simulated patch (2D and 3D)",
@@ -297,7 +306,8 @@ def _summary(rows: list[Mapping[str, Any]]) -> Row:
         scores = [row["mantel_r"] for row in found]
         cells += [float(np.mean(scores)), min(scores), max(scores)]
     n_runs = len({row["seed"] for row in rows})
-    return (n_runs, *cells, max(row["null_max"] for row in rows), stopped(rows))
+    least_z, highest = min(row["z"] for row in rows), max(row["null_max"] for row in rows)
+    return (n_runs, *cells, least_z, highest, stopped(rows))
 
 
 _EDGES = (ALL_PAIRS, SMALLEST, *(f"k = {k}" for k in NEIGHBOURS), DIRECT)

@@ -135,6 +135,7 @@ SCORE_COLUMNS = {
         for key, meaning in _NULL.items()
     },
     "null_max": "null distribution: maximum",
+    "z": "Mantel r minus the mean of its null distribution, in standard deviations of it",
     "null_outliers": "null distribution: all values beyond the whiskers, separated by spaces",
     "rms_in_spacings": "RMS error after alignment, in distances between neighbouring sensors",
     "neighbours_kept": "share of the six true nearest neighbours that are nearest on the map",
@@ -216,10 +217,11 @@ def null_box(row: Mapping[str, Any]) -> dict[str, Any]:
 def _null_cells(mantel: Mantel) -> Row:
     null = mantel.null
     if not null.size:
-        return (*[math.nan] * 6, "")
+        return (*[math.nan] * 7, "")
     first, median, third = np.quantile(null, (0.25, 0.5, 0.75)).tolist()
     reach = _WHISKER * (third - first)
     is_inside = (null >= first - reach) & (null <= third + reach)
     low, high = float(null[is_inside].min()), float(null[is_inside].max())
     outliers = " ".join(f"{value:.4f}" for value in np.sort(null[~is_inside]))
-    return (low, first, median, third, high, float(null.max()), outliers)
+    z = (mantel.r - float(null.mean())) / float(null.std())
+    return (low, first, median, third, high, float(null.max()), z, outliers)

@@ -19,7 +19,7 @@ from anisomap.paper.claims import CLAIMS, Evidence
 from anisomap.paper.experiment import INFERRED, Picture, Row, Settings, Table, Tables, experiment
 from anisomap.recording import Recording
 
-_KINDS = ("scores", "ablations", "responses", "failures")
+_KINDS = ("scores", "ablations", "responses", "pairs", "failures")
 _LENGTH, _RADIUS = "cylinder.length", "detection_radius"
 _REAL = "runs-real"
 _CONTROL, _ROLLING = Case("cylinder"), Case("cylinder", "locomotion")
@@ -160,7 +160,7 @@ def _counts(tables: Tables) -> Counts:
     for claim in CLAIMS:
         cases = claim.check(Evidence(tables)).values()
         judged = [one for one in cases if one is not None]
-        held = sum(claim.holds(one) is True for one in judged)
+        held = sum(one.holds is True for one in judged)
         found.append((held, len(judged), len(cases) - len(judged)))
     return np.array(found)
 

@@ -1,4 +1,4 @@
-"""Sensors of unlike response: linear ones and radial basis functions of the same quantity."""
+"""What similarities tell: of sensors of unlike response, and of pairs near and far."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist, squareform
+from scipy.stats import spearmanr
 
+from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information
+from anisomap.paper.cases import METHODS, true_positions
 from anisomap.paper.experiment import Row
-from anisomap.paper.map_scores import map_and_score
+from anisomap.paper.map_scores import map_and_score, similarity_of
 from anisomap.recording import Recording
 
 MEDIAN = 0.5
@@ -34,6 +38,8 @@ RESPONSE_COLUMNS = {
     "method": "method; r-ANISOMAP uses linear correlation, I-ANISOMAP mutual information",
     "identified": "share of radial-basis sensors whose most similar linear sensor measures the "
     "same quantity",
+    "area": "area under the ROC curve: chance that the linear sensor of the same quantity is more "
+    "similar than another one",
     "mantel_r": "Mantel r of the 3D map of a skin with half of its sensors of each kind",
 }
 
@@ -74,5 +80,58 @@ def response_rows(run: str, recording: Recording, seed: int, mu: float) -> Itera
         for method, similarity in _SIMILARITIES.items():
             across = similarity(both)[n_sensors:, :n_sensors]
             identified = float(np.mean(across.argmax(axis=1) == np.arange(n_sensors)))
+            own = np.diagonal(across)[:, None]
+            beaten = (across < own).sum() + ((across == own).sum() - n_sensors) / 2
+            area = float(beaten / (n_sensors * (n_sensors - 1)))
             r = map_and_score(mixed, method, 3, mu=mu).score.mantel.r
-            yield (run, seed, quantile, noise, method, identified, r)
+            yield (run, seed, quantile, noise, method, identified, area, r)
+
+
+_FEW = 8  # the share of the frames is 1 / 8
+_N_LINE = 5  # other sensors on a line of the cylinder
+_SAME_LINE = 1e-6  # in metres
+
+PAIR_COLUMNS = {
+    "run": "body and scenario, or the patch",
+    "seed": "seed of the run",
+    "method": "method, whose similarity and dissimilarity are taken",
+    "few_frames": "Mantel r of the map from the first eighth of the frames",
+    "unrelated": "information distance over the sum of entropies, mean over the half of the pairs "
+    "that are farthest apart",
+    "axial": "cylinder: share of the five most similar sensors that lie on the same line along the "
+    "axis",
+    "shorter": "rank correlation of dissimilarity and true distance among pairs of dissimilarities "
+    "below the median minus that among the others, 0 of equal ones",
+}
+
+
+def pair_rows(
+    run: str, recording: Recording, seed: int, dimensions: int, mu: float
+) -> Iterator[Row]:
+    """Measure what similarities tell of pairs; yield rows of `PAIR_COLUMNS`."""
+    varying = recording.select(recording.varying())
+    truth = true_positions(varying, dimensions)
+    distances = pdist(truth)
+    few = replace(varying, readings=varying.readings[: varying.n_frames // _FEW])
+    for method in METHODS[:2]:
+        similarity = np.asarray(similarity_of(varying, method), dtype=np.float64)
+        unlike = squareform(regularised_reciprocal(similarity, mu), checks=False)
+        is_short = unlike < np.median(unlike)
+        near, far = (
+            # Equal dissimilarities, those of all pairs with r below 0, tell nothing.
+            spearmanr(unlike[half], distances[half]).statistic if np.ptp(unlike[half]) else 0.0
+            for half in (is_short, ~is_short)
+        )
+        unrelated, axial = np.nan, np.nan
+        if method == "i-anisomap":
+            entropies = np.diagonal(similarity)
+            sums = squareform(np.add.outer(entropies, entropies), checks=False)
+            shares = 1 - 2 * squareform(similarity, checks=False) / sums
+            unrelated = float(shares[distances > np.median(distances)].mean())
+        if recording.metadata.get("body") == "cylinder":
+            line = squareform(pdist(truth[:, :2])) < _SAME_LINE
+            others = similarity - 2 * np.abs(similarity).max() * np.eye(len(similarity))
+            best = np.argsort(-others, axis=1, kind="stable")[:, :_N_LINE]
+            axial = float(np.take_along_axis(line, best, axis=1).mean())
+        r = map_and_score(few, method, dimensions, mu=mu).score.mantel.r
+        yield (run, seed, method, r, unrelated, axial, float(near - far))
