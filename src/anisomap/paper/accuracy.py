@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.drawing.figures.charts import (
-    METHOD_LOOKS,
-    CurvePanel,
-    ScoreGroup,
-    curves_figure,
-    scores_figure,
-)
+from anisomap.drawing.figures.charts import ScoreGroup, scores_figure
 from anisomap.evaluation import mantel
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.graph.metric import metricise
@@ -46,7 +39,6 @@ from anisomap.paper.experiment import (
     Table,
     Tables,
     by,
-    curve,
     experiment,
     joined,
     mean_by,
@@ -188,11 +180,10 @@ def _patch_name(dimensions: int) -> str:
     return f"patch, {dimensions}D"
 
 
-def patch_tables(settings: Settings, *, whole: bool = True) -> Iterator[Table]:
+def patch_tables(settings: Settings, n_runs: int, *, whole: bool = True) -> Iterator[Table]:
     """Score all maps of the simulated patch without the failing sensor, and its failures."""
     rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "pairs": [], "failures": []}
     bins = MORE_BINS if whole else ()
-    n_runs = len(settings.seeds)
     for _number, run, seed in patch_runs(settings, n_runs=n_runs):
         rows["scores"] += score_rows(
             _patch_name, run, seed, (2, 3), settings, exclude=[FAILING], more_bins=bins
@@ -215,7 +206,7 @@ for _case in CASES:
 
 @experiment("runs-patch", cost=100)
 def _patch(settings: Settings, _: Tables) -> Iterator[Table]:
-    return patch_tables(settings)
+    return patch_tables(settings, len(settings.seeds))
 
 
 @experiment("runs-real", files=(REAL_RECORDING,), cost=20)
@@ -328,43 +319,21 @@ ABLATIONS_COLUMNS = {
     "Where the smallest connected graph has more neighbours than k, it takes the place of k.",
     needs=RUNS,
 )
-def ablations(_: Settings, tables: Tables) -> Iterator[Picture | Table]:
-    """Average the scores of all variants, and draw them over the number of neighbours."""
+def ablations(_: Settings, tables: Tables) -> Iterator[Table]:
+    """Average the scores of all variants."""
     scores = tables_of("ablations", tables, "ablation-scores", "Scores of all runs.")
     rows: list[Row] = []
-    panels: list[CurvePanel] = []
-    graphs = (SMALLEST, *(f"k = {k}" for k in NEIGHBOURS))
     for run, found in by(scores.records(), "run").items():
-        edges = {
-            name: [row["mantel_r"] for row in each] for name, each in by(found, "edges").items()
-        }
-        all_pairs, x = edges[ALL_PAIRS], np.array([2.0, *NEIGHBOURS])
-        curves = {
-            "r-anisomap": np.array([all_pairs for _ in graphs]),
-            "isomap": np.array([edges[name] for name in graphs]),
-        }
-        panels.append(CurvePanel(run.replace("-", " "), x, curves))
         means = mean_by(found, "edges", "mantel_r")
         smallest = float(np.median([row["k"] for row in found if row["edges"] == SMALLEST]))
         rows.append((run, smallest, *(means[edges] for edges in _EDGES)))
-    labels = {"r-anisomap": "all pairs", "isomap": "neighbours only"}
-    figure = curves_figure(
-        "r-ANISOMAP by number of neighbours",
-        panels,
-        x_label="neighbours k",
-        looks={m: replace(METHOD_LOOKS[m], label=label) for m, label in labels.items()},
-    )
-    caption = (
-        "r-ANISOMAP, and the same with paths along the edges of a graph of k neighbours only "
-        "(ISOMAP). The first value is the smallest connected graph, drawn at k = 2."
-    )
-    yield Picture("ablations", caption, figure)
     yield Table("ablations", "Mean Mantel r.", ABLATIONS_COLUMNS, rows)
     yield scores
 
 
+_RESPONSE_VALUES = ("identified", "area", "mantel_r")
 _CLAIMED_COLUMNS = {key: RESPONSE_COLUMNS[key] for key in ("run", "optimum", "noise", "method")} | {
-    key: f"{RESPONSE_COLUMNS[key]}; mean over the runs" for key in ("identified", "mantel_r")
+    key: f"{RESPONSE_COLUMNS[key]}; mean over the runs" for key in _RESPONSE_VALUES
 }
 
 
@@ -378,34 +347,14 @@ _CLAIMED_COLUMNS = {key: RESPONSE_COLUMNS[key] for key in ("run", "optimum", "no
     "for an optimum at the median, with noise in every reading.",
     needs=RUNS,
 )
-def unlike_responses(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
-    """Draw the scores of skins with both kinds of sensors."""
+def unlike_responses(_: Settings, tables: Tables) -> Iterator[Table]:
+    """Average the scores of skins with both kinds of sensors."""
     scores = tables_of("responses", tables, "unlike-scores", "Scores of all runs.")
-    rows = scores.records()
-    panels = []
-    for case in CASES:
-        found = [row for row in rows if row["run"] == case.name and not row["noise"]]
-        curves = {m: curve(each, "optimum") for m, each in by(found, "method").items()}
-        (x, _), *_others = curves.values()
-        title = case.label.replace("\n", " ")
-        panels.append(CurvePanel(title, x, {m: y for m, (_, y) in curves.items()}))
-    figure = curves_figure(
-        "Skins with linear and radial-basis sensors",
-        panels,
-        x_label="optimum: quantile of contact readings",
-    )
-    caption = (
-        "Mantel r of skins of which half of the sensors have a response whose optimum is at a "
-        f"quantile of the readings in contact; dots: runs (seeds {settings.seeds[0]} to "
-        f"{settings.seeds[-1]}), lines: means. At a quantile of 1, the response increases "
-        "everywhere."
-    )
-    yield Picture("unlike-responses", caption, figure)
-    means: list[Row] = []
-    for run, of_run in by(rows, "run").items():
+    rows: list[Row] = []
+    for run, of_run in by(scores.records(), "run").items():
         for optimum, of_optimum in by(of_run, "optimum").items():
             for noise, each in by(of_optimum, "noise").items():
-                identified, r = (mean_by(each, "method", v) for v in ("identified", "mantel_r"))
-                means += [(run, optimum, noise, m, identified[m], r[m]) for m in identified]
-    yield Table("unlike-responses", "Means of all runs.", _CLAIMED_COLUMNS, means)
+                means = [mean_by(each, "method", v) for v in _RESPONSE_VALUES]
+                rows += [(run, optimum, noise, m, *(v[m] for v in means)) for m in means[0]]
+    yield Table("unlike-responses", "Means of all runs.", _CLAIMED_COLUMNS, rows)
     yield scores

@@ -31,7 +31,7 @@ from anisomap.simulation.body import Body
 METHODS = PAPER_METHODS
 """In the order of all figures and tables."""
 
-_LENGTH, _SPAN = "cylinder.length", "patch.mean_span"
+_LENGTH, _SPAN, _RANDOM = "cylinder.length", "patch.mean_span", "sphere.random"
 _USUAL_SPAN, _MEAN_GAP = 20.0, 100.0  # frames
 _STEEPEST = 0.35  # height of the ground over its correlation length
 _USUAL_LENGTH = CYLINDER_LENGTH / CYLINDER_RADIUS
@@ -42,6 +42,7 @@ OPEN: Mapping[str, str] = MappingProxyType(
         "frames": "frames of a run (2,000 in the paper)",
         "mu": "the paper's mu",
         _LENGTH: "length of the cylinder over its radius",
+        _RANDOM: "1 if sensors of the sphere are at random places",
         _SPAN: "mean number of frames for which the failing sensor is saturated",
         **{
             f"{scenario}.{entry.name}": f"parameter of {scenario}"
@@ -98,7 +99,8 @@ class Case:
         """Return the body."""
         is_cylinder = self.body == "cylinder"
         length = settings.value(_LENGTH, _USUAL_LENGTH) if is_cylinder else _USUAL_LENGTH
-        return _shape(self.body, self.n_sensors, length / _USUAL_LENGTH)
+        is_random = self.body == "sphere" and settings.value(_RANDOM, 0) == 1
+        return _shape(self.body, self.n_sensors, length / _USUAL_LENGTH, is_random)
 
     def parameters(self, settings: Settings) -> dict[str, Any]:
         """Return the parameters of the scenario that differ from its defaults."""
@@ -124,8 +126,12 @@ class Case:
 
 
 @lru_cache(maxsize=16)
-def _shape(name: str, n_sensors: int | None, stretched: float) -> Body:
+def _shape(name: str, n_sensors: int | None, stretched: float, is_random: bool) -> Body:
     body = find_body(name, n_sensors)
+    if is_random:
+        places = np.random.default_rng(0).standard_normal(body.positions.shape)
+        places /= np.linalg.norm(places, axis=1, keepdims=True)
+        return replace(body, positions=places * np.linalg.norm(body.positions[0]), normals=places)
     if stretched == 1:
         return body
     solid = solids.cylinder(CYLINDER_RADIUS, stretched * CYLINDER_LENGTH / 2)

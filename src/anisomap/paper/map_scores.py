@@ -129,6 +129,7 @@ SCORE_COLUMNS = {
     "method": "method",
     "dimensions": "dimensions of the map",
     "bins": "bins per sensor for entropies",
+    "zeros": "share of the readings of the sensors that vary that are 0",
     "mantel_r": "Mantel r of the map with the true positions",
     **{
         f"null_{key}": f"null distribution of Mantel r (random relabelling): {meaning}"
@@ -175,6 +176,7 @@ def score_rows(
     excluded, all_bins = list(exclude), (DEFAULT_BINS, *more_bins)
     is_cylinder = recording.metadata.get("body") == "cylinder"
     correlation = similarity_of(recording, "r-anisomap")
+    zeros = float((recording.readings[:, recording.varying()] == 0).mean())
     information = {bins: similarity_of(recording, "isomap", bins) for bins in all_bins}
     for k in dimensions:
         for method in METHODS:
@@ -194,7 +196,7 @@ def score_rows(
                 if is_cylinder and k == 3:
                     shape = cylinder_shape(mapped, result.truth)
                 yield (
-                    *(name(k), seed, method, k, bins, result.mantel.r),
+                    *(name(k), seed, method, k, bins, zeros, result.mantel.r),
                     *_null_cells(result.mantel),
                     *(result.rms_in_spacings, result.neighbours_kept),
                     *(sphericity(mapped) if k == 3 else math.nan, *shape),

@@ -21,11 +21,11 @@ from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
-from anisomap.paper import accuracy, bodies, claims, patch, sample_data, sensitivity
+from anisomap.paper import accuracy, bodies, claims, patch, reach, sample_data, sensitivity
 from anisomap.paper.experiment import REGISTRY, Experiment, Settings
 from anisomap.paper.results import PAGE, load, save, write_page
 
-_MODULES = (claims, bodies, patch, accuracy, sample_data, sensitivity)
+_MODULES = (claims, bodies, patch, accuracy, sample_data, sensitivity, reach)
 """Modules that register experiments when they are imported."""
 
 _PAGE_ORDER = (
