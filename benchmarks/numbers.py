@@ -6,7 +6,7 @@ A document marks where columns of a table go::
     ...
     <!-- end of numbers -->
 
-``figure-3 [plane-bombardment, patch]`` takes these rows only, by their first column, in this order.
+``figure-3 [plane-bombardment, patch]`` takes all rows of these first columns only, in this order.
 The following command copies the tables that the documents name from the folder of results to the
 folder of tables, and replaces the lines between the markers. Tables that the results lack keep
 their last version in the folder of tables::
@@ -65,11 +65,11 @@ def to_markdown(path: Path, columns: Sequence[str] = (), keys: Sequence[str] = (
     for name in chosen:
         if name not in header:
             raise FileError(f"{path} has no column {name!r}; its columns are {', '.join(header)}")
-    named = {row[0]: row for row in rows}
+    named = [row[0] for row in rows]
     for key in keys:
         if key not in named:
             raise FileError(f"{path} has no row {key!r}; its rows are {', '.join(named)}")
-    rows = [named[key] for key in keys] if keys else rows
+    rows = [row for key in keys for row in rows if row[0] == key] if keys else rows
     indices = [header.index(name) for name in chosen]
     cells = ([_rounded(row[i]) for i in indices] for row in rows)
     return "".join(f"{line}\n" for line in markdown_table(chosen, cells))

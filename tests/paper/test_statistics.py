@@ -17,6 +17,7 @@ from anisomap.paper.map_scores import (
     null_box,
     score_rows,
 )
+from anisomap.paper.reach import reach_of, touch
 from anisomap.paper.shapes import cylinder_shape, isolation, sphericity
 from anisomap.paper.similarities import PAIR_COLUMNS, pair_rows, radial_basis
 from anisomap.simulation import find_body
@@ -80,6 +81,19 @@ def test_pairs_near_and_far_lines_and_few_frames():
     pressed = np.repeat(rng.random((400, 10)), 6, axis=1) + 0.01 * rng.random((400, 60))
     rolled = replace(simulated(cylinder, pressed), metadata={"body": "cylinder"})
     assert [row[PAIRS_AXIAL] for row in rows_of(rolled)] == [1, 1]
+
+
+@pytest.mark.parametrize("body", ["sphere", "cylinder", "plane"])
+@pytest.mark.parametrize("reach", [0.9, 1.3, 2.0])
+def test_the_reach_of_contacts_is_found_whatever_their_number(body, reach):
+    body = find_body(body)
+    for contacts in (100, 400):
+        readings = touch(body, reach, contacts, np.random.default_rng(contacts))
+        assert reach_of(readings > 0, body.positions) == pytest.approx(reach, rel=0.12)
+        at_a_time = readings[: len(readings) // 2 * 2].reshape(-1, 2, body.n_sensors) > 0
+        assert reach_of(at_a_time.any(axis=1), body.positions) == pytest.approx(reach, rel=0.15)
+        assert np.median((readings > 0).sum(axis=0)) == pytest.approx(contacts, rel=0.15)
+        assert readings.max() <= reach * body.spacing
 
 
 @given(st.floats(0.05, 3), st.integers(0, 100))

@@ -329,32 +329,3 @@ def ablations(_: Settings, tables: Tables) -> Iterator[Table]:
         rows.append((run, smallest, *(means[edges] for edges in _EDGES)))
     yield Table("ablations", "Mean Mantel r.", ABLATIONS_COLUMNS, rows)
     yield scores
-
-
-_RESPONSE_VALUES = ("identified", "area", "mantel_r")
-_CLAIMED_COLUMNS = {key: RESPONSE_COLUMNS[key] for key in ("run", "optimum", "noise", "method")} | {
-    key: f"{RESPONSE_COLUMNS[key]}; mean over the runs" for key in _RESPONSE_VALUES
-}
-
-
-@experiment(
-    "unlike-responses",
-    "Sensors of unlike response",
-    "The sensors of the paper are identical, which favours linear correlation. According to the "
-    "paper, if one sensor is linear and another is a radial basis function around an optimal "
-    "response point, mutual information is more likely to identify the relation between them. The "
-    "paper has no experiment on this. Here both kinds of sensors are simulated without noise and, "
-    "for an optimum at the median, with noise in every reading.",
-    needs=RUNS,
-)
-def unlike_responses(_: Settings, tables: Tables) -> Iterator[Table]:
-    """Average the scores of skins with both kinds of sensors."""
-    scores = tables_of("responses", tables, "unlike-scores", "Scores of all runs.")
-    rows: list[Row] = []
-    for run, of_run in by(scores.records(), "run").items():
-        for optimum, of_optimum in by(of_run, "optimum").items():
-            for noise, each in by(of_optimum, "noise").items():
-                means = [mean_by(each, "method", v) for v in _RESPONSE_VALUES]
-                rows += [(run, optimum, noise, m, *(v[m] for v in means)) for m in means[0]]
-    yield Table("unlike-responses", "Means of all runs.", _CLAIMED_COLUMNS, rows)
-    yield scores

@@ -84,9 +84,6 @@ class Estimate:
     error: float = 0.0
     n_runs: int = 1
 
-    def __str__(self) -> str:
-        return f"{self.value:z.2f} [{self.low:z.2f}, {self.high:z.2f}]"
-
     def p_value(self, bound: float) -> float:
         """Two-sided p-value of a bound; 0 of a single run, which has no error."""
         if not self.error:

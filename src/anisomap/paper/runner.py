@@ -40,7 +40,6 @@ _PAGE_ORDER = (
     "data-s7-s11",
     "text-s3",
     "ablations",
-    "unlike-responses",
 )
 """The first experiments with a section on the page; the others follow as they are defined."""
 

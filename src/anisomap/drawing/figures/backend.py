@@ -142,7 +142,9 @@ def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
     """Limit the number of ticks to about `count`, on short axes to two. extents (k,)."""
     locator = load("matplotlib.ticker").MaxNLocator
     for name, extent in zip("xyz", extents, strict=False):
-        chosen = locator(count if extent > _SHORT * extents.max() else 2)
+        # In 3D, labels lie along axes that are foreshortened.
+        few = extent <= _SHORT * extents.max() or (len(extents) == 3 and name == "y")
+        chosen = locator(2 if few else count)
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(chosen)
         if len(extents) == 3 and name != "x":
