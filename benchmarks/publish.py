@@ -3,9 +3,9 @@ r"""Copy results of benchmarks and of the paper to the docs, and update the tabl
 From the root of the repository: ``python -m benchmarks.publish``. Folders that are absent are
 skipped; a file is copied where the docs have one of its name. For the numbers of the paper, run
 
-    anisomap paper --output-dir paper-out
-    anisomap paper --output-dir paper-out/unseen --first-seed 11 \
-        --only claims --only figure-3 --only figure-4 --only figure-7 --only ablations
+    anisomap paper --output-dir paper-out --only settings
+    anisomap paper --output-dir paper-out/unseen --first-seed 31 --recordings recordings \
+        --only claims --only figure-3 --only figure-4 --only figure-7 --only ablations --only reach
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ from benchmarks import numbers
 MEASURED = ("bench", "dimension", "faults", "noise", "quality", "trust")
 DOCS = Path("docs")
 FOLDERS = (DOCS / "development", DOCS / "results", DOCS / "_static")
-FIRST_SEEDS = {
-    "claims/claims.csv": DOCS / "results" / "claims-seeds-1-to-10.csv",
+COPIED = {
     "settings/settings.csv": DOCS / "results",
-    "settings/settings-best.csv": DOCS / "results",
     "settings/settings.png": DOCS / "_static",
+    "unseen/claims/claims-cases.csv": DOCS / "results",
+    "unseen/reach/reach.csv": DOCS / "results",
+    **{
+        f"unseen/{name}/{name}.png": DOCS / "_static"
+        for name in ("figure-3", "figure-4", "figure-7", "reach")
+    },
 }
-"""What is published of the seeds 1 to 10 of the paper; the rest is of the seeds 11 to 20."""
+"""What is published of the paper besides the tables of its page."""
 
 
 def main() -> None:
@@ -34,7 +38,7 @@ def main() -> None:
             if (target / path.name).is_file():
                 shutil.copyfile(path, target / path.name)
     paper = Path("paper-out")
-    for name, copied in FIRST_SEEDS.items():
+    for name, copied in COPIED.items():
         if (paper / name).exists():
             shutil.copy(paper / name, copied)
     tables = str(DOCS / "results")

@@ -14,7 +14,7 @@ from benchmarks.live import coach, session
 from benchmarks.placing import placement
 from benchmarks.verdicts import faults, trust
 
-from anisomap.paper import accuracy, bodies, claims, sensitivity
+from anisomap.paper import accuracy, bodies, claims, reach, sensitivity
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "anisomap"
@@ -84,7 +84,17 @@ HEADERS = {
     "ablations": accuracy.ABLATIONS_COLUMNS,
     "check": columns(check.Result),
     "claims": claims.COLUMNS,
-    "claims-seeds-1-to-10": claims.COLUMNS,
+    "claims-cases": claims.CASE_COLUMNS,
+    "claims-frozen": ("claim", "where", "test", "measured", "cases", "verdict"),
+    "claims-measured": claims.MEASURED_COLUMNS,
+    "claims-tests": (
+        "claim",
+        "sentence",
+        "old tests, old settings",
+        "new tests, old settings",
+        "old tests, new settings",
+        "new tests, new settings",
+    ),
     "coach": columns(coach.Row),
     "coach-summary": columns(coach.Goal),
     "dimension": columns(dimension.Row),
@@ -97,8 +107,9 @@ HEADERS = {
     "placement": columns(placement.Figure),
     "quality": columns(quality.Result),
     "recordings": compare.columns(compare.COMPARED),
+    "reach": reach.REACH_COLUMNS,
+    "reach-recordings": reach.PLACE_COLUMNS,
     "settings": sensitivity.SETTINGS_COLUMNS,
-    "settings-best": sensitivity.BEST_COLUMNS,
     "trust": trust.COLUMNS,
 }
 

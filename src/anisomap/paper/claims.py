@@ -577,7 +577,7 @@ CLAIMS = (
 )
 
 
-_CASE_COLUMNS = {
+CASE_COLUMNS = {
     "claim": "number of the claim",
     "scope": f"{OWN}, or {EXTENSION}",
     "case": "run, method or sensor",
@@ -589,12 +589,12 @@ _CASE_COLUMNS = {
     "distribution",
 }
 MEASURED_COLUMNS = {
-    key: _CASE_COLUMNS[key] for key in ("claim", "case", "value", "low", "high", "holds")
+    key: CASE_COLUMNS[key] for key in ("claim", "case", "value", "low", "high", "holds")
 }
 COLUMNS = {
     "number": "number of the claim",
     "claim": "claim of the paper",
-    "scope": _CASE_COLUMNS["scope"],
+    "scope": CASE_COLUMNS["scope"],
     "where": "section or figure of the paper",
     "test": "statistic, and the range in which it has to lie",
     "cases": "number of cases in which it does",
@@ -614,9 +614,8 @@ COLUMNS = {
     "maps leave out maps whose Mantel r does not exceed its null distribution, which say nothing; "
     "cases of which most maps are left out are counted as at chance. Verdicts are given for "
     f"{OWN} and for {EXTENSION}: real skin that a thumb touched, and graphs of 4 and 8 neighbours."
-    "\n\nThe paper's supplement with the parameters of its simulation was not available to us. A "
-    "claim that is not reproduced may therefore depend on these "
-    "parameters; the section on what the paper leaves open shows their effects.",
+    "\n\nThe parameters of the paper's simulation were not available to us; the section on what it "
+    "leaves open shows their effects.",
     needs=RUNS,
 )
 def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
@@ -640,7 +639,7 @@ def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
     yield Table("claims", "Verdict on each claim.", COLUMNS, rows)
     caption = f"Measured values; of more than {_MAX_LISTED} cases, the lowest and the highest."
     yield Table("claims-measured", caption, MEASURED_COLUMNS, measured, shown=False)
-    yield Table("claims-cases", "All cases of all claims.", _CASE_COLUMNS, cases, shown=False)
+    yield Table("claims-cases", "All cases of all claims.", CASE_COLUMNS, cases, shown=False)
 
 
 def _cells(found: Finding | None) -> Row:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist, pdist, squareform
 
 from anisomap import io
-from anisomap.base.defaults import DEFAULT_METHOD
+from anisomap.base import DEFAULT_METHOD
 from anisomap.drawing.figures.charts import METHOD_LOOKS, CurvePanel, MethodLook, curves_figure
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel, median_spacing
@@ -61,10 +61,9 @@ PLACE_COLUMNS = {
 
 
 def touch(body: Body, reach: float, contacts: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Simulate readings of random contacts, (T, N), without physics.
+    """Simulate readings of random contacts, (T, N), one at a time in the mean, without physics.
 
-    Each frame has contacts at random places of the surface, one in the mean; a sensor reads how
-    much nearer than the reach the nearest is. reach: in spacings; contacts: of each sensor.
+    reach: in spacings; contacts: of each sensor.
     """
     far = reach * body.spacing
     share = float((cdist(_places(body, 4000, rng), body.positions) < far).mean())
@@ -148,13 +147,12 @@ def reach_diagram(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     if settings.quick:
         reaches, all_contacts = REACHES[::3], CONTACTS[1:2]
     rows: list[Row] = []
-    for body_name, n_sensors in _BODIES:
-        body = find_body(body_name, n_sensors)
+    for body in (find_body(*each) for each in _BODIES):
         for reach, contacts, seed in product(reaches, all_contacts, settings.seeds):
             rng = np.random.default_rng([seed, contacts, round(100 * reach)])
             recording = Recording(touch(body, reach, contacts, rng), positions=body.positions)
             for method, r in _score(recording, 3).items():
-                rows.append((body_name, reach, contacts, seed, method, r))
+                rows.append((body.name, reach, contacts, seed, method, r))
     scores = Table("reach-scores", "Scores of all maps.", _SCORES, rows, shown=False)
     means: list[Row] = []
     panels: list[CurvePanel] = []
@@ -193,12 +191,11 @@ def _place(path: Path) -> Row:
     """Measure reach and contacts of a real recording, and map it."""
     recording = io.read(path)
     recording = recording.select(recording.varying())
-    active = estimate_rest(recording.readings).active
+    active = estimate_rest(recording.readings).active(recording.readings)
     starts = (active[1:] & ~active[:-1]).sum(axis=0)
     step = -(-recording.n_frames // _LONGEST)
     thinned = replace(recording, readings=recording.readings[::step])
     scores = _score(thinned.select(thinned.varying()), 2)
     reach = reach_of(active, true_positions(recording))
-    resting = 1 - float(active.mean())
-    return (path.stem, recording.n_sensors, reach, float(np.median(starts)), resting,
-            *scores.values())  # fmt: skip
+    measured = reach, float(np.median(starts)), 1 - float(active.mean())
+    return (path.stem, recording.n_sensors, *measured, *scores.values())

@@ -43,6 +43,10 @@ def _points(*names: str, values: Sequence[tuple[float, ...]]) -> tuple[Point, ..
     return tuple(tuple(zip(names, each, strict=False)) for each in values)
 
 
+_BALLS = (
+    *((0.3, 0.55, 0.05), (0.2, 0.35, 0.05), (0.2, 0.35, 0.1)),
+    *((0.2, 0.35, 0.2), (0.2, 0.25, 0.2), (0.2, 0.35, 0.1, 1)),
+)
 GROUPS = (
     Group(
         "bombardment",
@@ -52,14 +56,7 @@ GROUPS = (
             f"bombardment.{_RADIUS}",
             "bombardment.frame_interval",
             "sphere.random",
-            values=(
-                (0.3, 0.55, 0.05),
-                (0.2, 0.35, 0.05),
-                (0.2, 0.35, 0.1),
-                (0.2, 0.35, 0.2),
-                (0.2, 0.25, 0.2),
-                (0.2, 0.35, 0.2, 1),
-            ),
+            values=_BALLS,
         ),
     ),
     Group(

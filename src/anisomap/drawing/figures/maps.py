@@ -65,7 +65,7 @@ MAX_VECTOR_DOTS = 5_000
 """Above this number of sensors, dots and lines are stored as pixels in SVG and PDF files."""
 
 # Sizes and limits below were chosen by eye. Inches:
-_SIDE, _HEAD, _LINE, _LEFT, _RIGHT = 4.6, 0.8, 0.17, 0.75, 0.5
+_SIDE, _HEAD, _LINE, _LEFT, _RIGHT = 4.6, 0.8, 0.17, 0.75, 0.85
 _CHARACTERS_PER_INCH, _MAX_LINES = 13.5, 10
 _MAX_COMPONENTS = 9
 _N_LAYERS = 6
