@@ -138,7 +138,8 @@ def curves_figure(
             for method, values in panel.curves.items():
                 _draw_runs(axes, panel.x, values, looks[method].colour, looks[method].marker)
             set_title(axes, panel.title)
-            axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x])
+            rotation = 90 if len(panel.x) > _COLUMNS else 0
+            axes.set_xticks(panel.x, [f"{value:g}" for value in panel.x], rotation=rotation)
             axes.minorticks_off()
             axes.grid()
             axes.set_axisbelow(True)
