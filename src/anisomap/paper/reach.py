@@ -143,9 +143,8 @@ def _score(recording: Recording, dimensions: int) -> dict[str, float]:
 )
 def reach_diagram(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
     """Score all methods over reach and contacts, and find where real recordings lie."""
-    reaches, all_contacts = REACHES, CONTACTS
-    if settings.quick:
-        reaches, all_contacts = REACHES[::3], CONTACTS[1:2]
+    step = 3 if settings.quick else 1
+    reaches, all_contacts = REACHES[::step], CONTACTS[::step]
     rows: list[Row] = []
     for body in (find_body(*each) for each in _BODIES):
         for reach, contacts, seed in product(reaches, all_contacts, settings.seeds):

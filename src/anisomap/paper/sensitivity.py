@@ -109,7 +109,8 @@ def count_rows(group: Group, point: Point, tables: Tables) -> Iterator[Row]:
 
 def _explore(group: Group, number: int, settings: Settings, _: Tables) -> Iterator[Table]:
     """Check all claims at a point; too few contacts give no rows."""
-    point, seeds, tables = group.points[number], settings.few_seeds, {}
+    point, seeds = group.points[number], settings.few_seeds
+    tables: dict[str, Table] = {}
     changed = replace(settings, changes=(*settings.changes, *point))
     rows: list[Row] = []
     try:
