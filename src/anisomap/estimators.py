@@ -255,9 +255,10 @@ class Anisomap(BaseEstimator):
     """ANISOMAP embedding of objects (rows): scaling of their metricised dissimilarities.
 
     An alternative to scikit-learn's ``MDS`` and ``Isomap`` that supports any semi-metric, weights
-    and missing pairs. Like ``MDS``, it has no `transform` for new objects. Of the parameters of
-    ``MDS``, `metric_mds` is `method` here, `dissimilarity` is `metric`, `eps` is `tol`, and `init`
-    is an argument of `fit`; `normalized_stress`, `n_jobs` and `verbose` have no counterpart.
+    and missing pairs. Like ``MDS``, it has no `transform` for new objects. The
+    parameters of ``MDS`` have other names here: `metric_mds` is `method`, `dissimilarity` is
+    `metric`, `eps` is `tol`, and `init` is an argument of `fit`; `normalized_stress`, `n_jobs` and
+    `verbose` have no counterpart.
 
     Parameters
     ----------

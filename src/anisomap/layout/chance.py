@@ -92,8 +92,8 @@ def agreement_gain(
 def median_gain(evidence: Evidence, move: Move) -> float:
     """Return the increase of the `agreement` of the median sensor that a move displaces.
 
-    Without neighbours, agreement is 0; sensors without any before and after do not count. Of two
-    sensors in the middle, it is the one that gains less.
+    Without neighbours, agreement is 0; sensors without any before and after do not count. If two
+    sensors are in the middle, the one that gains less counts.
     """
     here = evidence.positions[move.sensors]
     before, after = (agreement(evidence, move.sensors, places) for places in (here, move.places))

@@ -72,7 +72,7 @@ def check_layout(
     statistics: ReadingStatistics | None = None,
     rng: np.random.Generator | int | None = None,
 ) -> LayoutCheck:
-    """Find the sensors whose readings contradict their stated positions.
+    """Find the sensors that do not fit their stated positions.
 
     Parameters
     ----------

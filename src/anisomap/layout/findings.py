@@ -71,7 +71,7 @@ class ModuleChange:
 
 @dataclass(frozen=True, eq=False)
 class LayoutFinding:
-    """Sensors whose readings contradict their positions, and what would explain this.
+    """Sensors that do not fit their positions, and what would explain this.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ class Search:
     arranged: After the search of modules.
     mounting: Where modules are, patches turned as proposed.
     changes: Of patches and modules.
-    unsure: Modules whose orientation the readings hardly tell.
+    unsure: Modules whose orientation the readings leave open.
     rigid: Groups of sensors that were moved to places where no sensor is.
     """
 

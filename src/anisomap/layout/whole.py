@@ -133,7 +133,7 @@ def best_rival(evidence: Evidence, judge: Judge) -> Rival | None:
 def own_images(positions: NDArray[np.float64], spacing: float) -> int:
     """Count the rotations and reflections, beside the identity, that map a layout onto itself.
 
-    positions (n, k), k 2 or 3. Readings cannot tell such layouts apart.
+    positions (n, k), k 2 or 3. Such layouts fit the same readings equally well.
     """
     centred = positions - positions.mean(axis=0)
     radius = np.linalg.norm(centred, axis=1)

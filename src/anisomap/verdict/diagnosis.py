@@ -59,8 +59,8 @@ FATAL = ("changed",)
 UNSEEN = ("copies", "separate-regions")
 """Faults that misplace sensors in all maps alike, so that the estimated error does not show them.
 
-Of 2,100 maps in five tables of benchmark `trust`, 13 with copies were wrong although their estimate
-was that of a usable map, and 1 of 66 with other faults or notes.
+Among 2,100 maps in five tables of benchmark `trust`, 13 with copies were wrong although their
+estimate was that of a usable map; among 66 with other faults or notes, 1 was.
 """
 
 
@@ -264,8 +264,8 @@ def _judged(
 ) -> tuple[SensorMap, Stages] | Note:
     """Return the map that is measured and its stages, or why none can be.
 
-    It is the given map, but for its scale and pose. Of runs that lack sensors, it is a map of the
-    sensors that all of them have.
+    It is the given map, apart from its scale and pose. If runs lack sensors, it is a map of the
+    sensors that all runs have.
     """
     common = set(sensor_map.names).intersection(*(run.names for run in runs))
     kept = [name for name in sensor_map.names if name in common]

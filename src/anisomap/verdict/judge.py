@@ -34,7 +34,7 @@ of the map: an error of a quarter of the extent already lowers Mantel r to .9.
 MIN_KEPT = 0.7
 """Lower end of the interval of the share of kept neighbours of a map that is usable for neighbours.
 
-Of 176 maps of the benchmark `trust` that reach it (seeds 7001 to 7119), 8 % keep fewer.
+In the benchmark `trust` (seeds 7001 to 7119), 176 maps reach it, and 8 % of them keep fewer.
 """
 
 MAX_CHANCE = 1.0
@@ -98,7 +98,7 @@ class Measurements:
     linked: Number of these that significant correlations connect; all, if None.
     faults: Sentences on faults of the recording that the measurements show.
     unseen: Sentences on what spoils the map in a way that the measurements do not show.
-    fatal: Sentences on faults after which readings do not tell which sensors are near.
+    fatal: Sentences on faults that hide which sensors are near.
     unknown: Why the repeatability is unknown, and what to do; empty if it is known.
     """
 

@@ -186,7 +186,7 @@ def score_map(
 
 
 INCONSISTENT = 1
-"""Exit code if readings contradict positions, those of single sensors or of all."""
+"""Exit code if sensors are flagged, or the whole layout is rejected."""
 
 _EXIT_CODES = {"consistent": 0, "unknown": 2}
 

@@ -122,8 +122,8 @@ def _alike(
     is no copy if one that is so close is to be expected on this skin (`_closer_than_chance`).
     Recordings in which many pairs fail by little are not judged.
 
-    Readings that agree in every frame are copies if they change often enough. Of the pairs that
-    disagree, the most similar one gives the smallest probability p of a disagreement at a change; n
+    Readings that agree in every frame are copies if they change often enough. The most similar of
+    the pairs that disagree gives the smallest probability p of a disagreement at a change; n
     changes agree by chance with probability (1 - p)^n.
     """
     varying = np.flatnonzero(highest > lowest)

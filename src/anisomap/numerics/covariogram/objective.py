@@ -226,8 +226,8 @@ class CovariogramOptions:
     max_iterations : int
         Maximum number of L-BFGS iterations.
     max_whitened : int
-        Maximum number of sensors whose residuals are whitened, which takes cubic time. Of more,
-        only the mean over sensors is removed.
+        Maximum number of sensors whose residuals are whitened, which takes cubic time. With
+        more sensors, only their mean is removed.
 
     Raises
     ------

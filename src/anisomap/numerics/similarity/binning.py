@@ -32,8 +32,8 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
 
     McGregor et al. (2011), section "Information Distance". The division is optimal among all
     divisions into intervals: it has the least sum of ``n log n`` over the counts n of its bins
-    (dynamic programming in O(b m log m)). Of equally good divisions, that with the earliest last
-    bin is taken.
+    (dynamic programming in O(b m log m)). Among equally good divisions, the one with the
+    earliest last bin is taken.
     """
     return _divide(np.asarray(counts, dtype=np.int64), _checked(bins))
 
