@@ -1,4 +1,4 @@
-"""Checks of layouts: seeded faults are found and right sensors are not accused."""
+"""Checks of layouts: seeded faults are found and right sensors are not flagged."""
 
 from dataclasses import replace
 
@@ -84,10 +84,10 @@ def test_a_right_layout_is_consistent(check):
     assert np.nanmedian(found.agreement) > 0.3
 
 
-def test_right_layouts_are_not_accused_whatever_the_recording():
+def test_right_layouts_are_not_flagged_whatever_the_recording():
     for seed in (401, 402):
         found = check_layout(LAYOUT, Recording(rubbed(TRUTH, 1200, seed=seed), names=NAMES))
-        assert found.accused.sum() <= 0.05 * len(TRUTH)
+        assert found.flagged.sum() <= 0.05 * len(TRUTH)
 
 
 @pytest.mark.parametrize("kind", faults())
@@ -95,7 +95,7 @@ def test_each_fault_is_found_and_explained(kind, check):
     stated = faults()[kind]
     wrong = (stated.positions != TRUTH).any(axis=1)
     found = check(stated)
-    np.testing.assert_array_equal(found.accused, wrong)
+    np.testing.assert_array_equal(found.flagged, wrong)
     error = np.linalg.norm(found.corrected.positions - TRUTH, axis=1)
     assert error.max() < (0.5 if kind.startswith("moved") else 1e-9)
     (finding,) = found.findings
@@ -168,23 +168,23 @@ def test_two_sides_that_are_loaded_alike_are_neither_doubled_nor_copies():
     assert not check_layout(np.vstack([sole, np.add(sole, [0, 0, 9])]), both).findings
 
 
-def test_noise_accuses_nobody():
+def test_noise_flags_nobody():
     noise = np.random.default_rng(404).normal(size=(400, len(TRUTH)))
     with pytest.raises(InputError, match=r"0 of 120, .* record more contacts"):
         check_layout(LAYOUT, Recording(noise, names=NAMES))
 
 
 @pytest.mark.parametrize("share", [0.6, 1.0])
-def test_no_sensor_of_a_shuffled_layout_is_accused(share, check):
+def test_no_sensor_of_a_shuffled_layout_is_flagged(share, check):
     chosen = np.random.default_rng(7).permutation(len(TRUTH))[: int(share * len(TRUTH))]
     found = check(with_places(chosen, np.roll(chosen, 1)))
     assert found.verdict == "rejected"
     assert found.findings == ()
-    assert not found.accused.any()
+    assert not found.flagged.any()
     assert found.explained < 0.25
 
 
-def test_right_sensors_among_shuffled_ones_are_not_accused():
+def test_right_sensors_among_shuffled_ones_are_not_flagged():
     """Wide contacts: a run of right channels with a few wrong ones agrees better one place on."""
     places = lattice(11, 13)
     chosen = np.random.default_rng(7).permutation(len(places))[: len(places) // 10]
@@ -192,8 +192,8 @@ def test_right_sensors_among_shuffled_ones_are_not_accused():
     stated[chosen] = places[np.roll(chosen, 1)]
     found = check_layout(stated, Recording(rubbed(places, 1500, seed=400, reach=6.0)))
     assert not found.consistent
-    assert found.accused.any()
-    assert set(np.flatnonzero(found.accused)) <= set(chosen)
+    assert found.flagged.any()
+    assert set(np.flatnonzero(found.flagged)) <= set(chosen)
 
 
 @given(turns=st.integers(1, 5), seed=st.integers(0, 99))
@@ -322,7 +322,7 @@ def test_most_electrodes_are_not_moved_for_the_sake_of_one(hard_recordings_folde
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2001, 2005))
-def test_a_moved_patch_accuses_no_half_of_a_head(hard_recordings_folder, seed):
+def test_a_moved_patch_flags_no_half_of_a_head(hard_recordings_folder, seed):
     whole = anisomap.read(hard_recordings_folder / "nao_head.npz")
     truth = np.asarray(whole.positions)
     spacing = np.sort(np.linalg.norm(truth[:, None] - truth, axis=2), axis=1)[:, 1].mean()
@@ -332,7 +332,7 @@ def test_a_moved_patch_accuses_no_half_of_a_head(hard_recordings_folder, seed):
     stated = truth.copy()
     stated[patch] += rng.uniform(4, 10) * spacing * away / np.linalg.norm(away)
     found = check_layout(SensorMap(stated, names=whole.names), whole)
-    assert not np.delete(found.accused, patch).any()
+    assert not np.delete(found.flagged, patch).any()
 
 
 @pytest.mark.slow
@@ -366,7 +366,7 @@ def test_a_patch_that_is_mirrored_as_one_is_named(recordings_folder, patch):
     stated[inside] = middle + 2 * np.outer(apart @ axis, axis) - apart
     found = check_layout(SensorMap(stated, names=whole.names, units="mm"), whole, modules=12)
     assert {finding.kind for finding in found.findings} == {"mirrored"}
-    np.testing.assert_array_equal(np.unique(np.flatnonzero(found.accused) // 10), patch)
+    np.testing.assert_array_equal(np.unique(np.flatnonzero(found.flagged) // 10), patch)
 
 
 @pytest.mark.slow
@@ -389,9 +389,9 @@ def test_the_triangles_of_the_leg_that_were_corrected(recordings_folder):
     old = check_layout(layout, recording, modules=12)
     wrong = (np.abs(right["positions"] - shipped["positions"]) > 1e-5).any(axis=1)
     assert {finding.kind for finding in old.findings} == {"turned"}
-    modules = set(old.module[old.accused].tolist())
+    modules = set(old.module[old.flagged].tolist())
     assert modules == set(old.module[wrong].tolist())
-    np.testing.assert_array_equal(old.accused, wrong)
+    np.testing.assert_array_equal(old.flagged, wrong)
     np.testing.assert_allclose(old.corrected.positions, right["positions"], atol=1e-5)
 
 

@@ -3,8 +3,8 @@
 The layout of each recording is checked as it is, with all frames, and corrected by what was found,
 which is printed. Then the corrected layout is spoilt by each of `FAULTS` and checked against every
 frame, every fourth and every sixteenth. Counted are wrong modules that are named (half of their
-displaced sensors are accused, or more), wrong modules that are corrected (to half a spacing in the
-median), and right modules of which any sensor is accused; for exchanged sensors, sensors.
+displaced sensors are flagged, or more), wrong modules that are corrected (to half a spacing in the
+median), and right modules of which any sensor is flagged; for exchanged sensors, sensors.
 ``--picture docs/_static/check-torso.png`` draws the check of the first layout as it is.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
@@ -70,7 +70,7 @@ class Result:
     named: int
     corrected: int
     right: int
-    accused: int
+    flagged: int
     verdict: str
     seconds: float
 
@@ -218,18 +218,18 @@ def checks(
 def score(
     found: LayoutCheck, right: Points, groups: list[NDArray[np.intp]], wrong: set[int]
 ) -> tuple[int, int, int, int, int]:
-    """Count wrong modules, those named and corrected; and right modules, and those accused."""
-    named = corrected = accused = 0
+    """Count wrong modules, those named and corrected; and right modules, and those flagged."""
+    named = corrected = flagged = 0
     for m, members in enumerate(groups):
         if m not in wrong:
-            accused += bool(found.accused[members].any())
+            flagged += bool(found.flagged[members].any())
             continue
         off = np.linalg.norm(found.layout.positions[members] - right[members], axis=1)
         changed = members[off > found.spacing / 100]
-        named += bool(found.accused[changed].mean() >= 0.5)
+        named += bool(found.flagged[changed].mean() >= 0.5)
         left = np.linalg.norm(found.corrected.positions[members] - right[members], axis=1)
         corrected += bool(np.median(left) <= found.spacing / 2)
-    return len(wrong), named, corrected, len(groups) - len(wrong), accused
+    return len(wrong), named, corrected, len(groups) - len(wrong), flagged
 
 
 def turned(skin: Skin, rng: np.random.Generator, angles: Sequence[float]) -> Placed:
@@ -340,7 +340,7 @@ def _cells(rows: Any) -> dict[str, object]:
         "wrong": rows.wrong.sum(),
         "named": _share(rows.named.sum(), rows.wrong.sum()),
         "corrected": _share(rows.corrected.sum(), rows.wrong.sum()),
-        "right ones accused": f"{rows.accused.sum()} of {rows.right.sum()}",
+        "right ones flagged": f"{rows.flagged.sum()} of {rows.right.sum()}",
         "seconds": f"{rows.seconds.median():.1f}",
     }
 

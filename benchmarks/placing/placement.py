@@ -84,7 +84,7 @@ def figures(subject: str, measured: Iterable[Measured]) -> Iterator[Figure]:
     for measure, drawn in values.items():
         known = [value for value in drawn if value is not None]
         numbers = np.array(known or [np.nan], dtype=np.float64)
-        tail = 0.1 if "share" in measure and "accused" not in measure else 0.9
+        tail = 0.1 if "share" in measure and "flagged" not in measure else 0.9
         middle, worst = float(np.median(numbers)), float(np.quantile(numbers, tail))
         if all(isinstance(value, bool) for value in known):
             middle = worst = float(numbers.mean())
@@ -187,7 +187,7 @@ def _differences(
 ) -> Iterator[Measured]:
     """Compare maps of two halves, with and without exchanged sensors."""
     moved = compare_maps(first, second).moved
-    yield "diff of two halves: share accused", float(np.mean(moved))
+    yield "diff of two halves: share flagged", float(np.mean(moved))
     far = 3 * median_spacing(truth)
     for draw in range(draws):
         rng = np.random.default_rng(draw)
@@ -198,7 +198,7 @@ def _differences(
         moved = compare_maps(first, SensorMap(positions, names=second.names)).moved
         what = "diff, 2 sensors 3 spacings apart or more exchanged: share named"
         yield what, float(moved[[a, b]].mean())
-        what = "diff, 2 sensors exchanged: share of others accused"
+        what = "diff, 2 sensors exchanged: share of others flagged"
         yield what, float(np.delete(moved, [a, b]).mean())
 
 

@@ -58,7 +58,7 @@ class Result:
     """Findings about a recording, and the accuracy of its maps.
 
     faulty, named: Sensors at fault, and those of them that are not called sound.
-    accused: Other sensors that are called faulty.
+    flagged: Other sensors that are called faulty.
     """
 
     recording: str
@@ -70,7 +70,7 @@ class Result:
     repaired: float
     faulty: int
     named: int
-    accused: int
+    flagged: int
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results = measured(examined, sources, chosen.workers)
     write_rows(chosen.output / "faults.csv", results, digits=4)
     sound = range(SOUND * chosen.first_seed, SOUND * (chosen.first_seed + chosen.seeds))
-    text = table(results) + "\n" + alarms(measured(accused, [*sound], chosen.workers))
+    text = table(results) + "\n" + alarms(measured(flagged, [*sound], chosen.workers))
     (chosen.output / "faults-table.md").write_text(text, encoding="utf-8")
     print(text)
 
@@ -131,7 +131,7 @@ def _examinations(name: str, recordings: Mapping[str, anisomap.Recording]) -> li
                 repaired=accuracy(repaired.recording),
                 faulty=len(faulty),
                 named=len(named & faulty),
-                accused=len(called - faulty) if faulty or not damage else 0,
+                flagged=len(called - faulty) if faulty or not damage else 0,
             )
         )
     return rows
@@ -162,7 +162,7 @@ def table(results: Sequence[Result]) -> str:
                 "found": group.found.sum() if text.partition(":")[0] in FOUND else "-",
                 "something else found": (group.falsely_found != "").sum(),
                 "faulty sensors named": f"{group.named.sum() / faulty:.0%}" if faulty else "-",
-                "other sensors accused": group.accused.sum(),
+                "other sensors flagged": group.flagged.sum(),
                 **{f"r {what}": f"{group[what].median():.3f}" for what in STATES},
                 f"repair loses more than {LOSS:g}": worse.sum(),
             }
@@ -170,7 +170,7 @@ def table(results: Sequence[Result]) -> str:
     return "\n".join(keyed_table(rows)) + "\n"
 
 
-def accused(seed: int) -> list[dict[str, Any]]:
+def flagged(seed: int) -> list[dict[str, Any]]:
     """Return what is found in a sound recording, beside the case."""
     case = drawn(seed)
     recording = make(case)

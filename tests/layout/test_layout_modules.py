@@ -43,8 +43,8 @@ def with_orientations(turns):
 
 
 def named(found):
-    """Return the modules of which sensors are accused."""
-    return {int(m) for m in found.module[found.accused]}
+    """Return the modules of which sensors are flagged."""
+    return {int(m) for m in found.module[found.flagged]}
 
 
 @given(data=st.data())
@@ -253,7 +253,7 @@ def test_the_symmetry_of_a_layout_is_told_and_few_frames_say_nothing():
         assert check_layout(grid[order], Recording(readings[:300])).verdict != "consistent"
 
 
-def test_contacts_in_pairs_accuse_nobody():
+def test_contacts_in_pairs_flag_nobody():
     """A hand that touches itself: each place always together with the same other one."""
     half = lattice(5, 6)
     readings = rubbed(half, 2500, seed=1)

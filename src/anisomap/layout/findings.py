@@ -180,7 +180,7 @@ class LayoutCheck:
         return int(self.module.max(initial=-1)) + 1
 
     @property
-    def accused(self) -> NDArray[np.bool_]:
+    def flagged(self) -> NDArray[np.bool_]:
         """Mask of the sensors in findings on places and wires, not of dead ones, shape (N,)."""
         return np.array([status not in (OK, NOT_TESTED, DEAD) for status in self.status], bool)
 
@@ -190,7 +190,7 @@ class LayoutCheck:
 
     def __repr__(self) -> str:
         return (
-            f"<LayoutCheck: {self.verdict}, {int(self.accused.sum())} of {self.n_tested} tested "
+            f"<LayoutCheck: {self.verdict}, {int(self.flagged.sum())} of {self.n_tested} tested "
             f"sensors flagged, {self.layout.n_sensors} in the layout>"
         )
 

@@ -284,7 +284,7 @@ def _print_check(
     printer: Printer, found: LayoutCheck, title: str, edits: Sequence[io.LineEdit]
 ) -> None:
     layout = found.layout
-    accused = int(np.count_nonzero(found.accused))
+    flagged = int(np.count_nonzero(found.flagged))
     printer.facts(
         title,
         {
@@ -294,8 +294,8 @@ def _print_check(
             f"(p = {found.p:.2g} against shuffled layouts)",
             "verdict": found.verdict
             if not found.findings
-            else f"{found.verdict}; sensors flagged: {accused} "
-            f"({percent(accused / found.n_tested)})",
+            else f"{found.verdict}; sensors flagged: {flagged} "
+            f"({percent(flagged / found.n_tested)})",
         },
     )
     records = [_record(found, finding) for finding in found.findings]
