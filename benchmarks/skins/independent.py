@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.spatial import KDTree
 
 from anisomap import Recording
@@ -104,6 +105,11 @@ def _triangles(n: int) -> Floats:
     return np.concatenate(points)
 
 
+def _wrapped(n: int) -> Floats:
+    """Place a strip that is wrapped around three quarters of a tube, as if it were rolled out."""
+    return _grid(max(12, n // 4), 4)
+
+
 def _flat_hand(_: int) -> Floats:
     fingers = [_grid(1, y) + np.array([x, 6]) for x, y in ((0, 4), (2, 5), (4, 5), (6, 4))]
     return np.concatenate([_grid(7, 6), *fingers, _grid(4, 1) + np.array([7, 1])])
@@ -112,8 +118,7 @@ def _flat_hand(_: int) -> Floats:
 FLAT: Mapping[str, Callable[..., Floats]] = {
     "plate": _plate, "holed-plate": partial(_plate, hole=0.22), "hexagonal-plate": _hexagonal_plate,
     "two-densities": _two_densities, "irregular": _irregular, "l-shape": _l_shape,
-    "strip": _strip, "triangles": _triangles,
-    "flat-hand": _flat_hand,
+    "strip": _strip, "triangles": _triangles, "flat-hand": _flat_hand, "wrapped-strip": _wrapped,
 }  # fmt: skip
 """Functions of the number of sensors, which is about met, that return places (N, 2)."""
 
@@ -127,6 +132,18 @@ def _capsule(p: Floats, start: Any, end: Any, radius: float = 1.0) -> Floats:
     along = np.subtract(end, start)
     share = np.clip((p - start) @ along / (along @ along), 0, 1)
     return np.asarray(np.linalg.norm(p - start - share[:, None] * along, axis=1) - radius)
+
+
+def _height(p: Floats, x: float, y: float) -> Floats:
+    """Distance from a paraboloid whose height is ``x x^2 + y y^2``: a dome, a bowl or a saddle."""
+    steepness = np.linalg.norm(p[:, :2] * [2 * x, 2 * y], axis=1)
+    return np.asarray((p[:, 2] - np.square(p[:, :2]) @ [x, y]) / np.hypot(1, steepness))
+
+
+def _tube(p: Floats, patches: int = 0) -> Floats:
+    """Distance from a cylinder along z, or from a ring of patches; far away in the gaps."""
+    share = np.arctan2(p[:, 1], p[:, 0]) / (2 * np.pi) * patches % 1
+    return np.hypot(p[:, 0], p[:, 1]) - np.where(share <= 0.75, 1.0, -9.0)
 
 
 def _hand(p: Floats) -> Floats:
@@ -143,21 +160,37 @@ SOLID: Mapping[str, tuple[Callable[[Floats], Floats], Any, Any]] = {
     "hemisphere": (partial(_ellipsoid, axes=(1, 1, 1)), (-1.1, -1.1, 0), 1.1),
     "sphere": (partial(_ellipsoid, axes=(1, 1, 1)), -1.1, 1.1),
     "dome": (partial(_ellipsoid, axes=(1, 0.7, 0.6)), (-1.1, -1.1, 0), 1.1),
-    "cylinder": (lambda p: np.hypot(p[:, 0], p[:, 1]) - 1, (-1.1, -1.1, -1.5), (1.1, 1.1, 1.5)),
+    "shallow-dome": (partial(_height, x=-0.35, y=-0.35), -1, 1),
+    "bowl": (partial(_height, x=0.8, y=0.8), -1, 1),
+    "saddle": (partial(_height, x=0.6, y=-0.6), -1, 1),
+    "torus": (lambda p: np.hypot(np.hypot(p[:, 0], p[:, 1]) - 1, p[:, 2]) - 0.4, -1.5, 1.5),
+    "cylinder": (_tube, (-1.1, -1.1, -1.5), (1.1, 1.1, 1.5)),
+    "ring": (partial(_tube, patches=6), (-1.1, -1.1, -0.4), (1.1, 1.1, 0.4)),
     "finger": (partial(_capsule, start=(0, 0, -9), end=(0, 0, 0)), (-1.1, -1.1, -2.5), 1.1),
+    "two-fingers": (
+        lambda p: np.minimum(*(_capsule(p, (0, 0, 0), (x, 0, 2), 0.3) for x in (-0.8, 0.8))),
+        (-1.2, -0.4, -0.4), (1.2, 0.4, 2.4),
+    ),
     "hand": (_hand, (-1.6, -1.1, -0.7), (2.1, 2.8, 0.4)),
     "glove": (_hand, (-1.6, -1.1, -0.7), (2.1, 2.8, 0.4)),
 }  # fmt: skip
 """Distances from surfaces, and the bounds of a box; a glove has sensors where a hand faces up."""
+
+RANDOM = "random-"
+"""Before the name of a solid body: its sensors are at random places, not evenly spaced."""
+
+BODIES = (*FLAT, *SOLID, *(RANDOM + name for name in ("hemisphere", "sphere", "cylinder")))
 
 
 def find_body(rng: Rng, name: str, n: float = 0, jitter: float = 0.0, **others: float) -> Skin:
     """Return a body with about n sensors; jitter: Standard deviation of places on flat bodies."""
     n = int(n) or round(float(np.exp(rng.uniform(np.log(25), np.log(250)))))
     if name not in FLAT:
-        cloud = _surface(rng, *SOLID[name], CLOUD * n, upper=name == "glove")
-        chosen = cloud[_spread(cloud[:, :3], n)]
-        nearest = np.asarray(KDTree(chosen[:, :3]).query(chosen[:, :3], k=2)[0])
+        solid = SOLID[name.removeprefix(RANDOM)]
+        cloud = _surface(rng, *solid, CLOUD * n, upper=name == "glove")
+        even = cloud[_spread(cloud[:, :3], n)]
+        chosen = cloud[:n] if name.startswith(RANDOM) else even
+        nearest = np.asarray(KDTree(even[:, :3]).query(even[:, :3], k=2)[0])
         scale = np.median(nearest[:, 1])
         at, surface = chosen[:, :3] / scale, cloud[:, :3] / scale
         return Skin(*_in_order_of_wires(at, chosen[:, 3:]), surface, cloud[:, 3:])
@@ -169,8 +202,26 @@ def find_body(rng: Rng, name: str, n: float = 0, jitter: float = 0.0, **others: 
         0,
     ]
     up = np.array([0.0, 0.0, 1.0])
-    wired = _in_order_of_wires(at, np.tile(up, (len(at), 1)))
-    return Skin(*wired, surface, np.tile(up, (len(surface), 1)))
+    normals, upright = np.tile(up, (len(at), 1)), np.tile(up, (len(surface), 1))
+    if name == "wrapped-strip":
+        radius = float(np.ptp(at[:, 0])) / (1.5 * np.pi)
+        (at, normals), (surface, upright) = _wrap(at, radius), _wrap(surface, radius)
+    return Skin(*_in_order_of_wires(at, normals), surface, upright)
+
+
+def _wrap(at: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Wrap flat places around a tube of a radius along y; return places and normals."""
+    angle = at[:, 0] / radius - 0.75 * np.pi
+    normals = np.stack([np.sin(angle), np.zeros(len(at)), np.cos(angle)], axis=1)
+    return radius * normals + at * [0, 1, 0], normals
+
+
+def _layout(skin: Skin, body: str) -> Floats:
+    """Return the true positions of sensors, 2D for flat skins."""
+    if body == "wrapped-strip":
+        x, y, z = skin.at.T
+        return np.column_stack([np.arctan2(x, z) * np.hypot(x, z), y])
+    return skin.at[:, :2] if body in FLAT else skin.at
 
 
 def _surface(
@@ -218,20 +269,21 @@ class Touch:
     """One contact in each frame: index of its place (T,), depth (T,), and its footprint.
 
     A sensor at the distance d from the place reads depth - (d / reach)^2, if that is positive;
-    stretch: Length over width of the footprint, along the second axis of the body.
+    stretch: Length over width of the footprint, along an axis of the body, by default the second.
     """
 
     at: Ints
     depth: Floats
     reach: float
     stretch: float = 1.0
+    axis: int = 1
 
     def onto(self, skin: Skin) -> Floats:
         """Return the loads of all sensors, shape (T, N)."""
         loads = np.zeros((len(self.at), len(skin.at)))
         for active in np.array_split(np.flatnonzero(self.depth), len(self.at) // 500 + 1):
             offsets = skin.at - skin.surface[self.at[active], None]
-            along = (1 - self.stretch**-2) * (offsets @ skin.axes[1]) ** 2
+            along = (1 - self.stretch**-2) * (offsets @ skin.axes[self.axis]) ** 2
             load = self.depth[active, None] - ((offsets**2).sum(axis=2) - along) / self.reach**2
             seen = skin.upright[self.at[active]] @ skin.normals.T > 0
             loads[active] = np.maximum(load, 0) * seen
@@ -306,6 +358,23 @@ def _stroke(
     return [Touch(one, depth, reach, stretch) for one in at]
 
 
+def _rolling_pin(skin: Skin, t: int, rng: Rng) -> Touches:
+    """Roll a long line contact along one axis of the body, then along the other."""
+    found = []
+    for axis, half in ((1, np.arange(t) < t // 2), (0, np.arange(t) >= t // 2)):
+        one = _stroke(skin, t, rng, line=True)[0]
+        found.append(replace(one, depth=one.depth * half, stretch=6.0, axis=axis))
+    return found
+
+
+def _sway(skin: Skin, t: int, rng: Rng) -> Touches:
+    """Let a wide load that never leaves the skin drift for minutes, as a person who stands."""
+    drift = lfilter([1], [1, -0.997], rng.normal(size=(2 * t, 2)), axis=0)[t:]
+    drift *= 0.2 * np.ptp((skin.at - skin.middle) @ skin.axes[:2].T, axis=0) / drift.std(axis=0)
+    reach = 0.7 * float(np.ptp((skin.at - skin.middle) @ skin.axes[0]))
+    return [Touch(skin.nearest(skin.middle + drift @ skin.axes[:2]), np.ones(t), reach)]
+
+
 def _footsteps(skin: Skin, t: int, rng: Rng) -> Touches:
     """Move a wide load from heel to toe."""
     at, depth = np.zeros(t, int), np.zeros(t)
@@ -363,6 +432,15 @@ STIMULATIONS: Mapping[str, Callable[..., Touches]] = {
     "footsteps": _footsteps,
     "self-contact": _self_contact,
     "brush": partial(_stroke, bristles=12, reach=1.3),
+    "three-tips": partial(_stroke, bristles=3),
+    "rolling-pin": _rolling_pin,
+    "taps": partial(_poke, frames=(2, 4), pauses=(3, 12)),
+    "two-hands": lambda skin, t, rng: [
+        _poke(skin, t, rng, reach=rng.uniform(3, 5), pauses=pauses)[0]
+        for pauses in ((0, 6), (5, 25))
+    ],
+    "slow-press": partial(_poke, frames=(40, 90), pauses=(5, 20)),
+    "sway": _sway,
     "rain": _rain,
     "few": _few,
     "multi": _multi,
@@ -392,7 +470,7 @@ def make(case: Case) -> Recording:
     transducer, given = _parsed(case.transducer)
     sound = Recording(
         TRANSDUCERS[transducer](loads, rngs[2], skin.at, **given).astype(np.float32),
-        positions=skin.at[:, :2] if body in FLAT else skin.at,
+        positions=_layout(skin, body),
         units="spacings",
         source=str(case),
         metadata={"seed": case.seed, "faulty": ""},
@@ -446,10 +524,10 @@ def _bent(skin: Skin) -> Skin:
 def drawn(seed: int, *, body: str = "", damage: str = "", longest: int = 20_000) -> Case:
     """Draw a case of 500 frames or more."""
     rng = np.random.default_rng([seed, *body.encode()])
-    body = body or str(rng.choice([*FLAT, *SOLID]))
+    body = body or str(rng.choice(BODIES))
     touches = {*STIMULATIONS} - {"jumps", "hold"}
-    if body in ("sphere", "cylinder", "finger", "hand"):
-        touches -= {"footsteps"}  # which load one side
+    if body not in FLAT and body not in ("hemisphere", "dome", "shallow-dome", "glove"):
+        touches -= {"footsteps", "sway"}  # which load one side
     n_frames = int(np.exp(rng.uniform(np.log(500), np.log(longest))))
     transducer = str(rng.choice([*TRANSDUCERS, "white:level=0.3"]))
     return Case(body, str(rng.choice(sorted(touches))), transducer, damage, n_frames, seed)

@@ -69,6 +69,8 @@ TRANSDUCERS: Mapping[str, Callable[..., Floats]] = {
     "hysteresis": _hysteresis,
     "8-bits": _bits,
     "12-bits": lambda x, rng, _: _bits(x, rng, _, 12),
+    "four-levels": lambda x, rng, _: _bits(x, rng, _, 2),
+    "bouncing": lambda x, rng, _, share=0.1: _linear(x * (rng.random(x.shape) > share), rng),
     "inverted": lambda x, rng, _: _bits(x, rng, _, 8, -1),
     "drift": lambda x, rng, _, level=0.25: _linear(x, rng) + level * _walks(x.shape, rng),
     "white": lambda x, rng, _, level=0.1, gains=0.2: _linear(x, rng, _, gains, level),

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.accuracy import dimension, limits, noise, quality, steps
 from benchmarks.live import coach
 from benchmarks.placing import placement
-from benchmarks.skins.independent import FLAT, SOLID, STIMULATIONS, Case, make
+from benchmarks.skins.independent import BODIES, STIMULATIONS, Case, make
 from benchmarks.skins.readout import TRANSDUCERS
 from benchmarks.speed import bench
 from benchmarks.verdicts import faults, trust
@@ -18,7 +18,7 @@ from skins import flat_skin
 
 PLAIN = Case("plate:n=49", "poke", n_frames=400, seed=3)
 KINDS = [
-    *(Case(f"{body}:n=40", "poke", n_frames=200) for body in (*FLAT, *SOLID)),
+    *(Case(f"{body}:n=40", "poke", n_frames=200) for body in BODIES),
     *(Case("plate:n=36", touch, n_frames=200) for touch in STIMULATIONS),
     *(Case("plate:n=36", "poke", how, n_frames=200) for how in TRANSDUCERS),
     *(Case("plate:n=36", "poke", damage=damage, n_frames=200) for damage in DAMAGES),
