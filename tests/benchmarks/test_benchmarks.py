@@ -12,6 +12,7 @@ from benchmarks.skins.readout import TRANSDUCERS
 from benchmarks.speed import bench
 from benchmarks.verdicts import faults, trust
 from benchmarks.verdicts.suite import DAMAGES
+from scipy.signal import lfilter
 
 import anisomap
 from skins import flat_skin
@@ -38,6 +39,40 @@ def test_positions_follow_wires_that_are_exchanged_all_the_time():
     wires = [int((one == before.readings.T).all(axis=1).argmax()) for one in after.readings.T]
     assert np.any(np.diff(wires) < 0)
     np.testing.assert_array_equal(after.positions, before.positions[wires])
+
+
+def _farthest(recording):
+    """Return the largest distance from the middle of a map over the median one."""
+    made = anisomap.reconstruct(recording.complete("interpolate"), dimensions=2)
+    positions = made.positions[made.component == 0]
+    radii = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    return radii.max() / np.median(radii)
+
+
+@pytest.mark.parametrize("damage", ["", *DAMAGES])
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
+def test_no_sensor_runs_away_from_the_map(damage):
+    for touch in ("poke", "sway"):
+        assert _farthest(make(Case("plate:n=36", touch, "linear", damage, 400, 5))) < 100
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
+def test_sensors_that_blip_in_one_frame_do_not_run_away():
+    rng, n_frames = np.random.default_rng(2), 3000
+
+    def slow(count, memory):
+        drawn = rng.normal(size=(2 * n_frames, count))
+        return lfilter([1], [1, -memory], drawn, axis=0)[n_frames:]
+
+    y, x = (np.mgrid[:6, :6].reshape(2, -1) - 2.5) / 6
+    sway = slow(2, 0.997) / 13
+    load = 4 + 30 * np.exp(-3 * (x**2 + y**2))
+    mat = load * (1 + 0.3 * (sway[:, :1] * x + sway[:, 1:] * y))
+    mat += rng.normal(0, 0.3, mat.shape)
+    blips = np.zeros((n_frames, 2))
+    blips[n_frames // 2 + 1] = 3  # a frame that is left out, since frames repeat
+    readings = np.hstack([mat, 20 + 0.2 * slow(60, 0.9995), blips])
+    assert _farthest(anisomap.Recording(np.round(np.maximum(readings, 0)))) < 100
 
 
 SMALLEST = {

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation.scoring import align, median_spacing
+from anisomap.evaluation.scoring import align
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
@@ -51,7 +51,7 @@ from anisomap.verdict.second_map import (
 
 logger = logging.getLogger(__name__)
 
-_SAME = 1e-6  # spacings; rounding errors of a map that was scaled or turned are far below
+_SAME = 1e-6  # of the extent; rounding errors of a map that was scaled or turned are far below
 
 FATAL = ("changed",)
 """Faults after which similar readings do not mean that sensors are near."""
@@ -303,8 +303,8 @@ def _follows(sensor_map: SensorMap, stages: Stages) -> bool:
         return False
     largest = placed == 0
     given = sensor_map.positions[sensor_map.placed][largest]
-    spacing = median_spacing(given)
-    return spacing == 0 or align(found.positions[largest], given).rms <= _SAME * spacing
+    apart = align(found.positions[largest], given).rms
+    return bool(apart <= _SAME * float(np.linalg.norm(given.std(axis=0))))
 
 
 def _unknown(sensor_map: SensorMap, runs: Sequence[Recording], *, whole: bool) -> Note | None:
