@@ -67,7 +67,7 @@ def scaled_note(note: str, spacing: float, unit: str) -> str:
     """
     if not isinstance(note, Note):  # it was read from a file
         return _SIZE.sub(lambda size: f"by {spacing * float(size[1]):.2f} {unit}", note)
-    if note.kind not in ("chance", "second-map", "if-flat"):
+    if note.kind not in ("chance", "second-map", "if-flat", "if-bent"):
         return note
     return Note(note.kind, **{**note.values, "size": spacing * note.values["size"], "unit": unit})
 
@@ -192,6 +192,11 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "if-flat": lambda size, unit="spacings": (
             "the readings do not show whether the skin is flat: if it is, positions are off by "
             f"{size:.2f} {unit}; choose the number of dimensions (-d 2 or -d 3)"
+        ),
+        "if-bent": lambda size, unit="spacings": (
+            "a third dimension hardly improves the fit but changes the map: if the skin is bent in "
+            f"two directions, positions are off by {size:.2f} {unit}; choose the number of "
+            "dimensions (-d 2 or -d 3)"
         ),
         "not-examined": lambda: "the map was not examined",
         "other-readings": lambda: "a verdict needs the readings that the map was made from",

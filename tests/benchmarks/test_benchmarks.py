@@ -10,7 +10,7 @@ from benchmarks.placing import placement
 from benchmarks.skins.independent import BODIES, STIMULATIONS, Case, make
 from benchmarks.skins.readout import TRANSDUCERS
 from benchmarks.speed import bench
-from benchmarks.verdicts import faults, trust
+from benchmarks.verdicts import faults, kinds, trust
 from benchmarks.verdicts.suite import DAMAGES
 from scipy.signal import lfilter
 
@@ -80,6 +80,7 @@ SMALLEST = {
     "coach": (coach, ["--seeds", "401", "--bodies", "hexagon"]),
     "dimension": (dimension, ["--seeds", "0"]),
     "faults": (faults, ["--seeds", "0", "--workers", "1"]),
+    "kinds": (kinds, ["--seeds", "1", "--workers", "1"]),
     "limits": (limits, ["--workers", "1"]),
     "noise": (noise, ["--seeds", "1", "--workers", "1"]),
     "placement": (placement, ["--bodies", "sphere", "--draws", "3"]),

@@ -53,13 +53,22 @@ def test_worse_evidence_never_improves_a_verdict(chances, differences, apart, fa
     assert rank(judge(evidence(chance[0], difference[0], fatal=("no skin",)))) == 0
 
 
-@given(ERRORS, ERRORS, ERRORS)
-def test_an_error_if_the_skin_is_flat_is_expected(chance, difference, if_flat):
+@given(ERRORS, ERRORS, ERRORS, st.booleans())
+def test_an_error_if_the_skin_is_flat_is_expected(chance, difference, apart, spatial):
     clear = judge(evidence(chance, difference))
-    unclear = judge(evidence(chance, difference, if_flat=if_flat, regions_if_flat=if_flat / 2))
-    assert unclear.expected_error == pytest.approx(math.hypot(clear.expected_error, if_flat))
-    assert unclear.expected_error_high >= if_flat
-    assert rank(unclear) <= rank(clear)
+    maps = {"between": apart, "regions_between": apart / 2, "spatial": spatial, "unclear": spatial}
+    found = judge(evidence(chance, difference, **maps))
+    error = clear.expected_error
+    doubted = apart <= 2.75 * error if spatial else apart > max(0.8, 3.2 * error)
+    expected = math.hypot(error, apart) if doubted else error
+    assert found.expected_error == pytest.approx(expected)
+    assert any(one.kind in ("if-flat", "if-bent") for one in found.reasons) == doubted
+    assert rank(found) <= rank(clear)
+
+
+def test_an_error_of_half_the_extent_leaves_no_neighbours_usable():
+    assert judge(evidence(0.3, 1.5, extent=2.0)).level == "usable for neighbours"
+    assert judge(evidence(0.3, 1.5, extent=1.3)).level == "not usable"
 
 
 @given(ERRORS, ERRORS)

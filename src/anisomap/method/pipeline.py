@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,12 +70,16 @@ from anisomap.sensor_map import SensorMap
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The stages of a map of n sensors, which a verdict can use again. metric (n, n)."""
+    """The stages of a map of n sensors, which a verdict can use again. metric (n, n).
+
+    other: The map in the other number of dimensions, if the readings had to show it.
+    """
 
     evidence: Evidence
     metric: Reals
     configuration: Configuration
     choice: DimensionChoice
+    other: Configuration | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +105,9 @@ class _Input:
     weights: Reals | None = None
     start: Floats | None = None
     objects: bool = False
+
+
+_Placed: TypeAlias = tuple[Configuration, DimensionChoice, Configuration | None]
 
 
 def reconstruct(
@@ -223,8 +230,8 @@ def reconstruct_with_stages(
             notes=tuple(unknown_pairs(evidence, names)),
             weights=evidence.weights,
         )
-        made, configuration, choice = _map(given, stack_level + 1)
-    return made, Stages(evidence, given.metric, configuration, choice)
+        made, placed = _map(given, stack_level + 1)
+    return made, Stages(evidence, given.metric, *placed)
 
 
 def _reconstruct_blocks(
@@ -363,9 +370,9 @@ def reconstruct_from(
         return _map(task, stack_level=3)[0]
 
 
-def _map(given: _Input, stack_level: int) -> tuple[SensorMap, Configuration, DimensionChoice]:
+def _map(given: _Input, stack_level: int) -> tuple[SensorMap, _Placed]:
     """Make the map of evidence or of a metric, with its notes and its provenance."""
-    configuration, choice = _placed(given)
+    placed = configuration, choice, _ = _placed(given)
     least, largest = given.options.min_sensors, np.count_nonzero(configuration.component == 0)
     if largest < least:
         raise InputError(
@@ -388,24 +395,27 @@ def _map(given: _Input, stack_level: int) -> tuple[SensorMap, Configuration, Dim
         objects=given.objects,
         stack_level=stack_level + 1,
     )
-    return made, configuration, choice
+    return made, placed
 
 
-def _placed(given: _Input) -> tuple[Configuration, DimensionChoice]:
+def _placed(given: _Input) -> _Placed:
     """Choose the number of dimensions, and scale and refine the metric.
 
-    A number that was chosen is confirmed or rejected by the map in the other one.
+    A number that was chosen is confirmed or rejected by the map in the other one, which is returned
+    as well.
     """
     choice = _choice(given)
     found = _configured(given, choice.dimensions)
-    if choice.given or choice.line or not choice.shown or found.largest is None:
-        return found, choice
+    if choice.given or choice.line or found.largest is None:
+        return found, choice, None
     other = _configured(given, PLANE + SPATIAL - choice.dimensions)
-    if other.largest is None:
-        return found, choice
+    if not choice.shown or other.largest is None:
+        return found, choice, other
     explained = other.largest.unexplained - found.largest.unexplained
     confirmed = choice.confirmed(explained if choice.dimensions == SPATIAL else -explained)
-    return found if confirmed.dimensions == choice.dimensions else other, confirmed
+    if confirmed.dimensions == choice.dimensions:
+        return found, confirmed, other
+    return other, confirmed, found
 
 
 def _choice(given: _Input) -> DimensionChoice:

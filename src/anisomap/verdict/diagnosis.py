@@ -20,9 +20,9 @@ from anisomap.evaluation.scoring import align
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.method.configuration import configure
-from anisomap.method.dimensions import PLANE, SPATIAL
-from anisomap.method.named import METHODS, Method, MethodOptions
+from anisomap.method.configuration import Configuration
+from anisomap.method.dimensions import AUTO, SPATIAL
+from anisomap.method.named import METHODS, MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note, untouched
 from anisomap.numerics.compiled.parallel import limited_blas
@@ -52,6 +52,8 @@ from anisomap.verdict.second_map import (
 logger = logging.getLogger(__name__)
 
 _SAME = 1e-6  # of the extent; rounding errors of a map that was scaled or turned are far below
+
+UNCLEAR = Note("unclear-dimensions")
 
 FATAL = ("changed",)
 """Faults after which similar readings do not mean that sensors are near."""
@@ -133,6 +135,7 @@ def diagnose(
     faults = find_faults(runs) if findings is None else findings
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict, found = Verdict(), None
+    earlier, facts = sensor_map.notes, dict(sensor_map.provenance)
     if with_verdict:
         complete = [run.complete() for run in select_sensors(runs, joined.names)]
 
@@ -148,7 +151,10 @@ def diagnose(
         verdict = judge(measured)
         if not all(run.touched for run in runs):
             verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
-    notes = [note for note in notes if note not in sensor_map.notes]
+        if measured.confirmed:
+            facts["dimensions_because"] = str(Note("three-dimensions"))
+            earlier = tuple(note for note in earlier if note != UNCLEAR)
+    notes = [note for note in notes if note not in earlier]
     for note in notes:
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     return replace(
@@ -156,8 +162,8 @@ def diagnose(
         health=tuple(sensor.status for sensor in assessed),
         verdict=verdict,
         covariances=found,
-        notes=(*sensor_map.notes, *notes),
-        provenance={**sensor_map.provenance, "verdict": verdict.summary},
+        notes=(*earlier, *notes),
+        provenance={**facts, "verdict": verdict.summary},
     )
 
 
@@ -177,6 +183,8 @@ def examine(
         placed=int(np.count_nonzero(sensor_map.placed)),
         rarely=_rarely_touched(sensor_map, runs),
         largest=sizes[0],
+        spatial=sensor_map.dimensions == SPATIAL,
+        unclear=UNCLEAR in sensor_map.notes,
         faults=spoiling([one for one in faults if one.kind not in UNSEEN + FATAL]),
         unseen=spoiling([one for one in faults if one.kind in UNSEEN]),
         fatal=(*_of_one_period(runs), *spoiling([one for one in faults if one.kind in FATAL])),
@@ -217,9 +225,9 @@ def examine(
                 paired=sensors_pair_off(part.evidence.similarity),
                 agreement=agreement_of_halves(part.evidence, generator),
             )
-            if Note("unclear-dimensions") in sensor_map.notes:
-                whole, regions = _errors_if_flat(stages, recipe, options)
-                measured = replace(measured, if_flat=whole, regions_if_flat=regions)
+            if stages.other is not None:
+                apart, regions = _between_dimensions(stages.configuration, stages.other)
+                measured = replace(measured, between=apart, regions_between=regions)
         error = expected_error(repeatability, difference).value
         if math.isfinite(error):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
@@ -227,18 +235,15 @@ def examine(
     return measured, found
 
 
-def _errors_if_flat(stages: Stages, recipe: Method, options: MethodOptions) -> tuple[float, float]:
-    """Return how far a map in 3 dimensions is off if the skin is flat, as a whole and in regions.
+def _between_dimensions(made: Configuration, other: Configuration) -> tuple[float, float]:
+    """Compare the maps in 2 and in 3 dimensions, as a whole and in regions, in spacings.
 
-    Of the sensors in the largest components of both maps, in spacings.
+    Of the sensors in the largest components of both.
     """
-    spatial, evidence = stages.configuration, stages.evidence
-    with limited_blas(len(stages.metric)):
-        flat = configure(stages.metric, evidence, PLANE, recipe, options, weights=evidence.weights)
-    both = (spatial.component == 0) & (flat.component == 0)
-    positions = spatial.positions[both]
-    differences = align(flat.positions[both], positions).aligned - positions
-    return rms_in_spacings(differences, positions), regional_difference(differences, positions)
+    both = (made.component == 0) & (other.component == 0)
+    flat, spatial = sorted((made.positions[both], other.positions[both]), key=lambda x: x.shape[1])
+    differences = align(flat, spatial).aligned - spatial
+    return rms_in_spacings(differences, spatial), regional_difference(differences, spatial)
 
 
 def _of_one_period(runs: Sequence[Recording]) -> tuple[Note, ...]:
@@ -279,13 +284,14 @@ def _judged(
     if made is sensor_map and stages is not None and _follows(made, stages):
         return made, stages
     unplaced = [made.names[i] for i in np.flatnonzero(~made.placed)]
+    chosen = made is sensor_map and "chosen_dimensions" in made.provenance
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map have them
         try:
             again, stages = reconstruct_with_stages(
                 select_sensors(runs, kept),
                 made.method,
-                made.dimensions,
+                AUTO if chosen else made.dimensions,
                 options=options,
                 drop=unplaced,
             )

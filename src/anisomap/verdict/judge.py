@@ -37,6 +37,18 @@ MIN_KEPT = 0.7
 In the benchmark `trust` (seeds 7001 to 7119), 176 maps reach it, and 8 % of them keep fewer.
 """
 
+MAX_FOR_NEIGHBOURS = 0.5
+"""Expected error of a map that is usable for neighbours, relative to its extent: .26 at most on
+63 skins; mixtures of few signals, which are nowhere, had more than the extent.
+"""
+
+DOUBTFUL, DOUBTFUL_RATIO, CONFIRMING = 0.8, 3.2, 2.75
+"""Difference of the maps in 2 and 3 dimensions, in spacings and over the expected error, from which
+a flat map is doubted, and over it from which 3 dimensions that were not clear are confirmed.
+
+On saddles a third dimension hardly improves the fit of lengths, though it changes the map.
+"""
+
 MAX_CHANCE = 1.0
 """Repeatability, in spacings, beyond which sensors change places with neighbours by chance."""
 
@@ -87,8 +99,9 @@ class Measurements:
     repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
     difference: RMS difference from a map of evenly spaced sensors, in spacings.
     regional: The same of regions, each aligned by itself.
-    if_flat: RMS difference from the map in 2 dimensions, in spacings, where the readings do not
-        show whether the skin is flat; else 0. The same of regions: regions_if_flat.
+    between: RMS difference of the maps in 2 and 3 dimensions, in spacings, where the number was
+        chosen; else 0. The same of regions: regions_between.
+    spatial: Whether the map has 3 dimensions. unclear: Whether the metric did not show the number.
     extent: RMS distance of the sensors from their centre, in spacings.
     agreement: Of two halves of the recording: see `agreement_of_halves`.
     paired: Whether the sensors pair off: see `sensors_pair_off`.
@@ -105,8 +118,10 @@ class Measurements:
     repeatability: float = math.nan
     difference: float = math.nan
     regional: float = math.nan
-    if_flat: float = 0.0
-    regions_if_flat: float = 0.0
+    between: float = 0.0
+    regions_between: float = 0.0
+    spatial: bool = False
+    unclear: bool = False
     extent: float = math.inf
     agreement: float = 1.0
     paired: bool = False
@@ -118,6 +133,24 @@ class Measurements:
     unseen: tuple[str, ...] = ()
     fatal: tuple[str, ...] = ()
     unknown: str = ""
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether a third dimension changes the map by more than errors do."""
+        return self.unclear and self.between > CONFIRMING * self.error.value
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the map may have the wrong number of dimensions."""
+        if self.unclear:
+            return not self.confirmed
+        least = max(DOUBTFUL, DOUBTFUL_RATIO * self.error.value)
+        return not self.spatial and self.between > least
+
+    @property
+    def error(self) -> Estimate:
+        """Expected error if the number of dimensions is right."""
+        return expected_error(self.repeatability, self.difference)
 
     @property
     def ruining(self) -> tuple[str, ...]:
@@ -145,9 +178,10 @@ def judge(measured: Measurements) -> Verdict:
     sizes = measured.repeatability, measured.difference
     if measured.unknown or any(map(math.isnan, (*sizes, measured.regional))):
         return Verdict(reasons=(measured.unknown or Note("not-examined"), *limits))
-    error = expected_error(*sizes).plus(measured.if_flat)
+    error = measured.error
     region = region_error(measured.repeatability, measured.regional, error.value)
-    region = region.plus(measured.regions_if_flat)
+    if measured.doubted:
+        error, region = error.plus(measured.between), region.plus(measured.regions_between)
     kept = neighbours_kept(region.value)
     small = error.high < MAX_ERROR and error.high >= MAX_RELATIVE * measured.extent
     if error.high < MAX_ERROR and not small and not limits:
@@ -156,6 +190,7 @@ def judge(measured: Measurements) -> Verdict:
         kept.low >= MIN_KEPT
         and measured.repeatability <= MAX_CHANCE
         and connected >= MIN_FRAGMENT * measured.placed
+        and error.value < MAX_FOR_NEIGHBOURS * measured.extent
         and not ruined
     ):
         level = "usable for neighbours"
@@ -163,8 +198,9 @@ def judge(measured: Measurements) -> Verdict:
         level = "not usable"
     if small:
         limits.append(Note("small-body", extent=measured.extent))
-    if measured.if_flat:
-        limits.append(Note("if-flat", size=measured.if_flat))
+    if measured.doubted:
+        kind = "if-flat" if measured.spatial else "if-bent"
+        limits.append(Note(kind, size=measured.between))
     if level != "usable":
         limits += measured.faults
     return Verdict(
