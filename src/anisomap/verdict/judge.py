@@ -148,6 +148,11 @@ class Measurements:
         return not self.spatial and self.between > least
 
     @property
+    def untold(self) -> tuple[Note, ...]:
+        """The number of dimensions if it is not clear, and runs that lack sensors have one map."""
+        return (Note("unclear-dimensions"),) if self.unclear and not self.between else ()
+
+    @property
     def error(self) -> Estimate:
         """Expected error if the number of dimensions is right."""
         return expected_error(self.repeatability, self.difference)
@@ -168,7 +173,7 @@ class Measurements:
 def judge(measured: Measurements) -> Verdict:
     """Return the verdict that follows from what was measured."""
     ruined = measured.ruining
-    limits = [*ruined, *measured.unseen]
+    limits = [*ruined, *measured.unseen, *measured.untold]
     if measured.largest < MIN_LARGEST * measured.placed:
         apart = measured.placed - measured.largest
         limits.append(Note("apart", apart=apart, placed=measured.placed))
@@ -198,7 +203,7 @@ def judge(measured: Measurements) -> Verdict:
         level = "not usable"
     if small:
         limits.append(Note("small-body", extent=measured.extent))
-    if measured.doubted:
+    if measured.doubted and measured.between:
         kind = "if-flat" if measured.spatial else "if-bent"
         limits.append(Note(kind, size=measured.between))
     if level != "usable":
