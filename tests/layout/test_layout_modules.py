@@ -262,7 +262,7 @@ def test_contacts_in_pairs_flag_nobody():
     )
     assert found.verdict == "unknown"
     assert not found.findings
-    assert "at two places at a time, in pairs" in found.notes[0]
+    assert "contacts at pairs of places" in found.notes[0]
 
 
 ROBOT = {
