@@ -20,7 +20,6 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.surfaces import Mesh, Points
 from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
-    METRES,
     length_shown,
     median_spacing,
     mirrored,
@@ -38,7 +37,7 @@ from anisomap.placement.surface import (
     surface_evidence,
 )
 from anisomap.recording import match_names
-from anisomap.sensor_map import UNPLACED, SensorMap, radius
+from anisomap.sensor_map import METRES, UNPLACED, SensorMap, radius
 from anisomap.usability import ACCURACY
 
 # Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on real and simulated
