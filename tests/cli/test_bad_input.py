@@ -45,7 +45,7 @@ map constant.csv -o old.csv                               | got 0 of 3
 map empty -o a.csv                                        | is a folder without
 map book.xlsx -o a.csv                                    | is a spreadsheet; save its table as CSV
 score map.csv tf.launch.xml                               | is written, but not read
-map gaps.csv -o old.csv                                   | sensor s1, frame 9
+map gaps.csv -o old.csv                                   | sensors: s1; frames: 9
 info rows.csv                                             | line 3
 info cut.npz                                              | cut.npz
 info nothing.npz                                          | nothing.npz
