@@ -20,9 +20,6 @@ from anisomap.usability import UNJUDGED, Verdict
 UNPLACED = -1
 """The component label of a sensor without a position."""
 
-METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "um": 1e-6, "\u00b5m": 1e-6, "in": 0.0254}
-"""Length of each supported unit in metres."""
-
 UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
 

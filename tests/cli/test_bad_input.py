@@ -148,7 +148,7 @@ def folder(tmp_path_factory):
     )
     texts = {
         "strangers.csv": "name,x,y\na,0,0\nb,1,0\nc,0,1\n",
-        "rows.csv": "a,b,c\n1,2,3\n4,5\n",
+        "rows.csv": "a,b,c\n1,2,3\n4,5\n6,7\n",
         **TOO_LITTLE,
         "old.csv": "mine",
         "empty.csv": "",

@@ -50,7 +50,7 @@ def test_information_shows_names_as_text(run, hostile: Path) -> None:
 
 def test_errors_show_names_as_text(run, tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
-    path.write_text('"a\x1b[31m[/x]\u202e",b\n1,2\n"\x1b]0;t\x07",4\n5,6\n')
+    path.write_text('"a\x1b[31m[/x]\u202e",b\n1,2\n"\x1b]0;t\x07",4\n5,"\x1b]0;t\x07"\n')
     assert not unsafe(run("info", path, code=2).err)
 
 

@@ -25,7 +25,7 @@ def skin_map(made, tmp_path):
 
 @pytest.mark.usefixtures("skin_map")
 def test_a_map_is_placed_by_four_anchors_in_every_format(run, tmp_path):
-    formats = ("csv", "json", "npz", "urdf", "mjcf", "icub.txt", "ply", "pcd", "launch.xml")
+    formats = ("csv", "json", "npz", "urdf", "mjcf", "icub.txt", "ply", "launch.xml")
     outputs = [word for suffix in formats for word in ("-o", f"placed.{suffix}")]
     command = "place map.csv --anchors anchors.csv --frame l_forearm --picture placed.png --json"
     found = run(command, *outputs).values

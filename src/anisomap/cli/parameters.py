@@ -17,10 +17,10 @@ from cyclopts.validators import Number
 
 import anisomap
 from anisomap import io, placement
+from anisomap.base import METRES
 from anisomap.base.wording import printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.errors import FileError, InputError
-from anisomap.sensor_map import METRES
 
 _GRID = re.compile(r"\s*+(\d{1,9})\s*+[xX]\s*+(\d{1,9})\s*+")
 

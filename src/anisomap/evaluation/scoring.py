@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from anisomap.base import PERMUTATIONS
+from anisomap.base import METRES, PERMUTATIONS
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, Mantel, mantel
 from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
 from anisomap.recording import Recording, default_names, match_sensors
-from anisomap.sensor_map import METRES, UNSCALED, SensorMap, check_coordinates
+from anisomap.sensor_map import UNSCALED, SensorMap, check_coordinates
 
 
 @dataclass(frozen=True, eq=False)

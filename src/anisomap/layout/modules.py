@@ -14,12 +14,13 @@ from scipy.optimize import linear_sum_assignment, linprog
 from scipy.spatial import ConvexHull, KDTree
 from scipy.spatial.distance import cdist
 
+from anisomap.base import METRES
 from anisomap.base.channels import channel_numbers
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
 from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules
-from anisomap.sensor_map import METRES, SensorMap
+from anisomap.sensor_map import SensorMap
 
 _MIN_SIZE = 3
 _MAX_GAPS = 100  # channels per sensor

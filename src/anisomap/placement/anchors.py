@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri
 
+from anisomap.base import METRES
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
@@ -24,7 +25,7 @@ from anisomap.placement.handedness import (
     fit_scaled,
     krige,
 )
-from anisomap.sensor_map import METRES, SensorMap, check_coordinates
+from anisomap.sensor_map import SensorMap, check_coordinates
 
 # Anchors that are suggested; tuned on real recordings, rubbed planes and cylinders.
 _RING = 12  # neighbours that tell whether a sensor is inside

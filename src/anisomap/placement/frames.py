@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from anisomap.base import METRES
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
-from anisomap.sensor_map import MAX_COORDINATE, METRES, UNSCALED, SensorMap
+from anisomap.sensor_map import MAX_COORDINATE, UNSCALED, SensorMap
 
 _MIN_LENGTH = 1e-150  # its square is a normal floating-point number
 _LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")

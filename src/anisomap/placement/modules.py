@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
+from anisomap.base import METRES
 from anisomap.base.channels import channel_numbers, trailing_numbers
 from anisomap.base.immutable import Immutable
 from anisomap.base.wording import join_items
@@ -30,7 +31,7 @@ from anisomap.numerics.procrustes import (
 )
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import mirrored
-from anisomap.sensor_map import METRES, UNPLACED, SensorMap
+from anisomap.sensor_map import UNPLACED, SensorMap
 
 NO_MODULE = -1
 """Index of the module, or of the pad, of a sensor without one."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base import METRES
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import padded
@@ -37,7 +38,7 @@ from anisomap.placement.surface import (
     surface_evidence,
 )
 from anisomap.recording import match_names
-from anisomap.sensor_map import METRES, UNPLACED, SensorMap, radius
+from anisomap.sensor_map import UNPLACED, SensorMap, radius
 from anisomap.usability import ACCURACY
 
 # Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on real and simulated

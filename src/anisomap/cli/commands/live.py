@@ -196,8 +196,8 @@ def _target(recording: Path | None) -> Path:
 
 
 def _millimetres(spacing: str) -> float:
+    from anisomap.base import METRES
     from anisomap.placement import parse_length
-    from anisomap.sensor_map import METRES
 
     value, unit = parse_length(spacing) if spacing else (0.0, "mm")
     return 1e3 * value * METRES[unit]

@@ -13,12 +13,11 @@ from cyclopts import Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
-from anisomap.base import PERMUTATIONS
+from anisomap.base import METRES, PERMUTATIONS
 from anisomap.base.wording import counted, join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
-from anisomap.sensor_map import METRES
 
 if TYPE_CHECKING:
     from anisomap.layout import LayoutCheck, LayoutFinding

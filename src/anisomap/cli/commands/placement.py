@@ -13,12 +13,11 @@ from cyclopts import Group, Parameter
 
 import anisomap
 from anisomap import drawing, io, placement
+from anisomap.base import METRES
 from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
-from anisomap.numerics.surfaces import Mesh
-from anisomap.sensor_map import METRES
 from anisomap.usability import UNKNOWN
 
 _MM = 1e3  # per metre
@@ -154,8 +153,10 @@ def place_map(
     printer.files(files)
 
 
-def _read_mesh(path: Path, units: str) -> Mesh:
+def _read_mesh(path: Path, units: str) -> Any:
+    """Return a `Mesh` in metres."""
     from anisomap.files.meshes import read_mesh
+    from anisomap.numerics.surfaces import Mesh
 
     if units not in METRES:
         raise InputError(f"--mesh-units must be one of {', '.join(METRES)}, got {units!r}")

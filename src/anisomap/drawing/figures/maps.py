@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anisomap.base import METRES
 from anisomap.base.wording import join_items, printable, shortened
 from anisomap.drawing.figures.backend import (
     FAINT,
@@ -52,7 +53,7 @@ from anisomap.evaluation import Score
 from anisomap.evaluation import score as score_map
 from anisomap.placement.frames import in_millimetres
 from anisomap.recording import Recording
-from anisomap.sensor_map import METRES, SensorMap
+from anisomap.sensor_map import SensorMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,12 +20,13 @@ from xml.etree.ElementTree import Comment, Element, ElementTree, SubElement, ind
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base import METRES
 from anisomap.errors import AnisomapWarning, FileError, error_reason, import_extra
 from anisomap.files.paths import open_regular
 from anisomap.io.parsing.source import quote
 from anisomap.placement import Taxels, to_taxels
 from anisomap.placement.placing import judgement
-from anisomap.sensor_map import METRES, SensorMap
+from anisomap.sensor_map import SensorMap
 
 EXTRA = "xml"
 

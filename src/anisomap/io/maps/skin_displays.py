@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anisomap.base import METRES
 from anisomap.base.channels import channel_name, channels_of
 from anisomap.base.wording import counted, join_items
 from anisomap.errors import FileError, InputError
@@ -23,7 +24,7 @@ from anisomap.io.parsing.source import quote, read_lines, warn
 from anisomap.io.parsing.tables import LineError, parse_row
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement.modules import MIN_PADS, modules_by_size
-from anisomap.sensor_map import DEFAULT_FRAME, METRES, SensorMap
+from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
 
 _TRIANGLE = "triangle_10pad"
 _PADS = 12  # numbers per triangle
