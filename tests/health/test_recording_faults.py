@@ -270,7 +270,7 @@ def test_another_posture_is_found_with_its_frame_and_larger_contacts_are_not():
     bent = rubbed(folded(positions), 1500, seed=302)
     (finding,) = find_faults(np.vstack([flat, bent]))
     assert finding.kind == "changed"
-    assert "from about frame 1500 of 3000 on" in finding.what
+    assert "change at about frame 1500 of 3000" in finding.what
     for reach in (2.0, 4.0):
         other = rubbed(positions, 1500, seed=303, reach=reach)
         assert find_faults(np.vstack([flat, other])) == ()
