@@ -63,7 +63,7 @@ class ReadingOptions:
         Message definition (.msg) for a bag without definitions; may be repeated.
     """
 
-    select: str = ""
+    select: Annotated[str, Parameter(name=("--select", "--topic"))] = ""
     positions: Path | None = None
     grid: Annotated[str, expert] = ""
     preset: Annotated[str, expert] = ""
