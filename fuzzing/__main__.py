@@ -22,10 +22,7 @@ from fuzzing.workers import BATCH, Tally, run_cases, warm_up
 _LOADED = (
     *("h5py", "rosbags.rosbag1", "rosbags.rosbag2", "mujoco"),
     *("trimesh", "scipy.io", "defusedxml.ElementTree"),
-    *(
-        f"anisomap.cli.commands.{each}"
-        for each in ("recording", "maps", "comparison", "simulation")
-    ),
+    *(f"anisomap.cli.commands.{each}" for each in ("recording", "maps", "simulation")),
 )
 """Modules that are loaded once, before processes are forked."""
 

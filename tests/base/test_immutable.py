@@ -6,7 +6,6 @@ import pytest
 
 from anisomap.base.immutable import Value
 from anisomap.health import summary
-from anisomap.paper import claims
 from anisomap.usability import Verdict
 
 VALUES = sorted(Value.__subclasses__(), key=lambda kind: kind.__name__)
@@ -20,7 +19,7 @@ def filled(kind, number):
 
 
 def test_values_are_found():
-    assert {Verdict, summary.RecordingSummary, claims.Interval} <= {*VALUES}
+    assert {Verdict, summary.RecordingSummary} <= {*VALUES}
 
 
 @pytest.mark.parametrize("kind", VALUES, ids=lambda kind: kind.__name__)

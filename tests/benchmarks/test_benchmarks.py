@@ -101,7 +101,7 @@ def test_tables_are_written(name, tmp_path, monkeypatch):
     anisomap.write(flat_skin(n_frames=600), folder / "retina_skin.npz")
     benchmark, arguments = SMALLEST[name]
     monkeypatch.setattr(placement, "SEEDS", placement.SEEDS[:1])
-    if name not in ("bench", "coach", "noise", "placement"):
+    if name not in ("bench", "coach", "kinds", "noise", "placement"):
         arguments = [*arguments, "--recordings", str(folder)]
     output = tmp_path / "out" / ("a.csv" if name == "placement" else "")
     benchmark.main([*arguments, "-o", str(output)])

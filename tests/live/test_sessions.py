@@ -81,7 +81,6 @@ def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, server, tm
     for told in (
         "holds no frame",
         "taxel 0 sent no number",
-        "ignored a frame of 3 readings instead of 42",
         "lost the connection",
     ):
         assert any(told in notice for notice in found["notices"])
@@ -139,14 +138,14 @@ def is_alive(pid):
 def test_a_flood_loses_nothing(session, tmp_path):
     n_frames, skin = 8_000, [line.partition(",")[2] for line in LINES]
     flood = tmp_path / "flood.txt"
-    flood.write_bytes(text([f"{i % 977},{skin[i % 600]}" for i in range(n_frames)]))
+    flood.write_bytes(text([f"{500 * i % 977},{skin[i % 600]}" for i in range(n_frames)]))
     with flood.open("rb") as lines:
         live = session("-", *FILE, stdin=lines)
         code, said = live.join()
     assert code == 0, said
     readings = anisomap.read(tmp_path / "r.csv").readings
     assert readings.shape == (n_frames, 42)
-    np.testing.assert_array_equal(readings[:, 0], np.arange(n_frames) % 977)
+    np.testing.assert_array_equal(readings[:, 0], 500 * np.arange(n_frames) % 977)
     assert live.result["final"]
     assert "Traceback" not in said
 

@@ -91,7 +91,7 @@ def test_arrays_and_lists_of_frames_are_recordings():
 def test_dead_sensors_are_left_out_and_listed():
     readings = np.array(flat_skin().readings)
     readings[:, [4, 17]] = [0, 3]
-    with pytest.warns(AnisomapWarning, match=r"never varied.*: 1 of 49 \(s4\)$|stuck .*\(s17\)"):
+    with pytest.warns(AnisomapWarning, match=r"never varied.*: 1 of 42 \(s4\)$|stuck .*\(s17\)"):
         sensor_map = diagnose(reconstruct(readings, "r-anisomap", 2), readings)
     np.testing.assert_array_equal(np.flatnonzero(~sensor_map.placed), [4, 17])
     assert np.isnan(sensor_map.positions[[4, 17]]).all()
@@ -197,7 +197,7 @@ HOLED[7, 3] = np.nan
         ({"drop": "s99"}, "no sensor 's99'"),
         ({"drop": ["nobody"]}, "no sensor 'nobody'"),
         ({"recording": Recording(np.full((9, 5), np.nan))}, "got 0 of 5"),
-        ({"recording": Recording(HOLED)}, "sensor s3, frame 7"),
+        ({"recording": Recording(HOLED)}, "sensors: s3; frames: 7"),
         *(
             ({"recording": nonsense}, r"shape \(T, N\) \(frames x sensors\)")
             for nonsense in (3, np.zeros(7))

@@ -110,7 +110,7 @@ def test_finished_experiments_are_not_repeated(quick):
 @pytest.mark.slow
 def test_a_killed_run_leaves_no_processes(tmp_path):
     command = [sys.executable, "-m", "anisomap", "paper", "-o", str(tmp_path / "out")]
-    command += ["--only", "settings-sphere-bombardment", "--only", "text-s3"]
+    command += ["--only", "settings-bombardment-0", "--only", "text-s3"]
     watched = {"env": os.environ | {"LOKY_MAX_CPU_COUNT": "2"}, "start_new_session": True}
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, **watched)
     until((tmp_path / "out" / "text-s3" / results.RECORD).exists)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.skins.corrections import read_corrected
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import special_ortho_group
@@ -139,7 +140,7 @@ def test_maps_without_modules_are_refused():
 @pytest.mark.slow
 def test_four_suggested_anchors_and_the_triangles_place_the_torso(recordings_folder):
     """No constant was fitted to the torso of this iCub."""
-    recording = io.read(recordings_folder / "icub_torso.npz")
+    recording = read_corrected(recordings_folder / "icub_torso.npz")
     template = io.read_map(recordings_folder.parent / "geometry" / "iit_triangle_10pad.npz")
     truth = np.asarray(recording.positions, dtype=float) / 1000
     made = reconstruct(recording, dimensions=2)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist, squareform
 from scipy.stats import spearmanr
 
+from anisomap.errors import InputError
 from anisomap.numerics.graph.dissimilarity import regularised_reciprocal
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.numerics.similarity.information import mutual_information
@@ -133,5 +134,8 @@ def pair_rows(
             others = similarity - 2 * np.abs(similarity).max() * np.eye(len(similarity))
             best = np.argsort(-others, axis=1, kind="stable")[:, :_N_LINE]
             axial = float(np.take_along_axis(line, best, axis=1).mean())
-        r = map_and_score(few, method, dimensions, mu=mu).score.mantel.r
+        try:
+            r = map_and_score(few, method, dimensions, mu=mu).score.mantel.r
+        except InputError:  # too few contacts for any map
+            r = np.nan
         yield (run, seed, method, r, unrelated, axial, float(near - far))

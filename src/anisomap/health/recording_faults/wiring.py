@@ -197,6 +197,7 @@ def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) ->
 
 
 _MAX_BLOCKS = 16  # of a recording, an even number; it may change after every second one
+_MIN_FRAMES = 640  # of fewer, real insoles without a change are accused
 _MAX_COMPARED = 16_384  # of which ranks are correlated
 _MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
 _MIN_SENSORS = 8  # that have these contacts
@@ -225,7 +226,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
     readings = recording.readings[::step][:, chosen]
     # Blocks that share contacts are more alike than in random order.
     n_blocks = 2 * (min(_MAX_BLOCKS, len(readings) // block_length(readings)) // 2)
-    if n_blocks < 4:
+    if recording.n_frames < _MIN_FRAMES or n_blocks < 4:
         return
     moments, contacts = _of_blocks(readings, n_blocks)
     rng = np.random.default_rng(0)
