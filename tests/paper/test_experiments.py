@@ -70,7 +70,8 @@ def check_results(folder, names):
             with (folder / name / f"{table['name']}.csv").open(newline="") as file:
                 header, *rows = csv.reader(file)
             assert header == list(table["columns"])
-            assert rows
+            # Previews judge claims at the first point of each group of settings.
+            assert rows or re.fullmatch(r"settings-\w+-[1-9]\d*", name)
             assert all(table["columns"].values()), "every column has a description"
         for picture in record["pictures"]:
             for kind in results.FIGURE_FORMATS:
