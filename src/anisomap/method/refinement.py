@@ -97,8 +97,8 @@ def refine(
 
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
     first = fitted(metric, positions, rough, None) if near is None else near
-    lengths, weight = _in_unit_of(first.positions, metric)
-    weighted = replace(options, prior_weight=max(options.prior_weight, weight))
+    lengths, prior_weight = _in_unit_of(first.positions, metric)
+    weighted = replace(options, prior_weight=max(options.prior_weight, prior_weight))
     fit = fitted(lengths, first.positions, weighted, first)
     logger.debug("covariogram with exponent %.2f, %d steps", fit.exponent, fit.iterations)
     share = evidence.unexplained(fit.positions)
