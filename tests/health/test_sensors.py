@@ -222,6 +222,6 @@ def test_signals_count_the_frames_beyond_the_threshold(column, sign):
     signals = Signals(readings)
     np.testing.assert_array_equal(signals.active[:, 0], expected)
     assert signals.n_active == np.count_nonzero(expected)
-    assert signals.distinct == np.unique(column).size
+    assert signals.rest.distinct == np.unique(column).size
     extreme = column.max() if signals.rest.side[0] > 0 else column.min()
     assert signals.at_extreme == np.count_nonzero(expected & (column == extreme))

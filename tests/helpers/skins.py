@@ -93,7 +93,7 @@ def stages(readings, method="covariogram", options=None):
     return SimpleNamespace(
         evidence=evidence,
         similarity=evidence.similarity,
-        dissimilarity=recipe.dissimilarity_of(evidence, chosen),
+        dissimilarity=recipe.dissimilarity(evidence, chosen),
         metric=recipe.lengths_of(evidence, chosen),
     )
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import check_grad, minimize
-from scipy.spatial.distance import cdist, pdist
+from scipy.spatial.distance import cdist, pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import load_loops
@@ -23,7 +23,6 @@ from anisomap.numerics.covariogram.objective import (
     Pairs,
     Problem,
     Weights,
-    pack,
 )
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
@@ -62,7 +61,7 @@ def test_the_gradient_is_that_of_finite_differences(most, unknown):
     known = rng.uniform(size=(14, 14)) >= unknown
     known &= known.T & ~np.eye(14, dtype=bool)
     options = CovariogramOptions(max_whitened=most)
-    objective = Objective(Problem(similarity, metric, known, 0.3, options))
+    objective = Objective(Problem(similarity, metric, known, 0.3, 1.0, options))
 
     def value(p):
         return objective.value_and_slope(p[:-1].reshape(14, 3), p[-1])
@@ -235,8 +234,8 @@ def exact(points, max_whitened=500, prior=0.0, repulsion=0.0, noise=1e-3):
     similarity = 0.8 * np.exp(-(distances ** np.exp(LOG_EXPONENT))) + 0.05
     np.fill_diagonal(similarity, 1.0)
     known = ~np.eye(len(points), dtype=bool)
-    options = CovariogramOptions(prior_weight=prior, repulsion=repulsion, max_whitened=max_whitened)
-    return Objective(Problem(similarity, distances, known, noise, options))
+    options = CovariogramOptions(repulsion=repulsion, max_whitened=max_whitened)
+    return Objective(Problem(similarity, distances, known, noise, prior, options))
 
 
 def by_axes(positions, gradient):
@@ -281,8 +280,7 @@ def test_the_minimum_is_that_of_a_long_search(seed):
     points = rng.uniform(0, 4, (60, 2))
     objective = exact(points, prior=1.0, repulsion=0.1)
     start = points + rng.normal(0, 0.1, points.shape)
-    options = CovariogramOptions()
-    found = minimise(objective, start, options, tolerance=1e-8, displacement=1e-3)
+    found = minimise(objective, start, 1e-8, 300)
     assert found.converged
 
     def plain(parameters):
@@ -300,9 +298,7 @@ def test_the_minimum_is_that_of_a_long_search(seed):
 def test_no_iterations_leave_the_start():
     points = np.random.default_rng(0).uniform(0, 2, (20, 2))
     objective = exact(points)
-    found = minimise(
-        objective, points, CovariogramOptions(max_iterations=0), tolerance=1e-7, displacement=1e-3
-    )
+    found = minimise(objective, points, 1e-7, 0)
     np.testing.assert_array_equal(found.positions, points)
     assert found.iterations == 0
     assert not found.converged
@@ -360,7 +356,7 @@ def test_the_decay_is_that_of_its_definition(n_points, dimensions, log_exponent,
     points = np.random.default_rng(seed).normal(0, 1, (n_points, dimensions))
     known = constants(n_points, seed, np.float64)
     found = Pairs(**known).decay(points, log_exponent)
-    distances = pack(cdist(points, points))
+    distances = pdist(points)
     powers = np.minimum(distances ** np.exp(log_exponent), 80)
     np.testing.assert_allclose(found.shape, known["known"] * np.exp(-powers), rtol=1e-9)
     np.testing.assert_allclose(found.steepness, powers * found.shape, rtol=1e-9)
@@ -374,7 +370,7 @@ def test_unpacking_reverses_packing(n_points, seed):
     matrix = pairs.unpack(pairs.similarity)
     np.testing.assert_array_equal(matrix, matrix.T)
     assert not np.diag(matrix).any()
-    np.testing.assert_array_equal(pack(matrix), pairs.similarity)
+    np.testing.assert_array_equal(squareform(matrix, checks=False), pairs.similarity)
     np.testing.assert_array_equal(
         CompiledPairs(**constants(n_points, seed, np.float64)).unpack(pairs.similarity), matrix
     )

@@ -287,7 +287,7 @@ def _assess(
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
                 statuses[int(sensors[i])] = status, reason
-        measured["distinct"][varying] = signals.distinct
+        measured["distinct"][varying] = signals.rest.distinct
         measured["active"][varying] = signals.n_active / recording.n_frames
         measured["contacts"][varying] = signals.contacts
         measured["lag_correlation"][varying] = signals.lag_correlation
@@ -405,7 +405,7 @@ def _stuck_bit(b: Behaviour) -> dict[int, str]:
     probability (1 - f)^w. The highest bits leave too few gaps to tell.
     """
     readings, reasons = b.signals.readings[:: -(-len(b.signals.readings) // MAX_FRAMES)], {}
-    for i in np.flatnonzero(b.signals.distinct >= 2 * _MIN_GAPS << _LEAST_BIT).tolist():
+    for i in np.flatnonzero(b.signals.rest.distinct >= 2 * _MIN_GAPS << _LEAST_BIT).tolist():
         levels = np.unique(readings[:, i]).astype(np.float64)
         codes = (levels - levels[0]) / np.diff(levels).min(initial=np.inf)
         whole = codes.round().astype(np.intp)
@@ -451,7 +451,9 @@ def _saturating(b: Behaviour) -> dict[int, str]:
     at_extreme = b.signals.at_extreme
     share = at_extreme / np.maximum(b.signals.n_active, 1)
     often = (
-        (at_extreme >= _MIN_AT_EXTREME) & (share > 2 * np.median(share)) & (b.signals.distinct > 2)
+        (at_extreme >= _MIN_AT_EXTREME)
+        & (share > 2 * np.median(share))
+        & (b.signals.rest.distinct > 2)
     )
     return {
         i: f"at its extreme reading in {share[i]:.0%} of its active frames (typical: "

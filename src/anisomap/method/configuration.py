@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.spatial.distance import cdist
 
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning
+from anisomap.method.dimensions import Dimensions
 from anisomap.method.evidence import Evidence
 from anisomap.method.named import DEFAULT_OPTIONS, Method, MethodOptions, find_method
 from anisomap.method.refinement import Refinement
@@ -58,42 +59,48 @@ class Configuration:
         return self.refinements[0] if self.refinements else None
 
 
-def configure(
-    metric: Reals,
-    evidence: Evidence | None,
-    dimensions: int,
-    recipe: Method,
-    options: MethodOptions,
-    *,
-    weights: Reals | None = None,
-    start: Floats | None = None,
-) -> Configuration:
-    """Scale a metric, and refine the positions by the evidence.
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is mapped, however it was given: n sensors among all N.
 
-    metric (n, n), weights (n, n), start (n, k).
+    evidence: None if a metric was given, or a dissimilarity. metric, weights (n, n), start (n, k).
+    names (N,), mapped (N,): All names, and which sensors are mapped.
+    usual: Returns the evidence of the default method, if there is any.
     """
-    chosen = recipe.scaling_of(len(metric), options.smacof)
-    if recipe.refine is None or evidence is None:
-        return scale(metric, dimensions, start=start, weights=weights, options=chosen)
+
+    evidence: Evidence | None
+    metric: Reals
+    names: tuple[str, ...]
+    mapped: NDArray[np.bool_]
+    method: str
+    recipe: Method
+    dimensions: Dimensions
+    options: MethodOptions
+    usual: Callable[[Method], Evidence | None]
+    facts: Mapping[str, Scalar]
+    notes: Sequence[Note] = ()
+    weights: Reals | None = None
+    start: Floats | None = None
+    objects: bool = False
+
+
+def configure(task: Task, dimensions: int) -> Configuration:
+    """Scale the metric, and refine the positions by the evidence."""
+    chosen = task.recipe.scaling_of(len(task.metric), task.options.smacof)
+    if task.recipe.refine is None or task.evidence is None:
+        return _scaled(task, dimensions, chosen)
     near = chosen
     if chosen.tolerance < _START.tolerance:
         near = _START if chosen == DEFAULT_SMACOF else replace(chosen, tolerance=_START.tolerance)
-    scaled = scale(metric, dimensions, start=start, weights=weights, options=near)
-    return refine_components(scaled, metric, evidence, recipe, options)
+    return _refined(task, task.evidence, _scaled(task, dimensions, near))
 
 
-def scale(
-    metric: Reals,
-    dimensions: int,
-    *,
-    start: Floats | None = None,
-    weights: Reals | None = None,
-    options: SmacofOptions | None = None,
-) -> Configuration:
-    """Scale each connected component of a metric (n, n) by SMACOF, from positions (n, k) if given.
+def _scaled(task: Task, dimensions: int, options: SmacofOptions) -> Configuration:
+    """Scale each connected component of the metric by SMACOF.
 
     McGregor et al. (2011), section "ANISOMAP", step 3, doi:10.1371/journal.pone.0026561.
     """
+    metric, start, weights = task.metric, task.start, task.weights
     labels = components(metric if weights is None else np.where(weights > 0, metric, np.inf))
     positions = np.empty((len(metric), dimensions))
     scalings: list[Scaling] = []
@@ -120,20 +127,15 @@ def scale(
     )
 
 
-def refine_components(
-    scaled: Configuration,
-    metric: Reals,
-    evidence: Evidence,
-    recipe: Method,
-    options: MethodOptions,
-) -> Configuration:
+def _refined(task: Task, evidence: Evidence, scaled: Configuration) -> Configuration:
     """Refine each connected component; those of fewer than `min_sensors` stay as they are."""
+    recipe, options = task.recipe, task.options
     positions = scaled.positions.copy()
     raw = spread = 0.0
     refinements: list[Refinement | None] = []
     for label in range(scaled.component.max() + 1):
         inside = scaled.component == label
-        lengths = among(metric, inside)
+        lengths = among(task.metric, inside)
         refined = None
         enough = np.count_nonzero(inside) >= options.min_sensors and (lengths > 0).any()
         if enough and recipe.refine is not None:

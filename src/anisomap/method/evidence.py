@@ -21,7 +21,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
-from anisomap.numerics.precision import Floats, Reals
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import (
     Blend,
     Groups,
@@ -53,44 +53,25 @@ _ALIKE = 1e-5  # difference of readings in [-1, 1] by rounding, in float32
 Scores: TypeAlias = Blend | Contacts
 """Scores of frames, whose sums over weighted blocks give the similarity of a resample."""
 
-Compared: TypeAlias = tuple[Reals, Reals, Scores | None]
-"""Similarity and sampling variance, (n, n) each, and the scores that they follow from."""
-
 
 @dataclass(frozen=True)
 class Similarity:
     """A pairwise statistic.
 
     compute: ``compute(readings, bins)`` returns the similarity of all pairs, shape (n, n).
-    compare: ``compare(readings, rest, centred)`` returns it with its variance and its scores; rest
-        may be None. By default, the variance is that of correlations of the readings.
+    score: ``score(readings, rest, centred)`` returns the scores that it follows from; rest may be
+        None. Without them, its variance is that of correlations of what `correlated` makes of the
+        readings, by default themselves.
     of_signals: ``of_signals(signals)`` returns what `compute` would, if other analyses need it.
     centred: Whether the signal that all sensors share is subtracted first.
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
-    compare: Callable[[NDArray[Any], Rest | None, bool], Compared] | None = None
+    score: Callable[[NDArray[Any], Rest | None, bool], Scores] | None = None
+    correlated: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
     of_signals: Callable[[Signals], Reals] | None = None
     centred: bool = False
-
-    def with_variance(
-        self, readings: NDArray[Any], bins: int, rest: Rest | None = None, *, centred: bool = False
-    ) -> Compared:
-        """Compute the similarity, its sampling variance for unrelated sensors, and its scores."""
-        if self.compare is not None:
-            return self.compare(readings, rest, centred)
-        return self.compute(readings, bins), sampling_variance(readings), None
-
-
-def _blended(readings: NDArray[Any], rest: Rest | None, centred: bool) -> Compared:
-    blend = Blend.of(readings, rest, centred=centred)
-    return blend.similarity, blend.variance, blend
-
-
-def _agreement(readings: NDArray[Any], *_: object) -> Compared:
-    contacts = Contacts.of(readings)
-    return contacts.agreement(), sampling_variance(contacts.active), contacts
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
@@ -103,16 +84,12 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "spearman": Similarity(
             "rank correlation",
             lambda x, _: spearman(x),
-            lambda x, *_: (spearman(x), sampling_variance(ranked(x)), None),
+            correlated=ranked,
         ),
         "co-activation": Similarity(
             "correlation of binary contact (phi)",
             lambda x, _: co_activation(x),
-            lambda x, *_: (
-                co_activation(x),
-                sampling_variance(estimate_rest(x).active(x)),
-                None,
-            ),
+            correlated=lambda x: estimate_rest(x).active(x),
         ),
         "mutual-information": Similarity(
             "mutual information of binned readings", mutual_information
@@ -120,13 +97,13 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "blended-correlation": Similarity(
             "linear correlation where it is reliable, else rank correlation",
             lambda x, _: blended_correlation(x),
-            _blended,
+            Blend.of,
             centred=True,
         ),
         "contact-agreement": Similarity(
             "agreement over distinct contacts (kappa), for readings that are on or off",
             lambda x, _: contact_agreement(x),
-            _agreement,
+            lambda x, *_: Contacts.of(x),
         ),
     }
 )
@@ -175,19 +152,15 @@ class Evidence:
         if len(runs) > 1 and sensors_differ(runs):
             return _of_different_sensors(runs, statistic, bins)
         how, readings = SIMILARITIES[statistic], _joined(runs, runs[0].names)
-        if not with_variance:
-            if how.of_signals is not None and len(runs) == 1:
-                found = how.of_signals(runs[0].signals)
-            else:
-                found = how.compute(_centred(how, readings)[0], bins)
-            return cls.from_similarity(found, variance=np.nan, statistic=statistic)
-        step = thinning(readings)
-        readings, share = _centred(how, readings[::step])
-        rest = runs[0].signals.rest if len(runs) == 1 and step == 1 and share == 0 else None
-        readings = np.asfortranarray(readings)  # most statistics go sensor by sensor
-        found, variance, scores = how.with_variance(readings, bins, rest, centred=share > 0)
-        checked = cls.from_similarity(found, variance=variance, statistic=statistic)
-        return replace(checked, readings=readings, scores=scores, common_share=share)
+        signals = runs[0].signals if len(runs) == 1 else None
+        if with_variance or how.centred:
+            step = thinning(readings)
+            return _compared(readings[::step], statistic, bins, signals if step == 1 else None)
+        if how.of_signals is not None and signals is not None:
+            found = how.of_signals(signals)
+        else:
+            found = how.compute(readings, bins)
+        return cls.from_similarity(found, variance=np.nan, statistic=statistic)
 
     @classmethod
     def from_similarity(
@@ -242,11 +215,6 @@ class Evidence:
             yield Evidence(
                 similarity, self.variance, self.known, self.statistic, related=self.related
             )
-
-    @property
-    def weights(self) -> Floats | None:
-        """Weights of distances in scaling: 0 for unknown pairs; None if all pairs are known."""
-        return None if self.known.all() else self.known.astype(np.float64)
 
     @cached_property
     def noise(self) -> float:
@@ -304,14 +272,30 @@ def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_ro
     )
 
 
-def _centred(how: Similarity, readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
-    """Return the readings that are compared, (T, n), and the share of what was subtracted."""
-    return without_common_signal(readings) if how.centred else (readings, 0.0)
+def _compared(
+    readings: NDArray[Any], statistic: str, bins: int, signals: Signals | None = None
+) -> Evidence:
+    """Compare all pairs of sensors. readings (T, n). signals: Of these readings, if known."""
+    how = SIMILARITIES[statistic]
+    values, share = without_common_signal(readings) if how.centred else (readings, 0.0)
+    values = np.asfortranarray(values)  # most statistics go sensor by sensor
+    scores = None
+    if how.score is None:
+        found, variance = how.compute(values, bins), sampling_variance(how.correlated(values))
+    else:
+        rest = signals.rest if signals is not None and share == 0 else None
+        scores = how.score(values, rest, share > 0)
+        found = scores.similarity
+        if isinstance(scores, Blend):
+            variance = scores.variance
+        else:
+            variance = sampling_variance(scores.active)
+    checked = Evidence.from_similarity(found, variance=variance, statistic=statistic)
+    return replace(checked, readings=values, scores=scores, common_share=share)
 
 
 def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) -> Evidence:
     """Compare each pair of sensors over the runs that contain both."""
-    how = SIMILARITIES[statistic]
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
     column = {name: i for i, name in enumerate(names)}
     present = np.zeros((len(runs), len(names)), dtype=bool)
@@ -320,7 +304,7 @@ def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) 
     similarity, variance = np.eye(len(names)), np.ones((len(names), len(names)))
     known = np.eye(len(names), dtype=bool)
     patterns, pattern = np.unique(present, axis=1, return_inverse=True)
-    compared: dict[bytes, tuple[NDArray[np.intp], Reals, Reals]] = {}
+    compared: dict[bytes, tuple[NDArray[np.intp], Evidence]] = {}
     for a, b in combinations_with_replacement(range(patterns.shape[1]), 2):
         shared = patterns[:, a] & patterns[:, b]
         if not shared.any():
@@ -329,14 +313,13 @@ def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) 
             sensors = np.flatnonzero(present[shared].all(axis=0))
             chosen = [run for run, has_both in zip(runs, shared, strict=True) if has_both]
             readings = _joined(chosen, tuple(names[i] for i in sensors))
-            values, share = _centred(how, readings)
-            found = how.with_variance(values, bins, centred=share > 0)
-            compared[key] = sensors, found[0], found[1]
-        sensors, *statistics = compared[key]
+            compared[key] = sensors, _compared(readings, statistic, bins)
+        sensors, shown = compared[key]
         one, other = (np.flatnonzero(pattern[sensors] == which) for which in (a, b))
         for rows, columns in ((one, other), (other, one)):
             target, source = np.ix_(sensors[rows], sensors[columns]), np.ix_(rows, columns)
-            similarity[target], variance[target] = (values[source] for values in statistics)
+            similarity[target] = shown.similarity[source]
+            variance[target] = shown.variance[source]
             known[target] = True
     return Evidence.from_similarity(similarity, variance=variance, known=known, statistic=statistic)
 

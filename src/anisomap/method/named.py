@@ -144,17 +144,13 @@ class Method:
     contact_similarity: str | None = None
     solver: str = AUTO_SOLVER
 
-    def dissimilarity_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
-        """Compute M, shape (n, n), infinite for unknown evidence."""
+    def lengths_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
+        """Compute D, shape (n, n); unknown evidence makes no edge."""
         dissimilarity = self.dissimilarity(evidence, options)
         if not evidence.known.all():
             dissimilarity[~evidence.known] = np.inf
             np.fill_diagonal(dissimilarity, 0)
-        return dissimilarity
-
-    def lengths_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
-        """Compute D, shape (n, n)."""
-        lengths = self.metric(self.dissimilarity_of(evidence, options))
+        lengths = self.metric(dissimilarity)
         if self.refine is None:
             return lengths
         return with_bounded_stems(lengths, evidence.groups.hidden)

@@ -7,18 +7,19 @@ each make `Evidence`, or a metric; from there on, all are mapped by `_map`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from anisomap.base import DEFAULT_METHOD
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.blocks import sum_blocks
 from anisomap.method.configuration import (
     Configuration,
+    Task,
     as_map,
     caveats,
     configure,
@@ -53,7 +54,7 @@ from anisomap.method.validation import (
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.numerics.precision import Floats, Reals, check_pair_memory
+from anisomap.numerics.precision import Reals, check_pair_memory
 from anisomap.recording import (
     Recording,
     Scalar,
@@ -80,31 +81,6 @@ class Stages:
     configuration: Configuration
     choice: DimensionChoice
     other: Configuration | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Input:
-    """What is mapped, however it was given: n sensors among all N.
-
-    evidence: None if a metric was given, or a dissimilarity. metric, weights (n, n), start (n, k).
-    names (N,), mapped (N,): All names, and which sensors are mapped.
-    usual: Returns the evidence of the default method, if there is any.
-    """
-
-    evidence: Evidence | None
-    metric: Reals
-    names: tuple[str, ...]
-    mapped: NDArray[np.bool_]
-    method: str
-    recipe: Method
-    dimensions: Dimensions
-    options: MethodOptions
-    usual: Callable[[Method], Evidence | None]
-    facts: Mapping[str, Scalar]
-    notes: Sequence[Note] = ()
-    weights: Reals | None = None
-    start: Floats | None = None
-    objects: bool = False
 
 
 _Placed: TypeAlias = tuple[Configuration, DimensionChoice, Configuration | None]
@@ -221,17 +197,17 @@ def reconstruct_with_stages(
     with limited_blas(len(names)):
         evidence = compared(recipe)
         facts |= {"similarity": evidence.statistic}
-        given = _Input(
+        task = Task(
             evidence,
             recipe.lengths_of(evidence, options),
             *(joined.names, mapped, method, recipe, dimensions, options),
             usual=compared,
             facts=facts if len(runs) == 1 else facts | {"runs": len(runs)},
             notes=tuple(unknown_pairs(evidence, names)),
-            weights=evidence.weights,
+            weights=None if evidence.known.all() else evidence.known.astype(np.float64),
         )
-        made, placed = _map(given, stack_level + 1)
-    return made, Stages(evidence, given.metric, *placed)
+        made, placed = _map(task, stack_level + 1)
+    return made, Stages(evidence, task.metric, *placed)
 
 
 def _reconstruct_blocks(
@@ -358,7 +334,7 @@ def reconstruct_from(
         refined = evidence is not None or recipe.refine is None
         is_correlation = recipe.similarity != "mutual-information"
         facts = {"similarity": statistic} if statistic else {"precomputed": stage}
-        task = _Input(
+        task = Task(
             *(evidence, lengths, names, mapped, method, recipe, dimensions, options),
             usual=lambda _: evidence if is_correlation else None,
             facts=facts,
@@ -370,45 +346,45 @@ def reconstruct_from(
         return _map(task, stack_level=3)[0]
 
 
-def _map(given: _Input, stack_level: int) -> tuple[SensorMap, _Placed]:
+def _map(task: Task, stack_level: int) -> tuple[SensorMap, _Placed]:
     """Make the map of evidence or of a metric, with its notes and its provenance."""
-    placed = configuration, choice, _ = _placed(given)
-    least, largest = given.options.min_sensors, np.count_nonzero(configuration.component == 0)
+    placed = configuration, choice, _ = _placed(task)
+    least, largest = task.options.min_sensors, np.count_nonzero(configuration.component == 0)
     if largest < least:
         raise InputError(
             f"a map requires at least {least} related sensors, but the largest group has "
             f"{largest}; check that the skin was touched during the recording"
         )
-    names = [given.names[i] for i in np.flatnonzero(given.mapped).tolist()]
-    facts = parameters_of(given.method, given.options, len(names))
-    facts |= choice.facts(objects=given.objects)
+    names = [task.names[i] for i in np.flatnonzero(task.mapped).tolist()]
+    facts = parameters_of(task.method, task.options, len(names))
+    facts |= choice.facts(objects=task.objects)
     made = as_map(
         configuration,
-        *(given.names, given.mapped, given.method),
-        similarity="" if given.evidence is None else given.evidence.statistic,
+        *(task.names, task.mapped, task.method),
+        similarity="" if task.evidence is None else task.evidence.statistic,
         notes=(
-            *choice.notes(objects=given.objects),
-            *given.notes,
-            *caveats(configuration, given.evidence, names),
+            *choice.notes(objects=task.objects),
+            *task.notes,
+            *caveats(configuration, task.evidence, names),
         ),
-        provenance={**facts, **given.facts},
-        objects=given.objects,
+        provenance={**facts, **task.facts},
+        objects=task.objects,
         stack_level=stack_level + 1,
     )
     return made, placed
 
 
-def _placed(given: _Input) -> _Placed:
+def _placed(task: Task) -> _Placed:
     """Choose the number of dimensions, and scale and refine the metric.
 
     A number that was chosen is confirmed or rejected by the map in the other one, which is returned
     as well.
     """
-    choice = _choice(given)
-    found = _configured(given, choice.dimensions)
+    choice = _choice(task)
+    found = configure(task, choice.dimensions)
     if choice.given or choice.line or found.largest is None:
         return found, choice, None
-    other = _configured(given, PLANE + SPATIAL - choice.dimensions)
+    other = configure(task, PLANE + SPATIAL - choice.dimensions)
     if not choice.shown or other.largest is None:
         return found, choice, other
     explained = other.largest.unexplained - found.largest.unexplained
@@ -418,24 +394,16 @@ def _placed(given: _Input) -> _Placed:
     return other, confirmed, found
 
 
-def _choice(given: _Input) -> DimensionChoice:
+def _choice(task: Task) -> DimensionChoice:
     """Choose the number of dimensions, from the metric of the default method if possible."""
-    evidence, dimensions, default = given.evidence, given.dimensions, METHODS[DEFAULT_METHOD]
+    evidence, dimensions, default = task.evidence, task.dimensions, METHODS[DEFAULT_METHOD]
     if evidence is None:
-        metric = given.metric if dimensions == AUTO else None
-        return plan_dimensions(dimensions, metric, given.weights)
-    if given.recipe.refine is not None:
+        metric = task.metric if dimensions == AUTO else None
+        return plan_dimensions(dimensions, metric, task.weights)
+    if task.recipe.refine is not None:
         share = evidence.common_share
-        return plan_dimensions(dimensions, given.metric, given.weights, common_share=share)
-    if dimensions == AUTO and (usual := given.usual(default)) is not None:
-        lengths = default.lengths_of(usual, given.options)
-        return _placed(replace(given, evidence=usual, metric=lengths, recipe=default))[1]
+        return plan_dimensions(dimensions, task.metric, task.weights, common_share=share)
+    if dimensions == AUTO and (usual := task.usual(default)) is not None:
+        lengths = default.lengths_of(usual, task.options)
+        return _placed(replace(task, evidence=usual, metric=lengths, recipe=default))[1]
     return plan_dimensions(dimensions, None)
-
-
-def _configured(given: _Input, dimensions: int) -> Configuration:
-    return configure(
-        *(given.metric, given.evidence, dimensions, given.recipe, given.options),
-        weights=given.weights,
-        start=given.start,
-    )

@@ -7,7 +7,8 @@ leaves some of them unexplained, path lengths have a share in the map.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
@@ -82,35 +83,27 @@ def refine(
     if len(positions) < MIN_SENSORS:
         return None
 
-    def fitted(
-        lengths: Reals, start: Reals, options: CovariogramOptions, near: Covariogram | None
-    ) -> Covariogram:
-        return fit_covariogram(
-            evidence.similarity,
-            start,
-            lengths,
-            noise=evidence.noise,
-            known=evidence.known,
-            options=options,
-            near=near,
-        )
-
-    rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
-    first = fitted(metric, positions, rough, None) if near is None else near
+    fit = partial(
+        fit_covariogram,
+        evidence.similarity,
+        noise=evidence.noise,
+        known=evidence.known,
+        options=options,
+    )
+    first = fit(positions, metric, least_tolerance=_ROUGH) if near is None else near
     lengths, prior_weight = _in_unit_of(first.positions, metric)
-    weighted = replace(options, prior_weight=max(options.prior_weight, prior_weight))
-    fit = fitted(lengths, first.positions, weighted, first)
-    logger.debug("covariogram with exponent %.2f, %d steps", fit.exponent, fit.iterations)
-    share = evidence.unexplained(fit.positions)
+    found = fit(first.positions, lengths, least_prior=prior_weight, near=first)
+    logger.debug("covariogram with exponent %.2f, %d steps", found.exponent, found.iterations)
+    share = evidence.unexplained(found.positions)
     if share <= 0:
-        return Refinement(fit.positions, fit, share, 0.0)
-    proposed = _by_paths(evidence, fit.positions)
+        return Refinement(found.positions, found, share, 0.0)
+    proposed = _by_paths(evidence, found.positions)
     # The variance of each map is taken to be proportional to the share that it leaves unexplained,
     # to which paths add their own; a mean weighted by precisions has the smallest variance.
     precision = share / (max(share, evidence.unexplained(proposed)) + _PATHS_UNEXPLAINED)
     weight = precision / (1 + precision)
-    mean = (1 - weight) * fit.positions + weight * proposed
-    return Refinement(mean, fit, share, weight)
+    mean = (1 - weight) * found.positions + weight * proposed
+    return Refinement(mean, found, share, weight)
 
 
 def _in_unit_of(positions: Reals, metric: Reals) -> tuple[Reals, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.numerics.precision import Floats
-from anisomap.numerics.similarity.rest import Rest, find_levels
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 MIN_FRAMES = 50
 """Frames that tell the level at rest of a recording; of fewer, sensors may be touched in most."""
@@ -64,7 +64,7 @@ def _rest(readings: NDArray[np.floating]) -> Rest:
         fill = np.zeros(readings.shape[1])
         fill[~empty] = usual
         readings = np.where(known, readings, fill).astype(readings.dtype)
-    return find_levels(readings).rest
+    return estimate_rest(readings)
 
 
 def steps_of_rest(readings: NDArray[np.floating]) -> list[int]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 
@@ -30,14 +30,6 @@ _BLOCK_BYTES = 1 << 26
 def float_type(n_sensors: int) -> type[np.float32] | type[np.float64]:
     """Return the float type of (N, N) matrices of `n_sensors` sensors."""
     return np.float32 if n_sensors >= MIN_FLOAT32_SENSORS else np.float64
-
-
-def as_reals(values: ArrayLike, *, copy: bool = True) -> Reals:
-    """Convert to a C-contiguous array of float64, or of float32 if the input is float32."""
-    single = getattr(values, "dtype", None) == np.float32
-    return np.array(
-        values, dtype=np.float32 if single else np.float64, copy=copy or None, order="C"
-    )
 
 
 def slices_of(n_rows: int, size: int) -> Iterator[slice]:

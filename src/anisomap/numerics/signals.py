@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import centred_rows, transposed
 from anisomap.numerics.precision import Floats, Reals
-from anisomap.numerics.similarity.rest import Levels, Rest, find_levels
+from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 MAX_FRAMES = 4096
 """Consecutive frames of an excerpt; chosen by hand: statistics change little beyond."""
@@ -42,18 +42,9 @@ class Signals:
         self._pearson: Reals | None = None
 
     @cached_property
-    def _levels(self) -> Levels:
-        return find_levels(self.readings)
-
-    @property
     def rest(self) -> Rest:
         """Rest of each sensor."""
-        return self._levels.rest
-
-    @property
-    def distinct(self) -> NDArray[np.intp]:
-        """Number of distinct readings of each sensor: see `Levels`."""
-        return self._levels.distinct
+        return estimate_rest(self.readings)
 
     def differ_by_less(self, limits: Floats) -> NDArray[np.bool_]:
         """Return whether two readings of each sensor differ, by less than a limit, shape (N,)."""
@@ -68,7 +59,7 @@ class Signals:
     @property
     def never_at_rest(self) -> NDArray[np.intp]:
         """Sensors that no value occurs often in: a signal that is always there leaves none."""
-        return np.flatnonzero(~self._levels.frequent)
+        return np.flatnonzero(~self.rest.frequent)
 
     @cached_property
     def at_extreme(self) -> NDArray[np.intp]:

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist, pdist
 
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
-from anisomap.method.evidence import SIMILARITIES
+from anisomap.method.evidence import Evidence
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.reliability import sampling_noise
@@ -35,6 +35,7 @@ from anisomap.numerics.reliability.sampling_noise import (
 from anisomap.numerics.scaling.multidimensional_scaling import torgerson
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import pearson, resampled_correlation
+from anisomap.recording import Recording
 from skins import flat_skin
 
 
@@ -117,9 +118,10 @@ def test_the_variance_is_that_of_the_statistic_and_not_of_the_readings(statistic
     respond = {"sparse": lambda x: np.maximum(0, x - 1.3), "heavy tails": lambda x: np.exp(2 * x)}
     readings = [respond[response](x) for x in found]
     pairs = np.triu_indices(30, 1)
-    computed = [SIMILARITIES[statistic].with_variance(x, 4) for x in readings]
-    observed = np.mean([similarity[pairs].var() for similarity, *_ in computed])
-    estimated = np.mean([typical_variance(variance) for _, variance, _ in computed])
+    runs = [[Recording(x)] for x in readings]
+    computed = [Evidence.of(run, statistic, bins=4, with_variance=True) for run in runs]
+    observed = np.mean([one.similarity[pairs].var() for one in computed])
+    estimated = np.mean([one.noise for one in computed])
     assert estimated == pytest.approx(observed, rel=0.3)
 
 

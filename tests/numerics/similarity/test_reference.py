@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from anisomap import Recording, reconstruct
-from anisomap.numerics.similarity.correlation import common_share, without_common_signal
+from anisomap.numerics.similarity.correlation import without_common_signal
 from skins import flat_skin, mantel_r, quietly
 
 SEEDS = st.integers(0, 1000)
@@ -62,7 +62,7 @@ def test_a_common_signal_is_subtracted(seed, common):
 def test_the_share_is_that_of_the_mean_over_sensors(seed):
     """The common signal, of variance c, makes c / (c + (1 - c) / N) of the mean."""
     expected = 0.5 / (0.5 + 0.5 / 20)
-    found = common_share(np.corrcoef(sharing(seed, 0.5), rowvar=False))
+    _, found = without_common_signal(sharing(seed, 0.5))
     assert found == pytest.approx(expected, abs=0.06)
 
 

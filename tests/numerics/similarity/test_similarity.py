@@ -112,7 +112,7 @@ def test_activity_does_not_depend_on_the_direction_of_contact(readings):
 def assert_rest_of_counts(readings):
     found = estimate_rest(readings)
     expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)
-    for name in ("value", "side", "threshold", "known"):
+    for name in ("value", "side", "threshold", "known", "frequent"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
@@ -137,7 +137,8 @@ def test_activity_of_many_sensors_is_depth_beyond_rest(real):
 def test_activity_is_depth_beyond_rest_where_the_limit_is_nearly_0(real):
     value = np.array([4.0, 0.1, -3.0, 1e-30, 0.0])
     side = np.array([-1.0, -1.0, 1.0, -1.0, 1.0])
-    rest = Rest(value, side, np.abs(value), np.ones(5, dtype=bool))
+    every = np.ones(5, dtype=bool)
+    rest = Rest(value, side, np.abs(value), every, every, np.ones(5, dtype=np.intp))
     ends = 10.0 ** np.arange(-45, 2)
     readings = np.concatenate([-ends, [0], ends]).astype(real)[:, None] * np.ones(5, real)
     np.testing.assert_array_equal(rest.active(readings), rest.depth(readings) > 0)

@@ -24,7 +24,6 @@ from anisomap.numerics.covariogram.objective import (
     CovariogramOptions,
     Objective,
     Problem,
-    pack,
     solve_amplitude_and_offset,
 )
 from anisomap.numerics.graph.dissimilarity import as_symmetric
@@ -93,6 +92,8 @@ def fit_covariogram(
     noise: float,
     known: ArrayLike | None = None,
     options: CovariogramOptions | None = None,
+    least_tolerance: float = 0.0,
+    least_prior: float = 0.0,
     near: Covariogram | None = None,
 ) -> Covariogram:
     """Fit positions such that one decreasing function of distance explains all correlations.
@@ -112,6 +113,8 @@ def fit_covariogram(
     known : array_like of bool, shape (N, N), optional
         Mask of the known correlations; all by default.
     options : CovariogramOptions, optional
+    least_tolerance, least_prior : float
+        Minima of the `tolerance` and the `prior_weight` of the options.
     near : Covariogram, optional
         A fit to nearly the same correlations, at the same positions in its own unit, whose unit,
         exponent and curvature the search starts from.
@@ -160,16 +163,11 @@ def fit_covariogram(
     np.fill_diagonal(mask, val=False)
     precision = np.float32 if len(positions) >= _MIN_SINGLE else np.float64
     compiled = len(positions) >= MIN_COMPILED_ROWS
-    problem = Problem(correlation, lengths / unit, mask, noise, chosen, precision, compiled)
+    prior = max(chosen.prior_weight, least_prior)
+    problem = Problem(correlation, lengths / unit, mask, noise, prior, chosen, precision, compiled)
     objective = Objective(problem)
-    found = minimise(
-        objective,
-        positions,
-        chosen,
-        tolerance=chosen.tolerance,
-        displacement=_DISPLACEMENT,
-        near=near,
-    )
+    tolerance = max(chosen.tolerance, least_tolerance)
+    found = minimise(objective, positions, tolerance, chosen.max_iterations, near)
     terms = objective.terms(found.positions, found.log_exponent)
     amplitude, offset = solve_amplitude_and_offset(terms.products)
     return Covariogram(
@@ -187,8 +185,8 @@ def fit_covariogram(
 def _estimate_range(similarity: Reals, positions: Reals, known: NDArray[np.bool_]) -> float:
     """Return the median distance of pairs with a correlation of about 1 / e."""
     step = -(-len(positions) // _MAX_RANGE_SENSORS)
-    distances, similar = pdist(positions[::step]), pack(similarity[::step, ::step])
-    pairs: NDArray[np.bool_] = squareform(known[::step, ::step], checks=False)
+    distances = pdist(positions[::step])
+    similar, pairs = (squareform(one[::step, ::step], checks=False) for one in (similarity, known))
     lowest, highest = _RANGE_CORRELATIONS
     one_range = pairs & (similar > lowest) & (similar < highest)
     chosen = distances[one_range] if one_range.any() else distances[pairs]
@@ -233,10 +231,8 @@ class Minimum(NamedTuple):
 def minimise(
     objective: Objective,
     start: Reals,
-    options: CovariogramOptions,
-    *,
     tolerance: float,
-    displacement: float,
+    max_iterations: int,
     near: Covariogram | None = None,
 ) -> Minimum:
     """Minimise the objective over positions and exponent. start (N, k).
@@ -248,8 +244,8 @@ def minimise(
     """
     factor, exponent = (np.ones((1, 1)), 1.0) if near is None else (near.factor, near.exponent)
     found = Minimum(start, float(np.log(exponent)), np.inf, 0, converged=False, factor=factor)
-    while not found.converged and found.iterations < options.max_iterations:
-        steps = options.max_iterations - found.iterations
+    while not found.converged and found.iterations < max_iterations:
+        steps = max_iterations - found.iterations
         if start.size < _MAX_CURVATURE:
             steps = min(_ROUND, steps)
             if near is None or found.iterations:
@@ -257,92 +253,76 @@ def minimise(
                 factor = _factor(
                     objective.gauss_newton_matrix(found.positions, found.log_exponent, dtype)
                 )
-        else:
-            # Without the curvature, the length of the next step is not known.
-            displacement = np.inf
-        search = _Search(objective, found, factor, (tolerance, displacement))
-        found = search.run(steps)
+        found = _search(objective, found, factor, tolerance, steps)
     return found
 
 
-class _Search:
-    """L-BFGS in coordinates in which the curvature U'U is nearly the identity."""
+def _search(
+    objective: Objective, start: Minimum, factor: Reals, tolerance: float, max_iterations: int
+) -> Minimum:
+    """Search by L-BFGS over y, see `minimise`; over ``x - x_0`` if there is no factor U."""
+    origin = np.append(start.positions.T.ravel(), start.log_exponent)
+    slope, before, converged = np.zeros_like(origin), np.inf, False
+    # The factor is triangular, so that y[-1] is proportional to the log exponent.
+    bounds = np.full((2, len(origin)), [[-np.inf], [np.inf]])
+    bounds[:, -1] = (np.log(_EXPONENT_BOUNDS) - origin[-1]) * factor[-1, -1]
 
-    def __init__(
-        self,
-        objective: Objective,
-        start: Minimum,
-        factor: Reals,
-        tolerances: tuple[float, float],
-    ) -> None:
-        self._objective, self._start, self._factor = objective, start, factor
-        self._tolerance, self._displacement = tolerances
-        self._origin = np.append(start.positions.T.ravel(), start.log_exponent)
-        self._slope = np.zeros_like(self._origin)
-        self._before = np.inf
-        self._converged = False
-
-    def _solved(self, y: Floats, *, transposed: bool = False) -> Floats:
-        """Return U^-1 y, or U'^-1 y if transposed; y itself if there is no factor."""
-        if len(self._factor) < len(y):
+    def solved(y: Floats, *, transposed: bool = False) -> Floats:
+        """Return U^-1 y, or U'^-1 y if transposed."""
+        if len(factor) < len(y):
             return y
-        solve = strsv if self._factor.dtype == np.float32 else dtrsv
+        solve = strsv if factor.dtype == np.float32 else dtrsv
         # The factor is C-contiguous: BLAS takes its transpose, which is lower triangular.
-        return np.asarray(solve(self._factor.T, y, lower=True, trans=not transposed), float)
+        return np.asarray(solve(factor.T, y, lower=True, trans=not transposed), float)
 
-    def _at(self, y: Floats) -> tuple[Reals, float]:
+    def at(y: Floats) -> tuple[Reals, float]:
         """Return positions, (N, k), and the log exponent."""
-        parameters = self._origin + self._solved(y)
-        by_axes = parameters[:-1].reshape(self._start.positions.shape[::-1])
+        parameters = origin + solved(y)
+        by_axes = parameters[:-1].reshape(start.positions.shape[::-1])
         return np.ascontiguousarray(by_axes.T), float(parameters[-1])
 
-    def run(self, max_iterations: int) -> Minimum:
-        # The factor is triangular, so that y[-1] is proportional to the log exponent.
-        self._bounds = bounds = np.full((2, len(self._origin)), [[-np.inf], [np.inf]])
-        bounds[:, -1] = (np.log(_EXPONENT_BOUNDS) - self._origin[-1]) * self._factor[-1, -1]
-        ended: Any = minimize(
-            self._value_and_slope,
-            np.zeros_like(self._origin),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=Bounds(*bounds),
-            callback=self._check,
-            options={
-                "maxiter": max_iterations,
-                "maxfun": 2 * max_iterations + 20,
-                "maxcor": min(_MEMORY, max_iterations),
-                "maxls": _LINE_SEARCH,
-                "ftol": _TOO_EXACT,
-                "gtol": 0.0,
-            },
-        )
-        # A search that ends early without convergence cannot decrease the objective any further.
-        converged = self._converged or ended.nit < max_iterations
-        iterations = self._start.iterations + int(ended.nit)
-        return Minimum(*self._at(ended.x), float(ended.fun), iterations, converged, self._factor)
+    def value_and_slope(y: Floats) -> tuple[float, Floats]:
+        nonlocal slope
+        positions, log_exponent = at(y)
+        value, own = objective.value_and_slope(positions, log_exponent)
+        by_axes = own[:-1].reshape(positions.shape).T
+        slope = solved(np.append(by_axes.ravel(), own[-1]).astype(np.float64), transposed=True)
+        return value, slope
 
-    def _value_and_slope(self, y: Floats) -> tuple[float, Floats]:
-        positions, log_exponent = self._at(y)
-        value, slope = self._objective.value_and_slope(positions, log_exponent)
-        by_axes = slope[:-1].reshape(positions.shape).T
-        gradient = np.append(by_axes.ravel(), slope[-1]).astype(np.float64)
-        self._slope = self._solved(gradient, transposed=True)
-        return value, self._slope
-
-    def _check(self, intermediate_result: Any) -> None:
-        value = float(intermediate_result.fun)
-        decrease = self._before - value
-        self._before = value
-        if decrease > self._tolerance * max(abs(value), 1.0):
+    def check(intermediate_result: Any) -> None:
+        nonlocal before, converged
+        value, y = float(intermediate_result.fun), intermediate_result.x
+        decrease, before = before - value, value
+        if decrease > tolerance * max(abs(value), 1.0):
             return
-        y = intermediate_result.x
-        slope = self._slope.copy()
         # An exponent at its bound does not move, however steep the objective is.
-        slope[-1] *= np.all(np.abs(self._bounds[:, -1] - y[-1]) > 0)
-        step = self._solved(slope)[:-1]
-        if np.linalg.norm(step) < self._displacement * np.linalg.norm(self._at(y)[0]):
-            self._converged = True
+        free = np.append(slope[:-1], slope[-1] * np.all(np.abs(bounds[:, -1] - y[-1]) > 0))
+        # Without the curvature, the length of the next step is not known.
+        displacement = _DISPLACEMENT if start.positions.size < _MAX_CURVATURE else np.inf
+        if np.linalg.norm(solved(free)[:-1]) < displacement * np.linalg.norm(at(y)[0]):
+            converged = True
             raise StopIteration
+
+    ended: Any = minimize(
+        value_and_slope,
+        np.zeros_like(origin),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=Bounds(*bounds),
+        callback=check,
+        options={
+            "maxiter": max_iterations,
+            "maxfun": 2 * max_iterations + 20,
+            "maxcor": min(_MEMORY, max_iterations),
+            "maxls": _LINE_SEARCH,
+            "ftol": _TOO_EXACT,
+            "gtol": 0.0,
+        },
+    )
+    # A search that ends early without convergence cannot decrease the objective any further.
+    converged = converged or ended.nit < max_iterations
+    iterations = start.iterations + int(ended.nit)
+    return Minimum(*at(ended.x), float(ended.fun), iterations, converged, factor)
 
 
 def _factor(curvature: Reals) -> Reals:

@@ -175,11 +175,6 @@ class CompiledPairs(Pairs):
         return matrix
 
 
-def pack(matrix: Reals) -> Reals:
-    """Return the pairs i < j of a matrix, shape (n, n)."""
-    return np.asarray(squareform(matrix, checks=False))
-
-
 def _sum(values: Reals) -> float:
     """Sum values of pairs: parts in their own precision, which numpy adds pairwise."""
     n_points = round((1 + np.sqrt(1 + 8 * len(values))) / 2)
@@ -251,12 +246,16 @@ DEFAULT_COVARIOGRAM = CovariogramOptions()
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data and parameters of the fit, with lengths in units of the covariogram's range."""
+    """Data and parameters of the fit, with lengths in units of the covariogram's range.
+
+    prior: Takes the place of the `prior_weight` of the options.
+    """
 
     similarity: Reals
     metric: Reals
     known: NDArray[np.bool_]
     noise: float
+    prior: float
     options: CovariogramOptions
     precision: type[np.floating] = np.float64
     compiled: bool = False
@@ -278,7 +277,8 @@ class Objective:
     """The objective of the covariogram fit, with its constant matrices."""
 
     def __init__(self, problem: Problem) -> None:
-        self._options, self._noise = problem.options, problem.noise
+        self._prior = problem.noise * problem.prior
+        self._repulsion = problem.noise * problem.options.repulsion
         similarity = np.where(problem.known, problem.similarity, 0.0).astype(np.float64)
         self._scale = _NOT_WHITENED / (1 + problem.options.ridge)
         self._weights: Reals | None = None
@@ -288,11 +288,11 @@ class Objective:
             self._weights = weights.astype(problem.precision)
         similarity = similarity.astype(problem.precision)
         offset = problem.known.astype(problem.precision)
-        inverse_metric = 1 / pack(problem.metric).astype(np.float64)
+        inverse_metric = 1 / squareform(problem.metric, checks=False).astype(np.float64)
         kind = CompiledPairs if problem.compiled else Pairs
         self._pairs = pairs = kind(
-            known=pack(offset),
-            similarity=pack(similarity),
+            known=squareform(offset, checks=False),
+            similarity=squareform(similarity, checks=False),
             whitened_known=self._whitened(offset),
             whitened_similarity=self._whitened(similarity),
             inverse_metric=inverse_metric.astype(problem.precision),
@@ -325,9 +325,8 @@ class Objective:
         """Return the objective and its gradient. positions (n, k) -> value, gradient (n k + 1,)."""
         terms = self.terms(positions, log_exponent)
         amplitude, offset = solve_amplitude_and_offset(terms.products)
-        options, exponent = self._options, float(np.exp(log_exponent))
-        prior, repulsion = self._noise * options.prior_weight, self._noise * options.repulsion
-        weights = Weights(amplitude, exponent, offset, prior, repulsion)
+        exponent = float(np.exp(log_exponent))
+        weights = Weights(amplitude, exponent, offset, self._prior, self._repulsion)
         value, by_exponent, force = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
         by_positions = self._pairs.gradient(force, positions)
         return value, np.append(by_positions.ravel(), by_exponent)
@@ -354,9 +353,8 @@ class Objective:
         products = [self._weighted(derivative) for derivative in derivatives]
         # The second derivative of the repulsion is taken along the line between two sensors only,
         # where it is positive; likewise the mean ratio of distances is taken as constant.
-        bend = 2 * self._options.prior_weight * pairs.inverse_metric**2
-        bend += self._options.repulsion / decayed.squares
-        radial = unpack(bend * (self._noise / decayed.squares))
+        bend = 2 * self._prior * pairs.inverse_metric**2 + self._repulsion / decayed.squares
+        radial = unpack(bend / decayed.squares)
         matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
         for p in range(n_axes):
             for q in range(p, n_axes):
@@ -414,12 +412,12 @@ class Objective:
             centred = matrix - means[:, None]
             centred -= means - means.mean()
             centred *= self._scale**2
-            return pack(centred)
+            return np.asarray(squareform(centred, checks=False))
         product, whitened = weights @ matrix, np.empty_like(weights)
         # Only rows of products that reach above the diagonal are computed.
         for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
             np.matmul(product[first:last], weights[:, first:], out=whitened[first:last, first:])
-        return pack(whitened)
+        return np.asarray(squareform(whitened, checks=False))
 
 
 def solve_amplitude_and_offset(products: Reals) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpotrf, dpotri, spotrf, spotri
 
 from anisomap.errors import InputError
-from anisomap.numerics.precision import Reals, as_reals, row_blocks, symmetric_from_upper
+from anisomap.numerics.precision import Reals, row_blocks, symmetric_from_upper
 from anisomap.numerics.reliability.sampling_noise import typical_variance
 
 NUMERICAL_ZERO = 1e-12
@@ -26,9 +26,10 @@ _LEAST_DIRECT = 0.3
 def as_symmetric(matrix: ArrayLike, name: str, *, copy: bool = True) -> Reals:
     """Check that a matrix is square, symmetric and free of NaN, and make it exactly symmetric.
 
-    matrix (N, N) -> (N, N).
+    matrix (N, N) -> (N, N), of float32 if the input is, else of float64; C-contiguous.
     """
-    values = as_reals(matrix, copy=copy)
+    dtype = np.float32 if getattr(matrix, "dtype", None) == np.float32 else np.float64
+    values: Reals = np.array(matrix, dtype, copy=copy or None, order="C")
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not values.size:
         raise InputError(f"the {name} matrix has shape {values.shape}; it must be square, (N, N)")
     if np.isnan(values.min()):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.neighbours import labels_by_size, tree_edges
-from anisomap.numerics.precision import Floats, Reals, as_reals, float_type, row_blocks
+from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks
 from anisomap.numerics.similarity.correlation import PairSums, pearson, resampled_correlation
 from anisomap.numerics.similarity.rest import Rest, ranks_of_depths
 
@@ -229,7 +230,7 @@ contacts then cover so much of the skin that a few steps connect any two sensors
 
 
 def remove_insignificant_links(
-    dissimilarity: Reals, similarity: ArrayLike, variance: ArrayLike, component: NDArray[np.intp]
+    dissimilarity: Reals, similarity: Reals, variance: Reals, component: NDArray[np.intp]
 ) -> Reals:
     """Make dissimilarities infinite between components and along insignificant links.
 
@@ -237,10 +238,9 @@ def remove_insignificant_links(
     """
     if component.any():
         dissimilarity[np.not_equal.outer(component, component)] = np.inf
-    correlation, noise = np.asarray(similarity), np.asarray(variance)
     for label in np.flatnonzero(np.bincount(component) > _MIN_FILTERED_SENSORS):
         inside = ... if not component.any() else np.ix_(component == label, component == label)
-        kept = significant_links(correlation[inside], noise[inside])
+        kept = significant_links(similarity[inside], variance[inside])
         np.fill_diagonal(kept, val=True)
         dissimilarity[inside] = np.where(kept, dissimilarity[inside], np.inf)
     return dissimilarity
@@ -268,7 +268,7 @@ class Groups:
         return np.flatnonzero(found)
 
 
-def group_sensors(similarity: ArrayLike, variance: ArrayLike) -> Groups:
+def group_sensors(similarity: Reals, variance: ArrayLike) -> Groups:
     """Group sensors by statistically significant links, and by what these show.
 
     similarity (N, N), variance (N, N).
@@ -313,7 +313,7 @@ def _least_bridge(size: int, n_sensors: int) -> float:
     return _MIN_BRIDGE * math.sqrt(2 * math.log(max(2, size * (n_sensors - size))))
 
 
-def significant_links(similarity: ArrayLike, variance: ArrayLike) -> NDArray[np.bool_]:
+def significant_links(similarity: Reals, variance: ArrayLike) -> NDArray[np.bool_]:
     """Select the links that show that two sensors of a large skin are close.
 
     A link is significant if it is 1.5 times as strong as the strongest of P unrelated pairs,
@@ -357,13 +357,13 @@ def links_with_shared_neighbours(links: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def standardised_correlation(
-    similarity: ArrayLike, variance: ArrayLike, *, by_z: bool = False
+    similarity: Reals, variance: ArrayLike, *, by_z: bool = False
 ) -> Reals:
     """Divide correlations, or their Fisher's z, by their standard deviations, shape (N, N).
 
     Each variance is at least the median variance: that of sensors with few contacts is too small.
     """
-    links, noise = as_reals(similarity), np.asarray(variance)
+    links, noise = similarity.copy(order="C"), np.asarray(variance)
     least = typical_variance(noise)
     for rows in row_blocks(len(links)):
         part = links[rows]
@@ -477,49 +477,55 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: rho has
     weight if r is unreliable, unless rho is even less reliable.
     """
-    values = np.asarray(readings)
-    ranks = ranks_of_depths(values, single=True)
-    return _blended(correlation_and_reliability(values), correlation_and_reliability(ranks))[0]
+    return Blend.of(readings).similarity
 
 
 @dataclass(frozen=True, eq=False)
 class Blend:
     """A blended correlation, and what it was blended from.
 
-    similarity, variance (N, N): See `blended_correlation`; variance for unrelated sensors.
+    similarity (N, N): See `blended_correlation`.
     weight: Weight of Pearson's r, in [0, 1].
     readings, ranks (T, N): Ranks are of depths beyond rest.
     """
 
     similarity: Reals
-    variance: Reals
     weight: float
     readings: NDArray[Any]
     ranks: Reals
 
     @classmethod
-    def of(cls, readings: ArrayLike, rest: Rest | None = None, *, centred: bool = False) -> Blend:
+    def of(cls, readings: ArrayLike, rest: Rest | None = None, centred: bool = False) -> Blend:
         """Blend the correlations of readings, (T, N), whose rest may be known.
 
         centred: Whether a common signal was subtracted, after which sensors do not rest alike.
-        The variance is ``(w sd(r) + (1 - w) sd(rho))^2``: the errors of r and rho are nearly
-        proportional.
         """
         values = np.asarray(readings)
         ranks = ranks_of_depths(values, rest, single=True, alike=not centred)
-        both = (correlation_and_reliability(one) for one in (values, ranks))
-        similarity, weight = _blended(*both)
-        deviation = weight * np.sqrt(sampling_variance(values))
-        deviation += (1 - weight) * np.sqrt(sampling_variance(ranks))
-        return cls(similarity, np.square(deviation, out=deviation), weight, values, ranks)
+        (blended, p), (rho, q) = map(correlation_and_reliability, (values, ranks))
+        p, q = max(p, 0.0), max(q, 0.0)
+        ratio = 1.0 if q >= p else q / p
+        weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
+        blended *= weight
+        blended += (1 - weight) * rho
+        np.fill_diagonal(blended, 1.0)
+        return cls(blended, weight, values, ranks)
+
+    @cached_property
+    def variance(self) -> Reals:
+        """Sampling variance for unrelated sensors, (N, N).
+
+        It is ``(w sd(r) + (1 - w) sd(rho))^2``: the errors of r and rho are nearly proportional.
+        """
+        deviation = self.weight * np.sqrt(sampling_variance(self.readings))
+        deviation += (1 - self.weight) * np.sqrt(sampling_variance(self.ranks))
+        return np.asarray(np.square(deviation, out=deviation))
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
         """Return the blend of some of the sensors, given as a mask of shape (N,)."""
-        inside = np.ix_(sensors, sensors)
         return replace(
             self,
-            similarity=self.similarity[inside],
-            variance=self.variance[inside],
+            similarity=self.similarity[np.ix_(sensors, sensors)],
             readings=self.readings[:, sensors],
             ranks=self.ranks[:, sensors],
         )
@@ -532,15 +538,3 @@ class Blend:
         rho *= 1 - self.weight
         found += rho
         return found
-
-
-def _blended(linear: tuple[Reals, float], by_rank: tuple[Reals, float]) -> tuple[Reals, float]:
-    """Return the blended correlation, and the weight of Pearson's r; overwrite `linear`."""
-    (blended, p), (rho, q) = linear, by_rank
-    p, q = max(p, 0.0), max(q, 0.0)
-    ratio = 1.0 if q >= p else q / p
-    weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
-    blended *= weight
-    blended += (1 - weight) * rho
-    np.fill_diagonal(blended, 1.0)
-    return blended, weight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
@@ -44,11 +44,6 @@ class Problem:
     targets: Reals
     weights: Reals
     compiled: bool = False
-
-    @property
-    def equal_weights(self) -> bool:
-        """Whether all distances have the same weight."""
-        return len(self.weights) < len(self.targets)
 
     def squares(self, positions: Floats | None = None) -> float:
         """Sum w_ij d_ij^2 over i < j; d are distances of `positions`, by default the targets."""
@@ -232,7 +227,7 @@ def majorise(
 def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
     """Return the map ``Y -> V^+ Y`` for columns Y that sum to zero, without forming ``V^+``."""
     n_points = len(problem.targets)
-    if problem.equal_weights or n_points == 1:
+    if len(problem.weights) == 1:
         return lambda product: product / n_points
     # 11'/N fills the null space of V, common translations, to which B(X) X is orthogonal.
     laplacian = np.diag(problem.weights.sum(axis=1)) - problem.weights
@@ -457,10 +452,12 @@ def smacof(
     weighted stress. From 500 points on the stress is computed by compiled loops.
     """
     chosen = options or DEFAULT_SMACOF
-    targets = check_semi_metric(distances, copy=False)
-    compiled = len(targets) >= MIN_COMPILED_ROWS
-    problem = Problem(targets, _check_weights(weights, targets), compiled)
-    known = targets if problem.equal_weights else _connected_targets(problem)
+    targets = known = check_semi_metric(distances, copy=False)
+    shares: Reals = np.ones((1, len(targets)), targets.dtype)
+    if weights is not None or not np.isfinite(targets.max()):
+        shares = _check_weights(weights, targets)
+        known = _connected_targets(targets, shares)
+        targets = np.where(np.isinf(targets), 0, targets)
     if start is None:
         start = torgerson(known if np.isfinite(known.max()) else metricise(known), dimensions)
     positions = np.array(start, dtype=np.float64)
@@ -469,8 +466,7 @@ def smacof(
     if not np.isfinite(positions).all():
         raise InputError("the start has NaN or infinite coordinates")
     positions -= positions.mean(axis=0)  # float32 could not resolve points far from the origin
-    if not problem.equal_weights:
-        problem = replace(problem, targets=np.where(np.isinf(targets), 0, targets))
+    problem = Problem(targets, shares, compiled=len(targets) >= MIN_COMPILED_ROWS)
     solve = SOLVERS[chosen.solver]
     positions, trace, converged = solve(problem, positions, chosen.tolerance, chosen.max_iterations)
     if not converged and chosen.max_iterations:
@@ -488,10 +484,10 @@ def smacof(
     )
 
 
-def _connected_targets(problem: Problem) -> Reals:
+def _connected_targets(targets: Reals, weights: Reals) -> Reals:
     """Return the distances, infinite where unknown; raise unless they connect all points."""
-    known = problem.targets.copy()
-    known[problem.weights <= 0] = np.inf
+    known = targets.copy()
+    known[weights <= 0] = np.inf
     np.fill_diagonal(known, 0)
     n_components = components(known).max() + 1
     if n_components > 1:
@@ -502,8 +498,6 @@ def _connected_targets(problem: Problem) -> Reals:
 
 
 def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
-    if weights is None and np.isfinite(targets.max()):
-        return np.ones((1, len(targets)), targets.dtype)
     if weights is None:
         checked = np.ones_like(targets)
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,8 +111,9 @@ class Contacts:
         """Return the contacts of some sensors, given as a mask of shape (N,)."""
         return Contacts(self.active[:, sensors], self.frames)
 
-    def agreement(self) -> Reals:
-        """Return `contact_agreement` of every pair of sensors, (N, N)."""
+    @cached_property
+    def similarity(self) -> Reals:
+        """The `contact_agreement` of every pair of sensors, (N, N)."""
         whole = np.array([0, self.frames.max(initial=0) + 1])
         return np.asarray(self.resampled(whole, np.ones((1, 1)))[0])
 
@@ -158,7 +160,7 @@ def contact_agreement(readings: ArrayLike) -> Reals:
     however long it lasts; a contact of m sensors has weight 1 / m; and frames with a single active
     sensor, which are evidence of no pair, do not count.
     """
-    return Contacts.of(readings).agreement()
+    return Contacts.of(readings).similarity
 
 
 def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[Floats, float]:

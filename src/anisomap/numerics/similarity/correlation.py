@@ -151,35 +151,28 @@ _APART = 0.25  # share of the pairs that are taken for distant
 _MAX_FRAMES, _MAX_SAMPLED = 4000, 250  # evenly spaced, that show the common signal
 
 
-def common_share(correlation: Reals) -> float:
-    """Return how much of the variance of the mean over sensors is a common signal, in [0, 1].
-
-    It is ``c / mean(r)``, over all pairs. If all standardised sensors share a signal of variance c,
-    and others are local, distant pairs have the correlation c, which the lower quartile of r
-    estimates: contacts as wide as half of the skin leave a quarter of the pairs apart.
-    """
-    if len(correlation) < _MIN_SENSORS:
-        return 0.0
-    mean = float(correlation.mean(dtype=np.float64))
-    apart = float(np.quantile(correlation[np.triu_indices(len(correlation), 1)], _APART))
-    return min(1.0, apart / mean) if apart > 0 else 0.0
-
-
 def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
-    """Return readings less the signal that all sensors share, shape (T, N), and its share.
+    """Return readings less the signal that all sensors share, shape (T, N), and its share s.
+
+    s, in [0, 1], is the share of the variance of the mean over sensors: ``c / mean(r)``, over all
+    pairs. If all standardised sensors share a signal of variance c, and others are local, distant
+    pairs have the correlation c, which the lower quartile of r estimates: contacts as wide as half
+    of the skin leave a quarter of the pairs apart.
 
     The mean over sensors estimates the signal, and is subtracted with the weight ``sqrt(s)``, the
-    share of its amplitude, with s from `common_share`; with 1, it is the average reference of
-    electroencephalography (Offner 1950; Bertrand, Perrin & Pernier 1985, Electroencephalography and
-    Clinical Neurophysiology 62: 462-464). From a sensor that contains less of the mean than others,
-    only what it contains is subtracted: otherwise all such sensors would share its negative.
+    share of its amplitude; with 1, it is the average reference of electroencephalography (Offner
+    1950; Bertrand, Perrin & Pernier 1985, Electroencephalography and Clinical Neurophysiology 62:
+    462-464). From a sensor that contains less of the mean than others, only what it contains is
+    subtracted: otherwise all such sensors would share its negative.
     """
     n_frames, n_sensors = readings.shape
     some = readings[:: -(-n_frames // _MAX_FRAMES), :: -(-n_sensors // _MAX_SAMPLED)]
-    varying = some[:, (some != some[0]).any(axis=0)]
-    share = common_share(pearson(varying))
-    if share == 0:
+    r = pearson(some[:, (some != some[0]).any(axis=0)])
+    pairs = r[np.triu_indices(len(r), 1)]
+    apart = float(np.quantile(pairs, _APART)) if len(r) >= _MIN_SENSORS else 0.0
+    if apart <= 0:
         return readings, 0.0
+    share = min(1.0, apart / float(r.mean(dtype=np.float64)))
     values = readings.astype(np.float64)
     values -= values.mean(axis=0)
     amplitude = values.std(axis=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,12 +33,16 @@ class Rest:
     lean: 1 where the mean reading is above rest, -1 where it is below.
     noise: Largest deviation from rest to the other side.
     known: Whether there is a rest: see `estimate_rest`.
+    frequent: Whether one value holds `_MIN_REST_SHARE` of the frames, and at least two frames.
+    distinct: Number of distinct readings, of a sample of very many.
     """
 
     value: Floats
     lean: Floats
     noise: Floats
     known: NDArray[np.bool_]
+    frequent: NDArray[np.bool_]
+    distinct: NDArray[np.intp]
 
     @cached_property
     def side(self) -> Floats:
@@ -52,8 +56,7 @@ class Rest:
 
     def select(self, sensors: NDArray[Any]) -> Rest:
         """Return the rest of some sensors, given as a mask or as indices."""
-        chosen = (self.value, self.lean, self.noise, self.known)
-        return Rest(*(one[sensors] for one in chosen))
+        return Rest(*(getattr(self, one.name)[sensors] for one in fields(self)))
 
     def depth(self, readings: ArrayLike) -> Floats:
         """Return the excess of readings over the threshold, shape (T, N); 0 at rest."""
@@ -104,19 +107,6 @@ class Rest:
         return np.asarray(self.side.astype(dtype) * bounds)
 
 
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """Levels of each of N sensors, arrays of shape (N,).
-
-    frequent: Whether one value holds `_MIN_REST_SHARE` of the frames, and at least two frames.
-    distinct: Number of distinct readings, of a sample of very many.
-    """
-
-    rest: Rest
-    frequent: NDArray[np.bool_]
-    distinct: NDArray[np.intp]
-
-
 def estimate_rest(readings: ArrayLike) -> Rest:
     """Estimate the rest of each sensor.
 
@@ -138,21 +128,17 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     deviations to both sides, such as pixels of a camera, have no rest: readings above the median
     count as active.
     """
-    return find_levels(np.asarray(readings)).rest
-
-
-def find_levels(readings: NDArray[Any]) -> Levels:
-    """Find the levels and the rest of each sensor: see `estimate_rest`. readings (T, N)."""
-    n_frames, n_sensors = readings.shape
+    values = np.asarray(readings)
+    n_frames, n_sensors = values.shape
     found = [np.empty((6, 0))]  # of no sensors
     frames = None
     if n_frames > _MAX_SORTED:
         # At random, not at equal steps: these could all have the same phase.
         chosen = np.random.default_rng(0).choice(n_frames, _SAMPLED, replace=False)
         frames = np.sort(chosen)
-    buffer = np.empty((min(n_sensors, _SENSORS_AT_ONCE), n_frames), readings.dtype)
+    buffer = np.empty((min(n_sensors, _SENSORS_AT_ONCE), n_frames), values.dtype)
     for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
-        part = readings[:, begin : begin + _SENSORS_AT_ONCE]
+        part = values[:, begin : begin + _SENSORS_AT_ONCE]
         rows = transposed(part, buffer)
         if frames is None:
             rows = rows.copy() if part.flags.f_contiguous else rows
@@ -161,12 +147,11 @@ def find_levels(readings: NDArray[Any]) -> Levels:
         else:
             found.append(_of_many(rows, np.sort(rows[:, frames], axis=1)))
     value, lean, noise, known, frequent, distinct = np.concatenate(found, axis=1)
-    rest = Rest(value=value, lean=lean, noise=noise, known=known > 0)
-    return Levels(rest, frequent > 0, distinct.astype(np.intp))
+    return Rest(value, lean, noise, known > 0, frequent > 0, distinct.astype(np.intp))
 
 
 def _of_ordered(ordered: NDArray[Any]) -> Floats:
-    """Return rest and levels, in the order of `find_levels`. ordered (n, T) -> (6, n)."""
+    """Return the fields of `Rest`. ordered (n, T) -> (6, n)."""
     n_sensors, n_frames = ordered.shape
     least = math.ceil(_least_frequent(n_frames))
     frequent = (ordered[:, least - 1 :] == ordered[:, : max(0, n_frames - least + 1)]).any(axis=1)
@@ -178,7 +163,7 @@ def _of_ordered(ordered: NDArray[Any]) -> Floats:
     for i in np.flatnonzero(frequent & ~at_lowest).tolist():
         ends = np.append(np.flatnonzero(changes[i]), n_frames - 1)
         values = ordered[i, ends].astype(np.float64)
-        found[:4, i] = _rest_of(values, np.diff(ends, prepend=-1))
+        found[:, i] = _rest_of(values, np.diff(ends, prepend=-1))
     continuous = np.flatnonzero(~(frequent | at_lowest))
     if continuous.size:
         found[:4, continuous] = _of_continuous(ordered[continuous])
@@ -238,7 +223,7 @@ def _of_deviations(value: Floats, total: Floats, downwards: Floats, upwards: Flo
 
 
 def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> Floats:
-    """Return rest and levels of sensors with many frames, (n, T) -> (6, n).
+    """Return the fields of `Rest` of sensors with many frames, (n, T) -> (6, n).
 
     ordered (n, t): Readings in random frames, ordered.
     """
@@ -252,8 +237,7 @@ def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> Floats:
             selected[i] = quantiles
             continue
         values, counts = np.unique(row, return_counts=True)
-        frequent = counts.max() >= _least_frequent(row.size)
-        found[:, i] = *_rest_of(values.astype(np.float64), counts), frequent, values.size
+        found[:, i] = _rest_of(values.astype(np.float64), counts)
     if selected:
         chosen = list(selected)
         found[:4, chosen] = _of_deviations(*np.array(list(selected.values())).T)
@@ -340,8 +324,8 @@ def rest_from_counts(
 ) -> Rest:
     """Estimate the rest of each sensor from the counts of its values."""
     found = [_rest_of(values.astype(np.float64), counts) for values, counts in values_and_counts]
-    value, lean, noise, known = np.array(found).T
-    return Rest(value=value, lean=lean, noise=noise, known=known > 0)
+    value, lean, noise, known, frequent, distinct = np.array(found).T
+    return Rest(value, lean, noise, known > 0, frequent > 0, distinct.astype(np.intp))
 
 
 def quantile_from_counts(values: Floats, counts: NDArray[np.integer[Any]], level: float) -> float:
@@ -359,8 +343,8 @@ def quantile_from_counts(values: Floats, counts: NDArray[np.integer[Any]], level
     return float(low + (place - below) * (high - low))
 
 
-def _rest_of(values: Floats, counts: NDArray[np.integer[Any]]) -> tuple[float, float, float, bool]:
-    """Return the rest value, the side of the mean, the noise, and whether there is a rest."""
+def _rest_of(values: Floats, counts: NDArray[np.integer[Any]]) -> tuple[float, ...]:
+    """Return the fields of `Rest` of a sensor, from its distinct values in increasing order."""
     n_frames = int(counts.sum())
     rests = counts.max() >= _least_frequent(n_frames)
     value = values[counts.argmax()] if rests else quantile_from_counts(values, counts, 0.5)
@@ -369,4 +353,5 @@ def _rest_of(values: Floats, counts: NDArray[np.integer[Any]]) -> tuple[float, f
     quiet, touched = beyond <= 0, beyond >= 0
     noise = quantile_from_counts(-beyond[quiet], counts[quiet], _NOISE_QUANTILE)
     contact = quantile_from_counts(beyond[touched], counts[touched], _NOISE_QUANTILE)
-    return float(value), side, noise, rests or contact >= _MIN_CONTACT_RATIO * noise
+    known = rests or contact >= _MIN_CONTACT_RATIO * noise
+    return float(value), side, noise, known, rests, values.size
