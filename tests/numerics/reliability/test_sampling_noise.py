@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist, pdist
 
@@ -14,7 +13,6 @@ from anisomap.evaluation import mantel
 from anisomap.method.evidence import Evidence
 from anisomap.numerics.graph.dissimilarity import direct_dissimilarity
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.reliability import sampling_noise
 from anisomap.numerics.reliability.sampling_noise import (
     MAX_BLOCKS,
     MIN_BLOCKS,
@@ -22,9 +20,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     blended_correlation,
     block_edges,
     correlation_time,
-    count_shared_neighbours,
     group_sensors,
-    links_with_shared_neighbours,
     remove_insignificant_links,
     sampling_variance,
     significant_links,
@@ -266,6 +262,15 @@ def test_significant_links_join_sensors_of_one_contact(short):
     assert strong[apart > 2 * REACH].any()
 
 
+def test_links_across_a_gap_are_kept_whatever_neighbours_their_sensors_share(short):
+    positions, readings = short
+    beside = positions[:, 0] != 45
+    x, y = positions[beside].T
+    followed = significant_links(*links_of(readings[:, beside]))
+    for row in range(7):
+        assert followed[(x == 44) & (y == row), (x == 46) & (y == row)].all()
+
+
 def filtered(lengths, similarity, variance):
     related = group_sensors(similarity, variance).related
     return remove_insignificant_links(lengths.copy(), similarity, variance, related)
@@ -329,23 +334,6 @@ def test_all_links_of_few_sensors_are_kept():
     apart += apart.T
     found = filtered(apart, similarity, variance)
     np.testing.assert_array_equal(found, apart)
-
-
-@given(st.integers(0, 99))
-def test_shared_neighbours_are_counted_as_by_a_matrix_product(seed):
-    rng = np.random.default_rng(seed)
-    links = np.triu(rng.uniform(size=(12, 12)) < rng.uniform(), 1)
-    links |= links.T
-    graph = csr_array(links)
-    expected = (links.astype(int) @ links)[graph.tocoo().coords]
-    np.testing.assert_array_equal(count_shared_neighbours(graph), expected)
-
-
-def test_links_are_kept_if_counting_shared_neighbours_is_too_costly(monkeypatch):
-    path = np.eye(9, k=1, dtype=bool) | np.eye(9, k=-1, dtype=bool)
-    assert not links_with_shared_neighbours(path).any()
-    monkeypatch.setattr(sampling_noise, "MAX_PRODUCTS", 1)
-    np.testing.assert_array_equal(links_with_shared_neighbours(path), path)
 
 
 def grouped(readings):

@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import squareform
 from scipy.special import ndtr, ndtri
 
 from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows
-from anisomap.numerics.compiled.parallel import load_loops
 from anisomap.numerics.neighbours import labels_by_size, tree_edges
 from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks
 from anisomap.numerics.similarity.correlation import PairSums, pearson, resampled_correlation
@@ -189,20 +187,6 @@ def balanced_weights(n_blocks: int, n_resamples: int, rng: np.random.Generator) 
     return np.array([np.bincount(row, minlength=n_blocks) for row in drawn], dtype=np.float64)
 
 
-MIN_SHARED = 0.3
-"""Minimum share of the neighbours that adjacent sensors have in common: slightly below the
-geometric values, a half on a line and a third in a plane.
-"""
-
-
-def count_shared_neighbours(graph: csr_array[Any, tuple[int, int]]) -> NDArray[np.int64]:
-    """Count the common neighbours of the two ends of each edge. graph (N, N)."""
-    shared = np.zeros(graph.nnz, dtype=np.int64)
-    offsets, ends = graph.indptr.astype(np.int64), graph.indices.astype(np.uint32)
-    load_loops("graphs").count_shared(offsets, ends, shared)
-    return shared
-
-
 _MIN_BRIDGE = 1.2
 """Minimum strength of a link between groups, relative to the strongest unrelated link.
 
@@ -216,17 +200,7 @@ _WEAK_LINKS = 0.05  # share of the links of a group that may be weaker than what
 _MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
 _MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unrelated one; by hand
 _GREATEST_R = 1 - 1e-6  # correlations of more than this are equal to it; float32 resolves 6e-8
-_MAX_ROUNDS = 4  # that remove links without shared neighbours; chosen by hand
-
-MIN_COVERED, MIN_LINKS = 0.95, 8
-"""Minimum share of the sensors that significant links connect, and minimum median per sensor;
-below, contacts are too small or the recording is too short to distinguish links.
-"""
-
-MAX_PRODUCTS = 1e10
-"""Sum of the squared numbers of links per sensor above which shared neighbours are not counted:
-contacts then cover so much of the skin that a few steps connect any two sensors.
-"""
+_MIN_COVERED = 0.99  # share of the sensors that significant links connect; .95 cost up to .03 of r
 
 
 def remove_insignificant_links(
@@ -317,43 +291,23 @@ def significant_links(similarity: Reals, variance: ArrayLike) -> NDArray[np.bool
     """Select the links that show that two sensors of a large skin are close.
 
     A link is significant if it is 1.5 times as strong as the strongest of P unrelated pairs,
-    ``sqrt(2 log P)`` standard deviations, and if its sensors share enough neighbours. Those of the
-    maximum spanning tree that join components are kept, and all links if too few are significant.
+    ``sqrt(2 log P)`` standard deviations. Those of the maximum spanning tree that join components
+    are kept, and all links if significant ones connect too few sensors: contacts are then too
+    small, or the recording is too short, to distinguish links.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
     n_pairs = max(2, n_sensors * (n_sensors - 1) // 2)
-    strong = links >= _MIN_LINK * math.sqrt(2 * math.log(n_pairs))
-    np.fill_diagonal(strong, val=False)
-    kept = links_with_shared_neighbours(strong)
-    graph: Any = csr_array(kept)
-    component = connected_components(graph, directed=False)[1]
-    covered = np.bincount(component).max() / n_sensors
-    if covered < MIN_COVERED or np.median(np.count_nonzero(kept, axis=1)) < MIN_LINKS:
+    kept = links >= _MIN_LINK * math.sqrt(2 * math.log(n_pairs))
+    np.fill_diagonal(kept, val=False)
+    component = connected_components(kept, directed=False)[1]
+    if np.bincount(component).max() < _MIN_COVERED * n_sensors:
         return ~np.eye(n_sensors, dtype=bool)
-    for i, j in _strongest_first(links):
+    for i, j in _strongest_first(links) if component.any() else ():
         if component[i] != component[j]:
             component[component == component[j]] = component[i]
             kept[i, j] = kept[j, i] = True
-    return kept
-
-
-def links_with_shared_neighbours(links: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Remove links between sensors with too few common neighbours, repeatedly."""
-    kept = links
-    for _ in range(_MAX_ROUNDS):
-        degree = np.count_nonzero(kept, axis=1)
-        if float(np.vdot(degree, degree)) > MAX_PRODUCTS:
-            return kept
-        graph: Any = csr_array(kept)
-        shared = count_shared_neighbours(graph)
-        start, end = graph.tocoo().coords
-        enough = shared >= MIN_SHARED * np.minimum(degree[start], degree[end])
-        if enough.all():
-            return kept
-        kept = np.zeros_like(links)
-        kept[start[enough], end[enough]] = True
-    return kept
+    return np.asarray(kept)
 
 
 def standardised_correlation(
