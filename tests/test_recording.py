@@ -14,8 +14,7 @@ import anisomap
 from anisomap import Recording, SensorMap, join_runs, reconstruct, reconstruct_from, score
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.health import assess
-from anisomap.recording import as_runs
-from skins import flat_skin
+from skins import flat_skin, quietly
 
 
 @pytest.mark.parametrize(
@@ -136,7 +135,7 @@ def test_missing_readings_are_named():
 def test_masked_readings_are_missing(dtype):
     masked = np.ma.MaskedArray(np.ones((4, 3), dtype), mask=np.eye(4, 3))
     expected = np.where(np.eye(4, 3), np.nan, 1)
-    for recording in (Recording(masked), *as_runs(masked)):
+    for recording in (Recording(masked), join_runs(masked)):
         np.testing.assert_array_equal(recording.readings, expected)
 
 
@@ -220,6 +219,8 @@ def test_sensors_may_be_missing_in_a_run(method):
         found = reconstruct(runs, method, 2)
     joined = join_runs(runs)
     assert joined.n_frames == 3000
+    again = quietly(reconstruct, joined, method, 2)
+    np.testing.assert_array_equal(again.positions, found.positions)
     assert found.placed.all()
     assert score(found, joined.positions, permutations=0).mantel.r > 0.9
     assert found.provenance["runs"] == 2
@@ -284,7 +285,7 @@ def test_sensors_are_assessed_in_the_run_with_most_contacts():
 
 def test_columns_of_a_data_frame_name_the_sensors():
     frame = pd.DataFrame([[0.0, 1], [2, 3]], columns=["left", "right"])
-    assert Recording(frame).names == as_runs(frame)[0].names == ("left", "right")
+    assert Recording(frame).names == join_runs(frame).names == ("left", "right")
     assert Recording(frame, names=("a", "b")).names == ("a", "b")
     assert Recording(frame).select([1]).names == ("right",)
 

@@ -97,7 +97,7 @@ def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
     """Return the similarity, and the default map if its refinement starts from given places."""
     recipe, options = METHODS[DEFAULT_METHOD], MethodOptions()
     evidence = Evidence.of(
-        [part], recipe.similarity_of([part]), bins=options.entropy_bins, with_variance=True
+        part, recipe.similarity_of(part), bins=options.entropy_bins, with_variance=True
     )
     metric = np.asarray(recipe.lengths_of(evidence, options))
     start = places * best_scale(places, metric)[0]

@@ -144,7 +144,7 @@ def judged(case: Case, source: str = "") -> Outcome:
             made, stages = reconstruct_with_stages(recording, dimensions=case.dimensions)
             mapped = time.process_time()
             faults = anisomap.find_faults(recording)
-            evidence, covariances = examine(made, [recording], faults=faults, stages=stages)
+            evidence, covariances = examine(made, recording, faults=faults, stages=stages)
             verdict = judge(evidence)
             judged = time.process_time()
             found |= {"level": verdict.level, "reasons": "; ".join(verdict.reasons)}

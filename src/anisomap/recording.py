@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -64,12 +65,15 @@ class Recording(Immutable):
         Origin of the recording: a file name, a simulation.
     metadata : mapping of str to str, int, float or bool
         Licence, scenario, seed and the like.
+    starts : tuple of int
+        First frames of the recordings that were joined with others, if some lack sensors, which are
+        NaN there: see `join_runs`.
 
     Raises
     ------
     InputError
-        If shapes disagree, readings are not real numbers, names are not unique, or times do not
-        increase.
+        If shapes disagree, readings are not real numbers, names are not unique, or times or starts
+        do not increase.
     """
 
     readings: NDArray[np.floating]
@@ -82,6 +86,7 @@ class Recording(Immutable):
     units: str = ""
     source: str = ""
     metadata: Mapping[str, Scalar] = field(default_factory=dict)
+    starts: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         taken = take(self.readings)
@@ -98,14 +103,9 @@ class Recording(Immutable):
             isinstance(rate_hz, int | float | np.number) and 0 < rate_hz < np.inf
         ):
             raise InputError(f"rate_hz must be a positive number, got {rate_hz!r}")
-        for name in ("units", "source"):  # every file format can store texts and metadata
-            if not isinstance(getattr(self, name), str):
-                raise InputError(f"{name} must be text, got {getattr(self, name)!r}")
-        for key, value in self.metadata.items():
-            if not isinstance(key, str) or not isinstance(value, Scalar | np.generic):
-                raise InputError(
-                    f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
-                )
+        if not all(a < b for a, b in pairwise((0, *self.starts, n_frames))):
+            raise InputError(f"starts must increase from 0 to {n_frames} frames: {self.starts}")
+        _check_facts({"units": self.units, "source": self.source}, self.metadata)
         truth = {
             "positions": ((n_sensors, 2), (n_sensors, 3)),
             "normals": ((n_sensors, 3),),
@@ -228,6 +228,23 @@ class Recording(Immutable):
         """Levels, rest and contacts of the sensors; requires complete readings."""
         return Signals(self.readings)
 
+    @cached_property
+    def parts(self) -> tuple[Recording, ...]:
+        """The recordings that it was joined from, if some lack sensors; otherwise itself."""
+        if not self.starts:
+            return (self,)
+        runs = np.split(self.readings, self.starts)
+        known = np.stack([np.isfinite(run).any(axis=0) for run in runs])
+        known |= ~known.any(axis=0)
+        if known[known.any(axis=1)].all():  # those that lack sensors lack all that were selected
+            whole = np.repeat(known.any(axis=1), [len(run) for run in runs])
+            return (replace(self, readings=self.readings[whole], starts=()),)
+        return tuple(
+            replace(self, readings=run, starts=()).select(has)
+            for run, has in zip(runs, known, strict=True)
+            if has.any()
+        )
+
     def varying(self) -> NDArray[np.bool_]:
         """Find the sensors that vary.
 
@@ -338,6 +355,10 @@ class Recording(Immutable):
         """
         if (np.abs(self.extremes).astype(np.float64) <= MAX_READING).all():
             return self
+        if self.starts:
+            complete = [part.complete(missing) for part in self.parts]
+            changed = any(one is not part for one, part in zip(complete, self.parts, strict=True))
+            return join_runs(complete) if changed else self
         absent = ~(np.abs(self.readings).astype(np.float64) <= MAX_READING)
         if missing == "error":
             hint = "handle them first, by Recording.complete with drop-frames or interpolate"
@@ -364,6 +385,18 @@ class Recording(Immutable):
             f"readings that are NaN or infinite, or above {MAX_READING:g}: {absent.sum():,}; "
             f"sensors: {join_items(sensors, 5)}; frames: {join_items(frames.tolist(), 5)}"
         )
+
+
+def _check_facts(texts: Mapping[str, object], metadata: Mapping[str, object]) -> None:
+    """Check that every file format can store texts and metadata."""
+    for name, text in texts.items():
+        if not isinstance(text, str):
+            raise InputError(f"{name} must be text, got {text!r}")
+    for key, value in metadata.items():
+        if not isinstance(key, str) or not isinstance(value, Scalar | np.generic):
+            raise InputError(
+                f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
+            )
 
 
 def default_names(n_sensors: int) -> tuple[str, ...]:
@@ -477,15 +510,30 @@ def _unnamed(names: Sequence[str]) -> bool:
 _MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand
 
 
-def as_runs(
+def join_runs(
     recording: Recording | ArrayLike | Sequence[Recording], missing: MissingPolicy | None = None
-) -> tuple[Recording, ...]:
-    """Complete, level and join what is given as recordings of one skin: once, at the door.
+) -> Recording:
+    """Join recordings of one skin in time.
 
-    One recording results, unless some lack sensors that others have: each pair of sensors is then
-    compared over the recordings that contain both. What results is returned as it is.
+    Parameters
+    ----------
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
+        Order and number of sensors may differ between recordings.
+    missing : {"error", "drop-frames", "interpolate"}, optional
+        What to do with missing readings first: see `Recording.complete`.
 
-    recording (T, N). missing: What to do with missing readings first, if anything.
+    Returns
+    -------
+    Recording
+        All sensors, in order of appearance. Readings of sensors that a recording lacks are NaN; its
+        `parts` are the recordings then. It has no times, and a rate and metadata only where all
+        agree on them. Recordings, and parts of one, that rest at other levels than the first are
+        shifted to its level, with a warning. What results is returned as it is.
+
+    Raises
+    ------
+    InputError
+        If sensors cannot be matched: recordings share no name, or unnamed ones differ in size.
     """
     if isinstance(recording, str | Path):
         raise InputError(f"read the file first: anisomap.read({str(recording)!r})")
@@ -497,44 +545,15 @@ def as_runs(
     runs = [run if isinstance(run, Recording) else Recording(run) for run in given]
     if missing is not None:
         runs = [run.complete(missing) for run in runs]
-    several = len(runs) > 1 and sensors_differ(runs)
-    return level_runs(runs) if several else (join_runs(runs),)
-
-
-def join_runs(runs: Sequence[Recording]) -> Recording:
-    """Concatenate recordings of one skin in time.
-
-    Parameters
-    ----------
-    runs : sequence of Recording
-        At least one. Order and number of sensors may differ between runs.
-
-    Returns
-    -------
-    Recording
-        All sensors, in order of appearance. Readings of sensors that a run lacks are NaN. It has
-        no times, and a rate and metadata only where the runs agree on them. Runs that rest at other
-        levels than the first are shifted to its level, with a warning.
-
-    Raises
-    ------
-    InputError
-        If sensors cannot be matched: runs share no name, or unnamed runs differ in size.
-    """
-    if not runs:
-        raise InputError("no recording was given")
     if len(runs) == 1:
-        return runs[0].levelled
-    runs = level_runs(runs)
+        return runs[0] if runs[0].starts else runs[0].levelled
+    runs = _level([part for run in runs for part in run.parts])
     names = tuple(dict.fromkeys(name for run in runs for name in run.names))
-    column = {name: i for i, name in enumerate(names)}
     dtype = np.result_type(*(run.readings.dtype for run in runs))
-    readings = np.full((sum(run.n_frames for run in runs), len(names)), np.nan, dtype)
-    start = 0
-    for run in runs:
-        where = [column[name] for name in run.names]
-        readings[start : start + run.n_frames, where] = run.readings
-        start += run.n_frames
+    ends = np.cumsum([run.n_frames for run in runs]).tolist()
+    readings = np.full((ends[-1], len(names)), np.nan, dtype)
+    for run, end in zip(runs, ends, strict=True):
+        readings[end - run.n_frames : end, match_names(run.names, names)] = run.readings
     readings.setflags(write=False)
     rates = [run.rate_hz for run in runs if run.rate_hz is not None]
     agree = len(rates) == len(runs) and max(rates) <= _MAX_RATE_RATIO * min(rates)
@@ -545,7 +564,7 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
         rate_hz=float(np.median(rates)) if agree else None,
         positions=positions,
         units=units,
-        source=" + ".join(run.source for run in runs),
+        source=" + ".join(dict.fromkeys(run.source for run in runs)),
         metadata={
             **{
                 key: value
@@ -554,13 +573,12 @@ def join_runs(runs: Sequence[Recording]) -> Recording:
             },
             "runs": len(runs),
         },
+        starts=tuple(ends[:-1]) if any(run.n_sensors < len(names) for run in runs) else (),
     )
 
 
-def level_runs(runs: Sequence[Recording]) -> tuple[Recording, ...]:
+def _level(runs: Sequence[Recording]) -> list[Recording]:
     """Shift recordings of one skin that rest at other levels than the first one to its level."""
-    if len(runs) < 2:
-        return tuple(run.levelled for run in runs)
     _check_matching(runs)
     runs = [run.levelled for run in runs]
     number: dict[str, int] = {}
@@ -570,7 +588,7 @@ def level_runs(runs: Sequence[Recording]) -> tuple[Recording, ...]:
     shifts = offsets([run.readings for run in runs], sensors)
     shifted = [i for i, shift in enumerate(shifts) if shift is not None]
     if not shifted:
-        return tuple(runs)
+        return runs
     listed = join_items([runs[i].source or str(i + 1) for i in shifted], 5)
     warnings.warn(
         "the level at rest differs between recordings; the readings are taken relative to the "
@@ -578,28 +596,10 @@ def level_runs(runs: Sequence[Recording]) -> tuple[Recording, ...]:
         AnisomapWarning,
         stacklevel=3,
     )
-    return tuple(
+    return [
         run if shift is None else replace(run, readings=run.readings - shift)
         for run, shift in zip(runs, shifts, strict=True)
-    )
-
-
-def sensors_differ(runs: Sequence[Recording]) -> bool:
-    """Return whether some runs lack sensors that others have."""
-    return len({frozenset(run.names) for run in runs}) > 1
-
-
-def select_sensors(runs: Sequence[Recording], names: Sequence[str]) -> list[Recording]:
-    """Select sensors by name from each run; runs with none of them are left out."""
-    kept = set(names)
-    selected = []
-    for run in runs:
-        sensors = [i for i, name in enumerate(run.names) if name in kept]
-        if len(sensors) == run.n_sensors:
-            selected.append(run)
-        elif sensors:
-            selected.append(run.select(sensors))
-    return selected
+    ]
 
 
 def _check_matching(runs: Sequence[Recording]) -> None:

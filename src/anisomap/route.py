@@ -24,13 +24,12 @@ from anisomap.health import (
     SensorHealth,
     assess,
     find_faults,
-    repair,
     summarise,
 )
 from anisomap.method.dimensions import Dimensions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.numerics.precision import check_pair_memory
-from anisomap.recording import MissingPolicy, Recording, Scalar, as_runs, find_sensors, join_runs
+from anisomap.recording import MissingPolicy, Recording, Scalar, find_sensors, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.verdict.diagnosis import diagnose
 
@@ -45,15 +44,13 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Examined:
-    """Recordings of one skin, with their sensor health, summary and faults.
+    """A recording, with its sensor health, summary and faults.
 
-    recording: All runs as one.
     findings: Faults that are left.
     mended: Faults that were mended.
     drop: Sensors to leave out of the map.
     """
 
-    runs: Sequence[Recording]
     recording: Recording
     health: Sequence[SensorHealth]
     summary: RecordingSummary
@@ -118,7 +115,7 @@ def read_runs(
             every *= 2
         runs = [io.thin(run, every // k) for run, k in zip(runs, own, strict=True)]
     io.check_no_frames(paths, runs, each)
-    for note in _sampling_note(runs):
+    for note in _sampling_note(runs[0]):
         warnings.warn(note, AnisomapWarning, stacklevel=2)
     if not joined:
         return runs
@@ -126,8 +123,8 @@ def read_runs(
     return [io.attach_positions(whole, how.positions)]
 
 
-def _sampling_note(runs: Sequence[Recording]) -> tuple[str, ...]:
-    every = io.sampled_every(runs[0].metadata)
+def _sampling_note(recording: Recording) -> tuple[str, ...]:
+    every = io.sampled_every(recording.metadata)
     if every == 1:
         return ()
     return (
@@ -136,17 +133,10 @@ def _sampling_note(runs: Sequence[Recording]) -> tuple[str, ...]:
     )
 
 
-def mend(runs: Sequence[Recording]) -> tuple[list[Recording], tuple[Finding, ...]]:
-    """Mend the faults of recordings of one skin; return all faults as well."""
-    repaired = [repair(run) for run in as_runs(runs)]
-    findings = tuple(finding for one in repaired for finding in one.findings)
-    return [one.recording for one in repaired], findings
-
-
-def complete(runs: Sequence[Recording], missing: MissingPolicy) -> list[Recording]:
+def complete(runs: Recording | Sequence[Recording], missing: MissingPolicy) -> Recording:
     """Handle missing readings, and join the runs; an error names the option that does."""
     try:
-        return list(as_runs(runs, missing))
+        return join_runs(runs, missing)
     except InputError as error:
         if missing != "error":
             raise
@@ -186,34 +176,34 @@ def find_dropped(
 
 
 def examine(
-    runs: Sequence[Recording],
+    recording: Recording,
     *,
     mended: Sequence[Finding] | None = None,
     drop: Sequence[str] | None = None,
 ) -> Examined:
-    """Assess recordings of one skin; unless they were mended, search for their faults.
+    """Assess a recording; unless it was mended, search for its faults.
 
-    mended: Faults, from `mend`.
+    mended: Faults, from `anisomap.repair`.
     drop: Sensors to leave out of the map: see `split_names`.
     """
     # Comparing all pairs of so many sensors that no map fits into memory takes hours.
-    check_pair_memory(max(run.n_sensors for run in runs), refined=False)
-    joined = join_runs(runs)
+    check_pair_memory(recording.n_sensors, refined=False)
+    joined = join_runs(recording)
     dropped = split_names(drop, joined.names, joined.metadata)
     joined.indices(dropped)  # unknown names are refused at once
-    health = assess(runs)
-    found = find_faults(runs) if mended is None else [one for one in mended if not one.mendable]
+    health = assess(joined)
+    found = find_faults(joined) if mended is None else [one for one in mended if not one.mendable]
     done = [one for one in mended or () if one.mendable]
-    return Examined(runs, joined, health, summarise(joined, health), found, done, dropped)
+    return Examined(joined, health, summarise(joined, health), found, done, dropped)
 
 
 def make_map(examined: Examined, method: str, dimensions: Dimensions) -> tuple[SensorMap, Stages]:
     """Make a map, without a verdict, and the stages that `judge` needs; notes are warnings."""
-    runs = examined.runs
-    made, stages = reconstruct_with_stages(runs, method, dimensions, drop=examined.drop)
+    recording = examined.recording
+    made, stages = reconstruct_with_stages(recording, method, dimensions, drop=examined.drop)
     provenance = dict(made.provenance)
-    if note := _sampling_note(runs):
-        provenance[io.FRAMES_SAMPLED] = io.sampled_every(runs[0].metadata)
+    if note := _sampling_note(recording):
+        provenance[io.FRAMES_SAMPLED] = io.sampled_every(recording.metadata)
     if examined.mended:
         kinds = dict.fromkeys(one.kind for one in examined.mended)
         provenance["repaired"] = ", ".join(kinds)
@@ -236,7 +226,7 @@ def judge(
 def _diagnosed(examined: Examined, sensor_map: SensorMap, **how: object) -> SensorMap:
     return diagnose(
         sensor_map,
-        examined.runs,
+        examined.recording,
         drop=examined.drop,
         health=examined.health,
         findings=examined.findings,

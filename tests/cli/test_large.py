@@ -39,7 +39,7 @@ def test_a_sampled_recording_is_mapped_and_judged(parts):
         np.testing.assert_array_equal(run.readings, whole.readings[::8])
         np.testing.assert_allclose(run.times, whole.times[::8])
         assert run.rate_hz == pytest.approx(50 / 8)
-    examined = route.examine(runs)
+    examined = route.examine(route.complete(runs, "error"))
     judged = route.judge(examined, *route.make_map(examined, "covariogram", 2))
     assert judged.provenance["frames_sampled_every"] == 8
     assert judged.provenance["frames"] == sum(run.n_frames for run in runs)
@@ -51,7 +51,7 @@ def test_a_sampled_recording_is_mapped_and_judged(parts):
 def test_within_the_limit_all_frames_are_read(parts):
     runs = route.read_runs(parts, HOW, max_readings=SKIN.readings.size)
     assert sum(run.n_frames for run in runs) == 4000
-    made, _ = route.make_map(route.examine(runs), "r-anisomap", 2)
+    made, _ = route.make_map(route.examine(route.complete(runs, "error")), "r-anisomap", 2)
     assert "frames_sampled_every" not in made.provenance
 
 
@@ -67,11 +67,11 @@ def test_samples_of_several_recordings_are_numbered_by_a_preset(tmp_path):
     how = io.ReadOptions(preset="icub")
     with pytest.warns(anisomap.AnisomapWarning, match="one frame in 4"):
         runs = route.read_runs(paths, how, max_readings=48 * 700)
-    (run,) = route.complete(runs, "interpolate")
+    run = route.complete(runs, "interpolate")
     assert run.n_sensors == 30
     assert run.names[-1] == "b0.t3.k11"
     assert run.n_frames == 600
-    made, _ = route.make_map(route.examine([run]), "r-anisomap", 2)
+    made, _ = route.make_map(route.examine(run), "r-anisomap", 2)
     assert made.provenance["frames_sampled_every"] == 4
 
 

@@ -88,8 +88,10 @@ def seeing_patch(*, seed: int = 0, n_frames: int = 1500) -> Recording:
 def stages(readings, method="covariogram", options=None):
     """Compute the similarity of pairs, the dissimilarity and the metric of a method."""
     recipe, chosen = find_method(method), options or MethodOptions()
-    runs, refined = [Recording(readings)], recipe.refine is not None
-    evidence = Evidence.of(runs, recipe.similarity, bins=chosen.entropy_bins, with_variance=refined)
+    recording, refined = Recording(readings), recipe.refine is not None
+    evidence = Evidence.of(
+        recording, recipe.similarity, bins=chosen.entropy_bins, with_variance=refined
+    )
     return SimpleNamespace(
         evidence=evidence,
         similarity=evidence.similarity,

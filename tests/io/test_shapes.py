@@ -9,7 +9,7 @@ import pytest
 from anisomap import io, reconstruct
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io import ReadOptions
-from anisomap.recording import Recording, as_runs, join_runs, match_sensors
+from anisomap.recording import Recording, join_runs, match_sensors
 
 N_SENSORS, N_FRAMES = 12, 600
 RNG = np.random.default_rng(8)
@@ -228,7 +228,7 @@ def test_sessions_with_zeros_of_their_own(n: int) -> None:
         joined = join_runs(runs)
     np.testing.assert_allclose(joined.readings, noisy, atol=3)
     with pytest.warns(AnisomapWarning, match="most sensors steps"):
-        (whole,) = as_runs(np.vstack([run.readings for run in runs]))
+        whole = join_runs(np.vstack([run.readings for run in runs]))
     np.testing.assert_allclose(whole.readings, noisy, atol=3)
 
 
@@ -236,7 +236,7 @@ def test_one_zero_stays_as_it_is() -> None:
     noisy, _ = sessions(2)
     runs = [Recording(part, names=NAMES) for part in np.split(noisy, 3)]
     np.testing.assert_array_equal(join_runs(runs).readings, noisy)
-    np.testing.assert_array_equal(as_runs(noisy)[0].readings, noisy)
+    np.testing.assert_array_equal(join_runs(noisy).readings, noisy)
     many = [Recording(part, names=NAMES) for part in np.split(noisy, 120)]
     np.testing.assert_array_equal(join_runs(many).readings, noisy)
 
@@ -244,7 +244,7 @@ def test_one_zero_stays_as_it_is() -> None:
 def test_a_hold_is_no_step_of_the_rest() -> None:
     noisy, _ = sessions(2)
     noisy[200:400, :8] += 300
-    np.testing.assert_array_equal(as_runs(noisy)[0].readings, noisy)
+    np.testing.assert_array_equal(join_runs(noisy).readings, noisy)
 
 
 TIMES = np.arange(N_FRAMES) / 50

@@ -299,7 +299,7 @@ def test_two_sensors_that_read_the_same_are_mapped():
 def changes_of(readings):
     recording = anisomap.Recording(readings)
     found = Evidence.of(
-        [recording], "blended-correlation", bins=DEFAULT_BINS, with_variance=True
+        recording, "blended-correlation", bins=DEFAULT_BINS, with_variance=True
     ).rank_changes
     return found[np.triu_indices(len(found), 1)]
 

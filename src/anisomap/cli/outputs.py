@@ -247,7 +247,7 @@ def finish(
     """
     placed = (outputs.placing or DEFAULT_PLACING).applied
     touched = examined.recording.touched
-    coverage = touch_coverage(sensor_map, examined.runs) if touched else None
+    coverage = touch_coverage(sensor_map, examined.recording) if touched else None
     with together():
         others = write_others()
         files = outputs.write(placed(sensor_map))

@@ -23,7 +23,7 @@ from anisomap.health.recording_faults.steps import find_steps
 from anisomap.health.recording_faults.stimulation import find_clipped, find_regions
 from anisomap.health.recording_faults.wiring import find_change, find_inverted
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.recording import Recording, as_runs
+from anisomap.recording import Recording, join_runs
 
 CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
     {
@@ -76,15 +76,15 @@ class Repair:
         )
 
 
-def repair(recording: Recording | ArrayLike) -> Repair:
+def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
     """Find the faults of a recording, and mend those of which the inverse is known.
 
     Parameters
     ----------
-    recording : Recording or array_like of shape (T, N)
+    recording : Recording, array_like of shape (T, N), or sequence of Recording
         Columns in the order in which channels are read, for leaks. Missing readings are estimated
         from similar sensors where they are many and that is better than lines, and else
-        interpolated.
+        interpolated. Several recordings that lack sensors are mended one by one.
 
     Returns
     -------
@@ -113,8 +113,11 @@ def repair(recording: Recording | ArrayLike) -> Repair:
     >>> [(finding.kind, finding.sensors) for finding in found.findings]
     [('copies', ('s7', 's31'))]
     """
-    (run,) = as_runs(recording)
-    return _examined(run)
+    found = [_examined(part) for part in join_runs(recording).parts]
+    if len(found) == 1:
+        return found[0]
+    findings = tuple(finding for one in found for finding in one.findings)
+    return Repair(join_runs([one.recording for one in found]), findings)
 
 
 def find_faults(
@@ -133,8 +136,8 @@ def find_faults(
         In the order of `CHECKS`; empty if there are none.
     """
     found: dict[tuple[str, tuple[str, ...]], Finding] = {}
-    for run in as_runs(recording):
-        for finding in _examined(run).findings:
+    for part in join_runs(recording).parts:
+        for finding in _examined(part).findings:
             found.setdefault((finding.kind, finding.sensors), finding)
     return tuple(found.values())
 

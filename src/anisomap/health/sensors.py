@@ -29,7 +29,7 @@ from anisomap.numerics.signals import (
     squares_and_lagged,
     unit_rows,
 )
-from anisomap.recording import Recording, as_runs
+from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
 
 MIN_CONTACTS = 5
@@ -252,12 +252,12 @@ def assess(
     leaves out sensors that never vary, and keeps one that saturates intermittently (section
     "Prototyping Issues").
     """
-    runs = as_runs(recording)
-    with limited_blas(runs[0].n_sensors):
-        if len(runs) == 1:
-            return _assess(runs[0], best_match)
+    parts = join_runs(recording).parts
+    with limited_blas(parts[0].n_sensors):
+        if len(parts) == 1:
+            return _assess(parts[0], best_match)
         best: dict[str, SensorHealth] = {}
-        for sensor in (one for run in runs for one in _assess(run, None)):
+        for sensor in (one for part in parts for one in _assess(part, None)):
             known = best.get(sensor.name)
             if known is None or sensor.contacts > known.contacts:
                 best[sensor.name] = sensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -122,7 +122,7 @@ def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str
     best = best[np.isfinite(best)]
     if not best.size or np.median(best) >= _CLEAR_R:
         return []
-    readings = recording.complete("interpolate").readings[:, varying]
+    readings = replace(recording, starts=()).complete("interpolate").readings[:, varying]
     some = some_sensors(best.size, _N_SHIFTED)
     share = exceeded_by_chance(readings, some, best).mean()
     if share <= 0.5:

@@ -13,7 +13,7 @@ from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_others
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
-from anisomap.recording import Recording, as_runs, match_names
+from anisomap.recording import Recording, join_runs, match_names
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 ENOUGH_CONTACTS = 12
@@ -128,8 +128,8 @@ def touch_coverage(
     InputError
         If the recordings do not have the sensors of the map.
     """
-    runs = as_runs(recording)
-    if {name for run in runs for name in run.names} != set(sensor_map.names):
+    joined = join_runs(recording)
+    if set(joined.names) != set(sensor_map.names):
         raise InputError(
             f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
             f"{sensor_map.names[0]!r} on"
@@ -137,11 +137,11 @@ def touch_coverage(
     pairs = neighbouring_sensors(sensor_map.positions, sensor_map.component)
     contacts = np.zeros(sensor_map.n_sensors, dtype=np.intp)
     together = np.zeros(len(pairs), dtype=np.intp)
-    for run in runs:
-        touched = run.complete("interpolate").signals.touched & np.isfinite(run.readings)
-        rows = match_names(run.names, sensor_map.names)
+    for part in joined.parts:
+        touched = part.complete("interpolate").signals.touched & np.isfinite(part.readings)
+        rows = match_names(part.names, sensor_map.names)
         contacts[rows] += count_contacts(touched)
-        column = match_names(sensor_map.names, run.names)
+        column = match_names(sensor_map.names, part.names)
         inside = (column[pairs] >= 0).all(axis=1)
         together[inside] += count_joint_contacts(touched, column[pairs[inside]])
     need = needed_evidence(contacts, pairs, together, sensor_map.component)

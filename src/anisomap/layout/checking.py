@@ -44,7 +44,7 @@ from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, o
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement.modules import Modules
-from anisomap.recording import Recording, as_runs, join_runs, match_names, match_sensors
+from anisomap.recording import Recording, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
@@ -120,7 +120,7 @@ def check_layout(
     if n_shifts < 1:
         raise InputError(f"n_shifts must be at least 1, got {n_shifts}")
     stated = layout if isinstance(layout, SensorMap) else _as_layout(layout)
-    joined = join_runs(as_runs(recording)).complete()
+    joined = replace(join_runs(recording), starts=()).complete()  # all sensors in all frames
     if stated.dimensions not in (2, 3):
         raise InputError(f"a layout must have 2 or 3 coordinates, got {stated.dimensions}")
     rows, columns, notes = _matched(stated, joined)

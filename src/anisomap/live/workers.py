@@ -88,9 +88,9 @@ def examine(
     verdict, error = Verdict(), float("nan")
     with warnings.catch_warnings(action="ignore"):
         try:
-            runs = _read(path, options, final)
-            drop, _ = route.find_dropped(options.drop, runs[0].names)
-            examined = route.examine(runs, drop=drop)
+            recording = _read(path, options, final)
+            drop, _ = route.find_dropped(options.drop, recording.names)
+            examined = route.examine(recording, drop=drop)
             made, stages = route.make_map(examined, options.method, options.dimensions)
             made = route.judge(examined, made, stages)
             if options.truth is not None:
@@ -109,7 +109,7 @@ def examine(
     )
 
 
-def _read(path: Path, options: ExaminationOptions, final: bool) -> list[Recording]:
+def _read(path: Path, options: ExaminationOptions, final: bool) -> Recording:
     """Read a recording as `anisomap map` does; fewer frames while it still grows."""
     how = io.ReadOptions(preset=options.preset)
     limit = route.MAX_READINGS if final else MAX_INTERIM_READINGS

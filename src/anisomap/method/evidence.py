@@ -1,13 +1,13 @@
 """The evidence of a recording: the similarity of all pairs of sensors, and its sampling variance.
 
-`Evidence` is the one place where pairs are compared. The whole recording, its resamples, several
-runs and a component of the sensors are evidence alike.
+`Evidence` is the one place where pairs are compared. The whole recording, its resamples, parts with
+different sensors and a component of the sensors are evidence alike.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations_with_replacement, product
@@ -43,7 +43,7 @@ from anisomap.numerics.similarity.correlation import (
 )
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
-from anisomap.recording import Recording, sensors_differ
+from anisomap.recording import Recording, match_names
 
 logger = logging.getLogger(__name__)
 
@@ -145,21 +145,21 @@ class Evidence:
 
     @classmethod
     def of(
-        cls, runs: Sequence[Recording], statistic: str, *, bins: int, with_variance: bool
+        cls, recording: Recording, statistic: str, *, bins: int, with_variance: bool
     ) -> Evidence:
-        """Compare all pairs of the sensors of runs; each pair over the runs that contain both."""
+        """Compare all pairs of sensors, each over the parts of the recording that contain both."""
         logger.info("comparing all pairs of sensors (%s)", statistic)
-        if len(runs) > 1 and sensors_differ(runs):
-            return _of_different_sensors(runs, statistic, bins)
-        how, readings = SIMILARITIES[statistic], _joined(runs, runs[0].names)
-        signals = runs[0].signals if len(runs) == 1 else None
+        if len(recording.parts) > 1:
+            return _of_parts(recording, statistic, bins)
+        how, (recording,) = SIMILARITIES[statistic], recording.parts
         if with_variance or how.centred:
-            step = thinning(readings)
-            return _compared(readings[::step], statistic, bins, signals if step == 1 else None)
-        if how.of_signals is not None and signals is not None:
-            found = how.of_signals(signals)
+            step = thinning(recording.readings)
+            signals = recording.signals if step == 1 else None
+            return _compared(recording.readings[::step], statistic, bins, signals)
+        if how.of_signals is not None:
+            found = how.of_signals(recording.signals)
         else:
-            found = how.compute(readings, bins)
+            found = how.compute(recording.readings, bins)
         return cls.from_similarity(found, variance=np.nan, statistic=statistic)
 
     @classmethod
@@ -294,13 +294,11 @@ def _compared(
     return replace(checked, readings=values, scores=scores, common_share=share)
 
 
-def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) -> Evidence:
-    """Compare each pair of sensors over the runs that contain both."""
-    names = tuple(dict.fromkeys(name for run in runs for name in run.names))
-    column = {name: i for i, name in enumerate(names)}
-    present = np.zeros((len(runs), len(names)), dtype=bool)
-    for row, run in zip(present, runs, strict=True):
-        row[[column[name] for name in run.names]] = True
+def _of_parts(recording: Recording, statistic: str, bins: int) -> Evidence:
+    """Compare each pair of sensors over the parts that contain both."""
+    names, parts = recording.names, recording.parts
+    place = np.stack([match_names(names, part.names) for part in parts])
+    present = place >= 0
     similarity, variance = np.eye(len(names)), np.ones((len(names), len(names)))
     known = np.eye(len(names), dtype=bool)
     patterns, pattern = np.unique(present, axis=1, return_inverse=True)
@@ -311,8 +309,8 @@ def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) 
             continue
         if (key := shared.tobytes()) not in compared:
             sensors = np.flatnonzero(present[shared].all(axis=0))
-            chosen = [run for run, has_both in zip(runs, shared, strict=True) if has_both]
-            readings = _joined(chosen, tuple(names[i] for i in sensors))
+            both = [i for i in range(len(parts)) if shared[i]]
+            readings = np.concatenate([parts[i].readings[:, place[i][sensors]] for i in both])
             compared[key] = sensors, _compared(readings, statistic, bins)
         sensors, shown = compared[key]
         one, other = (np.flatnonzero(pattern[sensors] == which) for which in (a, b))
@@ -322,14 +320,3 @@ def _of_different_sensors(runs: Sequence[Recording], statistic: str, bins: int) 
             variance[target] = shown.variance[source]
             known[target] = True
     return Evidence.from_similarity(similarity, variance=variance, known=known, statistic=statistic)
-
-
-def _joined(runs: Sequence[Recording], names: tuple[str, ...]) -> NDArray[np.floating]:
-    """Concatenate the readings of runs, sensors in the order of the names."""
-    ordered = [
-        run.readings
-        if run.names == names
-        else run.readings[:, [run.names.index(name) for name in names]]
-        for run in runs
-    ]
-    return ordered[0] if len(ordered) == 1 else np.concatenate(ordered)

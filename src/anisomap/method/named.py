@@ -11,7 +11,7 @@ similarity, add one line to `anisomap.method.evidence.SIMILARITIES`.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TypeAlias
@@ -161,11 +161,11 @@ class Method:
             return options
         return replace(options, solver=self.solver)
 
-    def similarity_of(self, runs: Sequence[Recording]) -> str:
-        """Return the key of the similarity for some recordings."""
+    def similarity_of(self, recording: Recording) -> str:
+        """Return the key of the similarity for a recording."""
         if self.contact_similarity is None:
             return self.similarity
-        single = all(shows_single_contacts(run.readings) for run in runs)
+        single = all(shows_single_contacts(part.readings) for part in recording.parts)
         return self.contact_similarity if single else self.similarity
 
 

@@ -58,12 +58,10 @@ from anisomap.numerics.precision import Reals, check_pair_memory
 from anisomap.recording import (
     Recording,
     Scalar,
-    as_runs,
     check_names,
     column_names,
     default_names,
     join_runs,
-    select_sensors,
     sensor_mask,
 )
 from anisomap.sensor_map import SensorMap
@@ -174,16 +172,14 @@ def reconstruct_with_stages(
 ) -> tuple[SensorMap, Stages]:
     """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again."""
     recipe, options = recipe or find_method(method), options or DEFAULT_OPTIONS
-    runs = as_runs(recording)
-    joined = join_runs(runs)
+    joined = join_runs(recording)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
-    names = [joined.names[i] for i in np.flatnonzero(mapped)]
-    least, total = options.min_sensors, mapped.size
-    check_size(dimensions, len(names), least=least, total=total)
+    n_mapped = int(np.count_nonzero(mapped))
+    check_size(dimensions, n_mapped, least=options.min_sensors, total=mapped.size)
     check_frames(joined.n_frames, dimensions)
-    check_pair_memory(len(names), refined=recipe.refine is not None)
-    complete = [run.complete() for run in select_sensors(runs, names)]
-    check_unlike(*(run.readings for run in complete))
+    check_pair_memory(n_mapped, refined=recipe.refine is not None)
+    complete = joined.select(mapped).complete()
+    check_unlike(*(part.readings for part in complete.parts))
 
     def compared(recipe: Method) -> Evidence:
         return Evidence.of(
@@ -194,7 +190,8 @@ def reconstruct_with_stages(
         )
 
     facts: dict[str, Scalar] = {"source": joined.source, "frames": joined.n_frames}
-    with limited_blas(len(names)):
+    facts |= {"runs": len(joined.starts) + 1} if joined.starts else {}
+    with limited_blas(n_mapped):
         evidence = compared(recipe)
         facts |= {"similarity": evidence.statistic}
         task = Task(
@@ -202,8 +199,8 @@ def reconstruct_with_stages(
             recipe.lengths_of(evidence, options),
             *(joined.names, mapped, method, recipe, dimensions, options),
             usual=compared,
-            facts=facts if len(runs) == 1 else facts | {"runs": len(runs)},
-            notes=tuple(unknown_pairs(evidence, names)),
+            facts=facts,
+            notes=tuple(unknown_pairs(evidence, complete.names)),
             weights=None if evidence.known.all() else evidence.known.astype(np.float64),
         )
         made, placed = _map(task, stack_level + 1)

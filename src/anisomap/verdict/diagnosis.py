@@ -26,7 +26,7 @@ from anisomap.method.named import METHODS, MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note, untouched
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.recording import Recording, as_runs, join_runs, select_sensors
+from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.usability import Verdict
 from anisomap.verdict.chance import (
@@ -121,27 +121,24 @@ def diagnose(
     AnisomapWarning
         Once for each note that is added.
     """
-    runs = as_runs(recording)
-    joined = join_runs(runs)
+    joined = join_runs(recording)
     if joined.names != sensor_map.names:
         raise InputError(
             f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
             f"{sensor_map.names[0]!r} on, got {joined.n_sensors} from {joined.names[0]!r} on"
         )
-    assessed = assess(runs) if health is None else tuple(health)
+    assessed = assess(joined) if health is None else tuple(health)
     unused = joined.varying() & ~sensor_map.placed  # sensors that were dropped from the map
     dropped = {*joined.indices(drop).tolist(), *np.flatnonzero(unused).tolist()}
     kept = [sensor for i, sensor in enumerate(assessed) if i not in dropped]
-    faults = find_faults(runs) if findings is None else findings
+    faults = find_faults(joined) if findings is None else findings
     notes = [*weaknesses(joined, kept), *spoiling(faults)]
     verdict, found = Verdict(), None
     earlier, facts = sensor_map.notes, dict(sensor_map.provenance)
     if with_verdict:
-        complete = [run.complete() for run in select_sensors(runs, joined.names)]
-
         measured, found = examine(
             sensor_map,
-            complete,
+            joined.complete(),
             options=options,
             rng=rng,
             progress=progress,
@@ -149,7 +146,7 @@ def diagnose(
             faults=faults,
         )
         verdict = judge(measured)
-        if not all(run.touched for run in runs):
+        if not joined.touched:
             verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
         if measured.confirmed:
             facts["dimensions_because"] = str(Note("three-dimensions"))
@@ -169,7 +166,7 @@ def diagnose(
 
 def examine(
     sensor_map: SensorMap,
-    runs: Sequence[Recording],
+    recording: Recording,
     *,
     options: MethodOptions | None = None,
     rng: np.random.Generator | int | None = None,
@@ -181,16 +178,16 @@ def examine(
     sizes = sensor_map.component_sizes
     measured = Measurements(
         placed=int(np.count_nonzero(sensor_map.placed)),
-        rarely=_rarely_touched(sensor_map, runs),
+        rarely=_rarely_touched(sensor_map, recording),
         largest=sizes[0],
         spatial=sensor_map.dimensions == SPATIAL,
         unclear=UNCLEAR in sensor_map.notes,
         faults=spoiling([one for one in faults if one.kind not in UNSEEN + FATAL]),
         unseen=spoiling([one for one in faults if one.kind in UNSEEN]),
-        fatal=(*_of_one_period(runs), *spoiling([one for one in faults if one.kind in FATAL])),
+        fatal=(*_of_one_period(recording), *spoiling([one for one in faults if one.kind in FATAL])),
     )
     options, report = options or MethodOptions(), progress or (lambda _share: None)
-    judged = _judged(sensor_map, runs, options, stages)
+    judged = _judged(sensor_map, recording, options, stages)
     if isinstance(judged, Note):
         return replace(measured, unknown=judged), None
     made, stages = judged
@@ -246,40 +243,40 @@ def _between_dimensions(made: Configuration, other: Configuration) -> tuple[floa
     return rms_in_spacings(differences, spatial), regional_difference(differences, spatial)
 
 
-def _of_one_period(runs: Sequence[Recording]) -> tuple[Note, ...]:
-    """Say that almost all of the readings of a run is one sine."""
-    found = (one_period(run) for run in runs)
+def _of_one_period(recording: Recording) -> tuple[Note, ...]:
+    """Say that almost all of the readings of a part is one sine."""
+    found = map(one_period, recording.parts)
     return tuple(Note("one-period", share=one[0], period=one[1]) for one in found if one)[:1]
 
 
-def _rarely_touched(sensor_map: SensorMap, runs: Sequence[Recording]) -> int:
-    """Count the placed sensors with few contacts in each run, if they are touched at all."""
-    if not all(run.touched for run in runs):
+def _rarely_touched(sensor_map: SensorMap, recording: Recording) -> int:
+    """Count the placed sensors with few contacts in each part, if they are touched at all."""
+    if not recording.touched:
         return 0
     most = dict.fromkeys(sensor_map.names, 0)
-    for run in runs:
-        for name, count in zip(run.names, run.signals.contacts.tolist(), strict=True):
+    for part in recording.parts:
+        for name, count in zip(part.names, part.signals.contacts.tolist(), strict=True):
             most[name] = max(most.get(name, 0), count)
     placed = np.flatnonzero(sensor_map.placed)
     return sum(most[sensor_map.names[i]] < MIN_CONTACTS for i in placed.tolist())
 
 
 def _judged(
-    sensor_map: SensorMap, runs: Sequence[Recording], options: MethodOptions, stages: Stages | None
+    sensor_map: SensorMap, recording: Recording, options: MethodOptions, stages: Stages | None
 ) -> tuple[SensorMap, Stages] | Note:
     """Return the map that is measured and its stages, or why none can be.
 
-    It is the given map, apart from its scale and pose. If runs lack sensors, it is a map of the
-    sensors that all runs have.
+    It is the given map, apart from its scale and pose. If parts of the recording lack sensors, it
+    is a map of the sensors that all parts have.
     """
-    common = set(sensor_map.names).intersection(*(run.names for run in runs))
+    common = set(sensor_map.names).intersection(*(part.names for part in recording.parts))
     kept = [name for name in sensor_map.names if name in common]
     made = (
         sensor_map
         if len(kept) == sensor_map.n_sensors
         else sensor_map.select(sensor_map.indices(kept))
     )
-    if note := _unknown(made, runs, whole=made is sensor_map):
+    if note := _unknown(made, recording.n_frames, whole=made is sensor_map):
         return note
     if made is sensor_map and stages is not None and _follows(made, stages):
         return made, stages
@@ -289,7 +286,7 @@ def _judged(
         warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map have them
         try:
             again, stages = reconstruct_with_stages(
-                select_sensors(runs, kept),
+                recording.select(recording.indices(kept)),
                 made.method,
                 AUTO if chosen else made.dimensions,
                 options=options,
@@ -313,7 +310,7 @@ def _follows(sensor_map: SensorMap, stages: Stages) -> bool:
     return bool(apart <= _SAME * float(np.linalg.norm(given.std(axis=0))))
 
 
-def _unknown(sensor_map: SensorMap, runs: Sequence[Recording], *, whole: bool) -> Note | None:
+def _unknown(sensor_map: SensorMap, n_frames: int, *, whole: bool) -> Note | None:
     """Return why the errors of a map cannot be known, and what to do; None if they can."""
     method = METHODS.get(sensor_map.method)
     if method is None or sensor_map.similarity not in (
@@ -322,7 +319,6 @@ def _unknown(sensor_map: SensorMap, runs: Sequence[Recording], *, whole: bool) -
     ):
         return Note("other-readings")
     n_sensors = int(np.count_nonzero(sensor_map.component == 0))
-    n_frames = sum(run.n_frames for run in runs)
     reasons = (
         (
             method.refine is None,

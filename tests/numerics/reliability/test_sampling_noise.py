@@ -114,7 +114,7 @@ def test_the_variance_is_that_of_the_statistic_and_not_of_the_readings(statistic
     respond = {"sparse": lambda x: np.maximum(0, x - 1.3), "heavy tails": lambda x: np.exp(2 * x)}
     readings = [respond[response](x) for x in found]
     pairs = np.triu_indices(30, 1)
-    runs = [[Recording(x)] for x in readings]
+    runs = map(Recording, readings)
     computed = [Evidence.of(run, statistic, bins=4, with_variance=True) for run in runs]
     observed = np.mean([one.similarity[pairs].var() for one in computed])
     estimated = np.mean([one.noise for one in computed])

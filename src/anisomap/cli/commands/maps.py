@@ -246,7 +246,7 @@ def check(
             chosen = rigid.with_layout(find_modules(layout, chosen))
         with progress(f"reading {recording_file.name}") as report_progress:
             runs = route.read_runs([recording_file], how, progress=report_progress)
-        (recording,) = route.complete(runs, missing)
+        recording = route.complete(runs, missing)
         with progress("checking the layout"):
             found = anisomap.check_layout(layout, recording, modules=chosen)
     except InputError as error:

@@ -56,7 +56,7 @@ def info(
         print_warning(str(error))  # the contents are listed; the user must select one
         return
     with progress("assessing sensors"):
-        examined = route.examine([found])
+        examined = route.examine(found)
     printing.doubt_orientation(examined.summary)
     printing.print_recording(printer, examined.recording, examined.summary)
     printing.print_findings(printer, examined.findings)
@@ -103,12 +103,12 @@ def repair(
     with progress(f"reading {recording.name}") as report_progress:
         found = route.read(recording, reading.checked(), progress=report_progress)
     with progress("repairing the recording"):
-        (repaired,), findings = route.mend([found])
-    io.write(repaired, output)
-    printing.print_findings(printer, findings, repaired=True)
-    if not findings:
+        repaired = anisomap.repair(found)
+    io.write(repaired.recording, output)
+    printing.print_findings(printer, repaired.findings, repaired=True)
+    if not repaired.findings:
         printer.line("No faults of the recording were found; it is unchanged.")
-    printing.print_health(printer, anisomap.assess(repaired))
+    printing.print_health(printer, anisomap.assess(repaired.recording))
     printer.files([("recording", output)])
 
 
@@ -248,10 +248,11 @@ def _examined(recordings: Sequence[Path], how: io.ReadOptions, mapping: MappingO
     limit = mapping.memory * _READINGS_PER_MIB
     with progress("reading") as report_progress:
         runs = route.read_runs(recordings, how, max_readings=limit, progress=report_progress)
-    mended = None
+    repaired = None
     if mapping.repair:
         with progress("repairing the recording"):
-            runs, mended = route.mend(runs)
+            repaired = anisomap.repair(runs)
     with progress("assessing sensors"):
-        complete = route.complete(runs, mapping.missing)
+        complete = route.complete(repaired.recording if repaired else runs, mapping.missing)
+        mended = repaired.findings if repaired else None
         return route.examine(complete, mended=mended, drop=mapping.drop)

@@ -176,7 +176,7 @@ def demo(
         recording = anisomap.simulate(
             "sphere", "bombardment", n_frames=frames, progress=report_progress
         )
-    examined = route.examine([recording])
+    examined = route.examine(recording)
     print_recording(printer, examined.recording, examined.summary)
     with progress("making the map"):
         made, stages = route.make_map(examined, DEFAULT_METHOD, dimensions=3)
