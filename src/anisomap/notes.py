@@ -67,7 +67,7 @@ def scaled_note(note: str, spacing: float, unit: str) -> str:
     """
     if not isinstance(note, Note):  # it was read from a file
         return _SIZE.sub(lambda size: f"by {spacing * float(size[1]):.2f} {unit}", note)
-    if note.kind not in ("chance", "second-map", "if-flat", "if-bent"):
+    if "size" not in note.values:
         return note
     return Note(note.kind, **{**note.values, "size": spacing * note.values["size"], "unit": unit})
 
@@ -189,6 +189,20 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"a second map, which assumes even spacing, differs by {size:.2f} {unit}"
             + (": contacts may be elongated or differ in size from place to place" if much else "")
         ),
+        "map-of-paths": lambda size, much, unit="spacings": (
+            f"a second map, of the lengths of paths, differs by {size:.2f} {unit}"
+            + (": contacts may differ in size from place to place" if much else "")
+        ),
+        "if-compact": lambda size, unit="spacings": (
+            "the sensors are not evenly spaced, so nothing shows whether long contacts squashed "
+            "the map: if all contacts were compact, as of a fingertip or a ball, positions are off "
+            f"by {size:.2f} {unit} (--contacts compact)"
+        ),
+        "compact": lambda size, unit="spacings": (
+            f"positions are off by {size:.2f} {unit} if all contacts were compact, as stated: the "
+            "sensors are not evenly spaced, so nothing would show that long contacts squashed the "
+            "map"
+        ),
         "if-flat": lambda size, unit="spacings": (
             "the readings do not show whether the skin is flat: if it is, positions are off by "
             f"{size:.2f} {unit}; choose the number of dimensions (-d 2 or -d 3)"
@@ -197,6 +211,10 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             "a third dimension hardly improves the fit but changes the map: if the skin is bent in "
             f"two directions, positions are off by {size:.2f} {unit}; choose the number of "
             "dimensions (-d 2 or -d 3)"
+        ),
+        "chosen-dimensions": lambda: (
+            "the number of dimensions was chosen by readings that do not show the shape for "
+            "certain: choose it if it is known (-d 2 or -d 3)"
         ),
         "not-examined": lambda: "the map was not examined",
         "other-readings": lambda: "a verdict needs the readings that the map was made from",

@@ -216,11 +216,13 @@ def judge(
     sensor_map: SensorMap,
     stages: Stages,
     *,
+    contacts: str = "",
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> SensorMap:
     """Add a verdict to a map from `make_map`, by maps of resampled recordings."""
-    return _diagnosed(examined, sensor_map, stages=stages, rng=seed, progress=progress)
+    how = {"stages": stages, "contacts": contacts, "rng": seed, "progress": progress}
+    return _diagnosed(examined, sensor_map, **how)
 
 
 def _diagnosed(examined: Examined, sensor_map: SensorMap, **how: object) -> SensorMap:

@@ -24,6 +24,12 @@ LEVELS: Mapping[str, str] = MappingProxyType(
 )
 """Levels of a verdict from the worst to the best, with their meaning."""
 
+CONTACTS = (COMPACT, _) = ("compact", "elongated")
+"""What can be stated of contacts: as of a fingertip, a palm or a ball; as of an edge or a roller.
+
+Where sensors are not evenly spaced, long contacts squash a map, and nothing shows it.
+"""
+
 FORMER_LEVELS: Mapping[str, str] = MappingProxyType(
     {"usable locally": "usable for neighbours", "unknown": UNKNOWN}
 )

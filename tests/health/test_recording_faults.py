@@ -656,7 +656,7 @@ def test_sources_at_several_places_are_no_common_noise(seed):
     assert list(CHECKS["common-noise"](Recording(readings))) == []
 
 
-@pytest.mark.parametrize("fault", ["dead", "stuck", "intermittent", "stuck-bit", ""])
+@pytest.mark.parametrize("fault", ["dead", "stuck", "intermittent", ""])
 def test_statements_about_a_sensor_do_not_contradict_each_other(fault):
     skin = wired_at_random(301)
     recording = spoilt(skin, fault, seed=301) if fault else skin

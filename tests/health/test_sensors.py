@@ -87,17 +87,6 @@ def test_sensors_that_a_range_cuts_off_are_not_intermittent(seed, share):
     assert "intermittent" not in {one.status for one in assess(Recording(readings))}
 
 
-@given(seed=st.integers(0, 99), bit=st.integers(2, 5))
-@settings(max_examples=8)
-def test_a_sensor_with_a_stuck_bit_is_named_and_no_other(seed, bit):
-    codes = np.round(300 * noisy_skin(seed)).astype(int)
-    sound = Recording(codes)
-    assert {one.status for one in assess(sound)} == {"ok"}
-    codes[:, SENSOR] |= 2**bit
-    called = {one.name: one.status for one in assess(Recording(codes)) if one.status != "ok"}
-    assert called == {f"s{SENSOR}": "stuck bit"}
-
-
 def thresholded(seed):
     return Recording(flat_skin(seed=seed).readings > 0.5)
 

@@ -236,6 +236,7 @@ def test_a_session_maps_and_names_the_pads_of_a_port(hand, tmp_path):
     assert np.isfinite(quick.positions[PADS]).all()
     assert list(final.sensor_map.names) == NAMES
     assert "--preset icub-hand" in command
+    assert "--contacts compact" in command
     assert "--spacing 4.5mm" in command
     np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, hand)
     read = io.read(tmp_path / "r.csv", options=io.ReadOptions(preset="icub-hand"))

@@ -23,7 +23,7 @@ from anisomap.usability import RANGES
 from anisomap.verdict import LEVELS, UNKNOWN, Measurements, Verdict, judge
 from anisomap.verdict.chance import regional_difference, rms_in_spacings
 from anisomap.verdict.judge import expected_error, neighbours_kept, region_error
-from anisomap.verdict.second_map import differences_from_steps, sensors_pair_off
+from anisomap.verdict.second_map import differences_from_second_map, sensors_pair_off
 from skins import flat_map, flat_skin, lattice
 
 quiet = pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
@@ -53,19 +53,57 @@ def test_worse_evidence_never_improves_a_verdict(chances, differences, apart, fa
     assert rank(judge(evidence(chance[0], difference[0], fatal=("no skin",)))) == 0
 
 
-@given(ERRORS, ERRORS, ERRORS, st.booleans())
-def test_an_error_if_the_skin_is_flat_is_expected(chance, difference, apart, spatial):
+@given(ERRORS, ERRORS, ERRORS, st.booleans(), st.floats(-10, 100))
+def test_an_error_if_the_skin_is_flat_is_expected(chance, difference, apart, spatial, gain):
     clear = judge(evidence(chance, difference))
     maps = {"between": apart, "regions_between": apart / 2, "spatial": spatial, "unclear": spatial}
-    found = judge(evidence(chance, difference, **maps))
+    found = judge(evidence(chance, difference, **maps, gain=gain, chosen=True))
     error = clear.expected_error
-    doubted = apart <= 2.75 * error if spatial else apart > max(0.8, 3.2 * error)
+    doubted = apart <= 2.75 * error if spatial else gain > 5
     expected = math.hypot(error, apart) if doubted else error
     assert found.expected_error == pytest.approx(expected)
     assert any(one.kind in ("if-flat", "if-bent") for one in found.reasons) == (
         doubted and apart > 0
     )
     assert rank(found) <= rank(clear)
+
+
+@given(ERRORS, ERRORS)
+def test_uneven_sensors_are_usable_only_if_contacts_are_stated_to_be_compact(chance, difference):
+    unstated, compact, elongated = (
+        judge(evidence(chance, difference, uneven=True, contacts=contacts))
+        for contacts in ("", "compact", "elongated")
+    )
+    assert max(rank(unstated), rank(elongated)) < 2
+    assert compact.expected_error == unstated.expected_error == elongated.expected_error
+    kinds = [next(iter(one.reasons)).kind for one in (unstated, compact, elongated)]
+    assert kinds == ["if-compact", "compact", "if-compact"]
+    assert rank(compact) == 2 or compact.expected_error >= 0.5
+    even = evidence(chance, difference)
+    assert judge(replace(even, contacts="elongated")).level == judge(even).level
+
+
+@quiet
+def test_a_map_of_random_places_needs_a_statement_of_contacts():
+    recording = make(Case("random-sphere:n=45", "poke", "linear", "", 2500, 31032))
+    made, stages = reconstruct_with_stages(recording, dimensions=3)
+    found = {
+        (stated, told): diagnose(
+            made,
+            replace(recording, metadata={"contacts": told} if told else {}),
+            contacts=stated,
+            stages=stages,
+        )
+        for stated, told in (("", ""), ("compact", ""), ("", "compact"), ("elongated", "compact"))
+    }
+    levels = {key: one.verdict.level for key, one in found.items()}
+    assert levels["", ""] == levels["elongated", "compact"] == "usable for neighbours"
+    assert levels["compact", ""] == levels["", "compact"] == "usable"
+    assert [one.provenance.get("contacts") for one in found.values()] == [
+        *(None, "compact", "compact", "elongated")
+    ]
+    with pytest.raises(InputError, match="compact or elongated"):
+        diagnose(made, recording, contacts="round", stages=stages)
 
 
 def test_an_error_of_half_the_extent_leaves_no_neighbours_usable():
@@ -175,7 +213,7 @@ def test_expected_errors_do_not_depend_on_the_order_of_sensors(name):
         made, stages = reconstruct_with_stages(recording, dimensions=2)
         inside = made.component == 0
         evidence_of_part = stages.evidence.select(stages.configuration.component == 0)
-        differences = differences_from_steps(evidence_of_part, made.positions[inside])
+        differences = differences_from_second_map(evidence_of_part, made.positions[inside])
         found.append(rms_in_spacings(differences, made.positions[inside]))
     assert np.ptp(found) < 1e-3
 

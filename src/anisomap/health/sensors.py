@@ -21,7 +21,6 @@ from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.neighbour_graphs import most_similar
 from anisomap.numerics.reliability.sampling_noise import outlying
 from anisomap.numerics.signals import (
-    MAX_FRAMES,
     MAX_PAIRED,
     Signals,
     excerpt_frames,
@@ -36,7 +35,7 @@ MIN_CONTACTS = 5
 """Contacts below which statistics of a sensor are unreliable; chosen by hand."""
 
 STATUSES = (
-    *("ok", SILENT, "stuck", "intermittent", "stuck bit", "noisy", "saturating", "isolated"),
+    *("ok", SILENT, "stuck", "intermittent", "noisy", "saturating", "isolated"),
     FEW_CONTACTS,
 )
 """All statuses; a sensor with several faults has the first of them."""
@@ -62,10 +61,6 @@ _MIN_HELD, _MIN_STAY = 0.05, 0.8  # share of the frames; chance that a spell las
 # Of spells that contact has no part in: of their frames without contact over those of others, and
 # of the jump at either end over the distance of other readings at rest. By hand.
 _MIN_INDEPENDENT, _MIN_JUMP = 0.5, 0.7
-_MAX_CODES, _OFF_CODE = 1 << 16, 0.1  # codes of a converter; steps by which readings miss them
-# Gaps between codes, and the share of the codes on either side that are read; by hand.
-_LEAST_BIT, _MIN_GAPS, _MIN_READ = 2, 3, 0.25
-_LOG_CHANCE = -25.0  # of a sensor whose codes are read independently; neighbouring ones are not
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,53 +393,6 @@ def _intermittent(b: Behaviour) -> dict[int, str]:
     return reasons
 
 
-def _stuck_bit(b: Behaviour) -> dict[int, str]:
-    """Find sensors that never read half of the codes, in gaps of one width and distance.
-
-    If a share f of the codes beside a gap of w codes is read, chance leaves it empty with
-    probability (1 - f)^w. The highest bits leave too few gaps to tell.
-    """
-    readings, reasons = b.signals.readings[:: -(-len(b.signals.readings) // MAX_FRAMES)], {}
-    for i in np.flatnonzero(b.signals.rest.distinct >= 2 * _MIN_GAPS << _LEAST_BIT).tolist():
-        levels = np.unique(readings[:, i]).astype(np.float64)
-        codes = (levels - levels[0]) / np.diff(levels).min(initial=np.inf)
-        whole = codes.round().astype(np.intp)
-        if whole[-1] >= _MAX_CODES or np.abs(codes - whole).max() > _OFF_CODE:
-            continue
-        read = np.bincount(whole) > 0
-        for bit in range(_LEAST_BIT, int(read.size / _MIN_GAPS).bit_length() - 1):
-            if _chance_of_gaps(read, 2**bit) < _LOG_CHANCE:
-                reasons[i] = (
-                    f"misses {2**bit} of every {2 ** (bit + 1)} successive levels, as if a bit of "
-                    "its converter were stuck"
-                )
-                break
-    return reasons
-
-
-def _chance_of_gaps(read: NDArray[np.bool_], width: int) -> float:
-    """Return the logarithm of the chance that gaps of a width lie at twice their distance.
-
-    read (codes,): Whether a code is read.
-    """
-    period = 2 * width
-    phases = np.bincount(np.flatnonzero(read) % period, minlength=period) > 0
-    begins, ends = (
-        np.flatnonzero(np.diff(np.tile(~phases, 2), prepend=False, append=False)).reshape(-1, 2).T
-    )
-    longest = int((ends - begins).argmax()) if begins.size else 0
-    if not begins.size or not width <= ends[longest] - begins[longest] < period:
-        return 0.0
-    gap = int(ends[longest] - begins[longest])
-    first = int(begins[longest]) % period
-    padded = np.concatenate([np.zeros(period - first, bool), read, np.zeros(2 * period, bool)])
-    rows = padded[: padded.size // period * period].reshape(-1, period)[:, gap:]
-    shares = np.minimum(rows.mean(axis=1), 1 - 0.5 / rows.shape[1])
-    beside = np.minimum(shares[:-1], shares[1:])
-    beside = beside[beside >= _MIN_READ]
-    return float(gap * np.log1p(-beside).sum()) if beside.size >= _MIN_GAPS else 0.0
-
-
 def _saturating(b: Behaviour) -> dict[int, str]:
     if not b.unlike.any():
         return {}
@@ -473,7 +421,6 @@ def _isolated(b: Behaviour) -> dict[int, str]:
 
 _TESTS: dict[str, Callable[[Behaviour], dict[int, str]]] = {
     "intermittent": _intermittent,
-    "stuck bit": _stuck_bit,
     "noisy": _noisy,
     "saturating": _saturating,
     "isolated": _isolated,

@@ -462,6 +462,8 @@ class LiveSession:
             words += ["--preset", options.preset]
         for name in options.drop:
             words += [] if name in unknown else ["--drop", name]
+        if options.contacts:
+            words += ["--contacts", options.contacts]
         if self.recorder.has_gaps:
             words += ["--missing", "interpolate"]
         if options.spacing_mm:

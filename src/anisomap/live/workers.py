@@ -33,7 +33,7 @@ from anisomap.method.dimensions import AUTO, SPATIAL, Dimensions
 from anisomap.numerics.precision import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
+from anisomap.usability import COMPACT, Verdict
 
 MAX_INTERIM_READINGS = 1 << 22
 """Readings of a checked map while the session runs; of more, frames are sampled evenly."""
@@ -68,6 +68,7 @@ class ExaminationOptions:
     drop: Sensors to leave out, as `map --drop` takes them; what names no sensor is ignored.
     truth: Positions to compare with.
     spacing_mm: Distance between neighbouring sensors; 0 if it is not known.
+    contacts: What is known of them: see `diagnose`. The page asks for a fingertip.
     """
 
     dimensions: Dimensions = AUTO
@@ -76,6 +77,7 @@ class ExaminationOptions:
     drop: tuple[str, ...] = ()
     truth: SensorMap | None = None
     spacing_mm: float = 0.0
+    contacts: str = COMPACT
 
 
 def examine(
@@ -92,7 +94,7 @@ def examine(
             drop, _ = route.find_dropped(options.drop, recording.names)
             examined = route.examine(recording, drop=drop)
             made, stages = route.make_map(examined, options.method, options.dimensions)
-            made = route.judge(examined, made, stages)
+            made = route.judge(examined, made, stages, contacts=options.contacts)
             if options.truth is not None:
                 error = score(made, options.truth, permutations=0).rms_in_spacings
         except AnisomapError as problem:

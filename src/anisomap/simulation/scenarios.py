@@ -26,6 +26,7 @@ from anisomap.simulation.kinematic import RubbingOptions, rubbing
 from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, Scene, no_progress, options_for
 from anisomap.simulation.physics import load_mujoco
+from anisomap.usability import CONTACTS
 
 DEFAULT_FRAMES = 2000  # as in the paper
 DEFAULT_SEED = 1
@@ -154,6 +155,8 @@ def run_simulation(
     for name, value in {**asdict(options), **result.facts}.items():
         if value is not None:  # files cannot store it, nor numpy scalars
             metadata[name] = value.item() if isinstance(value, np.generic) else value
+    rolls = scenario == "locomotion" and given.solids[0].kind == "cylinder"
+    metadata["contacts"] = CONTACTS[rolls]
     metadata["anisomap"] = __version__
     if chosen.uses_mujoco:
         metadata["mujoco"] = load_mujoco().__version__

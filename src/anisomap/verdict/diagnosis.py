@@ -22,13 +22,14 @@ from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.method.configuration import Configuration
 from anisomap.method.dimensions import AUTO, SPATIAL
+from anisomap.method.evidence import Evidence
 from anisomap.method.named import METHODS, MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note, untouched
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
+from anisomap.usability import CONTACTS, Verdict
 from anisomap.verdict.chance import (
     MAX_SENSORS,
     MIN_FRAMES,
@@ -45,7 +46,8 @@ from anisomap.verdict.chance import (
 from anisomap.verdict.judge import Measurements, expected_error, judge
 from anisomap.verdict.second_map import (
     agreement_of_halves,
-    differences_from_steps,
+    differences_from_second_map,
+    is_uneven,
     sensors_pair_off,
 )
 
@@ -75,6 +77,7 @@ def diagnose(
     health: Sequence[SensorHealth] | None = None,
     findings: Sequence[Finding] | None = None,
     with_verdict: bool = True,
+    contacts: str = "",
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
     stages: Stages | None = None,
@@ -98,6 +101,11 @@ def diagnose(
     with_verdict : bool
         Whether to judge the map, and to estimate the covariance of every position, by maps of
         resampled recordings and a second map.
+    contacts : str
+        What is known of all contacts: ``"compact"``, as of a fingertip, a palm or a ball, or
+        ``"elongated"``, as of an edge or a roller; by default, what the metadata of the recording
+        state. Without it, a map of sensors that are not evenly spaced is usable for neighbours at
+        best, since long contacts squash such maps unseen.
     rng : numpy.random.Generator or int, optional
         Draws the resamples; seed 0 by default.
     progress : callable, optional
@@ -114,7 +122,7 @@ def diagnose(
     Raises
     ------
     InputError
-        If the sensors of the recording are not those of the map.
+        If the sensors of the recording are not those of the map, or contacts are of no such kind.
 
     Warns
     -----
@@ -145,7 +153,9 @@ def diagnose(
             stages=stages,
             faults=faults,
         )
-        verdict = judge(measured)
+        if stated := _stated(contacts, joined):
+            facts["contacts"] = stated
+        verdict = judge(replace(measured, contacts=stated))
         if not joined.touched:
             verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
         if measured.confirmed:
@@ -182,6 +192,7 @@ def examine(
         largest=sizes[0],
         spatial=sensor_map.dimensions == SPATIAL,
         unclear=UNCLEAR in sensor_map.notes,
+        chosen="chosen_dimensions" in sensor_map.provenance,
         faults=spoiling([one for one in faults if one.kind not in UNSEEN + FATAL]),
         unseen=spoiling([one for one in faults if one.kind in UNSEEN]),
         fatal=(*_of_one_period(recording), *spoiling([one for one in faults if one.kind in FATAL])),
@@ -206,7 +217,8 @@ def examine(
             deviations = deviations_by_chance(
                 part, positions, recipe, options, rng=generator, progress=told
             )
-            differences = differences_from_steps(part.evidence, positions)
+            uneven = is_uneven(positions)
+            differences = differences_from_second_map(part.evidence, positions, uneven=uneven)
         chance = covariances(deviations, positions)
         repeatability = error_in_spacings(chance, positions)
         difference = rms_in_spacings(differences, positions)
@@ -218,18 +230,28 @@ def examine(
                 repeatability=repeatability,
                 difference=difference,
                 regional=regional_difference(differences, positions),
+                uneven=uneven,
                 extent=extent_in_spacings(positions),
                 paired=sensors_pair_off(part.evidence.similarity),
                 agreement=agreement_of_halves(part.evidence, generator),
             )
             if stages.other is not None:
                 apart, regions = _between_dimensions(stages.configuration, stages.other)
-                measured = replace(measured, between=apart, regions_between=regions)
-        error = expected_error(repeatability, difference).value
+                gain = _gain_of_third(part.evidence, stages.configuration, stages.other)
+                measured = replace(measured, between=apart, regions_between=regions, gain=gain)
+        error = expected_error(repeatability, difference, uneven=uneven).value
         if math.isfinite(error):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
     return measured, found
+
+
+def _stated(contacts: str, recording: Recording) -> str:
+    """Return what is stated of contacts, or what the metadata of all parts state."""
+    if contacts and contacts not in CONTACTS:
+        raise InputError(f"contacts must be {' or '.join(CONTACTS)}, got {contacts!r}")
+    told = {str(part.metadata.get("contacts", "")) for part in recording.parts}
+    return contacts or (told.pop() if len(told) == 1 and told.issubset(CONTACTS) else "")
 
 
 def _between_dimensions(made: Configuration, other: Configuration) -> tuple[float, float]:
@@ -241,6 +263,17 @@ def _between_dimensions(made: Configuration, other: Configuration) -> tuple[floa
     flat, spatial = sorted((made.positions[both], other.positions[both]), key=lambda x: x.shape[1])
     differences = align(flat, spatial).aligned - spatial
     return rms_in_spacings(differences, spatial), regional_difference(differences, spatial)
+
+
+def _gain_of_third(evidence: Evidence, *made: Configuration) -> float:
+    """Return what a third dimension explains, over what n more coordinates would of noise."""
+    flat, spatial = (one.largest for one in sorted(made, key=lambda one: one.positions.shape[1]))
+    if flat is None or spatial is None:
+        return 0.0
+    similarity, n_sensors = np.asarray(evidence.similarity), len(evidence.similarity)
+    spread = float(similarity[np.triu_indices(n_sensors, 1)].var())
+    by_chance = 2 * evidence.noise / ((n_sensors - 1) * spread)
+    return (flat.unexplained - spatial.unexplained) / by_chance
 
 
 def _of_one_period(recording: Recording) -> tuple[Note, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -125,6 +125,10 @@ class VerdictOptions:
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
+    contacts
+        What is known of all contacts: compact (of a fingertip, a palm, a ball) or elongated (of an
+        edge, a roller). Only a map of unevenly spaced sensors depends on it; without it, that is
+        usable for neighbours at best. Default: what the file states, as files of simulate do.
     min_quality
         Exit with code 1 if the verdict is worse than this, or "cannot tell". All files are written.
     seed
@@ -132,6 +136,9 @@ class VerdictOptions:
     """
 
     verdict: Annotated[bool, Parameter(negative="--no-verdict")] = True
+    contacts: Annotated[
+        Literal["compact", "elongated"] | None, Parameter(group=options.method_group)
+    ] = None
     min_quality: options.Quality | None = None
     seed: options.Seed = 0
 
@@ -230,7 +237,8 @@ def map_recording(
     printing.print_recording(printer, examined.recording, examined.summary)
     faults = [*examined.mended, *examined.findings]
     printing.print_findings(printer, faults, repaired=mapping.repair)
-    judge = partial(route.judge, examined, stages=stages, seed=judging.seed)
+    stated = judging.contacts or ""
+    judge = partial(route.judge, examined, stages=stages, contacts=stated, seed=judging.seed)
     wanted = judge if judging.verdict else None
     scored = Truth(permutations, judging.seed, reference)
     shown = finish(printer, files, made, examined, scored, judge=wanted)
