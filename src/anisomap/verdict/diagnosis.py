@@ -247,11 +247,11 @@ def examine(
 
 
 def _stated(contacts: str, recording: Recording) -> str:
-    """Return what is stated of contacts, or what the metadata of all parts state."""
+    """Return what is stated of contacts, or what the metadata state."""
     if contacts and contacts not in CONTACTS:
         raise InputError(f"contacts must be {' or '.join(CONTACTS)}, got {contacts!r}")
-    told = {str(part.metadata.get("contacts", "")) for part in recording.parts}
-    return contacts or (told.pop() if len(told) == 1 and told.issubset(CONTACTS) else "")
+    told = str(recording.metadata.get("contacts", ""))
+    return contacts or (told if told in CONTACTS else "")
 
 
 def _between_dimensions(made: Configuration, other: Configuration) -> tuple[float, float]:
