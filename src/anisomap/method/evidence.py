@@ -243,6 +243,11 @@ class Evidence:
         return pearson(np.diff(self.ranks, axis=0))
 
     @cached_property
+    def rank_correlation(self) -> Reals:
+        """Correlation of the ranks, shape (n, n); requires readings."""
+        return self.scores.rho if isinstance(self.scores, Blend) else pearson(self.ranks)
+
+    @cached_property
     def ranks(self) -> Reals:
         """Ranks of the depths of each sensor beyond rest, (T, n); requires readings."""
         if isinstance(self.scores, Blend):

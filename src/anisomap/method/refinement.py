@@ -20,7 +20,6 @@ from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
-from anisomap.numerics.similarity.correlation import pearson
 
 logger = logging.getLogger(__name__)
 
@@ -127,7 +126,7 @@ def _by_paths(evidence: Evidence, positions: Reals) -> Reals:
     """
     paths = _normalised_paths(evidence.similarity)
     if evidence.readings is not None:
-        paths = (paths + _normalised_paths(pearson(evidence.ranks))) / 2
+        paths = (paths + _normalised_paths(evidence.rank_correlation)) / 2
     dimensions = positions.shape[1]
     distances = squareform(pdist(positions))
     lengths = distances.sum() / (len(paths) * (len(paths) - 1)) * paths

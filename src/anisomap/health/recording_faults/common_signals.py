@@ -83,14 +83,13 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     rows = unit_rows(readings[:, sensors[np.isin(sensors, free)]])
     total, times = rows.sum(axis=0, dtype=np.float64), np.arange(n_frames)
     frequency, width = (int(clear.argmax()) + _BESIDE + _GAP - 1) / n_frames, 1 / n_frames
+    if _coherence(rows, frequency)[0] < _MIN_COHERENCE / 2:  # half a step off, it is hardly less
+        return
     for _ in range(8):
         trials = frequency + width * np.linspace(-1, 1, 9)
         strength = [abs(total @ np.exp(-2j * np.pi * trial * times)) for trial in trials]
         frequency, width = float(trials[int(np.argmax(strength))]), width / 3
-    wave = np.exp(-2j * np.pi * frequency * times)
-    of_sensors = rows @ wave.real + 1j * (rows @ wave.imag)
-    coherence = abs(of_sensors.sum()) / np.abs(of_sensors).sum()
-    phase = float(np.angle(of_sensors.sum()))
+    coherence, phase = _coherence(rows, frequency)
     if not coherence >= _MIN_COHERENCE or not _is_added(rows, frequency, phase):
         return
     course = np.cos(2 * np.pi * frequency * times + phase)
@@ -102,6 +101,14 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     again = np.median(np.abs(halves[0] - halves[1])) <= _MAX_APART * np.median(gains)
     values = {"period": 1 / frequency, "rate_hz": recording.rate_hz}
     yield Found(free, share, values, _without(free, course, gains) if again else None)
+
+
+def _coherence(rows: NDArray[np.float32], frequency: float) -> tuple[float, float]:
+    """Return the coherence of a sine over sensors, and its phase. rows (n, T)."""
+    wave = np.exp(-2j * np.pi * frequency * np.arange(rows.shape[1]))
+    of_sensors = rows @ wave.real + 1j * (rows @ wave.imag)
+    total = of_sensors.sum()
+    return float(abs(total) / np.abs(of_sensors).sum()), float(np.angle(total))
 
 
 def find_common_noise(recording: Recording) -> Iterator[Found]:

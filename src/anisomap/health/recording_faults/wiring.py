@@ -198,7 +198,7 @@ def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) ->
 
 _MAX_BLOCKS = 16  # of a recording, an even number; it may change after every second one
 _MIN_FRAMES = 640  # of fewer, real insoles without a change are accused
-_MAX_COMPARED = 16_384  # of which ranks are correlated
+_MAX_COMPARED = 8192  # of which ranks are correlated
 _MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
 _MIN_SENSORS = 8  # that have these contacts
 _MIN_REPEATED = 0.7  # median agreement of parts that chance divides: else sensors resemble nothing
@@ -238,20 +238,21 @@ def find_change(recording: Recording) -> Iterator[Found]:
             continue
         kept = np.append(judged, chosen.size)
         blocks = moments[:, kept][:, :, kept]
-        orders = (rng.permutation(blocks) for _ in range(_N_PERMUTATIONS))
-        typical = np.median([_agreement(next(orders), division) for _ in range(_N_TYPICAL)], axis=0)
-        found = _agreement(blocks, division)
-        loss = _loss(found, typical)
+        found = _agreement(blocks, np.arange(n_blocks) < division)
+        if np.count_nonzero(found < _MIN_KEPT) < 2:  # whatever is typical, which is 1 at most
+            continue
+        orders = (rng.permutation(n_blocks) < division for _ in range(_N_PERMUTATIONS))
+        some = [_agreement(blocks, next(orders)) for _ in range(_N_TYPICAL)]
+        typical = np.median(some, axis=0)
         lost = judged[found < _LOST * typical]
         if lost.size < 2:  # no sensor has all others about it exchanged: another posture
             lost = judged[found < _MIN_KEPT * typical]
-        if _ratio_of_reach(blocks, division) > _MAX_REACH:
+        loss = _loss(found, typical)
+        least = _LEAST_LOSS if best is None else max(_LEAST_LOSS, best[0] * judged.size)
+        unclear = lost.size < 2 or loss < least or np.median(typical) < _MIN_REPEATED
+        if unclear or _ratio_of_reach(blocks, np.arange(n_blocks) < division) > _MAX_REACH:
             continue
-        if np.median(typical) < _MIN_REPEATED or loss < _LEAST_LOSS or lost.size < 2:
-            continue
-        if best is not None and loss <= best[0] * judged.size:
-            continue
-        if all(loss > _MARGIN * _loss(_agreement(one, division), typical) for one in orders):
+        if all(loss > _MARGIN * _loss(_agreement(blocks, one), typical) for one in orders):
             best = loss / judged.size, division, lost
     if best is not None:
         _, division, lost = best
@@ -277,15 +278,15 @@ def _of_blocks(
     return np.array(moments), np.array(contacts)
 
 
-def _agreement(blocks: NDArray[np.floating], division: int) -> NDArray[np.float64]:
-    """Correlate the similarities of each sensor before and after a division, (n,)."""
-    before, after = (_own(one) for one in _parts(blocks, division))
+def _agreement(blocks: NDArray[np.floating], earlier: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Correlate the similarities of each sensor in some blocks and in the others, (n,)."""
+    before, after = (_own(one) for one in _parts(blocks, earlier))
     return np.asarray(np.einsum("ij,ij->i", before, after))
 
 
-def _ratio_of_reach(blocks: NDArray[np.floating], division: int) -> float:
+def _ratio_of_reach(blocks: NDArray[np.floating], earlier: NDArray[np.bool_]) -> float:
     """Return the ratio of the numbers of sensors that one resembles in two parts."""
-    similar = [np.median((np.maximum(r, 0) ** 2).sum(axis=1)) for r in _parts(blocks, division)]
+    similar = [np.median((np.maximum(r, 0) ** 2).sum(axis=1)) for r in _parts(blocks, earlier)]
     return float(max(similar) / max(min(similar), 1e-12))
 
 
@@ -293,12 +294,10 @@ def _loss(agreement: NDArray[np.float64], typical: NDArray[np.float64]) -> float
     return float(np.maximum(_MIN_KEPT * typical - agreement, 0).sum())
 
 
-def _parts(
-    blocks: NDArray[np.floating], division: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Correlate sensors before and after a division, (n, n); 0 with themselves."""
-    before, after = (part.sum(axis=0) for part in np.split(blocks, [division]))
-    return _correlation(before), _correlation(after)
+def _parts(blocks: NDArray[np.floating], earlier: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+    """Correlate sensors in some blocks and in the others, (n, n); 0 with themselves."""
+    sums = np.tensordot(np.array([earlier, ~earlier], blocks.dtype), blocks, 1)
+    return [_correlation(part) for part in sums]
 
 
 def _correlation(moments: NDArray[np.floating]) -> NDArray[np.float64]:

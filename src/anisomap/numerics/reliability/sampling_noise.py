@@ -440,10 +440,11 @@ class Blend:
 
     similarity (N, N): See `blended_correlation`.
     weight: Weight of Pearson's r, in [0, 1].
-    readings, ranks (T, N): Ranks are of depths beyond rest.
+    rho (N, N): Spearman's. readings, ranks (T, N): Ranks are of depths beyond rest.
     """
 
     similarity: Reals
+    rho: Reals
     weight: float
     readings: NDArray[Any]
     ranks: Reals
@@ -463,7 +464,7 @@ class Blend:
         blended *= weight
         blended += (1 - weight) * rho
         np.fill_diagonal(blended, 1.0)
-        return cls(blended, weight, values, ranks)
+        return cls(blended, rho, weight, values, ranks)
 
     @cached_property
     def variance(self) -> Reals:
@@ -477,9 +478,11 @@ class Blend:
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
         """Return the blend of some of the sensors, given as a mask of shape (N,)."""
+        inside = np.ix_(sensors, sensors)
         return replace(
             self,
-            similarity=self.similarity[np.ix_(sensors, sensors)],
+            similarity=self.similarity[inside],
+            rho=self.rho[inside],
             readings=self.readings[:, sensors],
             ranks=self.ranks[:, sensors],
         )

@@ -17,6 +17,8 @@ from anisomap.numerics.similarity.rest import estimate_rest
 CHUNK_FRAMES = 8192
 """Frames multiplied at a time, which bounds the memory of their copy in float64."""
 
+_MIN_SINGLE = 500  # sensors; rounding of products in float32 is far below the sampling noise
+
 
 @dataclass(frozen=True, eq=False)
 class PairSums:
@@ -47,7 +49,12 @@ class PairSums:
             deviations = np.subtract(values[frames], first, dtype=np.float64)
             mean = deviations.mean(axis=0)
             deviations -= mean
-            parts.append(cls(len(deviations), first + mean, deviations.T @ deviations))
+            # In units of each sensor, so that squares of float32 neither overflow nor vanish.
+            unit = np.maximum(np.abs(deviations).max(axis=0), np.finfo(np.float64).tiny)
+            deviations /= unit
+            scaled = deviations.astype(np.float32 if unit.size >= _MIN_SINGLE else np.float64)
+            products = np.outer(unit, unit) * (scaled.T @ scaled)
+            parts.append(cls(len(deviations), first + mean, products))
         return reduce(cls.merged, parts)
 
     def merged(self, other: PairSums) -> PairSums:
