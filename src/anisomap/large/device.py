@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError, import_extra
 from anisomap.method.configuration import Configuration, as_map, caveats, parameters_of
-from anisomap.method.dimensions import AUTO, check_dimensions, check_frames, check_size
+from anisomap.method.dimensions import AUTO, check_size
 from anisomap.method.evidence import check_unlike
 from anisomap.method.named import MethodOptions, find_method
 from anisomap.numerics.columns import centred_rows
@@ -339,7 +339,6 @@ def reconstruct_on_device(
     True
     """
     chosen = options or MethodOptions()
-    check_dimensions(dimensions)
     if str(dimensions) == AUTO:
         raise InputError("dimensions are not chosen on a device: take 2 for flat skins, or 3")
     if method not in _COMPARED:
@@ -352,12 +351,13 @@ def reconstruct_on_device(
     n_frames, n_sensors = readings.shape
     names = tuple(names) or default_names(n_sensors)
     check_names(names, n_sensors)
-    check_frames(n_frames, dimensions)
+    least = chosen.min_sensors
+    check_size(dimensions, n_sensors, n_frames, least=least, total=n_sensors)
     if xp.isdtype(readings.dtype, "bool"):
         readings = xp.astype(readings, xp.uint8)  # the standard puts no booleans in order
     varying = _varying(readings)
-    n_varying, least = int(np.count_nonzero(varying)), chosen.min_sensors
-    check_size(dimensions, n_varying, least=least, total=n_sensors)
+    n_varying = int(np.count_nonzero(varying))
+    check_size(dimensions, n_varying, n_frames, least=least, total=n_sensors)
     if not varying.all():
         readings = xp.take(readings, _moved(np.flatnonzero(varying), readings), axis=1)
     check_unlike(readings, rows_of=lambda some: centred_rows(to_numpy(some)))

@@ -236,12 +236,11 @@ def caveats(
             yield Note("different-contacts", share=one.unexplained)
 
 
-def unknown_pairs(evidence: Evidence, names: Sequence[str]) -> Iterator[Note]:
-    """Yield a note if some pairs of sensors were never recorded together."""
-    if not evidence.known.all():
-        pairs = int(np.count_nonzero(np.triu(~evidence.known)))
-        affected = [names[i] for i in np.flatnonzero(~evidence.known.all(axis=1)).tolist()]
-        yield Note("unknown-pairs", count=pairs, sensors=affected)
+def unknown_pairs(evidence: Evidence, names: Sequence[str]) -> Note:
+    """Return a note on pairs of sensors that were never recorded together."""
+    pairs = int(np.count_nonzero(np.triu(~evidence.known)))
+    affected = [names[i] for i in np.flatnonzero(~evidence.known.all(axis=1)).tolist()]
+    return Note("unknown-pairs", count=pairs, sensors=affected)
 
 
 def parameters_of(method: str, options: MethodOptions, n_sensors: int) -> dict[str, Scalar]:

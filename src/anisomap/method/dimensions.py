@@ -105,12 +105,10 @@ class DimensionChoice(Value):
         return float(s[dimensions - 1] * s[dimensions + 1] / s[dimensions] ** 2)
 
     def notes(self, *, objects: bool = False) -> tuple[Note, ...]:
-        """Return caveats for users; none if the number is clear, or was not examined.
+        """Return caveats for users, after an examination; none if the number is clear.
 
         objects: Whether it is a map of objects, from their dissimilarities.
         """
-        if not self.examined:
-            return ()
         if self.given:
             too_many = 0 < self.shown < self.dimensions
             return (Note("looks-flat", objects=objects),) if too_many else ()
@@ -119,9 +117,7 @@ class DimensionChoice(Value):
         return (Note("line", objects=objects),) if self.line else ()
 
     def facts(self, *, objects: bool = False) -> dict[str, Scalar]:
-        """Return the choice and its evidence for the provenance, if the number was not given."""
-        if self.given or not self.examined:
-            return {}
+        """Return the choice and its evidence for the provenance."""
         kind = "two-dimensions" if self.dimensions == 2 else "three-dimensions"
         because = self.notes(objects=objects) or (Note(kind, objects=objects),)
         facts: dict[str, Scalar] = {
@@ -221,9 +217,13 @@ def check_dimensions(dimensions: Dimensions) -> None:
         )
 
 
-def check_size(dimensions: Dimensions, n_sensors: int, *, least: int, total: int) -> None:
+def check_size(
+    dimensions: Dimensions, n_sensors: int, n_frames: int | None, *, least: int, total: int
+) -> None:
     """Check that some of all sensors can be mapped into some dimensions.
 
+    n_frames: Of the readings, if there are any: centred and scaled readings of T frames are points
+        of a sphere of T - 2 dimensions.
     least: Minimum number of sensors. total: Of all sensors.
     """
     check_dimensions(dimensions)
@@ -237,15 +237,8 @@ def check_size(dimensions: Dimensions, n_sensors: int, *, least: int, total: int
             f"a map in {dimensions} dimensions requires at least {dimensions} sensors, "
             f"got {n_sensors}"
         )
-
-
-def check_frames(n_frames: int, dimensions: Dimensions) -> None:
-    """Check that correlations of so many frames can place points.
-
-    Centred and scaled readings of T frames are points of a sphere of T - 2 dimensions.
-    """
     k = PLANE if dimensions == AUTO else dimensions
-    held = max(0, n_frames - 2)
+    held = k if n_frames is None else max(0, n_frames - 2)
     if held < k:
         raise InputError(
             f"a map in {k} dimensions requires at least {k + 2} frames, got {n_frames}, whose "

@@ -33,7 +33,6 @@ from anisomap.method.dimensions import (
     DimensionChoice,
     Dimensions,
     check_dimensions,
-    check_frames,
     check_size,
     plan_dimensions,
 )
@@ -175,8 +174,8 @@ def reconstruct_with_stages(
     joined = join_runs(recording)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
     n_mapped = int(np.count_nonzero(mapped))
-    check_size(dimensions, n_mapped, least=options.min_sensors, total=mapped.size)
-    check_frames(joined.n_frames, dimensions)
+    least, total = options.min_sensors, mapped.size
+    check_size(dimensions, n_mapped, joined.n_frames, least=least, total=total)
     check_pair_memory(n_mapped, refined=recipe.refine is not None)
     complete = joined.select(mapped).complete()
     check_unlike(*(part.readings for part in complete.parts))
@@ -194,14 +193,15 @@ def reconstruct_with_stages(
     with limited_blas(n_mapped):
         evidence = compared(recipe)
         facts |= {"similarity": evidence.statistic}
+        whole = bool(evidence.known.all())
         task = Task(
             evidence,
             recipe.lengths_of(evidence, options),
             *(joined.names, mapped, method, recipe, dimensions, options),
             usual=compared,
             facts=facts,
-            notes=tuple(unknown_pairs(evidence, complete.names)),
-            weights=None if evidence.known.all() else evidence.known.astype(np.float64),
+            notes=() if whole else (unknown_pairs(evidence, complete.names),),
+            weights=None if whole else evidence.known.astype(np.float64),
         )
         made, placed = _map(task, stack_level + 1)
     return made, Stages(evidence, task.metric, *placed)
@@ -218,8 +218,10 @@ def _reconstruct_blocks(
     check_dimensions(dimensions)
     statistic = find_method(method).similarity
     found = sum_blocks(readings, statistic, options.entropy_bins)
-    check_frames(found.n_frames, dimensions)
-    dropped = sensor_mask(default_names(len(found.varying)), drop) | ~found.varying
+    total = len(found.varying)
+    dropped = sensor_mask(default_names(total), drop) | ~found.varying
+    n_mapped, least = total - int(np.count_nonzero(dropped)), options.min_sensors
+    check_size(dimensions, n_mapped, found.n_frames, least=least, total=total)
     made = reconstruct_from(
         similarity=found.similarity,
         method=method,
@@ -302,7 +304,7 @@ def reconstruct_from(
     check_names(names, n_sensors)
     mapped = ~sensor_mask(names, drop)
     n_mapped = int(np.count_nonzero(mapped))
-    check_size(dimensions, n_mapped, least=options.min_sensors, total=n_sensors)
+    check_size(dimensions, n_mapped, None, least=options.min_sensors, total=n_sensors)
     check_pair_memory(n_mapped, refined=recipe.refine is not None)
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
@@ -354,13 +356,13 @@ def _map(task: Task, stack_level: int) -> tuple[SensorMap, _Placed]:
         )
     names = [task.names[i] for i in np.flatnonzero(task.mapped).tolist()]
     facts = parameters_of(task.method, task.options, len(names))
-    facts |= choice.facts(objects=task.objects)
+    facts |= {} if choice.given else choice.facts(objects=task.objects)
     made = as_map(
         configuration,
         *(task.names, task.mapped, task.method),
         similarity="" if task.evidence is None else task.evidence.statistic,
         notes=(
-            *choice.notes(objects=task.objects),
+            *(choice.notes(objects=task.objects) if choice.examined else ()),
             *task.notes,
             *caveats(configuration, task.evidence, names),
         ),

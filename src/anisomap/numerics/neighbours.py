@@ -12,8 +12,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-_N_NEAREST = 16  # of `local_dimension`; 12 gave a smaller margin
-
 
 def nearest_others(
     points: NDArray[np.float64], count: int, rows: NDArray[np.intp] | None = None
@@ -36,22 +34,6 @@ def nearest_others(
 def nearest_distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance of each of at least 2 points to the nearest other one, shape (n,)."""
     return nearest_others(points, 1)[0][:, 0]
-
-
-def local_dimension(points: NDArray[np.floating[Any]]) -> float:
-    """Estimate the dimension of a set of points, (n, k): about 1 on a curve, 2 on a surface.
-
-    Levina & Bickel 2004, Advances in Neural Information Processing Systems 17, eq. 8, with the mean
-    taken before the reciprocal (MacKay & Ghahramani 2005).
-    """
-    if len(points) < 2 * _N_NEAREST:
-        return float("nan")
-    nearest = np.sort(cdist(points, points), axis=1)[:, 1 : _N_NEAREST + 1]
-    nearest = nearest[nearest[:, 0] > 0]
-    if len(nearest) < 2 * _N_NEAREST:
-        return float("nan")
-    mean_log = float(np.mean(np.log(nearest[:, -1:] / nearest[:, :-1])))
-    return 1 / mean_log if mean_log > 0 else float("nan")
 
 
 def padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
@@ -89,17 +71,9 @@ def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
 
 
 def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
-    """Label the components connected by finite dissimilarities.
+    """Label the components connected by finite dissimilarities, (N, N) -> (N,).
 
-    Parameters
-    ----------
-    dissimilarity : array_like of shape (N, N)
-        Infinite where there is no edge.
-
-    Returns
-    -------
-    ndarray of int, shape (N,)
-        Component of each object; 0 is the largest, ties by the first object.
+    0 is the largest, ties by the first object.
     """
     joined = np.isfinite(dissimilarity)
     if joined.all():  # the most frequent case, without a slow search

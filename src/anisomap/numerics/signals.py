@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -31,15 +31,14 @@ _MAX_PARTS, _N_LOOKED_AT = 17, 512  # parts of a recording, and frames of each, 
 _N_LISTENED = 64  # sensors whose spectra are computed
 
 
+@dataclass(frozen=True, eq=False)
 class Signals:
     """Levels, rest and contacts of N sensors, computed when they are first asked for.
 
     readings (T, N): Finite.
     """
 
-    def __init__(self, readings: NDArray[Any]) -> None:
-        self.readings = readings
-        self._pearson: Reals | None = None
+    readings: NDArray[Any]
 
     @cached_property
     def rest(self) -> Rest:
@@ -101,15 +100,12 @@ class Signals:
     @property
     def pearson(self) -> Reals:
         """Pearson's r of every pair of sensors, (N, N); kept if it takes 32 MiB at most."""
-        # As of `spectra`: importing it takes time.
-        from anisomap.numerics.similarity.correlation import pearson  # noqa: PLC0415
+        few = self.readings.shape[1] <= MAX_PAIRED
+        return self._pearson_of_few if few else _pearson(self.readings)
 
-        if self.readings.shape[1] > MAX_PAIRED:
-            return pearson(self.readings)
-        if self._pearson is None:
-            self._pearson = pearson(self.readings)
-            self._pearson.setflags(write=False)
-        return self._pearson
+    @cached_property
+    def _pearson_of_few(self) -> Reals:
+        return _pearson(self.readings)
 
     @cached_property
     def lag_correlation(self) -> Floats:
@@ -138,6 +134,15 @@ class Signals:
         rows = unit_rows(self.readings[:, chosen])
         rows *= np.hanning(rows.shape[1]).astype(np.float32)
         return chosen, np.abs(rfft(rows, axis=1).T) ** 2
+
+
+def _pearson(readings: NDArray[Any]) -> Reals:
+    # As of `spectra`: importing it takes time.
+    from anisomap.numerics.similarity.correlation import pearson  # noqa: PLC0415
+
+    found = pearson(readings)
+    found.setflags(write=False)
+    return found
 
 
 def squares_and_lagged(

@@ -50,27 +50,15 @@ _MIN_ASPECT = 0.05  # width / length of a neighbourhood with a defined plane; ch
 
 
 def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Estimate the normals of a surface at points on it.
+    """Estimate the normals of a surface at points on it, and where they are reliable.
 
-    Parameters
-    ----------
-    positions : array_like of shape (N, 2) or (N, 3)
+    positions (N, 2 or 3) -> normals (N, 3), reliable (N,).
 
-    Returns
-    -------
-    normals : ndarray of shape (N, 3)
-        Unit vectors. In 2D the z axis. In 3D perpendicular to the plane fitted to each point and
-        its `NEIGHBOURS` nearest points. Neighbouring normals are oriented consistently, and the
-        outermost normal of each connected component points away from the component's centroid
-        (Hoppe et al. 1992, doi:10.1145/133994.134011).
-    reliable : ndarray of bool, shape (N,)
-        False where the neighbours are collinear or fewer than 2, so that no plane is defined. The
-        normal then points away from the centroid of all points.
-
-    Raises
-    ------
-    InputError
-        If the points are not finite, or not 2D or 3D.
+    Normals are unit vectors. In 2D the z axis. In 3D perpendicular to the plane fitted to each
+    point and its `NEIGHBOURS` nearest points. Neighbouring normals are oriented consistently, and
+    the outermost normal of each connected component points away from the component's centroid
+    (Hoppe et al. 1992, doi:10.1145/133994.134011). Where the neighbours are collinear or fewer than
+    2, no plane is defined: the normal points away from the centroid of all points.
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():

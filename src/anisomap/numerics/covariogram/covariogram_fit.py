@@ -53,20 +53,10 @@ _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 class Covariogram(Immutable):
     """A fitted covariogram, ``amplitude exp(-d^exponent) + offset``, and the positions.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-        Centred; in units of the covariogram's range.
-    amplitude, exponent, offset : float
-        Parameters of the function of the distance d.
-    objective : float
-        Minimum of the objective of `fit_covariogram`.
-    iterations : int
-        Number of iterations.
-    converged : bool
-        Whether the tolerance was met before the iterations ran out.
-    factor : ndarray
-        Triangular factor of the curvature near the positions; (1, 1) if it was not computed.
+    positions (N, k): Centred; in units of the covariogram's range.
+    objective: Minimum of the objective of `fit_covariogram`.
+    converged: Whether the tolerance was met before the iterations ran out.
+    factor: Triangular factor of the curvature near the positions; (1, 1) if it was not computed.
     """
 
     positions: Reals
@@ -98,38 +88,16 @@ def fit_covariogram(
 ) -> Covariogram:
     """Fit positions such that one decreasing function of distance explains all correlations.
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations S in [-1, 1], symmetric; the diagonal is ignored.
-    start : array_like of shape (N, k)
-        Initial positions in any unit.
-    metric : array_like of shape (N, N)
-        Distances D, finite and in the unit of `start`, which determine the positions of sensors
-        that correlations do not determine.
-    noise : float
-        Sampling variance s^2 of a correlation, above 0: see
-        `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
-    known : array_like of bool, shape (N, N), optional
-        Mask of the known correlations; all by default.
-    options : CovariogramOptions, optional
-    least_tolerance, least_prior : float
-        Minima of the `tolerance` and the `prior_weight` of the options.
-    near : Covariogram, optional
-        A fit to nearly the same correlations, at the same positions in its own unit, whose unit,
+    similarity (N, N): Correlations S in [-1, 1], symmetric; the diagonal is ignored.
+    start (N, k): Initial positions in any unit.
+    metric (N, N): Distances D, finite and in the unit of `start`, which determine the positions of
+        sensors that correlations do not determine.
+    noise: Sampling variance s^2 of a correlation, above 0: see `sampling_variance`.
+    known (N, N): Mask of the known correlations; all by default.
+    least_tolerance, least_prior: Minima of the `tolerance` and the `prior_weight` of the options.
+    near: A fit to nearly the same correlations, at the same positions in its own unit, whose unit,
         exponent and curvature the search starts from.
 
-    Returns
-    -------
-    Covariogram
-
-    Raises
-    ------
-    InputError
-        If shapes disagree, the noise is not positive, or a value is not finite.
-
-    Notes
-    -----
     Minimises over positions x and the covariogram's amplitude a, exponent b and offset c ::
 
         1/2 tr(R W R W) + s^2 sum_{i<j} (lambda (d_ij / D_ij - g)^2 - alpha log d_ij)

@@ -350,7 +350,11 @@ class Objective:
         slopes = unpack(steep / decayed.squares)
         apart = [np.subtract.outer(axis, axis).astype(slopes.dtype) for axis in positions.T]
         derivatives = [slopes * axis for axis in apart]
-        products = [self._weighted(derivative) for derivative in derivatives]
+        if self._weights is None:
+            means = [one.mean(axis=1, keepdims=True) for one in derivatives]
+            products = [self._scale * (a - b) for a, b in zip(derivatives, means, strict=True)]
+        else:
+            products = [derivative @ self._weights for derivative in derivatives]
         # The second derivative of the repulsion is taken along the line between two sensors only,
         # where it is positive; likewise the mean ratio of distances is taken as constant.
         bend = 2 * self._prior * pairs.inverse_metric**2 + self._repulsion / decayed.squares
@@ -381,12 +385,6 @@ class Objective:
         rank_update = ssyrk if matrix.dtype == np.float32 else dsyrk
         rank_update(-1.0, eliminated.T, beta=1.0, c=matrix.T, lower=True, overwrite_c=True)
         return matrix
-
-    def _weighted(self, derivative: Reals) -> Reals:
-        """Return A W, shape (n, n)."""
-        if self._weights is not None:
-            return np.asarray(derivative @ self._weights)
-        return np.asarray(self._scale * (derivative - derivative.mean(axis=1, keepdims=True)))
 
     def _curved(self, product: Reals, derivative: Reals, other: Reals) -> Reals:
         """Return the curvature by two coordinates of all sensors, (n, n), without the priors.

@@ -45,29 +45,11 @@ def as_symmetric(matrix: ArrayLike, name: str, *, copy: bool = True) -> Reals:
 
 
 def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> Reals:
-    """Return the regularised reciprocal of a similarity.
+    """Return the regularised reciprocal of a similarity, (N, N) -> (N, N).
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations, mutual information or another similarity. Negative values count as 0; the
-        diagonal is ignored.
-    mu : float
-        Weight of the regularisation, at least 0. With 0, unrelated pairs are infinitely far apart.
+    Negative similarities count as 0; the diagonal is ignored. mu: Weight of the regularisation, at
+    least 0. With 0, unrelated pairs are infinitely far apart; all are if no similarity is positive.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        A semi-metric: symmetric, zero diagonal, elsewhere positive or infinite. Infinite
-        everywhere if no similarity is positive. In float32 if the input is float32.
-
-    Raises
-    ------
-    InputError
-        If `mu` is negative or not finite, or the matrix is not symmetric.
-
-    Notes
-    -----
     McGregor et al. (2011), section "r-ANISOMAP and I-ANISOMAP":
     ``M_ij = 1 / (max(s_ij, 0) + mu s_min)``, where s_min is the smallest positive element. The
     paper gives no value of mu. With 1, 0.1 and 0.01, Mantel r of maps by r- and I-ANISOMAP agreed
@@ -88,29 +70,12 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> Reals:
 
 
 def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
-    """Return a dissimilarity that is smallest between direct neighbours.
+    """Return a dissimilarity, (N, N), that is smallest between direct neighbours.
 
-    Parameters
-    ----------
-    similarity : array_like of shape (N, N)
-        Correlations S in [-1, 1]. Negative values count as 0; the diagonal is ignored.
-    noise : array_like of shape (N, N)
-        Sampling variance s_ij^2 of each correlation: see
-        `anisomap.numerics.reliability.sampling_noise.sampling_variance`.
+    similarity (N, N): Correlations S in [-1, 1]. Negative values count as 0; the diagonal is
+        ignored. If none is positive, all sensors are infinitely far apart.
+    noise (N, N): Sampling variance s_ij^2 of each correlation: see `sampling_variance`.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        A semi-metric: symmetric, zero diagonal, elsewhere positive; infinite everywhere if no
-        correlation is positive.
-
-    Raises
-    ------
-    InputError
-        If a matrix is not symmetric, or their shapes disagree.
-
-    Notes
-    -----
     ``M = A^(-1/2) (1 + 5 w s^2 / A^2)`` with ``A = (S (w Q + (1.1 - w) S))^(1/2)``, regularised by
     its smallest positive element, and at least .3 s. Q are the partial correlations of ``S + I``
     (a ridge), which are high only between neighbours. The second factor lengthens pairs with
@@ -165,23 +130,11 @@ def _reliability(similarity: Reals, noise: float) -> float:
 
 
 def partial_correlation(correlation: ArrayLike, ridge: float = 1.0) -> Reals:
-    """Return the partial correlation of every pair of sensors given all others.
+    """Return the partial correlation of every pair of sensors given all others, (N, N) -> (N, N).
 
-    Parameters
-    ----------
-    correlation : array_like of shape (N, N)
-        Symmetric; the diagonal is ignored.
-    ridge : float
-        Added to the unit diagonal, above 0.
+    ``-P_ij / (P_ii P_jj)^(1/2)`` with the precision ``P = (S + ridge I)^-1``; -1 on the diagonal,
+    which is ignored in S. A greater ridge gives other sensors less influence.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        ``-P_ij / (P_ii P_jj)^(1/2)`` with the precision ``P = (S + ridge I)^-1``; -1 on the
-        diagonal. A greater ridge gives other sensors less influence.
-
-    Notes
-    -----
     Whittaker (1990), Graphical Models in Applied Multivariate Statistics, chapter 5.
     """
     covariance = as_symmetric(correlation, "correlation")
@@ -212,27 +165,11 @@ def invert_definite(matrix: Reals) -> Reals | None:
 
 
 def information_distance(information: ArrayLike) -> Reals:
-    """Return the information distance of every pair of sensors.
+    """Return the information distance of every pair of sensors, in nats, (N, N).
 
-    Parameters
-    ----------
-    information : array_like of shape (N, N)
-        Mutual information in nats, entropies on the diagonal: see
-        `anisomap.numerics.similarity.information.mutual_information`.
+    ``D(A, B) = H(A, B) - I(A; B) = H(A) + H(B) - 2 I(A; B)``: a metric, except that the distance of
+    sensors that determine each other is 0. information (N, N): See `mutual_information`.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        ``D(A, B) = H(A, B) - I(A; B) = H(A) + H(B) - 2 I(A; B)`` in nats: a metric, except that
-        the distance of sensors that determine each other is 0.
-
-    Raises
-    ------
-    InputError
-        If the matrix is not symmetric.
-
-    Notes
-    -----
     McGregor et al. (2011), section "Information Distance"; Crutchfield (1990), Information and its
     metric.
     """

@@ -90,24 +90,10 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Reals:
 
 
 def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
-    """Check that a matrix is a semi-metric.
+    """Check that a matrix, (N, N), is a semi-metric, and make it exactly symmetric.
 
-    Parameters
-    ----------
-    dissimilarity : array_like of shape (N, N)
-        Infinite where there is no edge.
-    copy : bool
-        If False, the input itself may be returned and must not be modified.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Exactly symmetric.
-
-    Raises
-    ------
-    InputError
-        If it is not symmetric, contains NaN or negative values, or its diagonal is not zero.
+    It is infinite where there is no edge. copy: If False, the input itself may be returned and must
+    not be modified.
     """
     lengths = as_symmetric(dissimilarity, "dissimilarity", copy=copy)
     if lengths.min() < 0:
@@ -124,24 +110,9 @@ def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
 def metricise(dissimilarity: ArrayLike) -> Reals:
     """Replace every dissimilarity by the length of the shortest path between its objects.
 
-    Parameters
-    ----------
-    dissimilarity : array_like of shape (N, N)
-        A semi-metric: symmetric, zero diagonal, elsewhere non-negative; infinite where unknown.
+    A semi-metric (N, N) -> the greatest metric that nowhere exceeds it; exactly symmetric, infinite
+    between connected components. A metric is returned unchanged.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        The greatest metric that nowhere exceeds the input; exactly symmetric, infinite between
-        connected components. A metric is returned unchanged.
-
-    Raises
-    ------
-    InputError
-        See `check_semi_metric`.
-
-    Notes
-    -----
     McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3; Floyd (1962), Warshall (1962).
     Float32 input is processed in float32, with a relative error of about 1e-6.
     """

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import squareform
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows
@@ -40,23 +40,8 @@ _MAX_SENSORS = 4000  # sampled sensors; their 8 million pairs determine the medi
 def sampling_variance(readings: ArrayLike) -> Reals:
     """Estimate the sampling variance of the correlation of every pair of unrelated sensors.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, T >= 2.
+    readings (T, N) -> (N, N), symmetric, and at least 1 / T, the variance for independent frames.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        At least 1 / T, the variance for independent frames. Symmetric.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 2 frames.
-
-    Notes
-    -----
     Bartlett (1946), Journal of the Royal Statistical Society, Supplement 8: 27-41:
     ``var(r_ij) = sum_l (1 - |l| / (L + 1)) rho_i(l) rho_j(l) / T`` over lags ``|l| <= L``, with
     the autocorrelations rho. The window L is twice the lag at which the median autocorrelation
@@ -341,9 +326,6 @@ _LEAST_SPREAD = 0.4  # of the logarithms of levels: sensors of one skin differ b
 _MIN_COMPARED = 8  # from which a distribution is fitted
 _NORMAL_MAD = 0.6745  # median absolute deviation of a normal distribution
 
-LEAST_RATIO = float(np.exp(-_LEAST_SPREAD * ndtri(_LEAST_P)))
-"""Ratio to the median that every outlying level exceeds."""
-
 
 def outlying(levels: Floats, variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
     """Return whether each of n positive levels is too high among the others, (n,).
@@ -386,22 +368,17 @@ def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
         return pearson(values), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
     first, second = map(PairSums.of, split_blocks(values))
-    step = -(-n_sensors // _MAX_SENSORS)
+    whole, step = first.merged(second).correlation(), -(-n_sensors // _MAX_SENSORS)
+    if len(whole[::step]) < _MIN_SPLIT_SENSORS:
+        return whole, 0.0
     halves = (one.correlation()[::step, ::step] for one in (first, second))
-    return first.merged(second).correlation(), _agreement(*halves)
-
-
-def _agreement(first: Reals, second: Reals) -> float:
-    """Correlate two symmetric matrices over the pairs of sensors; 0 if either is constant."""
-    if len(first) < _MIN_SPLIT_SENSORS:
-        return 0.0
-    a, b = (squareform(one, checks=False).astype(np.float64) for one in (first, second))
+    a, b = (squareform(one, checks=False).astype(np.float64) for one in halves)
     squares = a @ a, b @ b
     a -= a.mean()
     b -= b.mean()
     if any(one @ one <= _NO_VARIANCE * size for one, size in zip((a, b), squares, strict=True)):
-        return 0.0
-    return float(np.clip((a @ b) / math.sqrt((a @ a) * (b @ b)), -1, 1))
+        return whole, 0.0
+    return whole, float(np.clip((a @ b) / math.sqrt((a @ a) * (b @ b)), -1, 1))
 
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
@@ -412,19 +389,9 @@ _POWER_OF_RATIO = 10.0
 def blended_correlation(readings: ArrayLike) -> Reals:
     """Combine Pearson's r and Spearman's rho by their split-half reliability.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
+    readings (T, N) -> ``w r + (1 - w) rho``, (N, N): in [-1, 1], exactly symmetric, ones on the
+    diagonal. Invariant under changes of the unit and the zero of a sensor.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        ``w r + (1 - w) rho``: in [-1, 1], exactly symmetric, ones on the diagonal. Invariant
-        under changes of the unit and the zero of a sensor.
-
-    Notes
-    -----
     On tactile data a few deep contacts dominate Pearson's r, which makes it noisy in short
     recordings; ranks are less noisy but distort distances. Ranks are of depths beyond rest
     (`anisomap.numerics.similarity.rest.estimate_rest`), since ranks of readings at rest are noise.

@@ -45,27 +45,11 @@ def ordinal_smacof(
 ) -> tuple[Scaling, Floats]:
     """Find a configuration whose distances have the order of dissimilarities.
 
-    Parameters
-    ----------
-    dissimilarities, dimensions, start, weights, options
-        See `anisomap.numerics.scaling.multidimensional_scaling.smacof`; iterations are those
-        between the monotone regressions, together.
+    Arguments are those of `smacof`; iterations are those between the monotone regressions,
+    together. The stress of the scaling is Kruskal's non-metric Stress-1, and its trace the square
+    of that. Disparities, (N, N), are the non-decreasing function of the dissimilarities that is
+    nearest to the distances; infinite where unknown.
 
-    Returns
-    -------
-    scaling : Scaling
-        Its stress is Kruskal's non-metric Stress-1, and its trace the square of that.
-    disparities : ndarray of shape (N, N)
-        Non-decreasing function of the dissimilarities that is nearest to the distances; infinite
-        where unknown.
-
-    Raises
-    ------
-    InputError
-        See `anisomap.numerics.scaling.multidimensional_scaling.smacof`.
-
-    Notes
-    -----
     Kruskal (1964), Psychometrika 29: 1-27 and 115-129; Borg & Groenen (2005), chapter 9. Monotone
     regressions and steps of SMACOF alternate; neither increases the stress.
     """

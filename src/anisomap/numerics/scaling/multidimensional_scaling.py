@@ -255,27 +255,10 @@ _NEARLY_GREATEST = 1 - 1e-6  # magnitudes above this share differ by rounding on
 def torgerson(distances: ArrayLike, dimensions: int) -> Floats:
     """Classical scaling: positions from the leading eigenvectors of the inner products.
 
-    Parameters
-    ----------
-    distances : array_like of shape (N, N)
-        Finite, symmetric, zero diagonal.
-    dimensions : int
-        Number of coordinates, k >= 1.
+    distances (N, N) -> (N, k), centred; columns are orthogonal, by decreasing spread. The entry of
+    greatest magnitude of each column is positive, so that runs agree; of equal ones, as on
+    symmetric skins, the first. Columns with eigenvalues of 0 or less are 0.
 
-    Returns
-    -------
-    ndarray of shape (N, k)
-        Centred; columns are orthogonal, by decreasing spread. The entry of greatest magnitude of
-        each column is positive, so that runs agree; of equal ones, as on symmetric skins, the
-        first. Columns with eigenvalues of 0 or less are 0.
-
-    Raises
-    ------
-    InputError
-        If the distances are not finite, not symmetric or negative, or `dimensions` is less than 1.
-
-    Notes
-    -----
     Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. For many points
     double centring is applied as a linear operator, and eigenvectors are computed iteratively.
     """
@@ -387,18 +370,11 @@ DEFAULT_SMACOF = SmacofOptions()
 class Scaling:
     """Result of stress minimisation.
 
-    Attributes
-    ----------
-    positions : ndarray of shape (N, k)
-        Centred on the origin.
-    raw_stress : float
-        Sum over i < j of w_ij (d_ij - D_ij)^2, in squared units of the distances.
-    spread : float
-        Sum over i < j of w_ij d_ij^2.
-    trace : ndarray of shape (iterations + 1,)
-        Raw stress of the start and after each iteration; never increases.
-    converged : bool
-        Whether the tolerance was met within the maximum number of iterations.
+    positions (N, k): Centred on the origin.
+    raw_stress: Sum over i < j of w_ij (d_ij - D_ij)^2, in squared units of the distances.
+    spread: Sum over i < j of w_ij d_ij^2.
+    trace: Raw stress of the start and after each iteration; never increases.
+    converged: Whether the tolerance was met within the maximum number of iterations.
     """
 
     positions: Floats
@@ -423,31 +399,12 @@ def smacof(
 ) -> Scaling:
     """Find a configuration with minimal raw stress.
 
-    Parameters
-    ----------
-    distances : array_like of shape (N, N)
-        Symmetric, non-negative, zero diagonal; infinite where unknown.
-    dimensions : int
-        Number of coordinates, k >= 1; ignored if `start` is given.
-    start : array_like of shape (N, k), optional
-        Initial configuration; by default classical scaling, with shortest paths in place of
-        unknown distances.
-    weights : array_like of shape (N, N), optional
-        Symmetric, non-negative; 0 where unknown. The diagonal is ignored. 1 by default.
-    options : SmacofOptions, optional
+    distances (N, N): Symmetric, non-negative, zero diagonal; infinite where unknown. The known ones
+        must connect all points.
+    dimensions: Number of coordinates, k >= 1; ignored if `start` is given.
+    start (N, k): By default classical scaling, with shortest paths in place of unknown distances.
+    weights (N, N): Symmetric, non-negative; 0 where unknown. The diagonal is ignored. 1 by default.
 
-    Returns
-    -------
-    Scaling
-
-    Raises
-    ------
-    InputError
-        If shapes disagree, a matrix is not symmetric, a distance or weight is negative, the start
-        is not finite, or the known distances do not connect all points.
-
-    Notes
-    -----
     De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver increases the
     weighted stress. From 500 points on the stress is computed by compiled loops.
     """

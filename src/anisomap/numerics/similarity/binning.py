@@ -123,19 +123,9 @@ def _cost(counts: NDArray[np.int64], unit: float) -> NDArray[np.int64]:
 
 
 def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.uint16]:
-    """Replace every reading by the number of its bin; see `maximum_entropy_bins`.
+    """Replace every reading by the number of its bin, from 0: see `maximum_entropy_bins`.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-    bins : int
-        Maximum number of bins per sensor.
-
-    Returns
-    -------
-    ndarray of uint16, shape (T, N)
-        Codes from 0 to b - 1. Invariant under increasing transformations of a sensor.
+    readings (T, N) -> (T, N), invariant under increasing transformations of a sensor.
     """
     n_bins, values = _checked(bins), np.asarray(readings)
     return np.array([_codes_of(column, n_bins) for column in columns(values)]).T

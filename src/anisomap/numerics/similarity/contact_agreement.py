@@ -137,19 +137,9 @@ class Contacts:
 def contact_agreement(readings: ArrayLike) -> Reals:
     """Compute the chance-corrected agreement of every pair of sensors over distinct contacts.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, on or off.
+    readings (T, N), on or off -> Cohen's kappa, (N, N), in [-1, 1]; exactly symmetric, ones on the
+    diagonal. 0 for sensors without contacts and for sensors that are part of all contacts.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        Cohen's kappa, in [-1, 1]; exactly symmetric, ones on the diagonal. 0 for sensors without
-        contacts and for sensors that are part of all contacts.
-
-    Notes
-    -----
     Cohen (1960), doi:10.1177/001316446002000104. With p_i the weighted share of contacts in which
     sensor i is active, and p_ij that in which i and j are::
 

@@ -24,15 +24,9 @@ _MIN_SINGLE = 500  # sensors; rounding of products in float32 is far below the s
 class PairSums:
     """Sums over T frames of the readings of N sensors, which can be merged.
 
-    Attributes
-    ----------
-    n_frames : int
-        T.
-    mean : ndarray of shape (N,)
-        Mean reading of each sensor.
-    products : ndarray of shape (N, N)
-        Sums over frames of products of deviations from the means: T times the covariance. Exactly
-        symmetric, and exactly zero for constant sensors.
+    mean (N,): Mean reading of each sensor.
+    products (N, N): Sums over frames of products of deviations from the means: T times the
+        covariance. Exactly symmetric, and exactly zero for constant sensors.
     """
 
     n_frames: int
@@ -83,18 +77,9 @@ class PairSums:
 
 
 def pearson(readings: ArrayLike) -> Reals:
-    """Compute Pearson's r of every pair of sensors.
+    """Compute Pearson's r of every pair of sensors. readings (T, N) -> (N, N).
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings, at most `anisomap.recording.MAX_READING` in magnitude.
-
-    Returns
-    -------
-    ndarray of shape (N, N)
-        In [-1, 1], exactly symmetric, ones on the diagonal; 0 between a constant sensor and any
-        other.
+    In [-1, 1], exactly symmetric, ones on the diagonal; 0 between a constant sensor and any other.
     """
     return PairSums.of(readings).correlation()
 

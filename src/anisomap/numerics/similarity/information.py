@@ -16,26 +16,9 @@ from anisomap.numerics.similarity.correlation import CHUNK_FRAMES
 def mutual_information(readings: ArrayLike, bins: int = DEFAULT_BINS) -> Reals:
     """Compute the mutual information of the binned readings of every pair of sensors.
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
-    bins : int
-        Maximum number of maximum-entropy bins per sensor, b >= 2.
+    readings (T, N) -> I(A; B) in nats, (N, N), between 0 and min(H(A), H(B)), exactly symmetric.
+    The diagonal contains the entropies, I(A; A) = H(A). bins: Maximum per sensor, at least 2.
 
-    Returns
-    -------
-    ndarray of shape (N, N)
-        I(A; B) in nats, between 0 and min(H(A), H(B)), exactly symmetric. The diagonal contains
-        the entropies, I(A; A) = H(A).
-
-    Raises
-    ------
-    InputError
-        If `bins` is less than 2.
-
-    Notes
-    -----
     McGregor et al. (2011), section "Information Theory". This is the plug-in estimate, without
     correction for the number of frames.
     """

@@ -108,21 +108,11 @@ class Rest:
 
 
 def estimate_rest(readings: ArrayLike) -> Rest:
-    """Estimate the rest of each sensor.
+    """Estimate the rest of each sensor. readings (T, N).
 
-    Parameters
-    ----------
-    readings : array_like of shape (T, N)
-        Finite readings.
+    Under a change of the unit or the zero of a sensor's readings, `active` is invariant and `depth`
+    only scales.
 
-    Returns
-    -------
-    Rest
-        Under a change of the unit or the zero of a sensor's readings, `active` is invariant and
-        `depth` only scales.
-
-    Notes
-    -----
     Noise deviates to both sides of rest, contact only to one. Contact is therefore on the side of
     the mean, and deviations to the other side measure noise. Continuous readings with about equal
     deviations to both sides, such as pixels of a camera, have no rest: readings above the median
