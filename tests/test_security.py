@@ -60,7 +60,7 @@ def folder(tmp_path):
     ("command", "written"),
     [
         (["info", "skin.csv", "--all"], set()),
-        (["convert", "skin.npz", "m.launch.xml", "--spacing", "5mm"], {"m.launch.xml"}),
+        (["convert", "skin.npz", "m.urdf", "--spacing", "5mm"], {"m.urdf"}),
         pytest.param(
             ["map", "skin.npz", "-m", "r-anisomap", "-o", "m.csv", "--report", "r.html"],
             {"m.csv", "r.html"},

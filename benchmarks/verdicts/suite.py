@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import anisomap
-from anisomap.simulation import BODIES, SCENARIOS, find_body
+from anisomap.simulation import BODIES, SCENARIOS, Body, find_body
+from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS, midpoints
 from benchmarks.accuracy.compare import MIN_TOUCHES, spanned_dimensions, touched
 from benchmarks.skins.independent import damaged, drawn, make
 from benchmarks.skins.readout import NOISES, noise
@@ -82,14 +83,29 @@ def _of_package(seed: int) -> Case:
     rng = np.random.default_rng(seed)
     body = find_body(name)
     if (name, scenario) == ("cylinder", "locomotion"):
-        placement, n_sensors = ROLLED[seed % len(ROLLED)]
-        body = find_body(name, n_sensors, placement=placement, seed=seed)
+        body = rolled(*ROLLED[seed % len(ROLLED)], seed)
     n_frames = drawn_length(rng, SHORTEST, LONGEST // 2)
     made = anisomap.simulate(body, scenario, n_frames=n_frames, seed=seed)
     made = made.select(rng.permutation(made.n_sensors))
     dimensions = spanned_dimensions(np.asarray(made.positions))
     text = f"{seed} {name} {made.n_sensors} {scenario}, {n_frames} frames"
     return Case(text, made, dimensions, "", scenario, "package")
+
+
+def rolled(placement: str, n_sensors: int, seed: int) -> Body:
+    """Make a cylinder with sensors in columns, on a Fibonacci lattice or at random places."""
+    if placement == "columns":
+        return find_body("cylinder", n_sensors)
+    angles = np.pi * (3 - np.sqrt(5)) * np.arange(n_sensors)
+    heights = midpoints(n_sensors, CYLINDER_LENGTH)
+    if placement == "random":
+        rng = np.random.default_rng(seed)
+        angles = rng.uniform(0, 2 * np.pi, n_sensors)
+        heights = rng.uniform(-CYLINDER_LENGTH / 2, CYLINDER_LENGTH / 2, n_sensors)
+    around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
+    places = CYLINDER_RADIUS * around + heights[:, None] * [0, 0, 1]
+    solids = find_body("cylinder").solids
+    return Body(f"cylinder-{placement}", places, around, solids)
 
 
 def cases_of_file(path: Path) -> Iterator[Case]:

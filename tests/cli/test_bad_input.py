@@ -44,7 +44,7 @@ map skin.csv --grid six                                   | rows and columns, as
 map constant.csv -o old.csv                               | got 0 of 3
 map empty -o a.csv                                        | is a folder without
 map book.xlsx -o a.csv                                    | is a spreadsheet; save its table as CSV
-score map.csv tf.launch.xml                               | is written, but not read
+convert map.csv tf.launch.xml                             | robot_state_publisher publishes a .urdf
 map gaps.csv -o old.csv                                   | sensors: s1; frames: 9
 info rows.csv                                             | line 3
 info cut.npz                                              | cut.npz
@@ -59,7 +59,7 @@ convert map.csv a.urdf --spacing 6.5                      | '6.5' is not a lengt
 convert map.csv a.xyz                                     | unknown suffix '.xyz'
 convert map.csv map.csv                                   | write the result to another file
 convert placed.csv a.csv --mirror                         | in the frame of the robot
-convert pieces-1.csv pieces.csv --split-components        | pieces-1.csv is also an input
+convert pieces.csv a.urdf --spacing 5mm                   | each map of SensorMap.split()
 convert map.csv {"b" * 300}.csv                           | too long
 check layout.csv missing.npz                              | missing.npz
 check map.csv skin.npz -o a.urdf                          | scale it first: anisomap convert
@@ -137,7 +137,7 @@ def folder(tmp_path_factory):
         "map.csv": anisomap.SensorMap(skin.positions),
         "layout.csv": anisomap.SensorMap(flat / 1000, units="m"),
         "placed.csv": anisomap.SensorMap(flat / 1000, units="m", anchored=True),
-        "pieces-1.csv": anisomap.SensorMap(lattice(2, 3), component=[0, 0, 0, 1, 1, 1]),
+        "pieces.csv": anisomap.SensorMap(lattice(2, 3), component=[0, 0, 0, 1, 1, 1]),
         **{name: anisomap.SensorMap(flat * scale) for name, scale in SCALES.items()},
     }
     for name, sensor_map in maps.items():
@@ -156,7 +156,6 @@ def folder(tmp_path_factory):
         "words.csv": "x,y\n1,z\n",
         "ragged.csv": "x,y\n1,2\n3\n",
         "book.xlsx": "PK",
-        "tf.launch.xml": "<launch/>",
     }
     for name, text in texts.items():
         (folder / name).write_text(text)

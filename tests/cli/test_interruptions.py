@@ -148,18 +148,16 @@ def test_a_signal_while_writing_leaves_nothing_half_written(folder, number, said
 
 
 def test_a_signal_while_writing_leaves_all_outputs_old(folder):
-    points = np.random.default_rng(0).random((12, 3))
-    pieces = anisomap.SensorMap(points, component=np.repeat(range(3), 4))
-    anisomap.write(pieces, folder / "pieces.csv")
     outputs = [folder / f"m-{i}.csv" for i in (1, 2, 3)]
     for path in outputs:
         path.write_text(OLD)
-    command = ["convert", "pieces.csv", "m.csv", "--split-components"]
+    command = ["place", "map.json", "--spacing", "5mm"]
+    command += [word for path in outputs for word in ("-o", path.name)]
     assert at_event(folder, command, signal.SIGINT, COMPLETE)[0] == 130
     assert [path.read_text() for path in outputs] == [OLD] * 3
     assert not temporary(folder)
     assert at_event(folder, command, COUNT, "none")[0] == 0
-    assert [anisomap.read_map(path).n_sensors for path in outputs] == [4] * 3
+    assert [anisomap.read_map(path).n_sensors for path in outputs] == [100] * 3
 
 
 @pytest.mark.parametrize("module", ["anisomap.cli.app", "numpy"])

@@ -125,7 +125,7 @@ def test_missing_readings_are_handled_in_the_way_that_is_chosen(run, run_map, sk
     assert "1 missing" in run("info", skin_csv).out
 
 
-def test_separate_components_are_warned_of_and_written_apart(run_map, tmp_path):
+def test_separate_components_are_warned_of(run_map, tmp_path):
     apart = [rubbed(lattice(*size), 2000, seed=i) for i, size in enumerate([(5, 6), (4, 5)])]
     anisomap.write(anisomap.Recording(block_diag(*apart)), tmp_path / "pieces.npz")
     words = ("pieces.npz", "-d", 2, "-m", "covariogram")
@@ -133,10 +133,7 @@ def test_separate_components_are_warned_of_and_written_apart(run_map, tmp_path):
     assert "2 separate components" in made.err
     assert anisomap.read_map("m.csv").component_sizes == (30, 20)
     urdf = ("--spacing", "5mm", "-o", "m.urdf")
-    run_map(*words, *urdf, code=2)
-    run_map(*words, *urdf, "--split-components")
-    assert (tmp_path / "m-1.urdf").exists()
-    assert (tmp_path / "m-2.urdf").exists()
+    assert "needs one connected component" in run_map(*words, *urdf, code=2).err
 
 
 def test_a_triangle_that_is_silent_in_one_run_is_still_there(run_map, tmp_path):

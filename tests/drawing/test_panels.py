@@ -55,12 +55,10 @@ def checked(k):
 
 
 PANELS = {
-    "plot_distances": (2, lambda ax: fig.plot_distances(SCORE, ax=ax)),
-} | {
     f"{name} in {k}D": (k, lambda ax, k=k, plot=plot: plot(k, ax))
     for k in (2, 3)
     for name, plot in {
-        "plot_map": lambda k, ax: fig.plot_map(MAPS[k], SCORE if k == 3 else None, ax=ax),
+        "plot": lambda k, ax: fig.plot(MAPS[k], SCORE if k == 3 else None, ax=ax),
         "plot_placement": lambda k, ax: fig.plot_placement(*placed(k), TRIANGLE, ax=ax),
         "plot_layout": lambda k, ax: fig.plot_layout(checked(k), ax=ax),
     }.items()

@@ -211,12 +211,6 @@ def _display(path: Path) -> None:
     )
 
 
-def _lists(path: Path) -> None:
-    """All readings of a frame in one cell, beside a column that is no sensor."""
-    rows = _lines(lambda i, v: f'{1.7e9 + i / 50:.2f},{i},"{",".join(map(str, v))}",left')
-    path.write_text(f"Timestamp,Frame,Matrix_0,foot\n{rows}")
-
-
 RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "skin.npz": ("npz", own_recording),
     "numpy.npz": ("npz", _archive),
@@ -237,7 +231,6 @@ RECORDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "mat.asf": ("mat-export", _mat_export),
     "hand.txt": ("cyskin", _cyskin),
     "gesture.txt": ("cyskin", _cyskin_of_driver),
-    "lists.csv": ("text", _lists),
     "skin.h5": ("hdf5", _tables),
     "skin.mat": ("mat", _matlab),
     "v73.mat": ("mat", lambda path: _tables(path, transposed=True)),

@@ -1,14 +1,13 @@
 """Formats of robot software, checked with that software where it is installed."""
 
 import re
-import shlex
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
@@ -22,7 +21,7 @@ from anisomap.usability import Verdict
 
 xml = pytest.importorskip("defusedxml.ElementTree")
 
-IN_METRES = (".urdf", ".xacro", ".mjcf", ".xml", ".launch.xml", ".icub.txt")
+IN_METRES = (".urdf", ".xacro", ".mjcf", ".xml", ".icub.txt")
 READ_BACK = (".urdf", ".mjcf", ".icub.txt")
 NAMES = st.text(
     st.characters(exclude_categories=["Cs", "Cc"], exclude_characters="\ufffe\uffff"), max_size=8
@@ -46,16 +45,6 @@ def dome(n_sensors: int = 60) -> SensorMap:
     return SensorMap(
         40 * points, names=tuple(f"taxel{3 * i + 1}" for i in turn), units="mm", frame="l_hand"
     )
-
-
-def launch_text(value: str) -> str:
-    """Return the text of a value of a launch file that has no substitution.
-
-    Written from the grammar of the launch system: ``$(`` starts a substitution unless a backslash
-    precedes it, and a backslash makes the next character literal.
-    """
-    assert not re.search(r"(?<!\\)\$\(", value), "a substitution would be executed"
-    return re.sub(r"\\(.)", r"\1", value)
 
 
 HOSTILE = (
@@ -82,21 +71,6 @@ def hostile_skin() -> SensorMap:
     notes = ("xacro:eval-comments", "xacro:eval-comments:on", "${undefined}")
     names = ("plain", *HOSTILE)
     return replace(skin, names=names, frame="f$(command id)${6*7}$$x", notes=notes)
-
-
-def test_ros_2_finds_no_substitution_in_names(tmp_path: Path) -> None:
-    """The parser that ROS 2's launch system uses, where ROS 2 is installed."""
-    parser = pytest.importorskip("launch.frontend.parse_substitution", reason="part of ROS 2")
-    plain = pytest.importorskip("launch.substitutions").TextSubstitution
-    skin, path = hostile_skin(), tmp_path / "skin.launch.xml"
-    io.write(skin, path)
-    nodes = xml.fromstring(path.read_text(encoding="utf-8")).findall("node")
-    parsed = [parser.parse_substitution(node.get("args")) for node in nodes]
-    assert all(isinstance(part, plain) for parts in parsed for part in parts)
-    words = [shlex.split("".join(part.text for part in parts)) for parts in parsed]
-    assert tuple(last for *_, last in words) == skin.names
-    command = parser.parse_substitution("a $(env HOME)")
-    assert not all(isinstance(part, plain) for part in command)
 
 
 def test_xacro_evaluates_nothing_in_names(tmp_path: Path) -> None:
@@ -202,7 +176,7 @@ def test_the_tactile_element_is_complete(tmp_path: Path) -> None:
     assert len(set(names)) == len(names)
 
 
-@pytest.mark.parametrize("suffix", [".urdf", ".xacro", ".mjcf", ".launch.xml"])
+@pytest.mark.parametrize("suffix", [".urdf", ".xacro", ".mjcf"])
 def test_comments_state_method_verdict_and_notes(suffix: str, tmp_path: Path) -> None:
     notes = ("sensors 3--5 & <7> were rarely touched-", "ends with -->", "a\x07b\nc")
     verdict = Verdict("usable", 0.25, reasons=("the halves agree",))
@@ -241,27 +215,6 @@ def test_the_parent_is_a_macro_parameter(tmp_path: Path) -> None:
     (macro,) = root
     assert macro.get("params") == "parent"
     assert {parent.get("link") for parent in macro.iter("parent")} == {"${parent}"}
-
-
-@given(skin=skins())
-@example(skin=hostile_skin())
-@settings(max_examples=20, deadline=None)
-def test_arguments_of_static_transforms_survive_the_launch_system(
-    skin: SensorMap, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    path = tmp_path_factory.mktemp("launch") / "skin.launch.xml"
-    io.write(skin, path)
-    found = []
-    for node in xml.fromstring(path.read_text(encoding="utf-8")).findall("node"):
-        assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
-        assert "$" not in node.get("name")
-        words = shlex.split(launch_text(node.get("args")))
-        options = dict(zip(words[::2], words[1::2], strict=True))
-        assert options["--frame-id"] == skin.frame
-        found.append((options["--child-frame-id"], [float(options[f"--{a}"]) for a in "xyz"]))
-    assert [name for name, _ in found] == list(skin.names)
-    scale = 1 if skin.units == "m" else 1e-3
-    np.testing.assert_array_equal([place for _, place in found], skin.positions * scale)
 
 
 def test_icub_positions_are_indexed_by_port(tmp_path: Path) -> None:
@@ -307,33 +260,12 @@ def test_a_map_without_scale_or_with_two_components_is_rejected(
     assert io.needs_scale(path)
     with pytest.raises(InputError, match="needs positions in metres"):
         io.write(SensorMap(np.eye(3)), path)
-    with pytest.raises(InputError, match=r"the map has 2, .*write_components"):
+    with pytest.raises(InputError, match=r"the map has 2, .*split"):
         io.write(SensorMap(np.eye(3), component=[0, 0, 1], units="m"), path)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".urdf", ".launch.xml", ".npz"])
-def test_components_are_written_to_separate_files(suffix: str, tmp_path: Path) -> None:
-    positions = np.vstack([np.eye(3), 2 * np.eye(3), np.full((1, 3), np.nan)])
-    skin = SensorMap(positions, component=[1, 0, 0, 1, 0, 1, -1], units="m")
-    files = io.write_components(skin, tmp_path / f"skin{suffix}")
-    assert [file.name for file in files] == [f"skin-1{suffix}", f"skin-2{suffix}"]
-    assert sorted(tmp_path.iterdir()) == sorted(files)
-    if suffix != ".launch.xml":
-        found = [io.read_map(file) for file in files]
-        assert [one.names for one in found] == [("s1", "s2", "s4"), ("s0", "s3", "s5")]
-        np.testing.assert_array_equal(found[1].positions, positions[[0, 3, 5]])
-        assert all((one.component == 0).all() for one in found)
-
-
-def test_components_need_a_format_and_a_placed_sensor(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="unknown suffix"):
-        io.write_components(dome(), tmp_path / "skin.xyz")
-    with pytest.raises(InputError, match="no placed sensor"):
-        io.write_components(SensorMap(np.full((2, 2), np.nan)), tmp_path / "skin.csv")
-
-
-@pytest.mark.parametrize("suffix", [".urdf", ".mjcf", ".launch.xml"])
+@pytest.mark.parametrize("suffix", [".urdf", ".mjcf"])
 def test_names_with_control_characters_are_rejected(suffix: str, tmp_path: Path) -> None:
     skin = SensorMap(np.eye(3), names=["a", "b\x07", "c"], units="m")
     with pytest.raises(FileError, match="cannot represent the name"):

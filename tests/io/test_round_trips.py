@@ -135,7 +135,7 @@ def test_maps(folder: Path, sensor_map: SensorMap) -> None:
 @pytest.mark.parametrize(
     "mark",
     [
-        *("taxel2Repr", "taxel2Repr ( 0 )", "skin", "taxels", "<robot/>", "<mujoco/>", "<launch/>"),
+        *("taxel2Repr", "taxel2Repr ( 0 )", "skin", "taxels", "<robot/>", "<mujoco/>"),
         *("VERSION ", "ply", "a\nframe 1\nframe 2\n", "a\n1 1.5 ((2))\n", "a\ntime,sensors\n1,2\n"),
     ],
 )

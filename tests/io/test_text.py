@@ -135,11 +135,6 @@ TABLES = [
         times=np.arange(30),
         warns="text in column 3 \\(label\\)",
     ),
-    hold(
-        "frame,cells\n" + "".join(f'{i},"1,2,3"\n' for i in range(60)) + '60,"1,2',
-        n_frames=60,
-        warns="last line is truncated",
-    ),
     hold("a\tb\n1,234\t5\n0,5\t6\n", readings=[[1.234, 5], [0.5, 6]]),
     hold(
         "a\tb\n1,234\t5\n2,345\t6\n",
@@ -410,18 +405,16 @@ def test_names_too_long_for_a_field_are_refused_before_they_are_written(tmp_path
     assert not path.exists()
 
 
-def test_lists_in_cells(put) -> None:
-    rows = ['12.5,0,"0,1,2,0","[9 8 7]"', '13.0,1,"0,3,4,0","[6 5 4]"']
-    path = put("walk.csv", "Timestamp,Frame,left,right\n" + "\n".join(rows) + "\n")
-    assert [content.name for content in io.contents(path)] == ["left", "right"]
-    with pytest.raises(io.ChoiceError, match="2 possible recordings"):
+@pytest.mark.parametrize("cell", ["{},{},{}", "[{} {} {}]"])
+def test_lists_in_cells_are_refused_with_the_line_that_reads_them(put, cell: str) -> None:
+    pandas = pytest.importorskip("pandas")
+    rows = (f'{i},"{cell}"\n'.format(i, 2, 3) for i in range(9))
+    path = put("walk.csv", "t,left\n" + "".join(rows))
+    with pytest.raises(FileError, match="column 2 holds lists of readings; in Python") as refused:
         io.read(path)
-    left = io.read(path, options=io.ReadOptions(select="left", grid=(2, 2)))
-    np.testing.assert_array_equal(left.readings, [[0, 1, 2, 0], [0, 3, 4, 0]])
-    np.testing.assert_array_equal(left.times, [0, 0.5])
-    assert left.names == ("r0c0", "r0c1", "r1c0", "r1c1")
-    right = io.read(path, options=io.ReadOptions(select="right"))
-    np.testing.assert_array_equal(right.readings, [[9, 8, 7], [6, 5, 4]])
+    line = str(refused.value).partition("it is anisomap.")[2].partition(", which")[0]
+    found = eval(line, {"Recording": Recording, "pandas": pandas, "path": path})  # noqa: S307
+    np.testing.assert_array_equal(found.readings, [[i, 2, 3] for i in range(9)])
 
 
 def test_true_positions_match_by_name_or_number(put) -> None:

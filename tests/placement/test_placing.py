@@ -1,4 +1,4 @@
-"""Placing a map: frame, errors, handedness, components, scale, normals, meshes, refusals."""
+"""Placing a map: frame, errors, handedness, components, scale, meshes, refusals."""
 
 import json
 import re
@@ -60,8 +60,8 @@ def mapped(truth, seed, *, noise=0.0, mirror=False, **fields):
     return SensorMap(170 * noisy @ turn.T + rng.normal(size=k), **fields)
 
 
-def anchors_at(truth, rows, normals=None):
-    return Anchors(tuple(f"s{i}" for i in rows), truth[rows], normals)
+def anchors_at(truth, rows):
+    return Anchors(tuple(f"s{i}" for i in rows), truth[rows])
 
 
 def placed_or_refused(sensor_map, truth, rows, **options):
@@ -153,31 +153,14 @@ def test_a_flat_map_is_not_placed_upside_down():
     assert len(errors) > 5
 
 
-@pytest.mark.parametrize("inwards", [False, True])
 @pytest.mark.parametrize("mirror", [False, True])
-def test_normals_of_three_anchors_tell_the_hand(mirror, inwards):
-    truth = body(3)
-    rows = [10, 34, 57]
-    outward = truth[rows] * [1.0, 1.0, 0.0] * (-5 if inwards else 5)
-    sensor_map = mapped(truth, 4, noise=3e-4, mirror=mirror)
-    with pytest.raises(InputError, match="normals of the anchors"):
-        place(sensor_map, anchors_at(truth, rows))
-    found = place(sensor_map, anchors_at(truth, rows, outward))
-    assert found.map.mirrored is mirror
-    assert np.median(off(found, truth)) < 0.003
-
-
-@pytest.mark.parametrize("mirror", [False, True])
-def test_a_flat_map_lies_in_space_where_its_anchors_are_and_normals_tell_its_hand(mirror):
+def test_a_flat_map_lies_in_space_where_its_anchors_are(mirror):
     flat, rows = body(2), [0, 8, 66]
     turn = special_ortho_group.rvs(3, random_state=3)
     truth = in_space(flat) @ turn.T + [0.1, 0, 0.3]
-    sensor_map, up = mapped(flat, 1, mirror=mirror), np.tile(2 * turn[:, 2], (3, 1))
-    found = place(sensor_map, anchors_at(truth, rows))
+    found = place(mapped(flat, 1, mirror=mirror), anchors_at(truth, rows))
     np.testing.assert_allclose(found.map.positions, truth, atol=1e-9)
     assert not found.map.handed
-    found = place(sensor_map, anchors_at(truth, rows, up))
-    assert (found.map.handed, found.map.mirrored) == (True, mirror)
 
 
 def test_a_smooth_field_corrects_a_bent_map_and_leaves_a_straight_one():
@@ -279,8 +262,6 @@ def test_anchors_are_read():
         anchors_from_map(SensorMap([[1.0, 2]]))
     with pytest.raises(InputError, match="given more than once"):
         Anchors(("a", "a"), np.zeros((2, 2)))
-    with pytest.raises(InputError, match="normals of anchors need three coordinates"):
-        Anchors(("a", "b"), np.eye(2), np.ones((2, 3)))
 
 
 def some_map(seed, n_sensors=20, dimensions=3):

@@ -13,7 +13,6 @@ from anisomap.errors import InputError
 from anisomap.simulation import Body, body_from_points, find_body, simulate, solids
 from anisomap.simulation.bodies import (
     BODIES,
-    CYLINDER_PLACEMENTS,
     covered,
     cylinder,
     great_circles,
@@ -91,32 +90,6 @@ def test_the_patch_of_72_pads_holds_the_60_that_sense_pressure():
     np.testing.assert_allclose(whole.positions[kept], sensing.positions)
     with pytest.raises(InputError, match="must be 60 or 72"):
         find_body("hexagon", 61)
-
-
-@pytest.mark.parametrize("placement", CYLINDER_PLACEMENTS)
-def test_placements_of_a_cylinder_cover_its_side(placement):
-    body = find_body("cylinder", 500, placement=placement)
-    assert body.distance(body.positions) == pytest.approx(0, abs=1e-9)
-    np.testing.assert_allclose(np.hypot(*body.positions[:, :2].T), body.solids[0].size[0])
-    # Uniform around and along: the mean direction and the mean height of any cover are near 0.
-    np.testing.assert_allclose(body.positions.mean(axis=0), 0, atol=0.12)
-    assert np.ptp(body.positions[:, 2]) > 0.95 * 2
-    again, other = (find_body("cylinder", 500, placement=placement, seed=s) for s in (0, 1))
-    np.testing.assert_array_equal(again.positions, body.positions)
-    assert np.array_equal(other.positions, body.positions) == (placement != "random")
-
-
-@pytest.mark.parametrize(
-    ("body", "options", "message"),
-    [
-        ("cylinder", {"placement": "spiral"}, "columns, fibonacci, random"),
-        ("sphere", {"placement": "random"}, "the body sphere has no option placement"),
-        (sphere(), {"placement": "random"}, "cannot be given with the body sphere"),
-    ],
-)
-def test_unknown_options_of_bodies_are_refused(body, options, message):
-    with pytest.raises(InputError, match=message):
-        find_body(body, **options)
 
 
 def test_points_are_uniform_on_the_exposed_surface():

@@ -127,6 +127,7 @@ def test_readings_scale_with_the_body(scenario):
     [
         ("bombardment", {"n_frames": 0}, "n_frames must be an integer of at least 1"),
         ("bombardment", {"n_sensors": 0}, "n_sensors must be an integer .*, got 0"),
+        ("bombardment", {"body": sphere(), "n_sensors": 9}, "cannot be given with the body sphere"),
         ("bombardment", {"seed": -1}, "seed must be a non-negative integer or a numpy"),
         ("bombardment", {"seed": 1.5}, r"seed must be .* got 1\.5"),
         ("bombardment", {"body": "teapot"}, "there is no body 'teapot'; choose from sphere"),

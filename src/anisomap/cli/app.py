@@ -1,4 +1,4 @@
-"""The application: its commands, its errors as messages and exit codes, and its signals."""
+"""The application: its commands, their help on one screen, errors as messages, and signals."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ import gc
 import os
 import signal
 import sys
+import textwrap
 import threading
 import time
 import warnings
 from _thread import start_new_thread
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from inspect import getdoc
 from types import MappingProxyType
+from typing import Any
 
-from cyclopts import App, CycloptsError, MissingArgumentError, Parameter
+from cyclopts import App, Argument, CycloptsError, MissingArgumentError, Parameter
 
 from anisomap._version import __version__
 from anisomap.cli import INTERRUPTED, INTERRUPTION, end
-from anisomap.cli.brief import HELP_ALL, command_page, commands_page
 from anisomap.cli.console import (
     Printer,
     console,
@@ -28,10 +30,18 @@ from anisomap.cli.console import (
     print_error,
     print_warning,
 )
+from anisomap.cli.parameters import expert_group
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 70  # EX_SOFTWARE of sysexits.h
+
+HELP_ALL = "--help-all"
+"""Flag that describes all options in full."""
+
+_BRIEF = frozenset({"--help", "-h"})
+_WIDTH = 80
+_HEADING = "Examples\n--------\n"  # of a docstring
 
 
 def _shown(default: object) -> str | None:
@@ -76,9 +86,6 @@ for _i, (_name, _target) in enumerate(COMMANDS.items()):
 app.register_install_completion_command(
     help="Install completion for the current shell (bash, zsh or fish)."
 )
-
-
-_BRIEF = frozenset({"--help", "-h"})
 
 
 def load_commands() -> None:
@@ -173,6 +180,94 @@ def _help(given: Sequence[str]) -> str:
     return (
         command_page(app[name], f"{app.name[0]} {name}") if name else commands_page(app, COMMANDS)
     )
+
+
+def commands_page(app: App, names: Iterable[str]) -> str:
+    """Return the list of the commands, and how they are used."""
+    rows = [(name, _sentence(_doc(app[name]))) for name in names]
+    return "\n".join(
+        [
+            f"Usage: {app.name[0]} COMMAND",
+            "",
+            f"{_sentence(app.help)}.",
+            "Maps are known up to rotation, translation, scale and reflection.",
+            "",
+            *_aligned(rows),
+            "",
+            f"{app.name[0]} COMMAND --help describes a command, and {HELP_ALL} all of its options.",
+            "Others: --version, --install-completion (bash, zsh or fish)",
+        ]
+    )
+
+
+def command_page(command: App, title: str) -> str:
+    """Return the help of a command: options of the group for experts are named only."""
+    given, shown, others = [], [], []
+    for one in command.assemble_argument_collection(parse_docstring=True):
+        if not one.show:
+            continue
+        if not one.name.startswith("-"):
+            given.append(one)
+        elif expert_group in (one.parameter.group or ()):  # type: ignore[operator]
+            others.append(_long_name(one))
+        else:
+            shown.append(one)
+    words = " ".join(_positional(one) for one in given)
+    doc = _doc(command)
+    lines = [f"Usage: {title} {words} [OPTIONS]".replace("  ", " "), "", f"{_sentence(doc)}.", ""]
+    lines += _aligned([(_names(one), _sentence(one.parameter.help or "")) for one in shown])
+    lines += ["Examples:", *_examples(doc)]
+    if others:
+        more = f"More ({HELP_ALL} describes them): {', '.join(others)}"
+        lines += textwrap.wrap(more, _WIDTH, break_on_hyphens=False)
+    return "\n".join(lines)
+
+
+def _doc(command: App) -> str:
+    function: Callable[..., Any] | None = command.default_command
+    return getdoc(function) or ""
+
+
+def _examples(doc: str) -> list[str]:
+    return [f"  {line}" for line in doc.partition(_HEADING)[2].splitlines()]
+
+
+def _sentence(text: str) -> str:
+    """Return the first sentence of a text on one line, without its full stop."""
+    first = " ".join(text.partition("\n\n")[0].split()).partition(". ")[0]
+    return first.replace("`", "").removesuffix(".")
+
+
+def _positional(argument: Argument) -> str:
+    name = f"{argument.name} ..." if _is_list(argument) else argument.name
+    return name if argument.required else f"[{name}]"
+
+
+def _names(argument: Argument) -> str:
+    """Return the names of an option and what it takes, as in ``-o, --output FILE``."""
+    short = [name for name in argument.names if len(name) == 2]
+    return f"{', '.join([*short, _long_name(argument)])} {_value(str(argument.hint))}".rstrip()
+
+
+def _long_name(argument: Argument) -> str:
+    """Return the long name of an option, of a switch that is on by default the one that ends it."""
+    negative = [name for name in argument.names if name.startswith("--no-")]
+    return negative[0] if argument.field_info.default is True else argument.name
+
+
+def _value(hint: str) -> str:
+    """Say what an option of a type takes; nothing for a switch."""
+    kinds = {"bool": "", "Path": "FILE", "Literal": "CHOICE", "int": "N", "float": "X"}
+    return next((shown for kind, shown in kinds.items() if kind in hint), "TEXT")
+
+
+def _is_list(argument: Argument) -> bool:
+    return str(argument.hint).startswith("list")
+
+
+def _aligned(rows: Sequence[tuple[str, str]]) -> list[str]:
+    width = max((len(name) for name, _ in rows), default=0) + 2
+    return [f"  {name:{width}}{text}" for name, text in rows]
 
 
 def _failed(message: str, code: int) -> int:

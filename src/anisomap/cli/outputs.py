@@ -152,24 +152,13 @@ class Outputs:
         source: A file, and what it states, whose lines are kept where nothing changed.
         """
         written: list[tuple[str, Path]] = []
-        n_components = len(sensor_map.component_sizes)
         with progress("writing"), together():
             for path in self.maps:
-                files: Sequence[Path] = (path,)
-                if self.placing and self.placing.split_components:
-                    inputs = list(filter(None, self.inputs))
-                    files = io.write_components(sensor_map, path, inputs=inputs)
-                elif self.placing and n_components > 1 and io.needs_scale(path):
-                    raise InputError(
-                        f"{path} has one frame, but the map has {n_components} components with "
-                        "unknown relative positions; write each to a file of its own with "
-                        "--split-components, or leave out the sensors of the others with --drop"
-                    )
-                elif source is not None:
+                if source is not None:
                     io.write_corrected(*source, sensor_map, path)
                 else:
                     io.write(sensor_map, path)
-                written += [(content, file) for file in files]
+                written.append((content, path))
             if self.picture and draw:
                 drawing.figures.save_figure(draw(), self.picture)
                 written.append(("picture", self.picture))

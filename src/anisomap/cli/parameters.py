@@ -44,7 +44,7 @@ class ReadingOptions:
     ----------
     select
         Recording to read from a file of several. It is a topic (optionally with its field, as in
-        /skin:data), a dataset, a column or a port; anisomap info lists them. Several topics or
+        /skin:data), a dataset or a port; anisomap info lists them. Several topics or
         ports are separated by commas.
     positions
         File of true positions of the sensors. They are matched by the names or the numbers at their
@@ -117,14 +117,11 @@ class PlacingOptions:
         Reflect the map, whose handedness is unknown.
     frame
         Name of the coordinate frame.
-    split_components
-        Write each connected component of the map to a separate file: map-1.csv, map-2.csv ...
     """
 
     spacing: str = ""
     mirror: bool = False
     frame: str = ""
-    split_components: Annotated[bool, expert] = False
 
     def check(self, outputs: Iterable[Path], units: str = "", *, hint: str = _GIVE_SPACING) -> None:
         """Check, before the map is computed, that the outputs can be written."""

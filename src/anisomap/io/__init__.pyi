@@ -15,7 +15,6 @@ from .registry import open_stream as open_stream
 from .registry import read as read
 from .registry import read_map as read_map
 from .registry import write as write
-from .registry import write_components as write_components
 from .registry import write_corrected as write_corrected
 from .stream import FRAMES_SAMPLED as FRAMES_SAMPLED
 from .stream import ChoiceError as ChoiceError

@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from anisomap.base.wording import as_text, counted, join_items
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
-from anisomap.files.paths import atomic_write, check_distinct, check_target, together
+from anisomap.files.paths import atomic_write, check_target
 from anisomap.io import npz
 from anisomap.io.columns import sensors_of
 from anisomap.io.maps import point_files, robot_models, skin_displays, text_files
@@ -30,7 +30,6 @@ from anisomap.io.parsing.refusals import refuse_foreign, remedy_of
 from anisomap.io.parsing.source import file_errors, read_head
 from anisomap.io.presets import apply_preset, in_grid, with_grid
 from anisomap.io.recordings import (
-    bag_files,
     bags,
     delimited_text,
     grids,
@@ -115,8 +114,6 @@ FORMATS = (
     Format("mjcf", (".mjcf", ".xml"), "MuJoCo model: sites", robot_models.has_root("mujoco"),
            read_map=robot_models.read_mjcf, write_map=robot_models.write_mjcf,
            extra=robot_models.EXTRA, in_metres=True),
-    Format("transforms", (".launch.xml",), "ROS 2 launch file of static transforms",
-           robot_models.has_root("launch"), write_map=robot_models.write_launch, in_metres=True),
     Format("icub", (".icub.txt",), "iCub file of taxel positions", point_files.is_icub,
            read_map=point_files.read_icub, write_map=point_files.write_icub,
            edit_map=point_files.edit_icub, in_metres=True),
@@ -135,14 +132,14 @@ FORMATS = (
            named_arrays.open_recording, contents=named_arrays.contents,
            extra=named_arrays.HDF5_EXTRA),
     Format("ros", (".bag", ".mcap", ".db3"), "ROS 1 and 2 bags, MCAP", bags.recognises,
-           bags.open_recording, contents=bags.contents, extra=bag_files.EXTRA,
-           magics=tuple(bag_files.MAGICS)),
+           bags.open_recording, contents=bags.contents, extra=bags.EXTRA,
+           magics=tuple(bags.MAGICS)),
     Format("mat-export", (".asf",), "pressure mat export: one block of rows per frame",
            grids.is_mat_export, grids.open_mat_export),
     Format("text", (".csv", ".tsv", ".txt", ".dat", ".log"), "delimited text, also gzipped",
            delimited_text.recognises,
            delimited_text.open_recording, text_files.read_text, text_files.write_text,
-           delimited_text.write_recording, delimited_text.contents,
+           delimited_text.write_recording,
            edit_map=text_files.edit_text,
            signature=delimited_text.SIGNATURE),
 )
@@ -233,7 +230,7 @@ def open_stream(
 def contents(
     path: str | os.PathLike[str], *, options: ReadOptions | None = None
 ) -> tuple[Content, ...]:
-    """List the datasets, columns, topics or ports in a file.
+    """List the datasets, topics or ports in a file.
 
     Parameters
     ----------
@@ -404,13 +401,11 @@ def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[...
     reader = getattr(chosen, kind)
     if reader is None:
         able = [", ".join(f.suffixes) or f.summary for f in FORMATS if getattr(f, kind)]
-        is_read = chosen.open_recording or chosen.read_map
-        problem = f"holds no {what}" if is_read else "is written, but not read"
         if chosen.name == "json" and what == "recordings":
             able = ["lines with an object or a list per frame (.jsonl)", ".csv", ".npz"]
             able.append("for events, anisomap.Recording.from_events(times, sensors)")
-        problem += f"; formats with {what}: {'; '.join(able)}"
-        raise FileError(f"{file} ({chosen.summary}) {problem}")
+        said = f"holds no {what}; formats with {what}: {'; '.join(able)}"
+        raise FileError(f"{file} ({chosen.summary}) {said}")
     return chosen, reader
 
 
@@ -483,7 +478,7 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     data : SensorMap or Recording
     path : path-like
         Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``; with a scale also ``.urdf``,
-        ``.xacro``, ``.mjcf``, ``.xml``, ``.launch.xml``, ``.icub.txt``. Recordings: ``.npz``,
+        ``.xacro``, ``.mjcf``, ``.xml``, ``.icub.txt``. Recordings: ``.npz``,
         ``.csv``, ``.tsv``, ``.txt``. An existing file is replaced after writing has succeeded.
 
     Raises
@@ -503,51 +498,9 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     else:
         raise InputError(f"write needs a SensorMap or a Recording, got {type(data).__name__}")
     check_encodable((*data.names, data.units, *facts), file)
-    write_data = getattr(_format_of(file, writer)[0], writer)
+    write_data = getattr(_format_of(file, writer), writer)
     with atomic_write(file) as temporary:
         write_data(data, temporary)
-
-
-def write_components(
-    sensor_map: SensorMap,
-    path: str | os.PathLike[str],
-    *,
-    inputs: Iterable[str | os.PathLike[str]] = (),
-) -> tuple[Path, ...]:
-    """Write each connected component of a map to a separate file.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        Sensors without a position are not written.
-    path : path-like
-        Template of the file names: ``skin.urdf`` gives ``skin-1.urdf``, ``skin-2.urdf``, ..., in
-        order of decreasing component size. Existing files are replaced.
-    inputs : iterable of path-like
-        Files that must not be replaced.
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The files written.
-
-    Raises
-    ------
-    FileError, InputError
-        As `write`, or if the map has no placed sensor.
-    """
-    template = check_target(path)
-    _, suffix = _format_of(template)
-    components = sensor_map.split()
-    if not components:
-        raise InputError("the map has no placed sensor, so there is no component to write")
-    stem, suffix = template.name[: -len(suffix)], template.name[-len(suffix) :]
-    files = tuple(template.with_name(f"{stem}-{i + 1}{suffix}") for i in range(len(components)))
-    check_distinct(files, inputs)
-    with together():
-        for component, file in zip(components, files, strict=True):
-            write(component, file)
-    return files
 
 
 def check_writable(path: str | os.PathLike[str], *, recording: bool = False) -> None:
@@ -620,17 +573,17 @@ def write_corrected(
 
 def needs_scale(path: str | os.PathLike[str]) -> bool:
     """Return whether the format of a file stores metres, so that a map needs a scale."""
-    return _format_of(Path(path))[0].in_metres
+    return _format_of(Path(path)).in_metres
 
 
-def _format_of(file: Path, writer: str = "write_map") -> tuple[Format, str]:
-    """Return the format that a file is written in, and the suffix that tells."""
+def _format_of(file: Path, writer: str = "write_map") -> Format:
+    """Return the format that a file is written in."""
     able = {s: f for f in FORMATS if getattr(f, writer) for s in f.suffixes}
     matching = [suffix for suffix in able if file.name.lower().endswith(suffix)]
-    if not matching:
+    remedy = remedy_of(file.name.lower())
+    if remedy or not matching:
         problem = f"unknown suffix {file.suffix!r}" if file.suffix else "the name has no suffix"
-        known = remedy_of(file.suffix.lower()) or f"known suffixes: {', '.join(able)}"
+        known = remedy or f"known suffixes: {', '.join(able)}"
         raise FileError(f"cannot write {file}: {problem}; {known}")
-    # Use the longest match, because .launch.xml also ends in .xml.
-    suffix = max(matching, key=len)
-    return able[suffix], suffix
+    # Use the longest match, because .icub.txt also ends in .txt.
+    return able[max(matching, key=len)]

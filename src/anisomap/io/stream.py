@@ -78,7 +78,7 @@ class ChoiceError(FileError):
 
 @dataclass(frozen=True)
 class Content:
-    """One item in a file: a dataset, column, topic or port.
+    """One item in a file: a dataset, topic or port.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class ReadOptions:
     Parameters
     ----------
     select : str
-        Recording to read from a file that holds several: a dataset, column, port, or topic with
+        Recording to read from a file that holds several: a dataset, port, or topic with
         field (``/skin:data``). Several ports or topics are separated by commas. Must be empty for
         formats that hold a single recording.
     grid : (int, int), optional

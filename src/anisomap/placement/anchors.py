@@ -42,8 +42,6 @@ class Anchors(Immutable):
         Unique names of the sensors.
     positions : array_like of shape (n, 2) or (n, 3)
         In metres.
-    normals : array_like of shape (n, 3), optional
-        Outward normals of the skin there, of any length; NaN if unknown. None if all are unknown.
 
     Raises
     ------
@@ -53,7 +51,6 @@ class Anchors(Immutable):
 
     names: tuple[str, ...]
     positions: NDArray[np.float64]
-    normals: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         positions = np.array(self.positions, dtype=np.float64)
@@ -67,26 +64,11 @@ class Anchors(Immutable):
         if repeated:
             raise InputError(f"anchor {join_items(repeated)} is given more than once")
         check_coordinates(positions, names, "among the anchors")
-        normals = None
-        if self.normals is not None:
-            normals = np.array(self.normals, dtype=np.float64)
-            if normals.shape != (len(names), 3) or positions.shape[1] != 3:
-                raise InputError(
-                    "normals of anchors need three coordinates, and so do their positions, got "
-                    f"arrays of shapes {normals.shape} and {positions.shape}"
-                )
-            lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-            known = np.isfinite(lengths) & (lengths > 0)
-            normals = np.where(known, normals / np.where(known, lengths, 1.0), np.nan)
-        self.set_fields(names=names, positions=positions, normals=normals)
+        self.set_fields(names=names, positions=positions)
 
     def select(self, rows: NDArray[np.intp]) -> Anchors:
         """Return some of the anchors."""
-        return Anchors(
-            tuple(self.names[i] for i in rows),
-            self.positions[rows],
-            None if self.normals is None else self.normals[rows],
-        )
+        return Anchors(tuple(self.names[i] for i in rows), self.positions[rows])
 
 
 def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
@@ -110,17 +92,15 @@ def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
     return name, position
 
 
-def anchors_at(
-    given: Sequence[tuple[str, Sequence[float]]], normals: NDArray[np.float64] | None = None
-) -> Anchors:
+def anchors_at(given: Sequence[tuple[str, Sequence[float]]]) -> Anchors:
     """Make anchors of names with positions; those in two dimensions lie in the plane z = 0."""
     width = max(len(position) for _, position in given)
     rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
-    return Anchors(tuple(name for name, _ in given), np.array(rows), normals)
+    return Anchors(tuple(name for name, _ in given), np.array(rows))
 
 
 def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
-    """Use the placed sensors of a layout as anchors, with the normals that it states.
+    """Use the placed sensors of a layout as anchors.
 
     Parameters
     ----------
@@ -140,11 +120,8 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
             f"file, such as x [mm] (units: {', '.join(METRES)})"
         )
     placed = np.flatnonzero(layout.placed)
-    return Anchors(
-        tuple(layout.names[i] for i in placed),
-        layout.positions[placed] * METRES[unit],
-        None if layout.normals is None or layout.dimensions != 3 else layout.normals[placed],
-    )
+    names = tuple(layout.names[i] for i in placed)
+    return Anchors(names, layout.positions[placed] * METRES[unit])
 
 
 def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
@@ -208,9 +185,7 @@ class AnchorFit:
     handed: bool
 
 
-def fit_anchors(
-    tied: Tied, known: Known, normals: tuple[Points, Points] | None = None
-) -> AnchorFit:
+def fit_anchors(tied: Tied, known: Known) -> AnchorFit:
     """Transform a map to the frame of its anchors, by a similarity and a smooth field.
 
     With `MIN_LEFT_OUT` anchors or more, the field may be one that predicts left out anchors better.
@@ -223,7 +198,7 @@ def fit_anchors(
             f"all {len(y)} anchors have the same position; give the positions measured on the "
             "robot, in metres"
         )
-    reflected, handed = choose_hand(tied, known, normals)
+    reflected, handed = choose_hand(tied, known)
     fit = fit_scaled(x, y, known, reflected)
     n, k = y.shape
     kernel = usual = field_kernel(fit.apply(tied.positions), _REACH, _NOISE)

@@ -184,22 +184,11 @@ _DOUBT = 0.02
 """Probability that a map that is not marked as distorted is: (1 + 0) / (2 + 62), by the rule of
 succession, since none of those 62 maps was."""
 
-# Normals estimated from maps: concentration about the right ones (von Mises & Fisher), share of
-# reversed ones, and of arbitrary ones, by those of rubbed bodies. The probability that all normals
-# of a map point inwards is a guess.
-_CONCENTRATION, _REVERSED, _ASTRAY, _INWARD = 8.0, 0.15, 0.05, 0.1
 
-
-def choose_hand(
-    tied: Tied, known: Known, normals: tuple[Points, Points] | None
-) -> tuple[bool, bool]:
-    """Decide whether a map is a mirror image, and return whether that is known.
-
-    normals: Outward unit normals at the anchors, estimated from the map and measured on the robot,
-        both (n, 3); NaN if unknown.
-    """
-    flat, evidence, irrelevant = is_flat(tied.positions), known.evidence, True
-    if not flat:
+def choose_hand(tied: Tied, known: Known) -> tuple[bool, bool]:
+    """Decide whether a map is a mirror image, and return whether that is known."""
+    evidence, irrelevant = known.evidence, True
+    if not is_flat(tied.positions):
         found, irrelevant = _evidence(tied, known)
         evidence += found
     dimensions = tied.targets.shape[1]
@@ -210,8 +199,6 @@ def choose_hand(
         within, either = _evidence(plane, known)
         if abs(within) < DECISIVE and not either:
             raise InputError(_undecided(len(tied.sensors), 2, known.uneven, sides=True))
-    if normals is not None:
-        evidence += normals_evidence(_both_hands(tied, known), *normals, sided=flat)
     if known.handedness is not None:
         against = evidence if known.handedness else -evidence
         if against > DECISIVE:
@@ -231,7 +218,7 @@ def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False
     if dimensions == 2:
         more = "a third anchor off their line" if count < 3 else "more anchors off their line"
     elif count < dimensions + 1:
-        more = "a fourth anchor off their plane (map a flat skin in 2D), normals of the anchors"
+        more = "a fourth anchor off their plane (map a flat skin in 2D)"
     else:
         more = "more anchors"
     doubt = "the map is distorted, and " if uneven else ""
@@ -243,16 +230,13 @@ def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False
     )
 
 
-def _both_hands(tied: Tied, known: Known) -> list[Similarity]:
-    return [fit_scaled(tied.anchors, tied.targets, known, hand) for hand in (False, True)]
-
-
 def _evidence(tied: Tied, known: Known) -> tuple[float, bool]:
     """Compare how well anchors fit a map and its mirror image.
 
     Returns the log likelihood ratio, and whether both agree anyway.
     """
-    x, y, fits = tied.anchors, tied.targets, _both_hands(tied, known)
+    x, y = tied.anchors, tied.targets
+    fits = [fit_scaled(x, y, known, hand) for hand in (False, True)]
     # Errors are those of the map, so residuals are converted to its unit, by one factor for both
     # hands: the fitted scale of the wrong hand is too small, which would make its errors too small.
     unit = float(np.sum((x - x.mean(axis=0)) ** 2) / np.sum((y - y.mean(axis=0)) ** 2))
@@ -298,29 +282,3 @@ def in_plane(points: Points) -> Points:
     """Return the coordinates of points in the plane fitted to them, shape (n, 2)."""
     centred = points - points.mean(axis=0)
     return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T)
-
-
-def normals_evidence(
-    fits: list[Similarity], estimated: Points, measured: Points, *, sided: bool
-) -> float:
-    """Compare normals of a map and of its mirror image with normals that were measured."""
-    known = np.isfinite(measured).all(axis=1)
-    if not known.any():
-        return 0.0
-    wrong, inward = (0.0, 0.0) if sided else (_REVERSED, _INWARD)
-    likelihoods = []
-    for fit in fits:
-        cosines = np.einsum("ni,ni->n", estimated[known] @ fit.rotation.T, measured[known])
-        outwards, inwards = (_density(sign * cosines) for sign in (1.0, -1.0))
-        total = [
-            np.sum(np.log((1 - _ASTRAY) * ((1 - wrong) * one + wrong * other) + _ASTRAY))
-            for one, other in ((outwards, inwards), (inwards, outwards))
-        ]
-        likelihoods.append(float(logsumexp(total, b=[1 - inward, inward])))
-    return likelihoods[0] - likelihoods[1]
-
-
-def _density(cosines: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the density of von Mises and Fisher relative to that of directions at random."""
-    kappa = _CONCENTRATION
-    return np.asarray(2 * kappa / -np.expm1(-2 * kappa) * np.exp(kappa * (cosines - 1)))

@@ -26,7 +26,6 @@ from anisomap.placement.frames import (
     mirrored,
     rescaled,
     scaled_to_spacing,
-    surface_normals,
 )
 from anisomap.placement.handedness import DECISIVE, Known, Tied
 from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules, fit_modules
@@ -240,10 +239,7 @@ def _place_part(
     if surface is not None and len(index) >= k:
         evidence += surface_evidence(tied, surface)
     known = Known.of(part.map, shape.mirrored, part.scale_sigma, evidence)
-    measured = None
-    if anchors.normals is not None:
-        measured = surface_normals(part.map)[anchored], anchors.normals
-    fit = fit_anchors(tied, known, measured)
+    fit = fit_anchors(tied, known)
     positions, normals = fit.positions, np.full((len(members), 3), np.nan)
     how = "similarity and smooth field" if fit.warped else "similarity"
     if surface is not None:

@@ -38,7 +38,6 @@ CYLINDER_RADIUS, CYLINDER_LENGTH, _CYLINDER_COLUMNS = 0.5, 2.0, 10
 _Y_ARMS, _Y_ARM_LENGTH, _Y_ARM_RADIUS, _Y_RING_SENSORS = 3, 1.0, 0.13, 5
 _Y_FIRST_RING = 0.22  # beyond 0.13 / sin(60 deg) = 0.15, where the surfaces of two arms meet
 _PLANE_EDGE, _PLANE_THICKNESS = 2.0, 0.2
-CYLINDER_PLACEMENTS = ("columns", "fibonacci", "random")
 
 _SEED = 20110  # arbitrary
 _MESH_AROUND = 64  # vertices per circle
@@ -67,27 +66,15 @@ def sphere(n_sensors: int = 60) -> Body:
     )
 
 
-def cylinder(n_sensors: int = 60, *, placement: str = "columns", seed: int = 0) -> Body:
-    """Make a cylinder with sensors on its side and none on its ends."""
-    if placement not in CYLINDER_PLACEMENTS:
-        raise InputError(
-            f"there is no placement {placement!r}; choose from {', '.join(CYLINDER_PLACEMENTS)}"
-        )
-    COUNT.check("n_sensors", n_sensors)
-    angles = _GOLDEN_ANGLE * np.arange(n_sensors)
-    heights = midpoints(n_sensors, CYLINDER_LENGTH)
-    if placement == "columns":
-        n_rows = _divided(n_sensors, _CYLINDER_COLUMNS, "number of columns")
-        columns = 2 * np.pi * np.arange(_CYLINDER_COLUMNS) / _CYLINDER_COLUMNS
-        angles = np.repeat(columns, n_rows)
-        heights = np.tile(midpoints(n_rows, CYLINDER_LENGTH), _CYLINDER_COLUMNS)
-    elif placement == "random":
-        rng = np.random.default_rng(seed)
-        angles = rng.uniform(0, 2 * np.pi, n_sensors)
-        heights = rng.uniform(-CYLINDER_LENGTH / 2, CYLINDER_LENGTH / 2, n_sensors)
+def cylinder(n_sensors: int = 60) -> Body:
+    """Make a cylinder with sensors in columns on its side and none on its ends."""
+    n_rows = _divided(n_sensors, _CYLINDER_COLUMNS, "number of columns")
+    columns = 2 * np.pi * np.arange(_CYLINDER_COLUMNS) / _CYLINDER_COLUMNS
+    angles = np.repeat(columns, n_rows)
+    heights = np.tile(midpoints(n_rows, CYLINDER_LENGTH), _CYLINDER_COLUMNS)
     around = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n_sensors)])
     return Body(
-        name="cylinder" if placement == "columns" else f"cylinder-{placement}",
+        name="cylinder",
         positions=CYLINDER_RADIUS * around + heights[:, None] * [0, 0, 1],
         normals=around,
         solids=[solids.cylinder(CYLINDER_RADIUS, CYLINDER_LENGTH / 2)],

@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from inspect import getdoc, signature
+from inspect import getdoc
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from anisomap._version import __version__
-from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.ranges import COUNT
 from anisomap.recording import Recording, Scalar
@@ -190,40 +189,31 @@ def find_scenario(name: str) -> Scenario:
     return SCENARIOS[name]
 
 
-def find_body(body: str | Body, n_sensors: int | None = None, **options: Any) -> Body:
+def find_body(body: str | Body, n_sensors: int | None = None) -> Body:
     """Create a body by name. A `Body` is returned unchanged.
 
     Parameters
     ----------
     body : str or Body
     n_sensors : int, optional
-    **options
-        Further arguments of the function of the body, such as ``placement`` of the cylinder.
 
     Raises
     ------
     InputError
-        If there is no such body, it has no such option, or `n_sensors` or an option is given with a
-        `Body`.
+        If there is no such body, or `n_sensors` is given with a `Body`.
     """
-    given = options if n_sensors is None else {"n_sensors": n_sensors, **options}
     if isinstance(body, Body):
-        if given:
+        if n_sensors is not None:
             raise InputError(
-                f"{join_items([*given])} cannot be given with the body {body.name}, which has "
+                f"n_sensors cannot be given with the body {body.name}, which has "
                 f"{body.n_sensors} sensors"
             )
         return body
     if body not in BODIES:
         raise InputError(f"there is no body {body!r}; choose from {', '.join(BODIES)}")
-    known = [name for name in signature(BODIES[body]).parameters if name != "n_sensors"]
-    if unknown := [name for name in options if name not in known]:
-        raise InputError(
-            f"the body {body} has no option {unknown[0]}; it has {join_items(known) or 'none'}"
-        )
-    return _named_body(body, **given)
+    return _named_body(body, n_sensors)
 
 
 @lru_cache(maxsize=16, typed=True)  # runs of one body with many seeds share its distances
-def _named_body(name: str, **options: Any) -> Body:
-    return BODIES[name](**options)
+def _named_body(name: str, n_sensors: int | None) -> Body:
+    return BODIES[name]() if n_sensors is None else BODIES[name](n_sensors)

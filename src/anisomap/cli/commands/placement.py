@@ -33,8 +33,7 @@ class AnchorOptions:
     anchor
         A sensor and its place in metres: s17=0.012,0.040,0.003. May be repeated.
     anchors
-        File with the positions of some sensors. It may hold normals, and be any layout that can be
-        read.
+        File of the positions of some sensors, in any map format.
     units
         Unit of the file of --anchors, if it states none.
     """
@@ -48,13 +47,10 @@ class AnchorOptions:
         given = [placement.parse_anchor(text) for text in self.anchor]
         if len({len(position) for _, position in given}) > 1:
             raise InputError("all anchors must have two coordinates, or all three")
-        normals = None
         if self.anchors is not None:
             found = placement.anchors_from_map(io.read_map(self.anchors), self.units)
-            if found.normals is not None:
-                normals = np.vstack([np.full((len(given), 3), np.nan), found.normals])
             given += zip(found.names, map(tuple, found.positions.tolist()), strict=True)
-        return placement.anchors_at(given, normals) if given else None
+        return placement.anchors_at(given) if given else None
 
 
 def _modules(

@@ -21,7 +21,6 @@ from anisomap.drawing.figures.backend import (
     add_legend,
     load,
     new_figure,
-    panel,
     set_title,
 )
 from anisomap.drawing.view import axis_title
@@ -237,21 +236,6 @@ def _draw_null(axes: Axes, x: float, box: Mapping[str, Any], look: MethodLook) -
         flierprops={"marker": "+", "markeredgecolor": look.colour, "markersize": 4},
         manage_ticks=False,
     )
-
-
-def plot_distances(score: Score, *, ax: Axes | None = None) -> Axes:
-    """Plot the distances between sensors on the map against the true distances.
-
-    Parameters
-    ----------
-    score : Score
-        Score of a map.
-    ax : matplotlib Axes, optional
-        See `plot_map`, as for what is returned and raised.
-    """
-    with panel(ax, 2) as axes:
-        draw_distances(axes, score)
-    return axes
 
 
 def draw_distances(axes: Axes, score: Score) -> None:

@@ -137,7 +137,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
 
 def plot(
     sensor_map: SensorMap,
-    truth: SensorMap | Recording | ArrayLike | None = None,
+    truth: SensorMap | Recording | ArrayLike | Score | None = None,
     *,
     ax: Axes | None = None,
 ) -> Axes:
@@ -147,37 +147,9 @@ def plot(
     ----------
     sensor_map : SensorMap
         Of more than three dimensions, the first three are drawn.
-    truth : SensorMap, Recording or array_like of shape (N, 2) or (N, 3), optional
-        True positions, as for `anisomap.score`: rings, joined with the sensors of the map, which is
-        aligned with them. Lines join true neighbours.
-    ax : matplotlib Axes, optional
-        See `anisomap.drawing.figures.plot_map`.
-
-    Returns
-    -------
-    matplotlib Axes
-
-    Raises
-    ------
-    InputError
-        See `anisomap.drawing.figures.plot_map` and `anisomap.score`.
-    MissingExtraError
-        If matplotlib is not installed.
-    """
-    result = None if truth is None else score_map(sensor_map, truth, permutations=0)
-    return plot_map(sensor_map, result, ax=ax)
-
-
-def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | None = None) -> Axes:
-    """Plot the largest component of a map in one panel.
-
-    Parameters
-    ----------
-    sensor_map : SensorMap
-        Of more than three dimensions, the first three are drawn.
-    score : Score, optional
-        Score of this map: the map is aligned with the truth, whose positions are rings, and true
-        neighbours are joined.
+    truth : SensorMap, Recording, Score or array_like of shape (N, 2) or (N, 3), optional
+        True positions, as for `anisomap.score`, or the score of this map: rings, joined with the
+        sensors of the map, which is aligned with them. Lines join true neighbours.
     ax : matplotlib Axes, optional
         Axes to draw into, with ``projection="3d"`` for data in 3D; those of a new figure by
         default.
@@ -190,19 +162,22 @@ def plot_map(sensor_map: SensorMap, score: Score | None = None, *, ax: Axes | No
     Raises
     ------
     InputError
-        If there is nothing to draw, or `ax` has another number of dimensions.
+        If there is nothing to draw, or `ax` has another number of dimensions; see `anisomap.score`.
     MissingExtraError
         If matplotlib is not installed.
     """
+    score = truth if isinstance(truth, Score) else None
+    if truth is not None and not isinstance(truth, Score):
+        score = score_map(sensor_map, truth, permutations=0)
     shown = _components(sensor_map, score)[0]
     with panel(ax, drawn_dimensions(sensor_map, score)) as axes:
         draw_configuration(axes, replace(shown, limits=box_around(shown.points, shown.truth)))
-        if n_compared := len(truth := shown.truth):
+        if n_compared := len(places := shown.truth):
             pairs = np.arange(2 * n_compared).reshape(2, -1).T
-            apart = segments(np.vstack([shown.points[:n_compared], truth]), pairs)
+            apart = segments(np.vstack([shown.points[:n_compared], places]), pairs)
             axes.plot(*apart.T, color=INK, linewidth=0.8, zorder=2.5)
             look = {"markersize": 7, "markerfacecolor": "none", "markeredgecolor": INK}
-            axes.plot(*truth.T, "o", **look, zorder=2.5)
+            axes.plot(*places.T, "o", **look, zorder=2.5)
     return axes
 
 
@@ -475,7 +450,7 @@ def plot_placement(
     mesh : Mesh, optional
         Drawn in 3D only.
     ax : matplotlib Axes, optional
-        See `plot_map`, as for what is returned and raised.
+        See `plot`, as for what is returned and raised.
     """
     placed = in_millimetres(placement.map)
     names = set(() if anchors is None else anchors.names)
@@ -507,7 +482,7 @@ def plot_layout(
         From `anisomap.check_layout`.
     title : str
     ax : matplotlib Axes, optional
-        See `plot_map`, as for what is returned and raised.
+        See `plot`, as for what is returned and raised.
     """
     layout, corrected = in_millimetres(check.layout), in_millimetres(check.corrected)
     status = np.array(check.status)

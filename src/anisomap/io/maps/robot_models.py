@@ -1,15 +1,14 @@
-"""Models of robots: URDF, MJCF for MuJoCo, and ROS 2 launch files of static transforms.
+"""Models of robots: URDF, and MJCF for MuJoCo.
 
-Sensors are fixed frames of one link, sites of one body, or transforms, in metres and right-handed;
-the z axis of each is the surface normal. URDF holds the ``tactile`` element as well, its extension
-for tactile sensors: a channel, and position and shape of each sensor.
+Sensors are fixed frames of one link, or sites of one body, in metres and right-handed; the z axis
+of each is the surface normal. URDF holds the ``tactile`` element as well, its extension for tactile
+sensors: a channel, and position and shape of each sensor.
 """
 
 from __future__ import annotations
 
 import math
 import re
-import shlex
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -105,22 +104,6 @@ def write_mjcf(sensor_map: SensorMap, path: Path) -> None:
     _write(model, path)
 
 
-def write_launch(sensor_map: SensorMap, path: Path) -> None:
-    """Write static transforms, each a process of its own, for ``ros2 launch skin.launch.xml``."""
-    skin = _named_taxels(sensor_map, "a static transform")
-    launch = _document("launch", {}, sensor_map, "frame")
-    quaternions = skin.rotations.as_quat()
-    for index, name, position, turn in zip(
-        skin.indices, skin.names, skin.positions, quaternions, strict=True
-    ):
-        pose = zip(("x", "y", "z", "qx", "qy", "qz", "qw"), (*position, *turn), strict=True)
-        words = " ".join(f"--{key} {float(value)!r}" for key, value in pose)
-        frames = f"--frame-id {_launch_quote(skin.frame)} --child-frame-id {_launch_quote(name)}"
-        node = {"pkg": "tf2_ros", "exec": "static_transform_publisher", "name": f"taxel_{index}"}
-        SubElement(launch, "node", node, args=f"{words} {frames}")
-    _write(launch, path)
-
-
 def _named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     """Convert a map to taxels, and check that XML can represent their names."""
     skin = to_taxels(sensor_map, purpose)
@@ -186,14 +169,6 @@ def _comment(text: str) -> Any:
     # evaluates the comments after it.
     plain = plain.replace("--", "- -").replace("--", "- -").replace("xacro:", "xacro ")
     return Comment(f" {plain} ")
-
-
-def _launch_quote(name: str) -> str:
-    r"""Quote a name for the launch system, which substitutes in `args` and then splits it.
-
-    Substitutions start with ``$(``; a backslash makes the next character literal.
-    """
-    return shlex.quote(name).replace("\\", "\\\\").replace("$", "\\$")
 
 
 def _numbers(values: Iterable[float]) -> str:

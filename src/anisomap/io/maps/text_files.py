@@ -36,7 +36,6 @@ from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.source import file_errors, quote, read_json, read_lines
 from anisomap.io.parsing.tables import (
     LineError,
-    Record,
     empty_columns,
     field_error,
     find_delimiter,
@@ -58,9 +57,6 @@ _MAX_COLUMNS = 10_000  # covariances in 140 dimensions
 _NAMES = ("name", "sensor", "taxel", "label", "id")
 _ERROR, _NORMAL = "error", ("nx", "ny", "nz")
 _AXIS = re.compile(r"(x\d*|y|z)(?:[ _]*[\[(]?(mm|cm|m|um|\u00b5m|in|px|pixels?)[\])]?)?")
-# A line of a .hpts file: a kind of point, a name, and three coordinates in mm.
-_POINT_KINDS, _HPTS = ("cardinal", "hpi", "eeg", "extra", "ref"), 5
-_ELECTRODES = ("eeg", "ref")
 _SEVERAL = {"reason": "reasons", "note": "notes"}  # comments with a line for each of a property
 
 
@@ -78,7 +74,7 @@ def read_text(path: Path) -> SensorMap:
     rows = [(line, fields[: len(fields) - n_empty]) for line, fields in rows]
     first, fields = rows[0]
     axes, header, units = _find_columns(path, first, fields)
-    body = rows[1:] if header else _electrodes(rows)
+    body = rows[1:] if header else rows
     if not body:
         raise FileError(f"{path} holds only a header")
     for line, row in rows:
@@ -136,14 +132,6 @@ def _positions_of(path: Path) -> SensorMap:
         return SensorMap(stream.positions, names=stream.names, units=stream.units)
 
 
-def _electrodes(rows: list[Record]) -> list[Record]:
-    """Return the electrodes of a .hpts file, which also holds landmarks and the shape of a head."""
-    kinds = [fields[0].strip().lower() for _, fields in rows]
-    if kinds[0] not in _POINT_KINDS:
-        return rows
-    return [row for row, kind in zip(rows, kinds, strict=True) if kind in _ELECTRODES] or rows
-
-
 def _find_columns(
     path: Path, line: int, fields: Sequence[str]
 ) -> tuple[list[int], dict[str, int], str]:
@@ -160,8 +148,6 @@ def _find_columns(
             raise FileError(f"{path} holds times (column {quote(clocks[0])}), {problem}")
         return [i for i, _ in found], header, found[0][1]
     start = 0 if is_number(fields[0], None) else 1
-    if words[0] in _POINT_KINDS and len(fields) == _HPTS and all(map(is_number, fields[2:])):
-        return [2, 3, 4], {}, "mm"  # .hpts
     if len(fields) - start in (2, 3) and all(is_number(f, None) for f in fields[start:]):
         return list(range(start, len(fields))), {}, ""
     raise LineError(
@@ -208,7 +194,7 @@ def edit_text(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineE
     if not rows:
         return None
     axes, header, _ = _find_columns(path, *rows[0])
-    body = rows[1:] if header else _electrodes(rows)
+    body = rows[1:] if header else rows
     normals = [header[axis] for axis in _NORMAL if axis in header]
     columns = [*axes, *(normals if len(normals) == len(_NORMAL) else [])]
     found = {}

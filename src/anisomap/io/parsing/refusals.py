@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from anisomap.base.clocks import is_time, words_of
 from anisomap.errors import FileError
+from anisomap.io.parsing.detection import is_list
 from anisomap.io.parsing.names import COUNTER_NAMES
 from anisomap.io.parsing.source import quote, quote_if_needed
 from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
@@ -91,7 +92,7 @@ _FOREIGN = (
         "a file of electrodes",
         "from a map in metres, mne.channels.make_dig_montage(dict(zip(sensor_map.names, "
         "sensor_map.positions))) is a montage of mne",
-        (".elc", ".sfp"),
+        (".elc", ".sfp", ".hpts"),
     ),
     _Foreign(
         "a point cloud (PCD)",
@@ -99,6 +100,7 @@ _FOREIGN = (
         (".pcd",),
         re.compile(rb"(?:#[^\n]*+\n)*+VERSION [.\d]++\s++FIELDS "),
     ),
+    _Foreign("a launch file", "robot_state_publisher publishes a .urdf", (".launch.xml",)),
     _Foreign("a spreadsheet", "save its table as CSV", (".xlsx", ".xlsm", ".xls", ".ods")),
     _Foreign(
         "a mesh, onto which anisomap place lays a map",
@@ -131,9 +133,9 @@ def refuse_foreign(path: Path, suffix: str, head: bytes = b"") -> None:
             raise FileError(f"{path} is {each.what}", each.remedy)
 
 
-def remedy_of(suffix: str) -> str:
-    """Return what is right for a suffix that is not written; empty for one that is not known."""
-    return next((each.remedy for each in _FOREIGN if suffix in each.suffixes), "")
+def remedy_of(name: str) -> str:
+    """Return what is right for a file that is not written; empty for one that is not known."""
+    return next((each.remedy for each in _FOREIGN if name.endswith(each.suffixes)), "")
 
 
 def refuse_text(path: Path, sample: Sequence[str]) -> None:
@@ -174,6 +176,21 @@ def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
             raise FileError(
                 f"{table.path}: commas separate thousands in {quote(grouped[0])}, beside numbers "
                 "without; remove them from the file"
+            )
+
+
+def refuse_lists(table: Table, sample: Sequence[str]) -> None:
+    """Raise FileError for a column with a list of readings in each cell, as mats export."""
+    rows = [] if table.numeric or table.block else _rows(table, sample)[:_ROWS_LOOKED_AT]
+    for i, cells in enumerate(zip(*rows, strict=False)):
+        if len(cells) > 1 and all(map(is_list, cells)):
+            named = f"[{table.names[i].strip()!r}]" if table.names else f".iloc[:, {i}]"
+            mark = "',', " if "," in cells[0] else ""
+            header = "" if table.names else ", header=None"
+            read = f"pandas.read_csv(path{header}){named}.str.strip('[]').str.split({mark}"
+            raise FileError(
+                f"{table.path}: column {i + 1} holds lists of readings",
+                _IN_PYTHON.format(f"{read}expand=True).astype(float)"),
             )
 
 

@@ -2,10 +2,6 @@
 
 `anisomap.io.parsing.tables` detects delimiter, decimal comma, header and columns of text, which
 are skipped; `anisomap.io.parsing.names` detects times and frame counters. Files may be gzipped.
-All readings of a frame may also be a list in one quoted cell, as here of two mats::
-
-    Timestamp,left,right
-    0.1,"0,0,3,4,0,0","0,1,3,4,0,0"
 """
 
 from __future__ import annotations
@@ -27,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import continued, is_date, words_of
-from anisomap.base.wording import counted, join_items, printable
+from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
-from anisomap.io.parsing.detection import find_table, is_list, listed
+from anisomap.io.parsing.detection import find_table
 from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.lines import as_objects
 from anisomap.io.parsing.names import (
@@ -41,45 +37,31 @@ from anisomap.io.parsing.names import (
     warn_of_guesses,
     with_kept,
 )
-from anisomap.io.parsing.refusals import refuse_text, refuse_thousands, refuse_turned
+from anisomap.io.parsing.refusals import refuse_lists, refuse_text, refuse_thousands, refuse_turned
 from anisomap.io.parsing.source import (
-    TextLines,
     lines_of,
-    quote,
     quote_if_needed,
     read_json,
     warn,
 )
 from anisomap.io.parsing.tables import (
-    LineError,
     Table,
     first_rows,
     guard_formula,
     line_of,
-    parse_number,
     read_blocks,
     read_sample,
-    read_undamaged,
-    records,
     unguard_formula,
 )
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import (
     Block,
-    Content,
-    Frame,
     ReadOptions,
     Stream,
-    choose,
     refuse_selection,
-    stack_frames,
     to_float32_if_exact,
 )
 from anisomap.recording import Recording, Scalar
-
-_ROWS_LOOKED_AT = 50
-_MIN_ROWS = 2
-
 
 _POINTS, _UNITS = ("positions", "normals"), "units"
 TITLE = "anisomap recording"
@@ -126,10 +108,8 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     if not known and _is_document(sample):
         yield _stream_document(path)
         return
-    if not known and (lists := _find_lists(sample, table)):
-        chosen = choose(path, _contents_of(lists), options.select, "list column").name
-        yield _stream_lists(table, lists, chosen)
-        return
+    if not known:
+        refuse_lists(table, sample)
     refuse_selection(f"{path} (delimited text)", options.select)
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
@@ -215,39 +195,6 @@ def _say(table: Table, sample: list[str]) -> None:
         _warn_of_commas(table.path, sample)
 
 
-def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the columns that hold a list of readings per frame; empty for a table of numbers."""
-    sample, known, _ = _read_start(path)
-    return () if known else _contents_of(_find_lists(sample, find_table(path, sample)))
-
-
-def _find_lists(sample: Sequence[str], table: Table) -> dict[str, tuple[int, int]]:
-    """Find the columns with lists of equal length in all rows: index and length, by name."""
-    if table.numeric or table.block:
-        return {}
-    try:
-        found = records(sample[table.first_line - 1 :], table.delimiter)
-        rows = [fields for _, fields in itertools.islice(found, _ROWS_LOOKED_AT)]
-    except csv.Error:
-        return {}
-    lists = {}
-    for column in range(min(map(len, rows), default=0)):
-        lengths = {_length(row[column]) for row in rows}
-        if len(rows) >= _MIN_ROWS and len(lengths) == 1 and (length := lengths.pop()):
-            named = table.names[column].strip() if column < len(table.names) else ""
-            lists[named or str(column + 1)] = column, length
-    return lists
-
-
-def _contents_of(lists: Mapping[str, tuple[int, int]]) -> tuple[Content, ...]:
-    return tuple(Content(name, f"lists of {length} numbers") for name, (_, length) in lists.items())
-
-
-def _length(cell: str) -> int:
-    """Return the length of a list of numbers; 0 for anything else."""
-    return len(listed(cell)) if is_list(cell) else 0
-
-
 def _is_document(sample: Sequence[str]) -> bool:
     """Return whether a file is a list of lists of JSON in a single line."""
     lines = [line.strip() for line in sample if line.strip()]
@@ -272,48 +219,6 @@ def _stream_document(path: Path) -> Stream:
         names=names,
         source=path.name,
         metadata={"format": "JSON"},
-    )
-
-
-def _stream_lists(table: Table, lists: Mapping[str, tuple[int, int]], name: str) -> Stream:
-    """Create a stream of the lists of a column."""
-    column, length = lists[name]
-    text = tuple(sorted({*table.text_columns, *(place for place, _ in lists.values())}))
-    roles = Roles()
-    if len(text) < table.n_columns:
-        text_table = dataclasses.replace(table, text_columns=text)
-        roles = detected_roles(text_table, table.names, first_rows(text_table, ROWS_LOOKED_AT))
-        warn_of_guesses(table.path, table.names, roles)
-    before = table.first_line - 1
-
-    def parse(lines: TextLines) -> Iterator[Frame]:
-        rows = itertools.islice(lines, before, None)
-        for number, fields in records(rows, table.delimiter):
-            line, unnamed = before + number, 0 < len(table.names) <= column
-            if unnamed or len(fields) <= max(column, roles.time or 0):
-                raise LineError(
-                    table.path, line, f" has {counted(len(fields), 'field')}, but {table.because}"
-                )
-            values = listed(fields[column])
-            if len(values) != length:
-                problem = f", column {column + 1}: the list has {counted(len(values), 'number')}"
-                raise LineError(table.path, line, f"{problem}; the lists before have {length}")
-            try:
-                time = None if roles.time is None else parse_number(fields[roles.time])
-                readings = np.array([parse_number(value) for value in values])
-            except ValueError as error:
-                problem = f": {quote(str(error))} is not a number"
-                raise LineError(table.path, line, problem) from None
-            at = None if time is None else time / roles.per_second
-            yield Frame(readings, lines.fraction(), at)
-
-    return Stream(
-        table.path,
-        length,
-        stack_frames(read_undamaged(table.path, parse, "frames")),
-        source=f"{table.path.name}:{name}",
-        metadata={"format": "delimited text, lists", "column": name},
-        from_zero=True,
     )
 
 
