@@ -49,7 +49,14 @@ def _farthest(recording):
     return radii.max() / np.median(radii)
 
 
-@pytest.mark.parametrize("damage", ["", *DAMAGES])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "",
+        "gaps",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in DAMAGES if each != "gaps"),
+    ],
+)
 @pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
 def test_no_sensor_runs_away_from_the_map(damage):
     for touch in ("poke", "sway"):

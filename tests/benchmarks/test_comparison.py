@@ -3,7 +3,6 @@
 import csv
 import math
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -12,11 +11,9 @@ from benchmarks.accuracy.compare import (
     spanned_dimensions,
     to_csv,
     to_markdown,
-    touched,
 )
 from benchmarks.accuracy.rivals import RIVALS, map_by_rival
 from scipy.spatial.distance import pdist
-from sklearn.decomposition import PCA
 from sklearn.manifold import Isomap
 
 import anisomap
@@ -67,14 +64,6 @@ def test_isomap_on_r_is_ten_lines_of_scikit_learn():
     np.testing.assert_allclose(pdist(found), pdist(expected), rtol=1e-6, atol=1e-9)
 
 
-def test_pca_on_r_is_pca_of_standardised_sensors():
-    readings = flat_skin().readings
-    standardised = (readings - readings.mean(axis=0)) / readings.std(axis=0) / len(readings) ** 0.5
-    expected = PCA(3, svd_solver="full").fit_transform(standardised.T)
-    found = map_by_rival(flat_skin(), "pca-on-r", 3).positions
-    np.testing.assert_allclose(pdist(found), pdist(expected), rtol=1e-6)
-
-
 def test_rivals_leave_constant_sensors_out_and_refuse_too_few():
     readings = np.array(flat_skin().readings)
     readings[:, 5] = 1
@@ -83,14 +72,6 @@ def test_rivals_leave_constant_sensors_out_and_refuse_too_few():
     few = anisomap.Recording(flat_skin().readings[:, :3])
     with pytest.raises(InputError, match="laplacian-on-r cannot map 3 sensors in 5 dimensions"):
         map_by_rival(few, "laplacian-on-r", 5)
-
-
-def test_a_rival_without_its_library_has_no_score_but_a_reason(monkeypatch):
-    monkeypatch.setitem(sys.modules, "umap", None)
-    found = compare_methods(flat_skin(), ["r-anisomap", "umap-on-r"])
-    assert "umap" in found.scores[1].reason
-    assert math.isnan(found.scores[1].mantel_r)
-    assert "| - |" in to_markdown([found])
 
 
 def test_tables_state_the_scores_and_the_losses():
@@ -143,24 +124,6 @@ def test_all_methods_are_scored_on_the_sensors_that_all_of_them_place():
     assert found.margin == own.mantel_r - stock.mantel_r
 
 
-def test_a_method_that_places_few_sensors_does_not_choose_the_sensors_of_the_others():
-    # Three pieces of equal size: no component holds more than half of the sensors.
-    parts = [rubbed(lattice(3, 4), 1000, seed=seed) for seed in range(3)]
-    readings = np.zeros((3000, 36))
-    for number, part in enumerate(parts):
-        readings[1000 * number : 1000 * (number + 1), 12 * number : 12 * (number + 1)] = part
-    places = np.vstack([lattice(3, 4) + shift for shift in (0, 20, 40)])
-    found = compare_methods(
-        anisomap.Recording(readings, positions=places), ["covariogram", "pca-on-r"], 2
-    )
-    own, stock = found.scores
-    assert math.isnan(own.mantel_r)
-    assert own.reason == "its largest component holds 12 of 36 sensors"
-    assert len(found.sensors) == 36
-    assert found.best(stock=False) is None
-    assert found.margin == -stock.mantel_r
-
-
 def test_sensors_without_a_true_position_are_mapped_but_not_scored():
     recording = flat_skin()
     places = np.array(recording.positions)
@@ -178,14 +141,6 @@ def test_a_method_that_fails_has_a_reason_and_no_score():
     assert found.scores[1].sensor_map is None
     assert found.scores[1].reason == "laplacian-on-r cannot map 5 sensors in 8 dimensions"
     assert math.isnan(found.margin)
-
-
-def test_sensors_touched_a_number_of_times():
-    readings = np.ones((20, 4))
-    readings[:3, 1], readings[:5, 2], readings[:, 3] = 2, 0, np.arange(20)
-    recording = anisomap.Recording(readings)
-    assert touched(recording, 5).tolist() == [False, False, True, True]
-    assert touched(recording, 0).all()
 
 
 @pytest.mark.parametrize("dimensions", [1, 2, 3])

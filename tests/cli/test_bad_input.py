@@ -17,13 +17,10 @@ from skins import flat_skin, lattice
 LONG = "x" * 9000
 
 REFUSED = f"""
-map skin.npz -o map.doc                                   | .csv
 map skin.npz -o map.png                                   | --picture
 map skin.npz -o map.html                                  | --report
-map skin.npz -o .                                         | folder
 map skin.npz -o skin.mjcf                                 | --spacing 6.5mm
 map skin.npz --picture map.bmp                            | .png
-map skin.npz --report nowhere/r.html                      | folder nowhere does not exist
 map skin.npz -m pca                                       | no method 'pca'
 map missing.csv -o map.csv                                | there is no file missing.csv
 map skin.npz -d 0                                         | -d
@@ -31,44 +28,33 @@ score map.csv truth.csv --exclude nobody                  | nobody
 score layout.csv layout.csv --units mm                    | states the unit m: leave out --units
 map skin.npz --drop {LONG}                                | there is no sensor 'xxx
 map skin.npz --seed -1                                    | seed
-map skin.npz --missing ignore                             | drop-frames
 map skin.npz --frobnicate                                 | frobnicate
 map skin.csv -o skin.csv                                  | another file
 map skin.csv -o a.csv --picture a.csv                     | two outputs
 map skin.csv --positions truth.csv -o truth.csv           | truth.csv
 map skin.npz --min-quality usable --no-verdict            | verdict
-map skin.npz --min-quality excellent                      | "usable", "usable-for-neighbours"
 map turned.csv                                            | transpose it; if not, record the 80
 map skin.csv --grid 6x8                                   | 48
 map skin.csv --grid six                                   | rows and columns, as in 32x64
 map constant.csv -o old.csv                               | got 0 of 3
 map empty -o a.csv                                        | is a folder without
-map book.xlsx -o a.csv                                    | is a spreadsheet; save its table as CSV
 convert map.csv tf.launch.xml                             | robot_state_publisher publishes a .urdf
 map gaps.csv -o old.csv                                   | sensors: s1; frames: 9
 info rows.csv                                             | line 3
 info cut.npz                                              | cut.npz
-info nothing.npz                                          | nothing.npz
 score map.csv                                             | REFERENCE_FILE
-score map.csv empty.csv                                   | empty.csv
 score map.csv strangers.csv                               | no sensor
-score words.csv truth.csv                                 | words.csv
-score map.csv truth.csv --picture diff.bmp                | .png, .svg or .pdf
 convert map.csv a.urdf                                    | in metres, but the map has no scale
 convert map.csv a.urdf --spacing 6.5                      | '6.5' is not a length
-convert map.csv a.xyz                                     | unknown suffix '.xyz'
 convert map.csv map.csv                                   | write the result to another file
 convert placed.csv a.csv --mirror                         | in the frame of the robot
 convert pieces.csv a.urdf --spacing 5mm                   | each map of SensorMap.split()
 convert map.csv {"b" * 300}.csv                           | too long
-check layout.csv missing.npz                              | missing.npz
 check map.csv skin.npz -o a.urdf                          | scale it first: anisomap convert
 check bare.npz layout.csv                                 | swap the arguments: anisomap check
-check bare.npz strangers.csv                              | no positions
 check layout.csv skin.npz -o layout.csv                   | also an input
 check layout.csv skin.npz --module-size 10 --module-table m    | not by both
 place map.csv                                             | --spacing
-place map.csv --anchor s1=1                               | is not an anchor
 place map.csv --anchor s1=0,0 --anchor s2=0,0,0           | all anchors must have two coordinates
 place map.csv --anchors anchors.csv -o anchors.csv        | anchors.csv
 place map.csv --anchors anchors.csv --module-layout anchors.csv  | either --module-table
@@ -76,13 +62,10 @@ place map.csv --anchors anchors.csv --mesh map.csv        | map.csv
 place map.csv --mesh part.stl --mesh-units feet           | --mesh-units must be one of m, dm
 place map.csv --module-size 5                             | modules need the positions of their pads
 repair nothing.npz                                        | there is no file nothing.npz
-repair skin.npz -o a.h5                                   | known suffixes: .npz, .csv
 live                                                      | give either a source or --simulate BODY
 live skin.csv --drop s1-s99 --headless                    | there is no sensor 's1-s99'
-live missing.csv                                          | missing.csv, and it is no address
 live tcp://127.0.0.1                                      | needs a port
 live udp://127.0.0.1:99999                                | is not an address
-live lsl://                                               | needs a name, as in lsl://NAME
 live skin.csv --recording old.csv                         | old.csv exists
 live skin.csv --recording r.npz                           | must end in .csv
 live skin.csv --recording r.csv -o r.csv                  | r.csv
@@ -101,10 +84,6 @@ simulate layout.csv --sensors 5                    | --sensors is for named bodi
 simulate part.obj                                  | part.obj is a mesh
 simulate sphere -p n_balls                         | write NAME=VALUE
 simulate sphere -p n_balls=many                    | 'many' is not a number
-simulate sphere -p n_bals=3                        | has no parameter 'n_bals'
-simulate sphere -o run.h5                          | known suffixes: .npz, .csv
-simulate sphere -o nowhere/run.npz                 | nowhere
-simulate sphere --picture run.bmp                  | must end in .png, .svg or .pdf
 list scenarios rain                                | no scenario 'rain'
 list bodies sphere                                 | only scenarios have
 """
@@ -151,11 +130,6 @@ def folder(tmp_path_factory):
         "rows.csv": "a,b,c\n1,2,3\n4,5\n6,7\n",
         **TOO_LITTLE,
         "old.csv": "mine",
-        "empty.csv": "",
-        "header.csv": "x,y\n",
-        "words.csv": "x,y\n1,z\n",
-        "ragged.csv": "x,y\n1,2\n3\n",
-        "book.xlsx": "PK",
     }
     for name, text in texts.items():
         (folder / name).write_text(text)
@@ -199,7 +173,6 @@ def test_commands_that_are_refused(folder, command, reason):
 @pytest.mark.parametrize(
     "command",
     [
-        "diff {} layout.csv",
         "diff layout.csv {}",
         "check {} skin.npz",
         "score {} layout.csv",
@@ -254,9 +227,7 @@ def test_an_extra_that_is_not_installed_is_named(folder, tmp_path, tmp_path_fact
     assert f"reading a mesh needs an extra: {install_command('mesh')}" in told
 
 
-@pytest.mark.parametrize(
-    "command", ["check {} x.npz", "place {}", "map {}", "repair {} -o o.npz", "convert {} o.csv"]
-)
+@pytest.mark.parametrize("command", ["place {}", "map {}", "convert {} o.csv"])
 def test_links_that_lead_nowhere(tmp_path, command):
     (tmp_path / "a.csv").symlink_to("a.csv")
     (tmp_path / "b.csv").symlink_to("none.csv")
@@ -268,10 +239,8 @@ def test_links_that_lead_nowhere(tmp_path, command):
 @pytest.mark.parametrize(
     "command",
     [
-        "convert map.csv {}.csv",
         "place map.csv --spacing 5mm -o {}.csv",
         "repair skin.npz -o {}.npz",
-        "score map.csv map.csv --picture {}.png",
         "score map.csv map.csv --report {}.html",
     ],
 )
@@ -298,7 +267,7 @@ def test_outputs_with_long_names_and_links(folder, tmp_path):
 
 
 def test_names_of_files_that_look_like_json(run_map, skin_npz):
-    for name in ("[1].npz", "[a", '{"a": 1}.npz', "[]"):
+    for name in ("[a", '{"a": 1}.npz'):
         skin_npz = skin_npz.rename(skin_npz.with_name(name))
         run_map(name, "-o", "[map].csv")
         assert skin_npz.with_name("[map].csv").exists()

@@ -49,12 +49,8 @@ def test_triangles_on_each_other_are_told(tmp_path):
     [
         ("fingertip3R 1 2 3 4", "line 2: 'fingertip3R' is not triangle_10pad"),
         ("triangle_10pad 1 2 3", "line 2 has 4 fields"),
-        ("triangle_10pad -1 2 3 4", "'-1' is not the number of a triangle"),
-        ("triangle_10pad 1 2 three 4", "line 2.*three"),
         ("triangle_10pad 1 2 nan 4", "must have finite numbers"),
-        ("triangle_10pad 1 2 3 4 5 2", "a mirror of 0 or 1"),
         ("triangle_10pad 1 2 3 4\ntriangle_10pad 1 9 3 4", "line 3: triangle 1 is placed twice"),
-        ("", "no line triangle_10pad"),
     ],
 )
 def test_damaged_displays_are_refused(lines, expected, tmp_path):

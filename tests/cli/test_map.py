@@ -10,7 +10,6 @@ from benchmarks.skins.independent import damaged
 from scipy.linalg import block_diag
 
 import anisomap
-from anisomap.method.named import METHODS
 from command_line import write_layout
 from skins import flat_skin, lattice, rubbed
 
@@ -88,15 +87,6 @@ def test_sensors_on_a_line_are_listed_in_their_order(run_map):
     along = places[[recording.names.index(name) for name in order]]
     assert (np.diff(along if along[0] < along[-1] else along[::-1]) == 1).all()
     assert f"{order[0]}, {order[1]}" in " ".join(run_map(*words).out.split())
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method_runs_from_the_command_line(run_map, method):
-    anisomap.write(flat_skin(n_frames=400), "skin.npz")
-    done = run_map("skin.npz", "-m", method, "-o", "m.csv")
-    found = anisomap.read_map("m.csv")
-    assert found.method == method
-    assert f"Map by {method}" in done.out
 
 
 def test_sensors_are_dropped_from_the_map_or_excluded_from_the_score(

@@ -54,16 +54,6 @@ def test_errors_show_names_as_text(run, tmp_path: Path) -> None:
     assert not unsafe(run("info", path, code=2).err)
 
 
-def test_files_with_markup_in_their_names(run_map, skin_npz: Path) -> None:
-    folder = skin_npz.parent / "d["
-    folder.mkdir()
-    outputs = [folder / f"y]{suffix}" for suffix in (".csv", ".json", ".npz")]
-    done = run_map(skin_npz.rename(folder / "x].npz"), *(w for o in outputs for w in ("-o", o)))
-    for path in outputs:
-        assert f"d[/{path.name}" in done.out
-        assert path.exists()
-
-
 def test_file_names_that_are_not_utf_8(
     run_map, skin_npz: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -86,22 +86,18 @@ def test_times_that_do_not_increase(saved) -> None:
 WRONG_RECORDINGS = [
     ({"data": READINGS, "labels": [1]}, "'readings' is missing (arrays: data, labels)"),
     ({"readings": np.zeros((2, 4, 3))}, "time, its longest axis, first or last"),
-    ({"readings": np.zeros((0, 3))}, "got shape (0, 3)"),
     ({"readings": READINGS.astype(object)}, "readings must hold numbers, got dtype object"),
     ({"readings": READINGS, "names": ["a", "b"]}, "sensors: 3, names: 2"),
-    ({"readings": READINGS, "names": [["a", "b", "c"]]}, "names has shape"),
     ({"readings": READINGS, "names": np.array(["a", 1, None])}, "Object arrays cannot be loaded"),
     ({"readings": READINGS, "positions": np.zeros((3, 2), complex)}, "it must be numbers"),
     ({"readings": READINGS, "times": [0.0, 1.0]}, "times must have shape"),
     ({"readings": READINGS, "rate_hz": [1.0, 2.0]}, "one value"),
-    ({"readings": READINGS, "units": 3}, "it must be text"),
     ({"times": [0.5, 1], "ids": [1, 2]}, "holds events; in Python"),
 ]
 WRONG_MAPS = [
     ({"component": [0, 0]}, "component must have 3 entries"),
     ({"component": [0, 0, 3]}, "numbered from 0"),
     ({"component": [0.0, 0.0, 0.0]}, "component is of type"),
-    ({"component": [0, 0, -1]}, "finite position"),
     ({"positions": np.zeros(3)}, "must be of shape (N, k)"),
 ]
 CASES = [
@@ -138,13 +134,14 @@ def packed(header: str, content: bytes, path: Path) -> Path:
     return path
 
 
-LENGTHS = ("(1000000000, 1000000)", "(4, 1)", "(-1, 4)", "()")
-TYPES = ("'<U0'", "'|O'", "'<f99'", "[('a', '<f8')]", "__import__")
-
-
 @pytest.mark.parametrize(
     ("descr", "shape"),
-    [*(("'<f8'", shape) for shape in LENGTHS), *((descr, "(10000000000, 3)") for descr in TYPES)],
+    [
+        ("'<f8'", "(1000000000, 1000000)"),
+        ("'<f8'", "(-1, 4)"),
+        ("'<f99'", "(4, 1)"),
+        ("__import__", "(4, 1)"),
+    ],
 )
 def test_headers_that_cannot_be(tmp_path: Path, descr: str, shape: str) -> None:
     header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}}}"
@@ -158,13 +155,6 @@ def test_headers_that_cannot_be(tmp_path: Path, descr: str, shape: str) -> None:
     assert "array names" in error(path)
 
 
-def test_invalid_characters(tmp_path: Path) -> None:
-    path = tmp_path / "skin.npz"
-    names = np.array(["a", "b", "c"]).view(np.uint32) + 0x110000
-    np.savez(path, readings=READINGS, names=names.view("<U1"))
-    assert "array names is damaged" in error(path)
-
-
 def test_what_is_no_archive_of_numpy(saved) -> None:
     path = saved(readings=READINGS)
     for content in (path.read_bytes()[:-30], b"<html>not found</html>"):
@@ -173,14 +163,6 @@ def test_what_is_no_archive_of_numpy(saved) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "hello")
     assert "it has no array" in error(path)
-
-
-def test_reading_positions_skips_the_readings(tmp_path: Path) -> None:
-    header = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 3)}"
-    path = packed(header, bytes(24), tmp_path / "skin.npz")
-    with zipfile.ZipFile(path, "a") as archive, archive.open("positions.npy", "w") as member:
-        np.lib.format.write_array(member, np.eye(3))
-    assert io.read_map(path).n_sensors == 3
 
 
 def test_wrong_single_arrays(tmp_path: Path) -> None:
@@ -200,15 +182,3 @@ def test_wrong_single_arrays(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-8])
     with pytest.raises(FileError, match="cut short"):
         io.read(path)
-
-
-@pytest.mark.parametrize("shape", ["(True, 3)", "(3, True)"])
-def test_true_is_a_length_of_one(tmp_path: Path, shape: str) -> None:
-    """numpy accepts it in a header, but not as a length."""
-    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}"
-    path = packed(header, np.arange(3.0).tobytes(), tmp_path / "skin.npz")
-    assert sorted(io.read(path).readings.shape) == [1, 3]
-    single = tmp_path / "skin.npy"
-    with zipfile.ZipFile(path) as archive:
-        single.write_bytes(archive.read("readings.npy"))
-    assert io.read(single).readings.ravel().tolist() == [0, 1, 2]

@@ -335,19 +335,3 @@ def test_raw_recordings_of_mne() -> None:
     raw.info["bads"] = list(NAMES)
     with pytest.raises(InputError, match="all channels of type eeg are marked as bad"):
         Recording(raw)
-
-
-@pytest.mark.parametrize(
-    ("facts", "said"),
-    [
-        ({"units": None}, "units must be text"),
-        ({"metadata": {1: 2}}, "metadata must be"),
-        ({"metadata": {"a": [1]}}, "metadata must be"),
-        ({"positions": [[np.inf, 0]] * N_SENSORS}, "must be finite"),
-        ({"rate_hz": "50"}, "rate_hz must be a positive number"),
-        ({"times": ["soon"] * N_FRAMES}, "times must be seconds, or dates"),
-    ],
-)
-def test_facts_that_no_file_could_store_are_refused(facts: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        Recording(PRESSED, **facts)

@@ -380,10 +380,7 @@ def test_parsing_agrees_with_numpy(text: str) -> None:
     np.testing.assert_array_equal(by_numpy, [[parse_number(text)]])
 
 
-def test_wide_and_long_files(put) -> None:
-    for shape in ((60, 3000), (20_000, 2)):
-        values = np.random.default_rng(5).integers(0, 256, shape)
-        np.testing.assert_array_equal(io.read(put("x.csv", table(values))).readings, values)
+def test_wide_files(put) -> None:
     names = [f"sensor {i:0200d}" for i in range(11_000)]  # more than is looked at for the layout
     row = ",".join(["1"] * 10_999)
     found = io.read(put("wide.csv", ",".join(names) + "\n" + f"{row},2\n{row},3\n"))

@@ -338,7 +338,7 @@ def mapped_body(found, seed):
     return mapped(found.positions, seed, noise=0.2 * found.spacing, mirror=mirror)
 
 
-@pytest.mark.parametrize("name", ["cylinder", "y-shape"])
+@pytest.mark.parametrize("name", ["cylinder", pytest.param("y-shape", marks=pytest.mark.slow)])
 def test_three_anchors_place_a_map_on_its_mesh_or_it_is_refused(name):
     found = find_body(name)
     mesh = outline(found)

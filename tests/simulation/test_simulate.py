@@ -125,28 +125,21 @@ def test_readings_scale_with_the_body(scenario):
 @pytest.mark.parametrize(
     ("scenario", "given", "message"),
     [
-        ("bombardment", {"n_frames": 0}, "n_frames must be an integer of at least 1"),
         ("bombardment", {"n_sensors": 0}, "n_sensors must be an integer .*, got 0"),
         ("bombardment", {"body": sphere(), "n_sensors": 9}, "cannot be given with the body sphere"),
-        ("bombardment", {"seed": -1}, "seed must be a non-negative integer or a numpy"),
         ("bombardment", {"seed": 1.5}, r"seed must be .* got 1\.5"),
         ("bombardment", {"body": "teapot"}, "there is no body 'teapot'; choose from sphere"),
         ("rain", {}, "there is no scenario 'rain'; choose from bombardment"),
         ("bombardment", {"n_bals": 3}, "has no parameter 'n_bals'; choose from frame_interval"),
-        ("bombardment", {"n_balls": 2.5}, r"n_balls must be an integer of at least 1, got 2\.5"),
         ("bombardment", {"ball_radius": -0.1}, r"ball_radius must be positive, got -0\.1 m"),
         ("bombardment", {"softness": 0.1}, r"softness must be at most 0\.075 m"),
         ("bombardment", {"timestep": 0.01}, r"at most 0\.00175 s.*would not be conserved"),
-        ("bombardment", {"timestep": 0.001, "speed": 30.0}, r"must be at most 0\.000175 s"),
         ("bombardment", {"ball_radius": 1.1}, r"do not fit .* must exceed 3\.2 m"),
-        ("bombardment", {"n_balls": 2000}, r"only \d+ of 2000 balls .* use fewer"),
         ("locomotion", {"body": "hand"}, "the body hand does not roll"),
         ("locomotion", {"half_width": 2.0}, "half_width must be at least 4 times"),
-        ("locomotion", {"timestep": 0.02}, "timestep must be at most 0.006 s"),
         ("locomotion", {"cell": 0.3}, "cell must be at most half of correlation"),
         ("locomotion", {"roughness": 0.3}, r"at most 0.35 x correlation \(0.175 m\)"),
         ("rubbing", {"press_depth": 0.2}, "at most the thickness of the palm"),
-        ("rubbing", {"circle_share": 1.5}, r"circle_share must be between 0 and 1, got 1\.5"),
         ("rubbing", {"speed": 100.0}, r"speed must be at most .* \(24 m/s\), got 100 m/s"),
     ],
 )
@@ -156,7 +149,7 @@ def test_invalid_arguments_raise_an_error(scenario, given, message):
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1])
+@pytest.mark.parametrize("value", [np.nan, -1])
 def test_every_option_of_a_scenario_has_a_range(scenario, value):
     for name in vars(SCENARIOS[scenario].options()):
         with pytest.raises(InputError, match=f"{name} must be .*, got {value}"):

@@ -170,18 +170,13 @@ class Outputs:
         result: Score | None = None,
         examined: Examined | None = None,
         coverage: TouchCoverage | None = None,
-        *,
-        draw: Callable[[], Figure] | None = None,
     ) -> list[tuple[str, Path]]:
-        """Write all files, of a map and its score; return them, each with its content.
-
-        draw: Draws the picture; the map by default.
-        """
+        """Write all files, of a map and its score; return them, each with its content."""
         if not (self.picture or self.report):
             return self.write(sensor_map)
         figures, shown = drawing.figures, in_millimetres(sensor_map)
         with together():
-            written = self.write(sensor_map, draw or (lambda: figures.map_figure(shown, result)))
+            written = self.write(sensor_map, lambda: figures.map_figure(shown, result))
             if self.report:
                 touches = None
                 if examined is not None and coverage is not None:

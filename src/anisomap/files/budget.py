@@ -47,10 +47,6 @@ class Budget:
                 "uncompressed)"
             )
 
-    def check_readings(self, n_frames: int, n_sensors: int, n_bytes: int, what: str) -> None:
-        """Reject readings that would take too much memory, with names and positions of sensors."""
-        self.check(n_sensors * (n_frames * n_bytes + SENSOR_BYTES), what)
-
     def spend(self, n_bytes: int, what: str) -> None:
         """Count unpacked bytes that are kept."""
         self._spent += n_bytes

@@ -99,13 +99,6 @@ def _array(
     return values
 
 
-def _required(archive: zipfile.ZipFile, name: str, what: str) -> NDArray[Any]:
-    values = _array(archive, name)
-    if values is None:
-        raise _missing(archive, name, what)
-    return values
-
-
 def _missing(archive: zipfile.ZipFile, name: str, what: str) -> InputError:
     names = _names(archive)
     found = f"arrays: {join_items(names)}" if names else "it has no array"
@@ -256,7 +249,9 @@ def _header(stream: IO[bytes], what: str) -> tuple[tuple[int, ...], bool, np.dty
 def read_map(path: Path) -> SensorMap:
     """Read a map, or the true positions of a recording, without its readings."""
     with _opened(path) as archive:
-        positions = _required(archive, "positions", "positions")
+        positions = _array(archive, "positions")
+        if positions is None:
+            raise _missing(archive, "positions", "positions")
         names = distinct_names(path, _texts(archive, "names"))
         if "readings" in _names(archive):
             return SensorMap(positions, names=names, units=_text(archive, "units"))

@@ -405,7 +405,10 @@ def _best_clock(
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:
-    """Join the sensors of several streams, sampled at the times of the first; one is unchanged."""
+    """Join the sensors of several streams, sampled at the times of the first; one is unchanged.
+
+    All but the first are read as a whole.
+    """
     (_, leader), *followers = streams.items()
     if not followers:
         return leader
@@ -417,9 +420,7 @@ def join_streams(streams: Mapping[str, Stream]) -> Stream:
     return replace(
         leader,
         n_sensors=len(names),
-        blocks=_joined_blocks(
-            leader, [_Follower(name, stream) for name, stream in followers], [*streams]
-        ),
+        blocks=_joined_blocks(leader, followers, [*streams]),
         names=names,
         positions=None,
         normals=None,
@@ -428,16 +429,18 @@ def join_streams(streams: Mapping[str, Stream]) -> Stream:
     )
 
 
-def _joined_blocks(leader: Stream, followers: list[_Follower], parts: list[str]) -> Iterator[Block]:
-    overlap = False
+def _joined_blocks(
+    leader: Stream, followers: Sequence[tuple[str, Stream]], parts: Sequence[str]
+) -> Iterator[Block]:
+    latest, overlap = [_whole(*follower) for follower in followers], False
     for block in leader.blocks:
         if block.times is None:
             raise FileError(f"{leader.path} has no times; joining recordings requires them")
         rows, covered = [block.readings], np.ones(len(block.readings), dtype=bool)
-        for follower in followers:
-            readings, known = follower.at(block.times)
-            rows.append(readings)
-            covered &= known
+        for times, readings in latest:
+            last = np.searchsorted(times, block.times, side="right") - 1
+            rows.append(readings[last.clip(0)])
+            covered &= (last >= 0) & (block.times <= times[-1])
         if covered.any():
             overlap = True
             yield Block(np.hstack(rows)[covered], block.fraction, block.times[covered])
@@ -445,35 +448,16 @@ def _joined_blocks(leader: Stream, followers: list[_Follower], parts: list[str])
         raise FileError(f"{leader.path}: the recordings {join_items(parts)} do not overlap in time")
 
 
-class _Follower:
-    """Look up the latest frame of a stream at increasing times, with bounded memory."""
-
-    def __init__(self, name: str, stream: Stream) -> None:
-        self._name, self._stream = name, stream
-        self._times: NDArray[np.float64] = np.empty(0)
-        self._readings = np.empty((0, stream.n_sensors), np.float32)
-
-    def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
-        """Return the latest readings at each time, and whether the stream covers that time."""
-        end = times.max(initial=-np.inf)
-        while not (self._times.size and self._times[-1] >= end):
-            block = next(self._stream.blocks, None)
-            if block is None:
-                break
-            if block.times is None:
-                problem = f"{self._name} has no times; joining recordings requires them"
-                raise FileError(f"{self._stream.path}: {problem}")
-            # searchsorted needs non-decreasing times, so a clock that steps back is held constant.
-            self._times = np.fmax.accumulate(np.append(self._times, block.times))
-            self._readings = np.concatenate([self._readings, block.readings])
-        if not self._times.size:
-            raise FileError(f"{self._stream.path}: {self._name} has no frame")
-        last = np.searchsorted(self._times, times, side="right") - 1
-        known = (last >= 0) & (times <= self._times[-1])
-        readings = self._readings[last.clip(0)]
-        unused = max(int(last.min(initial=0)), 0)
-        self._times, self._readings = self._times[unused:], self._readings[unused:]
-        return readings, known
+def _whole(name: str, stream: Stream) -> tuple[NDArray[np.float64], NDArray[Any]]:
+    """Read all times, (T,), and readings, (T, N), of a stream; a clock that steps back is held."""
+    blocks = list(stream.blocks)
+    if not blocks:
+        raise FileError(f"{stream.path}: {name} has no frame")
+    times = [block.times for block in blocks if block.times is not None]
+    if len(times) < len(blocks):
+        raise FileError(f"{stream.path}: {name} has no times; joining recordings requires them")
+    readings = np.concatenate([block.readings for block in blocks])
+    return np.fmax.accumulate(np.concatenate(times)), readings
 
 
 @contextmanager

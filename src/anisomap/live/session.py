@@ -45,19 +45,12 @@ _SHARE_S = 1.0  # between two points of the share of sensors touched
 _Point = TypeVar("_Point")
 
 
-class Errors(NamedTuple):
-    """Errors of a checked map in spacings, NaN if unknown, and the time since the start in s."""
-
-    seconds: float
-    expected: float
-    against_truth: float
-
-
 class SessionMaps:
     """Quick and checked maps of a recording that grows, made by two processes.
 
     notify, announce: Take sentences for the user; are called when there is a new map.
     clock: Returns the time since the start of the session in seconds.
+    curve: Times in seconds, expected and true errors of checked maps in spacings, or NaN.
     touched: Share of the sensors touched over time in seconds.
     ready: Set when the process of quick maps has started.
     """
@@ -73,7 +66,7 @@ class SessionMaps:
         self.quick: QuickMap | None = None
         self.checked: Examination | None = None
         self._previous: Examination | None = None
-        self.curve: list[Errors] = []
+        self.curve: list[tuple[float, float, float]] = []
         self.touched: list[tuple[float, float]] = []
         self.examining = False
         self.ready = threading.Event()
@@ -267,7 +260,7 @@ class SessionMaps:
 
     def _show(self, found: Examination) -> None:
         self._previous, self.checked = self.checked, found
-        errors = Errors(self._clock(), found.verdict.expected_error, found.error_against_truth)
+        errors = (self._clock(), found.verdict.expected_error, found.error_against_truth)
         self.curve = [*_thinned(self.curve), errors]
         self._choose_dimensions()
         self._announce()

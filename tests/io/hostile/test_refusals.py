@@ -51,33 +51,20 @@ CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
 
 RECORDINGS = [
     ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n7 8\n", "line 5 has 2 fields, but line 3 has 3"),
-    ("x.csv", "1,2,3\n" * 600 + "1,2\n" * 600, "line 601 has 2 fields, but line 1 has 3"),
     ("x.csv", "1,5;2,5\nx,5;3\ny,5;3\n", "line 2, column 1: 'x,5' is not a number"),
-    ("x.csv", "a,b\n1," + "x" * 10_000, "line 2, column 2 (b): '" + "x" * 40 + "...' is not"),
     ("x.csv", "a,b,c\n", "holds only a header"),
-    ("x.csv", "# a comment\n\n", "no line of numbers"),
     ("x.csv", "time\n1\n2\n3\n", "no sensor"),
     ("x.csv", "a,b\n1,2,3\n", "line 2 has 3 fields, but the header names 2"),
-    ("x.csv", "a,b,c\n1,2", "line 2 has 2 fields"),
     ("x.csv", 'a,"b\n' + "1,2\n" * 10, "unbalanced quotation marks"),
     ("x.csv", "a,b\n1,2\n3,4\n# \u00b5\n".encode("latin-1"), "not UTF-8 text (line 4, byte 0xb5)"),
     ("x.csv", "a,b\n1,2\n".encode("utf-16"), "is UTF-16 text"),
     ("x.csv", gzip.compress(b"1,2\n3,4\n" * 9)[:11], "damaged or cut short"),
-    ("x.csv", "0,0,1,3\n" * 10 + "1,0\n" + "2,0,2,0\n" * 10 + "3,0,1\n", "line 11 has 2 fields"),
     ("data.log", log("19 1379926523.2 1.0"), "line 20 has 3 fields, but line 1 has 8"),
     ("data.log", log("19 1379926523.2 1.o 2 3 4 5 6"), "line 20, column 3: '1.o' is not a number"),
-    ("data.log", log("[ok] {}"), "line 20 has 9 fields"),
     ("data.log", "1 1379926523.5 ()\n2 1379926523.6 ()\n", "stamps, but no values"),
-    *(
-        ("data.log", f"1 1.5 {first}\n2 1.6 {first}\n", "is not a number")
-        for first in ("(0.25 0 0.75),1", "(1,2) 3", "0,(1)2")
-    ),
-    ("data.log", "0 1.4e9\n1 1.5e9\n2 1.6e9\n", "data.log"),
     ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
     ("walk.asf", mat(third="x3,4\n"), "the frame at line"),
     ("walk.asf", mat(rows="5"), "2 x 2 cells, but the header says 5 x 2"),
-    ("walk.asf", mat(rows="99999999"), "at most 4194304 are supported"),
-    ("walk.asf", "ROWS 4\nCOLS 3\nFrame 1\n", "has no frame"),
     ("walk.asc", INSOLE, "line 16 has 2 fields, but the header names 5"),
     ("h.json", taxel(), "holds no recording"),
 ]
@@ -104,67 +91,36 @@ def joints(*names: str, parent: str = "a", origin: str = "0 0 0") -> str:
 
 
 TWO_BODIES = "<mujoco><body><site/></body><body name='b'><site/></body></mujoco>"
-ENTITY = "<!DOCTYPE m [<!ENTITY a 'aaaa'>]><mujoco><site name='&a;'/></mujoco>"
 ICUB = "taxel2Repr ( 0 )\n[calibration]\n"
 POINT = "x must be three finite numbers"
 
 MAPS = [
-    ("t.csv", "name,x,y\na,1,2\nb,one,2\n", "line 3, column 2: 'one' is not a number"),
     ("t.csv", "x,y\n1,2\n3,4\n5\n", "line 4 has 1 field, but line 1 has 2"),
-    ("t.csv", "x,y,z\n", "holds only a header"),
-    ("t.csv", "# nothing\n", "no line of positions"),
     ("t.csv", "a,b,c,d\n1,2,3,4\n", "no columns x and y"),
     ("t.csv", MAP_HEADER + "a,1,2,zero,ok\n", "line 2, column 4: 'zero' is not an integer"),
     ("t.csv", MAP_HEADER + "a,1,2,5,ok\n", "components must be numbered"),
-    ("t.csv", MAP_HEADER + "a,1,2,-1,ok\n", "finite position"),
-    ("t.csv", MAP_HEADER + f"a,1,2,{10**30},ok\n", "too large"),
-    ("t.csv", 'name,x,y\n"a,1,2\n', "unbalanced quotation marks"),
     ("m.json", "{}", "without a list of sensors"),
-    ("m.json", '{"sensors": [1]}', "sensor 0: must be an object"),
     ("m.json", '{"sensors": [{"name": "a"}]}', "sensor 0: position is 'None'; it must be list"),
-    ("m.json", sensors({}, {"position": [1]}), "sensor 1: position must have 2 coordinates"),
     ("m.json", sensors({"position": [1, "2"]}), "sensor 0: position must hold numbers or null"),
     ("m.json", sensors({"name": 3}), "sensor 0: name is '3'; it must be str"),
-    ("m.json", sensors({"component": 0.5}), "sensor 0: component is '0.5'"),
     ("m.json", sensors({"component": 10**30}), "too large"),
-    ("m.json", sensors({"position": [10**400, 0]}), "too large"),
     ("m.json", sensors(stress="low"), "stress must be a number"),
-    ("m.json", sensors(notes=3), "notes a list"),
-    ("m.json", sensors(provenance=[1]), "provenance an object"),
     ("m.json", '{\n "sensors": [\n  }\n', "m.json, line 3, column 3: not valid JSON"),
     ("h.json", taxel(x=[0, 1, "2"]), f"taxel 1: {POINT}"),
-    ("h.json", taxel(x=[0, 1, 1e999]), f"taxel 1: {POINT}"),
     ("h.json", taxel(id=-3), "taxel 1: id must be a whole number, got '-3'"),
-    ("h.json", '{"skin": {"taxels": 3}}', "without the taxels of a skin"),
     ("h.json", '{"skin": {"taxels": [{"id": 0, "x": [0, 0, 0]}]}}', "no taxel with an address"),
-    ("h.json", '{"skin": {"taxels": [3]}}', "taxel 0: must be an object"),
-    ("h.json", '{"skin": {"taxels": [}', "line 1, column 22: not valid JSON"),
     ("s.ply", PLY.replace("ascii", "binary_x") + PLY_END, "line 2: the PLY format must be ascii"),
     ("s.ply", PLY + "0 0 0\n1 2 3\n", "line 7: '0 0 0' is not valid in a PLY header"),
-    ("s.ply", PLY + "end_header\n", "announces 2 vertices, but it has 0"),
-    (
-        "s.ply",
-        PLY + "end_header\n0 0 zero\n1 2 3\n",
-        "line 8, column 3 (z): 'zero' is not a number",
-    ),
     ("s.ply", PLY + "end_header\n0 0\n1 2 3\n", "line 8 has 2 numbers, but the header announces 3"),
-    ("s.ply", PLY.replace(" z", " w") + PLY_END, "no vertices with x, y and z"),
-    ("s.ply", PLY.replace("vertex 2", f"vertex {'9' * 20}") + PLY_END, "not valid in a PLY header"),
     ("s.ply", PLY, "ends within its PLY header"),
     ("a.urdf", joints(), "holds no fixed frames"),
     ("a.urdf", joints("b", origin="1 2"), "xyz of 'b' must be 3 finite numbers, got '1 2'"),
     ("a.urdf", joints("b", "c"), "one parent link, got 'a' and 'b'"),
-    ("a.urdf", joints("b", "b"), "is the child of two fixed joints"),
     ("a.urdf", "<robot><link", "damaged or cut short"),
     ("a.xml", "<mujoco><worldbody/></mujoco>", "holds no sites"),
     ("a.xml", TWO_BODIES, "one body, got two"),
-    ("a.xml", ENTITY, "damaged or cut short"),
-    ("a.txt", ICUB[:16], "lacks the line [calibration]"),
     ("a.txt", ICUB + "0 0 0 0 0 0\n", "holds no taxel"),
-    ("a.txt", ICUB + "1 0 0\n", "line 3 has 3 fields"),
     ("a.txt", ICUB + "1 0 0 0 0 z\n", "line 3, column 6: 'z' is not a number"),
-    ("a.txt", ICUB + "1 0 0 0 0 nan\n", "line 3: '1 0 0 0 0 nan' must hold finite numbers"),
-    ("a.txt", "taxel2Repr\n[calibration]\n1 0 0 0 0 0\n", "in brackets"),
 ]
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anisomap.base.clocks import parse_clock
 from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.io.parsing.lines import Template, as_objects, find_template
@@ -29,7 +30,6 @@ from anisomap.io.parsing.tables import (
     empty_columns,
     find_delimiter,
     is_apart,
-    is_clock,
     is_label,
     is_missing,
     is_number,
@@ -148,7 +148,7 @@ def _find_columns(
     found = list(itertools.islice(records(sample, delimiter), SAMPLE_RECORDS))
     rows = [fields for _, fields in found]
     every = rows if own_delimiter else [fields for _, fields in all_records(sample, delimiter)]
-    clocks = () if own_delimiter else _columns_of(rows, every, is_clock)
+    clocks = () if own_delimiter else _columns_of(rows, every, _is_clock)
     text = () if own_delimiter else _text_columns(every, delimiter, rows, clocks)
     numeric = [[f for i, f in enumerate(r) if i not in (*text, *clocks)] for r in rows[:2]]
     has_header = bool(rows) and (bool(own_delimiter) or _looks_like_header(delimiter, *numeric))
@@ -253,7 +253,7 @@ def _holds_text(
     """
     every = (cell.partition("#")[0] for row in rows[1:] or rows for cell in row)
     cells = [cell for cell in every if not is_missing(cell)]
-    others = [cell for cell in cells if not (is_number(cell, delimiter) or is_clock(cell))]
+    others = [cell for cell in cells if not (is_number(cell, delimiter) or _is_clock(cell))]
     if any(not is_label(cell) and (delimiter is None or not is_list(cell)) for cell in others):
         return True
     alike = [i for i in skipped if len({_DIGITS.sub("0", row[i]) for row in rows[:2]}) == 1]
@@ -327,6 +327,10 @@ def _of_lines(
 def _filled(convert: Callable[[str], str]) -> Callable[[str], str]:
     """Return what converts lines, and leaves those that are skipped."""
     return lambda line: "" if is_apart(line) else convert(line.partition("#")[0])
+
+
+def _is_clock(cell: str) -> bool:
+    return parse_clock(cell) is not None
 
 
 def is_list(cell: str) -> bool:

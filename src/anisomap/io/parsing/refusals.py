@@ -114,6 +114,7 @@ _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
 _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
 _CAN = re.compile(r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*\s*$|\s+\[\d+\](?:\s+[0-9A-F]{2})*\s*$)")
+_DOCUMENT = re.compile(r"\s*+\[\s*+\[")
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
 _MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps
 _COLUMNS_LOOKED_AT = 3
@@ -143,6 +144,8 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
     lines = [line for line in sample if not is_skipped(line)]
     if lines:
         _refuse_events(path, lines[:_ROWS_LOOKED_AT])
+    if len(lines) == 1 and _DOCUMENT.match(lines[0]):
+        raise FileError(f"{path} is a single line of JSON", _IN_PYTHON.format("json.load(file)"))
     numeric = [any(map(str.isdigit, line)) for line in lines]
     cut = [i for i, line in enumerate(lines) if numeric[i] and _LEFT_OUT.search(line)]
     inside = (i for i in range(1, len(lines)) if numeric[i - 1])

@@ -82,11 +82,6 @@ def is_number(cell: str, delimiter: str | None = ",") -> bool:
     return False
 
 
-def is_clock(cell: str) -> bool:
-    """Return whether a cell is a date or a time of the day."""
-    return parse_clock(cell) is not None
-
-
 def is_label(cell: str) -> bool:
     """Return whether a cell is text without a number: ``left``, or a name such as ``S01``."""
     text = cell.strip()

@@ -41,7 +41,6 @@ from anisomap.io.parsing.refusals import refuse_lists, refuse_text, refuse_thous
 from anisomap.io.parsing.source import (
     lines_of,
     quote_if_needed,
-    read_json,
     warn,
 )
 from anisomap.io.parsing.tables import (
@@ -105,9 +104,6 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     table = find_table(path, sample, own)
     n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
     Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
-    if not known and _is_document(sample):
-        yield _stream_document(path)
-        return
     if not known:
         refuse_lists(table, sample)
     refuse_selection(f"{path} (delimited text)", options.select)
@@ -193,33 +189,6 @@ def _say(table: Table, sample: list[str]) -> None:
     if table.separator != ",":
         refuse_thousands(table, sample)
         _warn_of_commas(table.path, sample)
-
-
-def _is_document(sample: Sequence[str]) -> bool:
-    """Return whether a file is a list of lists of JSON in a single line."""
-    lines = [line.strip() for line in sample if line.strip()]
-    return len(lines) == 1 and re.match(r"\[\s*\[", lines[0]) is not None
-
-
-def _stream_document(path: Path) -> Stream:
-    """Create a stream of a list of frames, each a list or a matrix of numbers."""
-    try:
-        values = np.array(read_json(path), dtype=np.float64)
-    except (ValueError, TypeError):
-        raise FileError(f"{path}: the lists of all frames must hold equally many numbers") from None
-    n_frames, *frame = values.shape
-    if not values.size:
-        raise FileError(f"{path} holds no frame")
-    names = grid_names(*frame) if len(frame) == 2 else ()
-    rows = values.reshape(n_frames, -1)
-    return Stream(
-        path,
-        rows.shape[1],
-        iter([Block(to_float32_if_exact(rows), 1.0)]),
-        names=names,
-        source=path.name,
-        metadata={"format": "JSON"},
-    )
 
 
 def write_recording(recording: Recording, path: Path) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from anisomap.base.clocks import clock_of, is_time
 from anisomap.base.columns import MIN_TAXELS, Frames, frames_of
 from anisomap.errors import FileError, import_extra
-from anisomap.files.budget import Budget, bytes_kept
+from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.io.parsing.refusals import FROM_EVENTS
 from anisomap.io.parsing.source import quote, read_head, warn
 from anisomap.io.stream import (
@@ -112,7 +112,8 @@ def _stream_of(
     dataset, names = _frames_first(path, dataset, near)
     n_frames, n_sensors = dataset.shape[0], math.prod(dataset.shape[1:])
     least = bytes_kept(np.dtype(np.float32))
-    Budget(path).check_readings(n_frames, n_sensors, least, "its table of readings")
+    n_bytes = n_sensors * (n_frames * least + SENSOR_BYTES)
+    Budget(path).check(n_bytes, "its table of readings")
     return Stream(
         path,
         n_sensors,
