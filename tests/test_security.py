@@ -60,7 +60,7 @@ def folder(tmp_path):
     ("command", "written"),
     [
         (["info", "skin.csv", "--all"], set()),
-        (["convert", "skin.npz", "m.urdf", "--spacing", "5mm"], {"m.urdf"}),
+        (["convert", "skin.npz", "m.xacro", "--spacing", "5mm"], {"m.xacro"}),
         pytest.param(
             ["map", "skin.npz", "-m", "r-anisomap", "-o", "m.csv", "--report", "r.html"],
             {"m.csv", "r.html"},
