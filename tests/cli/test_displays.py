@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 
 import anisomap
 from anisomap import SensorMap
+from anisomap.base.channels import PADS, TACTILE
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.io.maps.skin_displays import PADS, read_display, write_display
+from anisomap.io.maps.skin_displays import read_display, write_display
 from skins import rubbed
-
-TOUCHED = [pad for pad in range(12) if pad not in (6, 10)]
 
 
 @pytest.mark.filterwarnings("ignore:.*triangles lie on each other")
@@ -26,8 +25,8 @@ def test_what_is_written_is_read_back(data, tmp_path_factory):
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         side = data.draw(st.sampled_from([1, -1]))
         place = data.draw(st.tuples(*2 * [st.floats(-300, 300)]))
-        positions.append(PADS[TOUCHED] * [side, 1] @ turn + place)
-        names += [f"b{n // 16}.t{n % 16}.k{pad}" for pad in TOUCHED]
+        positions.append(PADS[[*TACTILE]] * [side, 1] @ turn + place)
+        names += [f"b{n // 16}.t{n % 16}.k{pad}" for pad in TACTILE]
     layout = SensorMap(np.vstack(positions), names=names, units="mm", frame="torso")
     path = tmp_path_factory.mktemp("display") / "torso.ini"
     anisomap.write(layout, path)
@@ -65,12 +64,12 @@ def test_damaged_displays_are_refused(lines, expected, tmp_path):
     [
         ({"names": [f"left {i}a" for i in range(10)]}, "needs names of its pads"),
         ({"units": "spacings"}, "needs a map of 2 dimensions"),
-        ({"positions": 1.3 * PADS[TOUCHED]}, "not those of a triangle"),
+        ({"positions": 1.3 * PADS[[*TACTILE]]}, "not those of a triangle"),
     ],
 )
 def test_other_maps_are_not_written(change, expected, tmp_path):
-    names = [f"b0.t2.k{pad}" for pad in TOUCHED]
-    layout = SensorMap(PADS[TOUCHED], names=names, units="mm")
+    names = [f"b0.t2.k{pad}" for pad in TACTILE]
+    layout = SensorMap(PADS[[*TACTILE]], names=names, units="mm")
     with pytest.raises(InputError, match=expected):
         write_display(replace(layout, **change), tmp_path / "torso.ini")
 
@@ -95,7 +94,7 @@ def test_a_display_is_checked_against_a_log(run, tmp_path):
     right = read_display(tmp_path / "right.ini")
     readings = rubbed(right.positions / 6.533, 2500, seed=440)
     values = np.zeros((len(readings), 192), int)
-    indices = [12 * k + pad for k in range(6) for pad in TOUCHED]
+    indices = [12 * k + pad for k in range(6) for pad in TACTILE]
     values[:, indices] = np.round(100 * readings / readings.max())
     (tmp_path / "run").mkdir()
     with (tmp_path / "run" / "data.log").open("w") as log:

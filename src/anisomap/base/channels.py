@@ -22,6 +22,18 @@ def trailing_numbers(names: Sequence[str]) -> tuple[int | None, ...]:
 _CHANNEL = re.compile(r"b(\d{1,4})\.t(\d{1,2})\.k(\d{1,2})")
 _TRIANGLES, _PADS = 16, 12  # of a board, of a triangle
 
+PADS = np.array(
+    [
+        (6.533, 0.0), (9.8, -5.66), (3.267, -5.66), (0.0, 0.0), (-3.267, -5.66), (-9.8, -5.66),
+        (-6.51, -3.75), (-6.533, 0.0), (-3.267, 5.66), (0.0, 11.317), (0.0, 7.507), (3.267, 5.66),
+    ]
+)  # fmt: skip
+"""Positions of the pads of a triangle, in the order of their channels, in mm from its middle."""
+
+PADS.setflags(write=False)
+TACTILE = tuple(pad for pad in range(_PADS) if pad not in (6, 10))
+"""Pads of a triangle that are sensors; the others measure temperature."""
+
 
 def channel_name(index: int) -> str:
     """Return the name of a value of an iCub's port: board, triangle and pad (``b0.t3.k11``)."""

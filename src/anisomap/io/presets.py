@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.channels import channel_name
+from anisomap.base.channels import TACTILE, channel_name
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.names import cells_of, numbers_of
 from anisomap.io.parsing.source import warn
@@ -113,7 +113,6 @@ Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
 """Function from a recording to the index and name of each value that is a sensor."""
 
 _BOARD, _TRIANGLE = 192, 12
-_THERMAL = (6, 10)
 _FINGERS = ("index", "middle", "ring", "little", "thumb")
 _PALM, _PALM_PADS = 96, 48
 _NO_PALM_PADS = (11, 23, 35, 43)
@@ -176,7 +175,7 @@ def icub(recording: Recording) -> dict[int, str]:
     return {
         index: channel_name(index)
         for index in range(recording.n_sensors)
-        if present[index // _TRIANGLE] and index % _TRIANGLE not in _THERMAL
+        if present[index // _TRIANGLE] and index % _TRIANGLE in TACTILE
     }
 
 

@@ -21,6 +21,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from anisomap.base.channels import PADS, TACTILE
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.ranges import COUNT
@@ -154,11 +155,7 @@ def _divided(n_sensors: int, groups: int, meaning: str) -> int:
     return n_sensors // groups
 
 
-_TRIANGLES, _THERMAL_PADS = 6, (6, 10)
-# Pads in the order of their channels, in mm, relative to the middle of the triangle. They lie on a
-# triangular lattice with a pitch of 6.533 mm, except for the thermal pads.
-_PADS_X = (6.533, 9.8, 3.267, 0.0, -3.267, -9.8, -6.51, -6.533, -3.267, 0.0, 0.0, 3.267)
-_PADS_Y = (0.0, -5.66, -5.66, 0.0, -5.66, -5.66, -3.75, 0.0, 5.66, 11.317, 7.507, 5.66)
+_TRIANGLES = 6
 _APEX_MM = 18.6  # from the middle of a triangle, with edges of 32.2 mm, to its corner
 _MARGIN_MM = 8.0  # between the outer pads and the edge of the patch; chosen by hand
 _THICKNESS_MM = 5.0  # chosen by hand
@@ -171,13 +168,12 @@ def hexagon(n_sensors: int = 60) -> Body:
     With 60 sensors, the two pads of each triangle that measure temperature are none; with 72, all
     twelve are, as the paper counts.
     """
-    pads, allowed = range(len(_PADS_X)), [60, 72]
-    if n_sensors not in allowed:
+    sensing = {60: [*TACTILE], 72: [*range(len(PADS))]}.get(n_sensors)
+    if sensing is None:
         raise InputError(f"n_sensors of the hexagonal patch must be 60 or 72, got {n_sensors}")
-    sensing = [pad for pad in pads if n_sensors == allowed[1] or pad not in _THERMAL_PADS]
     names = [f"t{i}p{pad}" for i in range(_TRIANGLES) for pad in sensing]
     # Each triangle has a corner in the middle of the patch.
-    triangle = np.column_stack([_PADS_X, _PADS_Y]) - [0, _APEX_MM]
+    triangle = PADS - [0, _APEX_MM]
     angles = np.arange(_TRIANGLES) * np.pi / 3
     turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
     places = _MM * np.vstack([(triangle @ turn.T)[sensing] for turn in turns])

@@ -2,7 +2,6 @@
 
 A line ``triangle_10pad NUMBER x y degrees gain mirror`` places a triangle, in millimetres. Where
 the mirror is 1, the display shows a patch from behind: pads are reflected before they are turned.
-Pads 6 and 10 of a triangle measure temperature.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.base import METRES
-from anisomap.base.channels import channel_name, channels_of
+from anisomap.base.channels import PADS, TACTILE, channel_name, channels_of
 from anisomap.base.wording import counted, join_items
 from anisomap.errors import FileError, InputError
 from anisomap.io.maps.edits import LineEdit, changed_sensors, lines_of, replaced
@@ -28,7 +27,6 @@ from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
 
 _TRIANGLE = "triangle_10pad"
 _PADS = 12  # numbers per triangle
-_THERMAL = (6, 10)
 _COLUMNS = {2: "x", 3: "y", 4: "degrees"}
 _CENTRE = 3  # pad in the middle of a triangle
 _LEAST = 14.0  # mm between the centres of triangles; those side by side have 18
@@ -39,14 +37,6 @@ _MAX_TRIANGLE = 10_000
 _MAX_MISFIT = 0.5  # mm; root mean square distance of the pads of a triangle
 _GAIN = 4  # of displays in use
 _MARGIN = 50  # of the picture, mm
-
-PADS = np.array(
-    [
-        (6.533, 0.0), (9.8, -5.66), (3.267, -5.66), (0.0, 0.0), (-3.267, -5.66), (-9.8, -5.66),
-        (-6.51, -3.75), (-6.533, 0.0), (-3.267, 5.66), (0.0, 11.317), (0.0, 7.507), (3.267, 5.66),
-    ]
-)  # fmt: skip
-"""Positions of the pads of a triangle, in millimetres."""
 
 
 def is_display(path: Path, head: bytes) -> bool:
@@ -77,9 +67,8 @@ def read_display(path: Path) -> SensorMap:
     if not placed:
         raise FileError(f"{path} has no line {_TRIANGLE} below [SENSORS]")
     _warn_of_overlaps(path, {triangle: pads[_CENTRE] for triangle, pads in placed.items()})
-    kept = [pad for pad in range(_PADS) if pad not in _THERMAL]
-    indices = [_PADS * triangle + pad for triangle in sorted(placed) for pad in kept]
-    positions = np.concatenate([placed[triangle][kept] for triangle in sorted(placed)])
+    indices = [_PADS * triangle + pad for triangle in sorted(placed) for pad in TACTILE]
+    positions = np.concatenate([placed[triangle][[*TACTILE]] for triangle in sorted(placed)])
     names = tuple(map(channel_name, indices))
     return SensorMap(positions, names=names, units="mm", frame=part or DEFAULT_FRAME)
 

@@ -41,73 +41,43 @@ class _Foreign(NamedTuple):
     what: str
     remedy: str
     suffixes: tuple[str, ...]
-    start: re.Pattern[bytes] | None = None
+    start: bytes = b"(?!)"
 
 
 _IN_PYTHON = "in Python it is anisomap.Recording({}), which anisomap.write saves as .npz"
+# fmt: off
 _FOREIGN = (
-    _Foreign(
-        "Parquet",
-        _IN_PYTHON.format("pandas.read_parquet(path)"),
-        (".parquet",),
-        re.compile(rb"PAR1"),
-    ),
-    _Foreign(
-        "Arrow",
-        _IN_PYTHON.format("pandas.read_feather(path)"),
-        (".arrow", ".feather"),
-        re.compile(rb"ARROW1"),
-    ),
-    _Foreign(
-        "a recording of electrodes",
-        _IN_PYTHON.format("mne.io.read_raw(path).pick('eeg')"),
-        (".edf", ".bdf", ".fif", ".vhdr"),
-        re.compile(
-            rb"\0\0\0d\0\0\0\x1f|\xffBIOSEMI|Brain ?Vision Data Exchange H|0 {7}[ -~]{160}\d\d\."
-        ),
-    ),
-    _Foreign(
-        "a film",
-        _IN_PYTHON.format(
-            "[numpy.ravel(page.convert('F')) for page in "
-            "PIL.ImageSequence.Iterator(PIL.Image.open(path))]"
-        ),
-        (".gif", ".tif", ".tiff"),
-        re.compile(rb"GIF8[79]a|II\*\0|MM\0\*"),
-    ),
-    _Foreign(
-        "an image, perhaps a frame of a film",
-        _IN_PYTHON.format("[numpy.ravel(PIL.Image.open(path).convert('F')) for path in paths]"),
-        (".png", ".bmp", ".pgm", ".jpg", ".jpeg"),
-    ),
-    _Foreign(
-        "a file of probeinterface",
-        "in Python it is probe = probeinterface.read_probeinterface(path).probes[0] and "
-        "anisomap.SensorMap(probe.contact_positions, names=probe.device_channel_indices, "
-        "units=probe.si_units)",
-        (),
-        re.compile(rb'\s*+\{(?=[\s\S]*"probeinterface")'),
-    ),
-    _Foreign(
-        "a file of electrodes",
-        "from a map in metres, mne.channels.make_dig_montage(dict(zip(sensor_map.names, "
-        "sensor_map.positions))) is a montage of mne",
-        (".elc", ".sfp", ".hpts"),
-    ),
-    _Foreign(
-        "a point cloud (PCD)",
-        "pcl_pcd2ply and pcl_ply2pcd convert it to PLY and back",
-        (".pcd",),
-        re.compile(rb"(?:#[^\n]*+\n)*+VERSION [.\d]++\s++FIELDS "),
-    ),
+    _Foreign("Parquet", _IN_PYTHON.format("pandas.read_parquet(path)"), (".parquet",), b"PAR1"),
+    _Foreign("Arrow", _IN_PYTHON.format("pandas.read_feather(path)"), (".arrow", ".feather"),
+             b"ARROW1"),
+    _Foreign("a recording of electrodes", _IN_PYTHON.format("mne.io.read_raw(path).pick('eeg')"),
+             (".edf", ".bdf", ".fif", ".vhdr"),
+             rb"\0\0\0d\0\0\0\x1f|\xffBIOSEMI|Brain ?Vision Data Exchange H"
+             rb"|0 {7}[ -~]{160}\d\d\."),
+    _Foreign("a film",
+             _IN_PYTHON.format("[numpy.ravel(page.convert('F')) for page in "
+                               "PIL.ImageSequence.Iterator(PIL.Image.open(path))]"),
+             (".gif", ".tif", ".tiff"), rb"GIF8[79]a|II\*\0|MM\0\*"),
+    _Foreign("an image, perhaps a frame of a film",
+             _IN_PYTHON.format("[numpy.ravel(PIL.Image.open(path).convert('F')) "
+                               "for path in paths]"),
+             (".png", ".bmp", ".pgm", ".jpg", ".jpeg")),
+    _Foreign("a file of probeinterface",
+             "in Python it is probe = probeinterface.read_probeinterface(path).probes[0] and "
+             "anisomap.SensorMap(probe.contact_positions, names=probe.device_channel_indices, "
+             "units=probe.si_units)", (), rb'\s*+\{(?=[\s\S]*"probeinterface")'),
+    _Foreign("a file of electrodes",
+             "from a map in metres, mne.channels.make_dig_montage(dict(zip(sensor_map.names, "
+             "sensor_map.positions))) is a montage of mne", (".elc", ".sfp", ".hpts")),
+    _Foreign("a point cloud (PCD)", "pcl_pcd2ply and pcl_ply2pcd convert it to PLY and back",
+             (".pcd",), rb"(?:#[^\n]*+\n)*+VERSION [.\d]++\s++FIELDS "),
     _Foreign("a launch file", "robot_state_publisher publishes a .urdf", (".launch.xml",)),
     _Foreign("a spreadsheet", "save its table as CSV", (".xlsx", ".xlsm", ".xls", ".ods")),
-    _Foreign(
-        "a mesh, onto which anisomap place lays a map",
-        "to read its vertices as positions of sensors, save them as CSV",
-        (".obj", ".off", ".stl", ".glb", ".gltf"),
-    ),
+    _Foreign("a mesh, onto which anisomap place lays a map",
+             "to read its vertices as positions of sensors, save them as CSV",
+             (".obj", ".off", ".stl", ".glb", ".gltf")),
 )
+# fmt: on
 
 _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
@@ -130,7 +100,7 @@ _LINE_WORDS = _SENSOR_WORDS | {
 def refuse_foreign(path: Path, suffix: str, head: bytes = b"") -> None:
     """Raise FileError for a file of a format that another program reads, by suffix or content."""
     for each in _FOREIGN:
-        if suffix in each.suffixes or (each.start and each.start.match(head)):
+        if suffix in each.suffixes or re.match(each.start, head):
             raise FileError(f"{path} is {each.what}", each.remedy)
 
 
