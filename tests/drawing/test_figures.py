@@ -13,7 +13,6 @@ from hypothesis.extra.numpy import arrays
 from anisomap.drawing.figures import KINDS, figure_bytes, map_figure, save_figure
 from anisomap.drawing.figures.maps import MAX_VECTOR_DOTS
 from anisomap.drawing.view import MAX_JOINED, best_view, neighbour_pairs, place_colours, view_axes
-from anisomap.errors import InputError
 from anisomap.evaluation import score
 from anisomap.sensor_map import UNPLACED, SensorMap
 from reports import UNFRIENDLY
@@ -135,21 +134,6 @@ def test_names_are_drawn_literally_on_few_or_coincident_sensors():
         assert figure_bytes(map_figure(SensorMap(places)), "svg")
     assert figure_bytes(map_figure(sensor_map), "pdf")
     assert figure_bytes(map_figure(sensor_map, scored), "svg")
-
-
-def test_titles_and_notes_say_what_is_drawn():
-    sensor_map, scored = compared(30, 3, 3)
-    said = texts(map_figure(sensor_map, scored))
-    assert f"r-anisomap, 30 sensors, Mantel r {scored.mantel.r:.3f}" in said
-    assert f"null, 95%: {scored.mantel.quantiles()[0.95]:.2f}" in said
-    assert f"{scored.rms:.3g} mm" in said
-    with pytest.raises(InputError, match="no sensor of the map has a position"):
-        map_figure(SensorMap(np.full((5, 3), np.nan)))
-    assert "The first three of 6 dimensions" in texts(map_figure(*compared(30, 3, 6)))
-    assert "44850 pairs of sensors, as a density" in texts(map_figure(*compared(300, 2, 2)))
-    figure = map_figure(SensorMap(spread(60, 2), component=np.repeat(np.arange(30), 2)))
-    assert len(figure.axes) < 30
-    assert f"not drawn: {30 - len(figure.axes)}" in texts(figure)
 
 
 def test_many_sensors_are_drawn_without_lines_and_as_pixels():

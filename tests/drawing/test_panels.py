@@ -133,40 +133,6 @@ def test_a_map_panel_shows_the_aligned_map_and_marks_excluded_sensors():
     assert not (panel.pairs == 3).any()
 
 
-def test_a_truth_panel_shows_sensors_without_a_position_apart():
-    on_maps = np.arange(20) != 7
-    panel = maps.truth_panel("", TRUTH, on_maps=on_maps, labels={7: "a", 8: "b"})
-    np.testing.assert_array_equal(panel.unplaced, TRUTH[[7]])
-    np.testing.assert_array_equal(panel.points, TRUTH[on_maps])
-    assert panel.labels == {7: "b"}
-
-
-@pytest.mark.parametrize("k", [2, 3])
-def test_legends_count_the_sensors_of_each_kind(k):
-    for name, expected in (
-        ("placement", ["placed (14)", "anchors (6)"]),
-        ("layout", ["as stated (17)", "swapped, shifted (2)", "dead, doubled (1)"]),
-    ):
-        axes = PANELS[f"plot_{name} in {k}D"][1](None)
-        assert axes.get_legend_handles_labels()[1] == expected
-
-
-@pytest.mark.parametrize(
-    "draw",
-    [
-        lambda: maps.gallery_figure("title", [], 2),
-        lambda: charts.scores_figure("title", [[]]),
-        lambda: charts.curves_figure("title", [], x_label="x"),
-        lambda: charts.counts_figure("title", [], [], "note"),
-        lambda: scenes.bodies_figure("title", [SCENE], []),
-        lambda: fig.series_figure(RECORDING, []),
-    ],
-)
-def test_figures_without_content_are_rejected(draw):
-    with pytest.raises(InputError):
-        draw()
-
-
 def test_the_figure_shows_the_busiest_frame_with_axes_in_units():
     figure = scenes.scene_figure(SCENE)
     space, body, raster = figure.axes[:3]

@@ -130,18 +130,6 @@ def test_balls_stay_inside_the_box_and_outside_the_body_and_each_other():
     assert options.softness / 2 < flight.overlaps.max() < deepest * 2**0.25
 
 
-def test_velocities_follow_the_maxwell_distribution(flight):
-    # A ball that bounces within a frame appears slower; quantiles hardly depend on these.
-    late = np.diff(flight.centres[1000:], axis=0).reshape(-1, 3)
-    speeds = np.abs(late) / DEFAULT.frame_interval
-    half = 0.6745  # quantiles of the absolute value of a normal variable
-    median = np.median(speeds, axis=0)
-    np.testing.assert_allclose(median, half * DEFAULT.speed / np.sqrt(3), rtol=0.2)
-    for share, quantile in ((0.25, 0.3186), (0.9, 1.6449), (0.99, 2.5758)):
-        ratio = np.quantile(speeds, share) / np.median(speeds)
-        assert ratio == pytest.approx(quantile / half, rel=0.15)
-
-
 def test_readings_on_the_sphere_are_isotropic_and_stationary(flight):
     radii = DEFAULT.ball_radius, DEFAULT.detection_radius
     readings, normals = read_balls(BODY.positions, flight.centres, *radii), BODY.normals
@@ -165,19 +153,6 @@ def test_the_frame_interval_does_not_change_the_physics():
         for n_frames, interval in ((6, 0.1), (26, 0.02))
     )
     np.testing.assert_allclose(fine[::5], coarse, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("frame_interval", "timestep", "steps"),
-    [(0.05, 0.001, 50), (0.05, 0.0015, 34), (0.3, 0.1 / 80, 240), (0.0004, 0.001, 1)],
-)
-def test_frames_are_divided_into_equal_steps_no_longer_than_the_timestep(
-    frame_interval, timestep, steps
-):
-    options = BombardmentOptions(frame_interval=frame_interval, timestep=timestep)
-    assert options.steps_per_frame == steps
-    assert options.step * steps == pytest.approx(frame_interval)
-    assert options.step <= timestep * (1 + 1e-9)
 
 
 class DampedOptions(BombardmentOptions):

@@ -48,11 +48,11 @@ def test_readings_of_balls_agree_with_the_closed_form(seed, n_sensors, n_balls):
 
 
 def test_a_default_run_touches_all_sensors_with_sparse_readings():
-    touched = run("rubbing", cylinder(), 1000, 2).readings > 0
+    touched = run("rubbing", cylinder(), 600, 2).readings > 0
     assert touched.any(axis=0).all()
     assert 0.2 < 1 - touched.mean() < 0.98
     assert 0 < (~touched.any(axis=1)).mean() < 0.5  # some frames have no contact
-    assert len(touched) == 1000
+    assert len(touched) == 600
 
 
 @pytest.mark.parametrize("make", [sphere, plane])
@@ -62,18 +62,6 @@ def test_pressing_deeper_never_lowers_a_reading(make):
     for lighter, harder in pairwise(runs):
         assert (harder >= lighter - 1e-6).all()
         assert harder.sum() > lighter.sum()
-
-
-def test_palms_are_rigid_irregular_and_random():
-    pads, other = (run("rubbing", sphere(), 100, seed).props[-1] for seed in (5, 6))
-    radii = np.asarray(pads.scales)
-    assert not np.allclose(radii, other.scales)
-    assert len(np.unique(radii)) == len(radii)
-    apart = np.linalg.norm(pads.centres[:, :, None] - pads.centres[:, None], axis=-1)
-    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=1e-9)
-    assert len(np.unique(apart[0].round(6))) > len(radii)
-    # No pad is deeper than the press depth.
-    assert (radii + 1 - np.linalg.norm(pads.centres, axis=2)).max() < 0.1 + 1e-9
 
 
 @cache
