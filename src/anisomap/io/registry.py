@@ -292,20 +292,7 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
 
 
 def check_no_frames(files: Sequence[Path], runs: Sequence[Recording], options: ReadOptions) -> None:
-    """Refuse many small tables without names, which may be a frame each.
-
-    Parameters
-    ----------
-    files : sequence of pathlib.Path
-    runs : sequence of Recording
-        What they hold.
-    options : ReadOptions
-
-    Raises
-    ------
-    FileError
-        If it is not clear whether the files are frames or runs.
-    """
+    """Refuse files of many small tables without names, which may be a frame or a run each."""
     shapes = {run.readings.shape for run in runs}
     unnamed = all(run.names == default_names(run.n_sensors) for run in runs)
     if len(runs) < _MIN_FRAMES or len(shapes) != 1 or not unnamed or options.grid:
@@ -435,21 +422,7 @@ def _recognise(file: Path) -> Format:
 def files_of(path: str | os.PathLike[str]) -> tuple[Path, ...]:
     """List the recordings in a folder that is no recording by itself, in the order of its numbers.
 
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    tuple of pathlib.Path
-        The path itself if it is a file, or a folder that holds a single recording.
-
-    Raises
-    ------
-    FileError
-        If a folder holds no recording.
-    InputError
-        If it is no path.
+    The path itself is returned if it is a file, or a folder that holds a single recording.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(

@@ -319,27 +319,11 @@ def spread(
     rng: np.random.Generator,
     on: Chosen | None = None,
 ) -> tuple[Points, Points]:
-    """Spread sensors evenly over the surface of solids: a maximal Poisson-disc sample.
+    """Spread sensors evenly over the surface of solids, where a function says so.
 
-    Parameters
-    ----------
-    solids : sequence of Solid
-    n_sensors : int
-    rng : numpy.random.Generator
-    on : callable, optional
-        Function of points (n, 3) that returns whether sensors may be there (n,). Default:
-        everywhere.
-
-    Returns
-    -------
-    points, normals : ndarray of shape (n_sensors, 3)
-        Chosen from random candidates by farthest-point sampling (Gonzalez 1985,
-        doi:10.1016/0304-3975(85)90224-5), so that no two are closer than the covering radius.
-
-    Raises
-    ------
-    InputError
-        If there is no surface, or hardly any, for them.
+    Returns points, normals (n_sensors, 3): a maximal Poisson-disc sample, chosen from random
+    candidates by farthest-point sampling (Gonzalez 1985, doi:10.1016/0304-3975(85)90224-5), so that
+    no two are closer than the covering radius.
     """
     points, normals = sample_surface(solids, _CANDIDATES_PER_SENSOR * n_sensors, rng)
     if on is not None:
