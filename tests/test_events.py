@@ -48,11 +48,9 @@ def test_equal_times_are_a_frame(events: list[tuple[int, int]]) -> None:
     ("arguments", "said"),
     [
         (([0, 1], [0]), "lists of equal length"),
-        (([], []), "lists of equal length"),
         (([0.5], [0.5]), "names or indices"),
         (([0, np.inf], [0, 1]), "time of event 1 is not finite"),
         (([0, 1], [0, -1], None, "ab"), "no sensor -1 among the 2 names"),
-        (([0, 1], ["a", "c"], None, "ab"), "no sensor 'c' among the 2 names"),
         (([0, 1], [0, 1], 0), "bin_width must be a positive number"),
         (([0, 1e12], [0, 1], 1), "2 events from 0 to 1e.12 s would fill 1e.12 bins"),
     ],
@@ -64,13 +62,9 @@ def test_events_that_make_no_recording(arguments: tuple, said: str) -> None:
 
 TEXTS = {
     "list": 'time,taxels\n0.5,"3 17"\n0.7,\n0.9,"4 17"\n',
-    "ragged": "time,ids\n0,3,17\n1\n2,17\n",
-    "bare": "0.25 3 17\n0.5\n1.0 17\n1.5 3 4 17\n",
     "brackets": "t;contacts\n0.1;[3, 17]\n0.2;[]\n",
-    "rows": "taxel,time\n0,0.5\n1,0.5\n",
     "spikes": "time_ms,electrode\n10,7\n12,8\n",
     "json lines": '{"time": 0.1, "taxels": [3, 4]}\n{"time": 0.2, "taxels": [3]}\n',
-    "json": '[{"time": 0.1, "taxels": [3, 4]}, {"time": 0.2, "taxels": [3, 5]}]',
 }
 
 
@@ -95,8 +89,6 @@ def test_a_line_for_each_reading_names_the_table_of_pandas(tmp_path: Path) -> No
         "time,sensor\n0.1,0.25\n0.2,0.5\n0.3,0.75\n",
         "time,channel 1,channel 2\n0,1,2\n1,1,3\n",
         "time,id,temperature\n0,1,20\n1,2,21\n",
-        "frame,s0,s1\n0,1,2\n1,1,3\n",
-        "id,x,y\n1,0,0\n2,1,1\n",
     ],
 )
 def test_tables_of_readings_are_not_lists_of_events(text: str, tmp_path: Path) -> None:

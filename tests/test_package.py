@@ -158,12 +158,7 @@ def test_maps_of_many_sensors_need_compiled_loops_and_checks_do_not(tmp_path):
     [
         (None, "'anisomap[report]'"),
         ({"url": "file:///a%20b/skin", "dir_info": {"editable": True}}, "-e '/a b/skin[report]'"),
-        ({"url": "file:///a/skin", "dir_info": {}}, "'/a/skin[report]'"),
         ({"url": "file:///a/anisomap.whl", "archive_info": {}}, "'/a/anisomap.whl[report]'"),
-        (
-            {"url": "https://a.example/skin", "vcs_info": {"vcs": "git", "commit_id": "1"}},
-            "'anisomap[report] @ git+https://a.example/skin'",
-        ),
     ],
 )
 def test_an_extra_is_installed_from_where_the_package_was(source, wanted, tmp_path, monkeypatch):

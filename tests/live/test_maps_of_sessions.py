@@ -50,7 +50,7 @@ def test_the_headline_says_what_to_do_and_repeats_no_verdict(level):
     maps.quick = mapper_of(READINGS[:34]).make()
     place = maps.quick.advice.places[0].in_words(maps.names)
     assert place in maps.guidance[0] or "not touched yet" in maps.guidance[0]
-    maps.quick = replace(maps.quick, advice=Advice(enough=True))
+    maps.quick = replace(maps.quick, advice=Advice())
     assert maps.guidance[0].startswith("Touch the whole skin")
     verdict = Verdict(level, 0.3, reasons=("record longer",))
     maps.checked = Examination(None, (), None, verdict, np.nan, 80, 1.0, final=False)
@@ -152,9 +152,7 @@ def test_the_coach_names_what_was_not_touched_and_says_when_it_is_enough():
     untouched = np.flatnonzero(readings.max(axis=0) == 0)
     made = mapper_of(readings, names=SKIN.names).make()
     assert set(made.advice.untouched) == set(untouched) >= set(half)
-    assert not made.advice.enough
-    enough = mapper_of(READINGS).make().advice
-    assert enough.enough
+    assert mapper_of(READINGS).make().advice == Advice()
 
 
 def test_dropped_sensors_are_no_advice():
@@ -163,7 +161,7 @@ def test_dropped_sensors_are_no_advice():
     mapper = mapper_of(readings)
     assert mapper.make().advice.untouched == tuple(range(8))
     mapper.drop = {*range(8)}
-    assert mapper.make().advice.enough
+    assert mapper.make().advice == Advice()
 
 
 def test_a_dead_sensor_does_not_keep_a_session_from_its_end():
@@ -172,7 +170,7 @@ def test_a_dead_sensor_does_not_keep_a_session_from_its_end():
     assert 38 in mapper_of(readings[:34]).make().advice.untouched
     maps = SessionMaps(ExaminationOptions(), print, print, lambda: 0.0)
     maps.quick = mapper_of(readings).make()
-    assert (maps.quick.advice.dead, maps.quick.advice.enough) == ((38,), True)
+    assert maps.quick.advice == Advice(dead=(38,))
     verdict = Verdict("usable", 0.3)
     maps.checked = Examination(None, (), None, verdict, np.nan, 80, 1.0, final=False)
     told, good = maps.guidance

@@ -14,7 +14,7 @@ import pytest
 import anisomap
 from anisomap.errors import InputError, MissingExtraError
 from anisomap.live.batches import Batch, Names, Notice
-from anisomap.live.sources import BOUT_FRAMES, SOURCES, SimulatedHand, open_source
+from anisomap.live.sources import BOUT_FRAMES, SimulatedHand, open_source
 from anisomap.simulation import find_body
 from live_processes import LONGEST_S
 
@@ -202,8 +202,3 @@ def test_a_missing_library_is_named_with_its_command(address, library, extra, mo
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(MissingExtraError, match=rf"pip install .*\[{extra}\]"):
         open_source(address)
-
-
-def test_every_kind_of_source_has_an_example_that_names_it():
-    for scheme, entry in SOURCES.items():
-        assert entry.example == "-" or entry.example.startswith(f"{scheme}://")

@@ -2,9 +2,6 @@
 
 import itertools
 import json
-import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -124,27 +121,3 @@ def test_a_line_without_end_takes_no_memory():
     items = [*parser.feed(b"1,2\n3,4\n"), *parser.end()]
     assert readings(items) == [[3, 4]]
     assert sum(isinstance(item, Notice) for item in items) == 1
-
-
-ECHOED = {
-    "0,0.0,12.5,3.0\n0,1.0,11.5,3.25\n": "2-",  # Float32MultiArray: data_offset, data
-    "taxels,3,3,0,0.0,12.5,3.0\ntaxels,3,3,0,1.0,11.5,3.25\n": "5-",  # with a dimension
-    "17,20000000,skin,0.0,12.5,3.0\n17,40000000,skin,1.0,11.5,3.25\n": "4-",  # a header
-}
-"""Lines of ``ros2 topic echo --csv``, and the fields that hold the readings."""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="cut is of Unix")
-@pytest.mark.parametrize("echoed", ECHOED)
-def test_topics_of_ros_are_cut_to_their_readings(echoed):
-    cut = subprocess.run(
-        [shutil.which("cut"), "-d,", f"-f{ECHOED[echoed]}"],
-        input=echoed.encode(),
-        stdout=subprocess.PIPE,
-        check=True,
-    )
-    assert readings(parsed(cut.stdout)) == [[0, 12.5, 3], [1, 11.5, 3.25]]
-
-
-def test_ports_of_yarp_are_read_as_they_are_printed():
-    assert readings(parsed(b"0.0 12.5 3.0\n1.0 11.5 3.25\n")) == [[0, 12.5, 3], [1, 11.5, 3.25]]

@@ -176,14 +176,12 @@ def needed_evidence(
     pairs: ArrayLike,
     together: ArrayLike,
     component: ArrayLike | None = None,
-    *,
-    enough: float = ENOUGH_CONTACTS,
 ) -> NDArray[np.float64]:
     """Compute the share of the evidence on each sensor's place that is lacking. Returns (N,)."""
     number = np.asarray(contacts, dtype=np.float64)
-    own = np.maximum(0, 1 - number / enough)
+    own = np.maximum(0, 1 - number / ENOUGH_CONTACTS)
     both = np.asarray(pairs, dtype=np.intp).reshape(-1, 2)
-    lack = np.maximum(0, 1 - np.asarray(together, dtype=np.float64) / enough)
+    lack = np.maximum(0, 1 - np.asarray(together, dtype=np.float64) / ENOUGH_CONTACTS)
     ends, n_sensors = both.ravel(), len(number)
     total = np.bincount(ends, np.repeat(lack, 2), n_sensors)
     need = np.maximum(own, total / np.maximum(np.bincount(ends, minlength=n_sensors), 1))

@@ -37,18 +37,16 @@ MAX_PLACES = 3
 _MOST_DEAD = 0.1  # of the sensors; of more, a part of the skin was never touched
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Advice:
     """Advice to the person who touches the skin: places that lack contacts, most urgent first.
 
     untouched, dead: Sensors without a contact; those of them around which there were enough.
-    enough: Whether more contacts would gain little.
     """
 
     places: tuple[Place, ...] = ()
     untouched: tuple[int, ...] = ()
     dead: tuple[int, ...] = ()
-    enough: bool = False
 
     @property
     def next_sensors(self) -> tuple[int, ...]:
@@ -85,8 +83,7 @@ def advise(
     # Sensors without a contact have no place: few of them, when all others had enough, are dead.
     few = len(untouched) <= max(1, _MOST_DEAD * wanted.sum())
     dead, untouched = ((), untouched) if places or not few else (untouched, ())
-    enough = wanted.any() and not (places or untouched)
-    return Advice(places, untouched, dead, bool(enough))
+    return Advice(places, untouched, dead)
 
 
 QUICK_METHOD = "r-anisomap"

@@ -211,8 +211,6 @@ class Taxels:
     indices: Indices of the sensors in the map.
     positions (n, 3): In metres.
     normals (n, 3): Outward unit normals: those of the map, or estimated from the positions.
-    errors (n,): Distance within which a sensor is with a probability of 90 %, in metres; NaN if
-        unknown.
     """
 
     frame: str
@@ -220,7 +218,6 @@ class Taxels:
     indices: NDArray[np.intp]
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
-    errors: NDArray[np.float64]
 
     @property
     def rotations(self) -> Rotation:
@@ -262,5 +259,4 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
         indices=indices,
         positions=positions,
         normals=surface_normals(sensor_map)[indices],
-        errors=sensor_map.errors[indices] * METRES[sensor_map.units],
     )

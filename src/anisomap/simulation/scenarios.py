@@ -22,7 +22,7 @@ from anisomap.simulation.bodies import BODIES
 from anisomap.simulation.body import Body
 from anisomap.simulation.bombardment import BombardmentOptions, bombardment
 from anisomap.simulation.kinematic import RubbingOptions, rubbing
-from anisomap.simulation.locomotion import LocomotionOptions, can_roll, locomotion
+from anisomap.simulation.locomotion import LocomotionOptions, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, Scene, no_progress, options_for
 from anisomap.simulation.physics import load_mujoco
 from anisomap.usability import CONTACTS
@@ -38,14 +38,12 @@ class Scenario:
     options: Subclass of `ScenarioOptions`.
     function: Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
         `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`. Its docstring begins with
-        "Simulate" and says what stimulates the body.
-    accepts: Predicate of a body. `function` raises InputError for bodies that are not accepted.
+        "Simulate" and says what stimulates the body. It refuses bodies that it cannot move.
     """
 
     options: type[Any]
     function: Callable[..., ScenarioResult]
     uses_mujoco: bool = False
-    accepts: Callable[[Body], bool] = lambda _: True
 
     @property
     def summary(self) -> str:
@@ -68,7 +66,7 @@ class Simulation:
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {
         "bombardment": Scenario(BombardmentOptions, bombardment, uses_mujoco=True),
-        "locomotion": Scenario(LocomotionOptions, locomotion, uses_mujoco=True, accepts=can_roll),
+        "locomotion": Scenario(LocomotionOptions, locomotion, uses_mujoco=True),
         "rubbing": Scenario(RubbingOptions, rubbing),
     }
 )
