@@ -62,4 +62,4 @@ size: $(READY)  ## count lines, functions and modules, and those that a map pass
 	@$(BIN)/python -m benchmarks.size -o docs/development/size-table.md
 
 clean:  ## remove the output of all targets
-	rm -rf .venv .venv-lowest-versions demo bench fuzz quality noise faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov
+	rm -rf .venv demo bench fuzz quality noise faults trust dimension paper-out docs/_build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage htmlcov

@@ -23,7 +23,7 @@ os.environ.update(
             "VECLIB_MAXIMUM_THREADS",
             "NUMBA_NUM_THREADS",
         ),
-        os.environ.get("ANISOMAP_TEST_THREADS", "1"),  # more in tests/profiles.py alone
+        os.environ.get("ANISOMAP_TEST_THREADS", "1"),  # more in the workflow arithmetic alone
     )
 )
 
