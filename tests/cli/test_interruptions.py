@@ -316,7 +316,7 @@ def read_while_it_changes(path, done):
 
 
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
-@pytest.mark.parametrize("name", ["skin.csv", "skin.npy", "skin.h5"])
+@pytest.mark.parametrize("name", ["skin.csv", "skin.npy"])
 def test_a_file_that_changes_while_it_is_read(tmp_path, monkeypatch, name):
     monkeypatch.setattr(example_files, "N_FRAMES", 10_000)  # readings that no buffer holds
     _, write = example_files.RECORDINGS[name]

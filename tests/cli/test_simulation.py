@@ -37,7 +37,7 @@ def test_text_of_a_simulation_is_mapped_and_scored_by_itself(run):
     np.testing.assert_array_equal(text.positions, binary.positions)
     np.testing.assert_array_equal(text.normals, binary.normals)
     assert (text.names, text.units) == (binary.names, binary.units)
-    run("map run.txt -d 2 -o map.csv")
+    run("map run.txt -d 2 -m r-anisomap --no-verdict -o map.csv")
     by_text, by_binary = (run(f"score map.csv {file}").out for file in ("run.txt", "run.npz"))
     assert by_text.splitlines()[1:] == by_binary.splitlines()[1:]
     run("repair run.txt -o mended.txt")

@@ -1,8 +1,5 @@
 """Figures of maps: their content, their agreement with the map, and their reproducibility."""
 
-import subprocess
-import sys
-
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -154,19 +151,6 @@ def test_the_same_map_gives_the_same_bytes_whatever_the_settings(kind, tmp_path)
     with mpl.rc_context({"font.size": 30, "axes.facecolor": "red", "svg.hashsalt": "other"}):
         save_figure(map_figure(*compared(8, 3, 3)), tmp_path / f"map.{kind.upper()}")
     assert (tmp_path / f"map.{kind.upper()}").read_bytes() == first
-
-
-def test_matplotlib_is_imported_when_something_is_drawn():
-    code = """
-import sys, numpy
-from anisomap.drawing.figures import charts, map_figure, maps, scenes
-from anisomap.sensor_map import SensorMap
-assert "matplotlib" not in sys.modules
-map_figure(SensorMap(numpy.eye(3)))
-assert "matplotlib" in sys.modules
-assert "matplotlib.pyplot" not in sys.modules
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 coordinates = st.floats(-1e3, 1e3).map(lambda value: round(value, 3))

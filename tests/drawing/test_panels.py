@@ -96,7 +96,7 @@ def test_a_panel_is_drawn_into_the_given_axes_or_a_figure_of_its_own(name):
         plot(axes_of(5 - dimensions))
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", ["series", "layout", "counts", "scene"])
 def test_the_same_figure_gives_the_same_bytes_whatever_the_names(name):
     first, again = (fig.figure_bytes(FIGURES[name](), "svg") for _ in range(2))
     assert first == again

@@ -150,18 +150,6 @@ def test_a_flood_loses_nothing(session, tmp_path):
     assert "Traceback" not in said
 
 
-def test_a_short_session_says_what_happened(session, tmp_path):
-    short = tmp_path / "short.txt"
-    short.write_bytes(text(["xx", *(f"{i},{i * i}" for i in range(9))]))
-    with short.open("rb") as lines:
-        live = session("-", *FILE, stdin=lines)
-        code, said = live.join()
-    assert code == 0, said
-    (*_, last) = iter(live.events.get, None)
-    assert last["frames"] == live.result["frames"] == 9
-    assert "skipped 1 line from 'xx' on" in last["notices"]
-
-
 @pytest.mark.slow
 def test_a_session_ends_when_the_map_is_usable(session, server, tmp_path):
     skin = flat_skin(n_frames=6000)
@@ -180,7 +168,9 @@ def test_a_session_ends_when_the_map_is_usable(session, server, tmp_path):
     assert live.result["error_against_truth"] < 0.5
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_signal_is_the_ordinary_end(session, server, tmp_path, number):
     live = session(address(server), "--no-browser", "--port", "0", "--recording", "r.csv")
     with accepted(server) as peer:

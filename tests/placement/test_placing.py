@@ -380,7 +380,10 @@ def test_a_mesh_that_does_not_fit_is_refused():
 
 @pytest.mark.parametrize(
     "found",
-    [find_body("hand"), covered("tube", [solids.cylinder(0.5, 1.0)], 100)],
+    [
+        pytest.param(find_body("hand"), marks=pytest.mark.slow),
+        covered("tube", [solids.cylinder(0.5, 1.0)], 100),
+    ],
     ids=lambda body: body.name,
 )
 def test_a_mesh_straightens_a_map_that_is_bent_smoothly(found):
