@@ -167,11 +167,6 @@ def test_dissimilarities_as_points_raise_a_warning():
     Anisomap().fit(distances[:, :5])
 
 
-def test_there_is_at_least_one_start():
-    with pytest.raises(InputError, match="n_init must be at least 1"):
-        Anisomap(n_init=0).fit(np.eye(3))
-
-
 def test_the_best_of_several_starts_is_kept_and_repeats_with_the_seed():
     line = np.arange(12.0)[:, None]
     wrong = 1e-3 * np.random.default_rng(1).permutation(line)

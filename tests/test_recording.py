@@ -245,13 +245,6 @@ def test_sensors_are_assessed_in_the_run_with_most_contacts():
     assert health[5].status == "ok"
 
 
-def test_columns_of_a_data_frame_name_the_sensors():
-    frame = pd.DataFrame([[0.0, 1], [2, 3]], columns=["left", "right"])
-    assert Recording(frame).names == join_runs(frame).names == ("left", "right")
-    assert Recording(frame, names=("a", "b")).names == ("a", "b")
-    assert Recording(frame).select([1]).names == ("right",)
-
-
 @pytest.mark.parametrize("value", [1e300, -1.7e308, 1e31])
 def test_readings_out_of_range_are_missing(value):
     readings = np.random.default_rng(0).random((9, 3))

@@ -48,13 +48,6 @@ def test_a_sampled_recording_is_mapped_and_judged(parts):
     assert anisomap.score(judged, SKIN.positions, permutations=0).mantel.r > 0.98
 
 
-def test_within_the_limit_all_frames_are_read(parts):
-    runs = route.read_runs(parts, HOW, max_readings=SKIN.readings.size)
-    assert sum(run.n_frames for run in runs) == 4000
-    made, _ = route.make_map(route.examine(route.complete(runs, "error")), "r-anisomap", 2)
-    assert "frames_sampled_every" not in made.provenance
-
-
 def test_samples_of_several_recordings_are_numbered_by_a_preset(tmp_path):
     """Of an iCub's port with an absent triangle and gaps."""
     whole = np.zeros((2400, 48), dtype=np.float32)

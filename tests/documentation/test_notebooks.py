@@ -23,26 +23,6 @@ def test_no_outputs_are_stored(path):
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
 
 
-def test_printed_text_and_last_value_of_a_cell_are_its_output(tmp_path):
-    text = json.dumps(
-        {
-            "cells": [
-                {"cell_type": "markdown", "source": ["# Title"]},
-                {"cell_type": "code", "source": ["n = 2\n", "print(n)"]},
-                {"cell_type": "code", "source": ["n + 1"]},
-                {"cell_type": "code", "source": ["m = n"]},
-            ]
-        }
-    )
-    outputs = [output for _, output in run(read_notebook(text), tmp_path)]
-    assert [(output.printed, output.value) for output in outputs] == [
-        ("", None),
-        ("2\n", None),
-        ("", 3),
-        ("", None),
-    ]
-
-
 def test_an_error_in_a_cell_is_raised(tmp_path):
     text = json.dumps({"cells": [{"cell_type": "code", "source": ["1 / 0"]}]})
     with pytest.raises(ZeroDivisionError):

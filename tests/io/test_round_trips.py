@@ -202,14 +202,6 @@ def test_point_clouds_have_three_dimensions(tmp_path: Path) -> None:
         io.write(SensorMap(np.eye(4)), tmp_path / "x.ply")
 
 
-def test_provenance_accepts_numpy_scalars(tmp_path: Path) -> None:
-    provenance = {"seed": np.int64(3), "mu": np.float64(0.1), "on": np.bool_(True)}
-    for suffix in (".csv", ".json", ".npz"):
-        io.write(SensorMap(np.eye(2), provenance=provenance), tmp_path / f"map{suffix}")
-        found = io.read_map(tmp_path / f"map{suffix}").provenance
-        assert dict(found) == {"seed": 3, "mu": 0.1, "on": True}
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".json", ".npz"])
 @pytest.mark.parametrize("field", ["distorted", "mirrored", "handed", "anchored", "frame"])
 def test_provenance_may_use_the_names_of_fields(tmp_path: Path, suffix: str, field: str) -> None:

@@ -71,16 +71,6 @@ def test_needed_experiments_run_first_and_all_run_once_for_each_seed(tmp_path):
         assert compute(tmp_path, settings, only=["second"]) == set()
 
 
-def test_progress_is_reported_up_to_the_end(tmp_path):
-    for state in ("computed", "cached"):
-        calls = []
-        compute(
-            tmp_path, report=lambda status, fraction, calls=calls: calls.append((status, fraction))
-        )
-        assert {status.state for status, _ in calls} == {state}
-        assert [fraction for _, fraction in calls] == pytest.approx([1 / 3, 2 / 3, 1])
-
-
 @pytest.mark.parametrize("name", ["text.txt", results.RECORD])
 @pytest.mark.parametrize("damage", ["truncated", "removed", "changed"])
 def test_damaged_results_are_computed_again(tmp_path, name, damage):
@@ -167,11 +157,6 @@ def test_documents_are_updated_from_results(tmp_path):
     page.write_text("<!-- numbers: number: worth -->\n<!-- end of numbers -->")
     with pytest.raises(FileError, match="no column 'worth'"):
         numbers.main(arguments)
-    old = "<!-- numbers: old -->\n<!-- end of numbers -->"
-    (tmp_path / "tables" / "old.csv").write_text("kept\n2\n")
-    page.write_text(old)
-    numbers.main(arguments)
-    assert "| kept |\n| --- |\n| 2 |\n" in page.read_text()
     page.write_text("<!-- numbers: absent -->\n<!-- end of numbers -->")
     with pytest.raises(FileError, match="run anisomap paper first"):
         numbers.main(arguments)
