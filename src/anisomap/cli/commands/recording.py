@@ -126,9 +126,10 @@ class VerdictOptions:
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
     contacts
-        What is known of all contacts: compact (of a fingertip, a palm, a ball) or elongated (of an
-        edge, a roller). Only a map of unevenly spaced sensors depends on it; without it, that is
-        usable for neighbours at best. Default: what the file states, as files of simulate do.
+        Shape of all contacts, if it is known: compact or elongated. Those of a fingertip, a palm or
+        a ball are compact, those of an edge or a roller elongated. Only a map of unevenly spaced
+        sensors depends on it; without it, that is usable for neighbours at best. Default: what the
+        file states, as files of simulate do.
     min_quality
         Exit with code 1 if the verdict is worse than this, or "cannot tell". All files are written.
     seed
