@@ -198,6 +198,7 @@ def test_a_sensor_that_was_not_touched_yet_is_not_told_as_faulty():
         health("fine", "ok", 40),
     ]
     assert [sensor.name for sensor in confirmed_faults(sensors)] == ["stuck", "noisy"]
+    assert confirmed_faults(sensors[:1], ["untouched"]) == (sensors[0],)
 
 
 @pytest.mark.parametrize("value", [1e308, -1.7e308, 1e39, np.inf])

@@ -79,7 +79,7 @@ def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, server, tm
             peer.sendall(text(LINES[begin : begin + 50]))
         found = live.wait_for(lambda event: event["frames"] == 600)
     for told in (
-        "holds no frame",
+        "hold no frame",
         "taxel 0 sent no number",
         "lost the connection",
     ):

@@ -50,17 +50,19 @@ class Advice:
 
     @property
     def next_sensors(self) -> tuple[int, ...]:
-        """Sensors to touch next, for a simulated hand; none for anywhere."""
+        """Sensors to touch next, for a simulated hand; none if more contacts would gain little."""
         return self.untouched or (self.places[0].sensors if self.places else ())
 
 
-def confirmed_faults(health: Iterable[SensorHealth]) -> tuple[SensorHealth, ...]:
-    """Return the sensors that are faulty, without those that were hardly touched so far."""
+def confirmed_faults(
+    health: Iterable[SensorHealth], dead: Collection[str] = ()
+) -> tuple[SensorHealth, ...]:
+    """Return the sensors that are dead or faulty, but for those that were hardly touched so far."""
     return tuple(
-        sensor
-        for sensor in health
-        if is_faulty(sensor.status)
-        and (sensor.status == "stuck" or sensor.contacts >= ENOUGH_CONTACTS)
+        one
+        for one in health
+        if one.name in dead
+        or (is_faulty(one.status) and (one.status == "stuck" or one.contacts >= ENOUGH_CONTACTS))
     )
 
 

@@ -113,7 +113,9 @@ class SessionMaps:
         """The sensors that are faulty; those that were hardly touched so far are left out."""
         if self.checked is None:
             return ()
-        return confirmed_faults(one for one in self.checked.health if one.name not in self.dropped)
+        dead = () if self.quick is None else self.quick.advice.dead
+        kept = (one for one in self.checked.health if one.name not in self.dropped)
+        return confirmed_faults(kept, [self.names[i] for i in dead])
 
     @property
     def dropped(self) -> tuple[str, ...]:
@@ -143,7 +145,7 @@ class SessionMaps:
         told = f"{dead} never responded: dead? " if dead else ""
         if not self.is_good:
             return f"{told}Touch the whole skin again, each place in other directions", False
-        return f"{told}Good: {self.error_told}. Keep going, or end the session", True
+        return f"{told}Good: {self.error_told}. End the session, or go on", True
 
     @property
     def made(self) -> SensorMap:
@@ -464,10 +466,12 @@ class LiveSession:
         return shlex.join(words)
 
     def notify(self, text: str) -> None:
-        """Add a sentence for the user; of one kind, only one in some seconds."""
+        """Add a sentence for the user; of those of one kind in some seconds, the last stays."""
         text, now = printable(text), self.seconds
         kind = text[:_KIND]
         if now - self._told.get(kind, -_NOTICE_EVERY_S) < _NOTICE_EVERY_S:
+            if self.notices and self.notices[-1].text.startswith(kind):
+                self.notices[-1] = self.notices[-1]._replace(text=text)
             return
         if len(self._told) > _MAX_NOTICES:
             self._told.clear()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import parse_clock
-from anisomap.base.wording import counted
+from anisomap.base.wording import counted, join_items
 from anisomap.errors import FileError
 from anisomap.io.parsing.lines import Template, as_objects, find_template
 from anisomap.io.parsing.source import quote
@@ -309,8 +309,11 @@ def _of_lines(
     n_headers: int = 0,
 ) -> Table:
     """Return the layout of the lines from `start` on, of those that are not skipped."""
-    number, n_skipped = filled[start][0], start - n_headers
-    first = quote(filled[0][1].strip())
+    number, above = (
+        filled[start][0],
+        [quote(line.strip()) for _, line in filled[: start - n_headers]],
+    )
+    first = join_items(above, 1)
     return Table(
         path,
         None,
@@ -320,7 +323,7 @@ def _of_lines(
         names,
         _filled(convert),
         numeric=",",
-        skipped=f"{counted(n_skipped, 'line')} from {first} on" if n_skipped else "",
+        skipped=f"{counted(len(above), 'line')} at the start: {first}" if above else "",
     )
 
 

@@ -105,11 +105,11 @@ _DIGITS = 3  # of seconds and errors
 
 def readings_snapshot(session: LiveSession) -> dict[str, Any]:
     """Return what changes with every frame: counts, and the readings from 0 to 255."""
-    levels = np.round(255 * session.levels)
+    is_open = session.state == "running"  # nothing is known of readings that do not come
     return {
         "frames": session.recorder.n_frames,
         "seconds": round(session.seconds, _DIGITS),
-        "levels": _encoded(levels, "u1"),
+        "levels": _encoded(np.round(255 * session.levels[: None if is_open else 0]), "u1"),
     }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import continued
-from anisomap.base.wording import counted
+from anisomap.base.wording import counted, join_items
 from anisomap.errors import InputError
 from anisomap.io.parsing.detection import find_table
 from anisomap.io.parsing.source import quote
@@ -116,6 +116,7 @@ class _Layout:
             non_sensors = (*roles.non_sensors, self._matrix.column)
             roles = replace(roles, non_sensors=non_sensors)
         self._roles, self.n_left, self._before = roles, left.n_left, -math.inf
+        self._n_ignored = 0
         kept = tuple(name for i, name in enumerate(names) if i not in roles.non_sensors)
         self._names = kept if all(kept) and not self._matrix else ()
         if table.n_columns - len(roles.non_sensors) < MIN_SENSORS:
@@ -125,7 +126,8 @@ class _Layout:
         """Say what is skipped above the first frame, and parse the rest."""
         n_skipped = len(lines) - len(self._body) - bool(self._names)
         if n_skipped > 0:
-            yield Notice(f"skipped {counted(n_skipped, 'line')} from {quote(lines[0].strip())} on")
+            first = join_items([quote(line.strip()) for line in lines[:n_skipped]], 1)
+            yield Notice(f"skipped {counted(n_skipped, 'line')} at the start: {first}")
         if self._names:
             yield Names(self._names)
         yield from self.read(self._body)
@@ -141,8 +143,9 @@ class _Layout:
         except LineError as error:
             left.first = left.first or error
         if left.first is not None:
+            self._n_ignored += max(left.n_left, 1)
             shown = quote(fresh[left.first.line].strip())
-            yield Notice(f"ignored a line that holds no frame of numbers: {shown}")
+            yield Notice(f"ignored lines that hold no frame: {self._n_ignored}, such as {shown}")
 
     def _batch(self, rows: NDArray[np.float64]) -> Iterator[Batch]:
         readings = np.delete(rows, self._roles.non_sensors, axis=1)

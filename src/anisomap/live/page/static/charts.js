@@ -112,13 +112,11 @@ export class Raster {
   }
 
   add(seconds, levels) {
+    this.now = seconds;
+    if (!levels.length) return;
     if (this.columns.length && this.columns[0].levels.length !== levels.length) this.columns = [];
     this.columns.push({ seconds, levels });
     while (this.columns.length && this.columns[0].seconds < seconds - RASTER_SECONDS) this.columns.shift();
-  }
-
-  get now() {
-    return this.columns[this.columns.length - 1].seconds;
   }
 
   // Return the place of a time on a width.

@@ -120,7 +120,7 @@ function connect() {
   events.addEventListener("readings", (event) => {
     const { frames, seconds, levels } = JSON.parse(event.data);
     view.levels = decoded(levels, Uint8Array);
-    if (view.levels.length) raster.add(seconds, view.levels);
+    raster.add(seconds, view.levels);
     $("frames").textContent = frames;
     $("seconds").textContent = `${seconds.toFixed(1)} s`;
   });
