@@ -28,7 +28,7 @@ COPIED = {
         for name in ("figure-3", "figure-4", "figure-7", "reach")
     },
 }
-"""What is published of the paper besides the tables of its page."""
+"""What is published of the paper besides the tables of its pages."""
 
 
 def main() -> None:
@@ -44,7 +44,7 @@ def main() -> None:
     tables = str(DOCS / "results")
     for results, documents in {
         "quality": ("README.md", "paper/paper.md", "docs/explanation/accuracy.md"),
-        "paper-out/unseen": ("docs/explanation/paper.md",),
+        "paper-out/unseen": tuple(map(str, sorted((DOCS / "explanation").glob("paper*.md")))),
     }.items():
         numbers.main([results, tables, *documents])
 

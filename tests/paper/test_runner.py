@@ -126,21 +126,20 @@ def test_seeds_are_picked_at_random_and_reproducibly():
 
 
 def test_documents_hold_the_numbers_of_the_tables():
-    paper, *others = (
-        (ROOT / path).read_text(encoding="utf-8")
-        for path in ("docs/explanation/paper.md", "README.md", "paper/paper.md")
-    )
-    for text in (paper, *others):
+    documents = ("README.md", "paper/paper.md", "docs/explanation/accuracy.md")
+    pages = sorted((ROOT / "docs" / "explanation").glob("paper*.md"))
+    texts = [path.read_text(encoding="utf-8") for path in (*map(ROOT.joinpath, documents), *pages)]
+    for text in texts:
         assert numbers.fill(text, ROOT / "docs" / "results") == text, "run benchmarks.publish"
-        assert numbers.tables_in(text)
-    assert all(f"| {claim.text} |" in paper for claim in CLAIMS), "run benchmarks.publish"
+    assert all(any(f"| {claim.text} |" in text for text in texts) for claim in CLAIMS)
+    assert {"claims", "figure-3"} <= {name for text in texts for name in numbers.tables_in(text)}
 
 
 def test_the_page_gives_a_reason_for_each_claim_that_is_not_reproduced():
     with (ROOT / "docs" / "results" / "claims.csv").open(newline="") as file:
         own = [row for row in csv.DictReader(file) if row["scope"] == OWN]
     assert [row["claim"] for row in own] == [claim.text for claim in CLAIMS]
-    page = (ROOT / "docs" / "explanation" / "paper.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "explanation" / "paper-claims.md").read_text(encoding="utf-8")
     reasons = re.findall(r"^- \*\*([\d, ]+)\*\*:", page, re.MULTILINE)
     explained = {int(number) for numbers in reasons for number in numbers.split(",")}
     assert explained == {int(row["number"]) for row in own if row["verdict"] != REPRODUCED}

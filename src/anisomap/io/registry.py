@@ -164,7 +164,7 @@ def read(
     options : ReadOptions, optional
         Information that the file lacks.
     max_readings : float
-        Of a recording of more readings, frames times sensors, only every k-th frame is kept, with k
+        Only every k-th frame of a recording of more readings, frames times sensors, is kept, with k
         the power of 2 that leaves between a half and all of so many. The others never take memory.
     progress : callable, optional
         Called repeatedly with the fraction of the file read so far, from 0 to 1.

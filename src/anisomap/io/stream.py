@@ -276,7 +276,7 @@ def assemble(
 ) -> Recording:
     """Collect a stream into a recording, without copying the readings.
 
-    max_readings: Of a longer recording, every k-th frame is kept, k a power of 2.
+    max_readings: Every k-th frame of a longer recording is kept, k a power of 2.
     """
     sample, clocks = EvenSample(max_readings), dict[str, list[NDArray[np.float64]]]()
     for block in stream.blocks:

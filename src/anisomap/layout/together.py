@@ -68,7 +68,7 @@ def moved_patches(evidence: Evidence, mounting: Mounting) -> list[MovedPatch]:
         moves = _motions(evidence, sensors, shifted=evidence.positions.shape[1] == 2)
         if moves and (gain := evidence.gain(moves[0])) >= MIN_GROUP_GAIN:
             found.append((gain / len(group), group, moves))
-    # Of two groups at a border, the one that gains more for each of its modules is wrong.
+    # The one of two groups at a border that gains more for each of its modules is wrong.
     found.sort(key=lambda one: -one[0])
     found = found[:_N_BEST]
     best = [_on_places(evidence, mounting, group, moves) for _, group, moves in found]

@@ -202,7 +202,7 @@ def choose_dimensions(
 def _is_curve(positions: Reals, line: Reals) -> bool:
     """Whether most near neighbours in 2 dimensions, (n, 2), are next to each other in 1, (n,).
 
-    Of the two nearest sensors, .7 to .95 are on lines, and at most .3 on strips of two rows.
+    Among the two nearest sensors, .7 to .95 are on lines, and at most .3 on strips of two rows.
     """
     rank = np.argsort(np.argsort(line, kind="stable"), kind="stable")
     nearest = np.asarray(KDTree(positions).query(positions, k=3)[1])[:, 1:]

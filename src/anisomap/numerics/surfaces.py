@@ -146,7 +146,7 @@ class TriangleSearch:
     def signed_distance(self, points: Points) -> Points:
         """Compute the signed distance of points from the nearest triangle. points (n, 3) -> (n,).
 
-        Of triangles that share a nearest edge or corner, the one with the largest distance along
+        Among triangles that share a nearest edge or corner, the one with the largest distance along
         its normal determines the sign.
         """
         found = np.empty(len(points))

@@ -637,7 +637,7 @@ def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
             cases += of_scope
             measured += [(row[0], row[2], *row[3:6], row[7]) for row in _picked(of_scope)]
     yield Table("claims", "Verdict on each claim.", COLUMNS, rows)
-    caption = f"Measured values; of more than {_MAX_LISTED} cases, the lowest and the highest."
+    caption = f"Measured values; the lowest and highest where there are over {_MAX_LISTED} cases."
     yield Table("claims-measured", caption, MEASURED_COLUMNS, measured, shown=False)
     yield Table("claims-cases", "All cases of all claims.", CASE_COLUMNS, cases, shown=False)
 

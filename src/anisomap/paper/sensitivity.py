@@ -160,7 +160,7 @@ def settings_map(settings: Settings, tables: Tables) -> Iterator[Picture | Table
     """Draw which statements hold at which settings."""
     seeds = settings.few_seeds
     caption = (
-        f"Cases of each claim that hold, of those that can be judged (seeds {seeds[0]} to "
+        f"Cases of each claim that hold, among those that can be judged (seeds {seeds[0]} to "
         f"{seeds[-1]}). Frames: all cases hold. (x): settings that contradict the paper."
     )
     counts = joined(tables, tables, "settings", caption)

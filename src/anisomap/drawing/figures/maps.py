@@ -91,7 +91,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     Parameters
     ----------
     sensor_map : SensorMap
-        Of more than three dimensions, the first three are drawn.
+        If there are more than three dimensions, the first three are drawn.
     score : Score, optional
         Score of this map against the truth.
 
@@ -146,7 +146,7 @@ def plot(
     Parameters
     ----------
     sensor_map : SensorMap
-        Of more than three dimensions, the first three are drawn.
+        If there are more than three dimensions, the first three are drawn.
     truth : SensorMap, Recording, Score or array_like of shape (N, 2) or (N, 3), optional
         True positions, as for `anisomap.score`, or the score of this map: rings, joined with the
         sensors of the map, which is aligned with them. Lines join true neighbours.

@@ -114,7 +114,7 @@ def _enough(recording: Recording) -> float:
     """Return how many times an event of probability 1/2 must recur to exclude chance.
 
     With probability 2^-k, k readings of noise have one sign, and k contacts of a sensor miss all
-    those of a sensor that is touched half of the time. Of N sensors, at most `FALSE_ALARMS` are
+    those of a sensor that is touched half of the time. Among N sensors, at most `FALSE_ALARMS` are
     expected to do so for the number returned.
     """
     return math.log2(recording.n_sensors / FALSE_ALARMS)
@@ -197,7 +197,7 @@ def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) ->
 
 
 _MAX_BLOCKS = 16  # of a recording, an even number; it may change after every second one
-_MIN_FRAMES = 640  # of fewer, real insoles without a change are accused
+_MIN_FRAMES = 640  # with fewer, real insoles without a change are reported
 _MAX_COMPARED = 8192  # of which ranks are correlated
 _MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
 _MIN_SENSORS = 8  # that have these contacts

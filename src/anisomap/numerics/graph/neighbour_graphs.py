@@ -88,7 +88,7 @@ def local_path_lengths(similarity: ArrayLike, n_neighbours: int = _N_NEIGHBOURS)
     linked = neighbour_graph(correlation, n_neighbours)
     # Weak links are bounded, hence equally long; the tree distinguishes them by the similarity.
     linked |= spanning_tree(2.0 - correlation)
-    # Of correlations with errors of far more than 1e-6; paths in float32 take half the time.
+    # Correlations have errors of far more than 1e-6; paths in float32 take half the time.
     lengths = np.where(linked, lengths, np.inf).astype(np.float32)
     np.fill_diagonal(lengths, 0.0)
     return metricise(lengths).astype(np.float64)
