@@ -16,7 +16,7 @@ help:  ## list the targets; CONTRIBUTING.md lists other commands
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and \
 		"anisomap needs Python 3.11 or newer, and $(PYTHON) is " + sys.version.split()[0] + \
-		": name another with make PYTHON=python3.12")'
+		": name another with make PYTHON=python3.13")'
 	@echo "Setting up .venv (once, about a minute) ..."
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt pip
