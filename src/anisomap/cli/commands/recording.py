@@ -126,8 +126,8 @@ class VerdictOptions:
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
         This takes about as long as the map, which is written before; Ctrl-C ends it.
     contacts
-        Shape of all contacts, if it is known: compact or elongated. Those of a fingertip, a palm or
-        a ball are compact, those of an edge or a roller elongated. Only a map of unevenly spaced
+        Shape of all contacts: compact or elongated. Those of a fingertip, a palm or a ball are
+        compact, those of an edge or a roller elongated. Only a map of unevenly spaced
         sensors depends on it; without it, that is usable for neighbours at best. Default: what the
         file states, as files of simulate do.
     min_quality
