@@ -23,7 +23,7 @@ INFERRED: Mapping[str, float] = MappingProxyType(
         "bombardment.frame_interval": 0.1,
         "locomotion.correlation": 0.25,
         "locomotion.detection_radius": 0.25,
-        "rubbing.hand_size": 0.026,
+        "rubbing.hand_size": 0.017,
         "rubbing.detection_radius": 0.004,
         "patch.mean_span": 100,
     }
