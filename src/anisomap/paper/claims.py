@@ -588,9 +588,7 @@ CASE_COLUMNS = {
     "holds": f"yes, no, {UNCLEAR}, or {EXCLUDED}: most maps of the case do not exceed their null "
     "distribution",
 }
-MEASURED_COLUMNS = {
-    key: CASE_COLUMNS[key] for key in ("claim", "case", "value", "low", "high", "holds")
-}
+MEASURED_COLUMNS = {k: CASE_COLUMNS[k] for k in ("claim", "case", "value", "low", "high", "holds")}
 COLUMNS = {
     "number": "number of the claim",
     "claim": "claim of the paper",
@@ -613,9 +611,7 @@ COLUMNS = {
     "lie in the range. Comparisons are within runs of the same seed. Statements on the shape of "
     "maps leave out maps whose Mantel r does not exceed its null distribution, which say nothing; "
     "cases of which most maps are left out are counted as at chance. Verdicts are given for "
-    f"{OWN} and for {EXTENSION}: real skin that a thumb touched, and graphs of 4 and 8 neighbours."
-    "\n\nThe parameters of the paper's simulation were not available to us; the section on what it "
-    "leaves open shows their effects.",
+    f"{OWN} and for {EXTENSION}: real skin that a thumb touched, and graphs of 4 and 8 neighbours.",
     needs=RUNS,
 )
 def claims_table(_: Settings, tables: Tables) -> Iterator[Table]:
