@@ -483,8 +483,7 @@ CLAIMS = (
     Claim(
         "Information distance has a tendency to spherise reconstructions",
         "Methods, Fig. 7",
-        "sphericity in 3D (Figure 7): information distance minus each other method, in the same "
-        "run",
+        "sphericity in 3D (Figure 7): information distance minus each other method, in a run",
         Evidence.spherised,
         above=SIMILAR,
     ),
