@@ -20,8 +20,7 @@ from anisomap.method.dimensions import AUTO, Dimensions
 from anisomap.method.named import DEFAULT_MU, MethodOptions
 from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.sampling import sample_of
-from anisomap.numerics.scaling.dissimilarity_scaling import find_scaling
-from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions
+from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, find_scaling
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.numerics.similarity.correlation import pearson
 from anisomap.recording import MissingPolicy, Recording

@@ -7,7 +7,7 @@ each make `Evidence`, or a metric; from there on, all are mapped by `_map`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -44,16 +44,11 @@ from anisomap.method.named import (
     MethodOptions,
     find_method,
 )
-from anisomap.method.validation import (
-    checked_noise,
-    checked_start,
-    checked_weights,
-    only_stage,
-)
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
-from anisomap.numerics.precision import Reals, check_pair_memory
+from anisomap.numerics.precision import Floats, Reals, check_pair_memory, float_type
 from anisomap.recording import (
     Recording,
     Scalar,
@@ -295,7 +290,7 @@ def reconstruct_from(
         Once for each note of the map.
     """
     recipe, options = find_method(method), options or DEFAULT_OPTIONS
-    stage, matrix = only_stage(
+    stage, matrix = _only_stage(
         {"similarity": similarity, "dissimilarity": dissimilarity, "metric": metric}
     )
     n_sensors = len(matrix)
@@ -308,12 +303,15 @@ def reconstruct_from(
     check_pair_memory(n_mapped, refined=recipe.refine is not None)
     inside = ... if mapped.all() else np.ix_(mapped, mapped)
     matrix = matrix[inside]
-    pair_weights = None if weights is None else checked_weights(weights, n_sensors)[inside]
+    pair_weights = None if weights is None else _checked_weights(weights, n_sensors)[inside]
     if start is not None and dimensions == AUTO:
         dimensions = int(np.shape(start)[-1]) if np.ndim(start) == 2 else SPATIAL
-    initial = None
+    initial: Floats | None = None
     if start is not None:
-        initial = checked_start(start, n_sensors, int(dimensions))[mapped]
+        initial, shape = np.asarray(start, dtype=np.float64), (n_sensors, dimensions)
+        if initial.shape != shape:
+            raise InputError(f"the start must be of shape {shape}, got {initial.shape}")
+        initial = initial[mapped]
     evidence = None
     with limited_blas(len(matrix)):
         if stage == "similarity":
@@ -321,7 +319,7 @@ def reconstruct_from(
                 matrix,
                 variance=1 / options.independent_frames
                 if noise is None
-                else checked_noise(noise, n_sensors)[inside],
+                else _checked_noise(noise, n_sensors)[inside],
                 known=None if pair_weights is None else pair_weights > 0,
                 statistic=statistic,
             )
@@ -406,3 +404,58 @@ def _choice(task: Task) -> DimensionChoice:
         lengths = default.lengths_of(usual, task.options)
         return _placed(replace(task, evidence=usual, metric=lengths, recipe=default))[1]
     return plan_dimensions(dimensions, None)
+
+
+_MAX_SINGLE = 1e15  # squares of numbers up to this, and down to its inverse, fit into float32
+
+
+def _only_stage(given: Mapping[str, ArrayLike | None]) -> tuple[str, Reals]:
+    """Return the name and the matrix, shape (N, N), of the only stage that is given."""
+    stages = [name for name, matrix in given.items() if matrix is not None]
+    if len(stages) != 1:
+        raise InputError(
+            f"give exactly one of {', '.join(given)}; got {', '.join(stages) or 'none'}"
+        )
+    return stages[0], _as_matrix(given[stages[0]], stages[0])
+
+
+def _as_matrix(matrix: ArrayLike | None, name: str, n_sensors: int | None = None) -> Reals:
+    """Convert a matrix of all pairs to the precision that is used for its size."""
+    try:
+        values = np.asarray(matrix)
+    except ValueError:
+        values = np.asarray(None)
+    if values.dtype.kind not in "biuf":
+        raise InputError(
+            f"the {name} must be a matrix of real numbers, shape (N, N), got {values.dtype}"
+        )
+    n = n_sensors or (len(values) if values.ndim else 0)
+    if values.shape != (n, n):
+        shape = "(N, N)" if n_sensors is None else f"({n}, {n})"
+        raise InputError(f"the {name} must be of shape {shape}, got {values.shape}")
+    dtype = float_type(n)
+    if dtype == np.float32 and values.dtype == np.float64:
+        largest = float(values.max(where=np.isfinite(values), initial=0))
+        if largest and not 1 / _MAX_SINGLE < largest < _MAX_SINGLE:
+            raise InputError(
+                f"the largest {name} is {largest:g}, outside the range of single precision, which "
+                f"is used for {n} sensors; divide the matrix by its maximum"
+            )
+    return np.asarray(values, dtype)
+
+
+def _checked_weights(weights: ArrayLike, n_sensors: int) -> Reals:
+    """Return weights, shape (N, N), finite, symmetric and at least 0."""
+    values = _as_matrix(weights, "weights", n_sensors)
+    if not np.isfinite(values).all() or (values < 0).any():
+        raise InputError("weights must be finite and at least 0")
+    return as_symmetric(values, "weight")
+
+
+def _checked_noise(noise: ArrayLike, n_sensors: int) -> Reals:
+    """Return a sampling variance, shape (N, N)."""
+    values = _as_matrix(noise, "noise", n_sensors)
+    n_positive = np.count_nonzero(values > 0) - np.count_nonzero(np.diag(values) > 0)
+    if not np.isfinite(values).all() or n_positive < n_sensors * (n_sensors - 1):
+        raise InputError("the noise must be finite and above 0, since it is a variance")
+    return as_symmetric(values, "noise")
