@@ -65,20 +65,11 @@ _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-5)
 class DimensionChoice(Value):
     """Number of dimensions of a map, and why.
 
-    Attributes
-    ----------
-    dimensions : int
-        The given number; else 2 or 3, and 3 if the metric does not show it.
-    given : bool
-        Whether the number was given.
-    examined : bool
-        Whether the metric was examined.
-    shown : int
-        The number that the metric shows; 0 if it is not clear.
-    line : bool
-        Whether the sensors appear to lie along a line.
-    stress : tuple of float
-        Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
+    dimensions: The given number; else 2 or 3, and 3 if the metric does not show it.
+    given, examined: Whether the number was given, and whether the metric was examined.
+    shown: The number that the metric shows; 0 if it is not clear.
+    line: Whether the sensors appear to lie along a line.
+    stress: Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
     """
 
     dimensions: int = SPATIAL

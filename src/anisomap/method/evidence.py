@@ -113,25 +113,15 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
 class Evidence:
     """What readings show of n sensors: the similarity of all pairs, and its sampling variance.
 
-    Attributes
-    ----------
-    similarity : ndarray of shape (n, n)
-        Symmetric.
-    variance : ndarray of shape (n, n)
-        Sampling variance of each similarity.
-    known : ndarray of bool, shape (n, n)
-        Pairs that were recorded together.
-    statistic : str
-        Name of the similarity that was computed from readings; empty if it was precomputed.
-    readings : ndarray of shape (T, n), optional
-        Readings in temporal order; None for a precomputed similarity, and if some pairs are
+    similarity, variance (n, n): Symmetric; the variance is that of each similarity.
+    known (n, n): Pairs that were recorded together.
+    statistic: Name of the similarity that was computed from readings; empty if it was precomputed.
+    readings (T, n): In temporal order; None for a precomputed similarity, and if some pairs are
         unknown.
-    scores : Blend or Contacts, optional
-        What resamples are computed from.
-    common_share : float
-        Share of the mean over sensors that is a signal of all of them, which was subtracted.
-    related : bool
-        Whether the sensors are known to be related, as those of one component are.
+    scores: What resamples are computed from.
+    common_share: Share of the mean over sensors that is a signal of all of them, which was
+        subtracted.
+    related: Whether the sensors are known to be related, as those of one component are.
     """
 
     similarity: Reals

@@ -117,23 +117,14 @@ Refine: TypeAlias = Callable[..., Refinement | None]
 class Method:
     """The stages of a named method.
 
-    Attributes
-    ----------
-    summary : str
-        Description in one line, for lists of methods.
-    similarity : str
-        A key of `anisomap.method.evidence.SIMILARITIES`.
-    dissimilarity : callable
-        ``dissimilarity(evidence, options)`` returns M, shape (n, n).
-    metric : callable
-        ``metric(M)`` returns D.
-    refine : callable, optional
-        Refines the scaled positions of one component: see `anisomap.method.refinement.refine`.
-    contact_similarity : str, optional
-        Similarity that takes the place of `similarity` for readings that are on or off and show
-        one contact at a time.
-    solver : str
-        Solver of the scaling of up to `MAX_MAJORIZED` sensors, if the options choose none.
+    summary: Description in one line, for lists of methods.
+    similarity: A key of `anisomap.method.evidence.SIMILARITIES`.
+    dissimilarity: ``dissimilarity(evidence, options)`` returns M, (n, n).
+    metric: ``metric(M)`` returns D.
+    refine: Refines the scaled positions of one component, see `anisomap.method.refinement.refine`.
+    contact_similarity: Takes the place of `similarity` for readings that are on or off and show one
+        contact at a time.
+    solver: Of the scaling of up to `MAX_MAJORIZED` sensors, if the options choose none.
     """
 
     summary: str

@@ -112,7 +112,7 @@ def test_activity_does_not_depend_on_the_direction_of_contact(readings):
 def assert_rest_of_counts(readings):
     found = estimate_rest(readings)
     expected = rest_from_counts(np.unique(one, return_counts=True) for one in readings.T)
-    for name in ("value", "side", "threshold", "known", "frequent"):
+    for name in ("value", "side", "threshold", "known", "frequent", "distinct"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 

@@ -39,12 +39,9 @@ def find_leak(recording: Recording) -> Iterator[Found]:
     """
     readings = recording.readings[excerpt_frames(recording.readings, _MAX_EXCERPT), :_MAX_CHANNELS]
     rest = recording.signals.rest
-    raised = zip(columns(readings), rest.side.astype(readings.dtype), strict=False)
-    bounds = rest.side * rest.bounds(readings.dtype)
-    channels = [
-        _channel(side * column, bounds[i], rest.side[i] * rest.value[i])
-        for i, (column, side) in enumerate(raised)
-    ]
+    sides = rest.side.astype(readings.dtype)
+    each = zip(columns(readings), sides, sides * rest.value, rest.threshold, strict=False)
+    channels = [_channel(side * column, value, limit) for column, side, value, limit in each]
     for quantile in _QUANTILES:
         gains = _gains(channels, 1, quantile)
         share, n_pairs = float(np.median(gains)), np.count_nonzero(gains)
@@ -72,12 +69,12 @@ class _Channel(NamedTuple):
         return _quantile((self.above[source.deep] - level) / source.depth, quantile)
 
 
-def _channel(raised: NDArray[Any], bound: float, rest: float) -> _Channel | None:
+def _channel(raised: NDArray[Any], rest: float, threshold: float) -> _Channel | None:
     """Examine readings that contact raises; None if frames or distinct values are too few."""
     some = raised[:: max(1, len(raised) // 2048)]
     if not any(np.unique(part).size >= _MIN_LEVELS for part in (some[: _MIN_LEVELS**2], some)):
         return None
-    touched = raised >= bound
+    touched = np.subtract(raised, rest, dtype=np.float64) > threshold
     quiet, reached = np.flatnonzero(~touched), raised[touched]
     if reached.size < 2 * _MIN_FRAMES or quiet.size < _MIN_FRAMES:
         return None

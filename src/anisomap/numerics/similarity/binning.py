@@ -144,7 +144,6 @@ def _codes_of(column: NDArray[Any], bins: int) -> NDArray[np.uint16]:
 MAX_VALUES = 1 << 24
 """Maximum number of values of all sensors together: 256 MiB of values and counts."""
 
-_CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 _MIN_VALUES = 256  # minimum of the limit per sensor, for any number of sensors
 _MAGNITUDE = np.int64(np.iinfo(np.int64).max)  # mask of all bits but the sign
 
@@ -227,25 +226,10 @@ class Recoding:
         """Recode readings of shape (T, N)."""
         array = np.asarray(readings)
         recoded = np.empty(array.shape, dtype=self.outcomes[0].dtype)
-        if array.dtype.kind in "biu" and array.dtype.itemsize == 1:
-            self._look_up(array, recoded)
-            return recoded
-        for sensor, column in enumerate(array.T):
-            recoded[:, sensor] = self._of_sensor(sensor, column)
+        for i, column in enumerate(columns(array)):
+            where = np.searchsorted(self.starts[i], column.astype(np.float64), side="right")
+            recoded[:, i] = self.outcomes[i][where]
         return recoded
-
-    def _look_up(self, array: NDArray[Any], recoded: NDArray[Any]) -> None:
-        """Recode one-byte readings by a table of all 256 values."""
-        every = np.arange(256, dtype=np.uint8).view(array.dtype)
-        table = np.concatenate([self._of_sensor(i, every) for i in range(array.shape[1])])
-        offsets = 256 * np.arange(array.shape[1])
-        for start in range(0, len(array), _CHUNK_FRAMES):
-            frames = slice(start, start + _CHUNK_FRAMES)
-            table.take(array[frames].view(np.uint8) + offsets, out=recoded[frames], mode="clip")
-
-    def _of_sensor(self, sensor: int, column: NDArray[Any]) -> NDArray[Any]:
-        where = np.searchsorted(self.starts[sensor], column.astype(np.float64), side="right")
-        return np.asarray(self.outcomes[sensor][where])
 
 
 def _round_to(

@@ -20,9 +20,6 @@ _MIN_CONTACT_RATIO = 2.0  # of deviations on the side of contact to noise; chose
 _MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 _SENSORS_AT_ONCE = 32  # whose readings are sorted
-_MAX_SORTED = 8192  # frames; of more, a sample tells which are near a quantile
-_SAMPLED = 4096  # random frames of the sample
-_WIDTHS = 3.0  # standard deviations by which ranks in the sample may be off; else all are sorted
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +31,7 @@ class Rest:
     noise: Largest deviation from rest to the other side.
     known: Whether there is a rest: see `estimate_rest`.
     frequent: Whether one value holds `_MIN_REST_SHARE` of the frames, and at least two frames.
-    distinct: Number of distinct readings, of a sample of very many.
+    distinct: Number of distinct readings.
     """
 
     value: Floats
@@ -66,45 +63,12 @@ class Rest:
     def active(self, readings: ArrayLike) -> NDArray[np.bool_]:
         """Return True for readings that exceed the threshold, shape (T, N)."""
         values = np.asarray(readings)
-        if values.dtype.char in "fd":
-            bounds, lowered = self.bounds(values.dtype), np.flatnonzero(self.side < 0)
-            active = values >= bounds
-            if lowered.size:
-                active[:, lowered] = values[:, lowered] <= bounds[lowered]
-            return np.asarray(active)
         active = np.empty(values.shape, dtype=bool)
         for start in range(0, len(values), _CHUNK_FRAMES):
             frames = slice(start, start + _CHUNK_FRAMES)
-            active[frames] = self.depth(values[frames]) > 0
+            beyond = self.side * np.subtract(values[frames], self.value, dtype=np.float64)
+            active[frames] = beyond > self.threshold
         return active
-
-    def bounds(self, dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Return the number of a type nearest to rest that has a depth above 0, shape (N,)."""
-        # Subtractions of all readings, in float64, would take ten times as long as comparisons.
-        rest = self.side * self.value
-        reach = rest + self.threshold
-
-        def deep(numbers: NDArray[Any], some: Any = slice(None)) -> NDArray[np.bool_]:
-            return np.asarray(numbers.astype(np.float64) - rest[some] > self.threshold[some])
-
-        def beside(numbers: Floats, step: float) -> NDArray[Any]:
-            return np.asarray(np.nextafter(numbers.astype(dtype), dtype.type(step)))
-
-        with np.errstate(over="ignore"):
-            near, high = reach.astype(dtype), beside(reach, np.inf)
-            bounds = np.where(deep(near), near, high)
-            # Near 0, numbers are far finer than differences from rest: bisect for the bound.
-            off = np.flatnonzero(deep(beside(reach, -np.inf)) | ~deep(high))
-            slack = 4 * np.spacing(np.abs(rest) + self.threshold)[off]
-            low, high = beside(reach[off] - slack, -np.inf), beside(reach[off] + slack, np.inf)
-            while (apart := (low < (middle := low + (high - low) / 2)) & (middle < high)).any():
-                beyond = deep(middle, off)
-                low, high = (
-                    np.where(apart & ~beyond, middle, low),
-                    np.where(apart & beyond, middle, high),
-                )
-            bounds[off] = high
-        return np.asarray(self.side.astype(dtype) * bounds)
 
 
 def estimate_rest(readings: ArrayLike) -> Rest:
@@ -121,21 +85,13 @@ def estimate_rest(readings: ArrayLike) -> Rest:
     values = np.asarray(readings)
     n_frames, n_sensors = values.shape
     found = [np.empty((6, 0))]  # of no sensors
-    frames = None
-    if n_frames > _MAX_SORTED:
-        # At random, not at equal steps: these could all have the same phase.
-        chosen = np.random.default_rng(0).choice(n_frames, _SAMPLED, replace=False)
-        frames = np.sort(chosen)
     buffer = np.empty((min(n_sensors, _SENSORS_AT_ONCE), n_frames), values.dtype)
     for begin in range(0, n_sensors, _SENSORS_AT_ONCE):
         part = values[:, begin : begin + _SENSORS_AT_ONCE]
         rows = transposed(part, buffer)
-        if frames is None:
-            rows = rows.copy() if part.flags.f_contiguous else rows
-            rows.sort(axis=1)
-            found.append(_of_ordered(rows))
-        else:
-            found.append(_of_many(rows, np.sort(rows[:, frames], axis=1)))
+        rows = rows.copy() if part.flags.f_contiguous else rows
+        rows.sort(axis=1)
+        found.append(_of_ordered(rows))
     value, lean, noise, known, frequent, distinct = np.concatenate(found, axis=1)
     return Rest(value, lean, noise, known > 0, frequent > 0, distinct.astype(np.intp))
 
@@ -167,18 +123,17 @@ def _of_continuous(ordered: NDArray[Any]) -> Floats:
         ordered = ordered.astype(np.float64)
     frames = np.full(n_sensors, n_frames)
     value = _quantile(ordered, frames, 0.5, first=0, origin=np.zeros(n_sensors))
-    # Comparisons in the type of the readings are several times as fast as those in float64.
-    near, infinity = value.astype(ordered.dtype), ordered.dtype.type(np.inf)
-    lower = np.where(near > value, np.nextafter(near, -infinity), near)
-    upper = np.where(near < value, np.nextafter(near, infinity), near)
-    n_below = np.count_nonzero(ordered <= lower[:, None], axis=1)
-    n_least = np.count_nonzero(ordered < upper[:, None], axis=1)
+    n_below = np.count_nonzero(ordered <= value[:, None], axis=1)
+    n_least = np.count_nonzero(ordered < value[:, None], axis=1)
     downwards = -_quantile(
         ordered, n_below, _NOISE_QUANTILE, first=n_below - 1, step=-1, origin=value
     )
     upwards = _quantile(ordered, frames - n_least, _NOISE_QUANTILE, first=n_least, origin=value)
     total = ordered.sum(axis=1, dtype=np.float64) - n_frames * value
-    return _of_deviations(value, total, downwards, upwards)
+    falls = total < 0
+    noise, contact = np.where(falls, (upwards, downwards), (downwards, upwards))
+    known = contact >= _MIN_CONTACT_RATIO * noise
+    return np.stack([value, np.where(falls, -1.0, 1.0), noise, known])
 
 
 def _quantile(
@@ -199,76 +154,6 @@ def _quantile(
     rows, next_one = np.arange(len(ordered)), np.minimum(below + 1, counts - 1)
     low, high = (ordered[rows, first + step * at] - origin for at in (below, next_one))
     return np.asarray(low + (place - below) * (high - low))
-
-
-def _of_deviations(value: Floats, total: Floats, downwards: Floats, upwards: Floats) -> Floats:
-    """Return the rest of sensors from their medians, and from deviations from these, (4, n).
-
-    total: Sums of all deviations. downwards, upwards: Quantiles of those to either side.
-    """
-    falls = total < 0
-    noise, contact = np.where(falls, (upwards, downwards), (downwards, upwards))
-    known = contact >= _MIN_CONTACT_RATIO * noise
-    return np.stack([value, np.where(falls, -1.0, 1.0), noise, known])
-
-
-def _of_many(rows: NDArray[Any], ordered: NDArray[Any]) -> Floats:
-    """Return the fields of `Rest` of sensors with many frames, (n, T) -> (6, n).
-
-    ordered (n, t): Readings in random frames, ordered.
-    """
-    found = np.zeros((6, len(rows)))
-    some = math.ceil(_MIN_REST_SHARE / 2 * ordered.shape[1])
-    perhaps_frequent = (ordered[:, some:] == ordered[:, :-some]).any(axis=1)
-    selected: dict[int, tuple[float, ...]] = {}
-    for i, row in enumerate(rows):
-        quantiles = None if perhaps_frequent[i] else _selected(row, ordered[i])
-        if quantiles is not None:
-            selected[i] = quantiles
-            continue
-        values, counts = np.unique(row, return_counts=True)
-        found[:, i] = _rest_of(values.astype(np.float64), counts)
-    if selected:
-        chosen = list(selected)
-        found[:4, chosen] = _of_deviations(*np.array(list(selected.values())).T)
-        found[5, chosen] = 1 + np.count_nonzero(ordered[chosen, 1:] != ordered[chosen, :-1], axis=1)
-    return found
-
-
-def _selected(row: NDArray[Any], ordered: NDArray[Any]) -> tuple[float, ...] | None:
-    """Return the arguments of `_of_deviations` for a sensor; None if the sample misleads.
-
-    row (T,). ordered (t,): A sample, whose quantiles should enclose those of all readings.
-    """
-    n_frames, size = row.size, ordered.size
-
-    def enclosed(share: float) -> int:
-        return math.ceil(size * share + _WIDTHS * math.sqrt(size * share))
-
-    width, tail = enclosed(0.25) - size // 4, enclosed((1 - _NOISE_QUANTILE) / 2)
-    low, high = ordered[size // 2 - width], ordered[size // 2 + width]
-    n_lower = np.count_nonzero(row < low)
-    middle = np.sort(row[(row >= low) & (row <= high)]).astype(np.float64)
-    place = (n_frames - 1) / 2
-    at = int(place) - n_lower
-    if not 0 <= at < middle.size - 1:
-        return None
-    value = middle[at] + (place - int(place)) * (middle[at + 1] - middle[at])
-    n_below, n_least = (n_lower + middle.searchsorted(value, side) for side in ("right", "left"))
-    lowest, highest = row[row <= ordered[tail]], row[row >= ordered[-1 - tail]]
-    ends = lowest, -highest.astype(np.float64)  # unsigned integers have no negative
-    outer = []
-    for end, centre, count in zip(
-        ends, (value, -value), (n_below, n_frames - n_least), strict=True
-    ):
-        place = _NOISE_QUANTILE * (count - 1)
-        at = count - 1 - int(place)
-        if at >= end.size:
-            return None
-        near, far = centre - np.sort(end)[[at, max(at - 1, 0)]].astype(np.float64)
-        outer.append(near + (place - int(place)) * (far - near))
-    total = np.subtract(row, value, dtype=np.float64).sum()
-    return value, total, *outer
 
 
 def _least_frequent(n_frames: int) -> float:
@@ -292,20 +177,19 @@ def ranks_of_depths(
     rest = estimate_rest(values) if rest is None else rest
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
     ranks = np.empty(values.shape[::-1], dtype)
-    if values.dtype.char not in "fd":
-        values = values.astype(np.float64)
     if alike and 2 * np.count_nonzero(rest.known) < rest.known.size:
         for row, column in zip(ranks, columns(values), strict=True):
             row[:] = mean_ranks(column)
         return ranks.T
     if alike:
         rest = replace(rest, known=np.ones_like(rest.known))
-    own = zip(ranks, columns(values), rest.bounds(values.dtype), rest.side > 0, strict=True)
-    for row, column, bound, raises in own:
-        active = np.flatnonzero(column >= bound if raises else column <= bound)
+    own = zip(ranks, columns(values), rest.value, rest.side, rest.threshold, strict=True)
+    for row, column, value, side, threshold in own:
+        depth = side * np.subtract(column, value, dtype=np.float64)
+        active = np.flatnonzero(depth > threshold)
         n_resting = column.size - active.size
-        row.fill((n_resting + 1) / 2 + (0 if raises else active.size))
-        row[active] = (n_resting if raises else 0) + mean_ranks(column[active])
+        row.fill((n_resting + 1) / 2 + (0 if side > 0 else active.size))
+        row[active] = (n_resting if side > 0 else 0) + mean_ranks(column[active])
     return ranks.T
 
 
