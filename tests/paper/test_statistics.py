@@ -139,6 +139,7 @@ def test_a_shuffled_cylinder_has_the_order_of_chance():
     found = cylinder_shape(wrong_places, CYLINDER)
     assert found.order_around == 1
     assert found.order_along < 0.5
+    assert cylinder_shape(CYLINDER * [1, 1, 0], CYLINDER).order_along == 0
 
 
 def test_isolation_inside_and_outside_a_lattice():

@@ -48,7 +48,6 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
 )
 """By name, which is also the name of the folder of its results."""
 
-_LIBRARIES = ("numpy", "scipy", "mujoco", "matplotlib")
 _WATCH_S = 1.0  # between two looks of a worker at whether its parent is alive
 
 
@@ -176,7 +175,7 @@ def _fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str
         [path.read_bytes() for path in experiment.paths(settings)],
         [(name, needed.get(name)) for name in experiment.needs],
         _digest_of_package(),
-        [(name, importlib.metadata.version(name)) for name in _LIBRARIES],
+        [importlib.metadata.version(name) for name in ("numpy", "scipy", "mujoco", "matplotlib")],
     )
     return str(digest(inputs))
 

@@ -82,8 +82,7 @@ GROUPS = (
 
 
 def _label(point: Point) -> str:
-    named = [f"{name.rpartition('.')[2]} {value:g}" for name, value in point]
-    return ", ".join(named).replace("_", " ")
+    return ", ".join(f"{key.split('.')[1].replace('_', ' ')} {value:g}" for key, value in point)
 
 
 def obeys(point: Point, zeros: float) -> bool:
@@ -142,7 +141,6 @@ for _group in GROUPS:
         experiment(f"settings-{_group.name}-{_number}", cost=150)(
             partial(_explore, _group, _number)
         )
-_LINE = 80  # characters of a line of a claim in the figure
 
 
 @experiment(
@@ -175,7 +173,7 @@ def settings_map(settings: Settings, tables: Tables) -> Iterator[Picture | Table
             for key in ("held", "judged")
         )
         panels.append(CountPanel(name, labels, held, judged))
-    lines = [textwrap.fill(claim.text, _LINE) for claim in CLAIMS]
+    lines = [textwrap.fill(claim.text, 80) for claim in CLAIMS]
     figure = counts_figure("Statements of the paper by what it leaves open", panels, lines, caption)
     yield Picture("settings", caption, figure)
     yield counts

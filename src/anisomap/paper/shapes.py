@@ -67,7 +67,7 @@ def cylinder_shape(positions: ArrayLike, truth: ArrayLike) -> CylinderShape:
     centroids = np.array([points[line].mean(axis=0) for line in lines])
     _, nearest = nearest_others(centroids, 2)
     steps = (nearest - np.arange(len(lines))[:, None]) % len(lines)
-    along = [spearmanr(_rounded(points[line]), _rounded(true[line])).statistic for line in lines]
+    along = [_order(points[line], true[line]) for line in lines]
     return CylinderShape(
         axial / (radial / radius),
         _neighbour_ratio(points, true) / _neighbour_ratio(true, true),
@@ -76,10 +76,12 @@ def cylinder_shape(positions: ArrayLike, truth: ArrayLike) -> CylinderShape:
     )
 
 
-def _rounded(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute distances in which ties are exact."""
-    distances = pdist(points)
-    return np.asarray(np.round(distances / distances.max(), 6))
+def _order(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Correlate the ranks of distances, in which ties are exact; 0 if all points coincide."""
+    found = [pdist(each) for each in (points, truth)]
+    if not found[0].any():
+        return 0.0
+    return float(spearmanr(*(np.round(each / each.max(), 6) for each in found)).statistic)
 
 
 def _neighbour_ratio(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
