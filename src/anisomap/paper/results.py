@@ -118,7 +118,7 @@ def write_page(
     sections = [  # without a result if the experiment was skipped
         {"experiment": one, "result": load(path.parent, one.name, fingerprints.get(one.name, ""))}
         for one in experiments
-        if one.title and (one.name in fingerprints or one.files)
+        if one.title and (one.name in fingerprints or not one.can_run(settings))
     ]
     text = environment.get_template("page.html").render(
         style=files("anisomap.paper").joinpath("templates", "page.css").read_text(encoding="utf-8"),
