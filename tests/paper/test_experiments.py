@@ -156,7 +156,7 @@ def test_sample_data_hold_the_readings_positions_and_parameters(quick):
         np.testing.assert_array_equal(getattr(found, field), getattr(recording, field))
     description = (quick / "data-s7-s11" / "text-s2.txt").read_text()
     for name in found.metadata:
-        facts = {"body", "scenario", "seed", "anisomap", "mujoco"}
+        facts = {"body", "scenario", "contacts", "seed", "anisomap", "mujoco"}
         measured = {"n_strokes", "faults"}
         assert name in facts | measured or f"{name} = " in description, name
 
