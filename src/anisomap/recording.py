@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.channels import match_by_number
 from anisomap.base.immutable import Immutable
-from anisomap.base.wording import counted, html_table, join_items
+from anisomap.base.wording import html_table, join_items
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.intake import take, take_events, times_of
 from anisomap.numerics.columns import fill_gaps
@@ -170,7 +170,7 @@ class Recording(Immutable):
         return cls(taken.readings, taken.names, taken.times, taken.rate_hz)
 
     def __repr__(self) -> str:
-        details = [counted(self.n_frames, "frame"), counted(self.n_sensors, "sensor")]
+        details = [f"frames={self.n_frames}", f"sensors={self.n_sensors}"]
         if self.rate_hz is not None:
             details.append(f"{self.rate_hz:g} Hz")
         if self.positions is not None:

@@ -47,7 +47,7 @@ def test_triangles_on_each_other_are_told(tmp_path):
     ("lines", "expected"),
     [
         ("fingertip3R 1 2 3 4", "line 2: 'fingertip3R' is not triangle_10pad"),
-        ("triangle_10pad 1 2 3", "line 2 has 4 fields"),
+        ("triangle_10pad 1 2 3", "line 2 must be .* got 4 fields"),
         ("triangle_10pad 1 2 nan 4", "must have finite numbers"),
         ("triangle_10pad 1 2 3 4\ntriangle_10pad 1 9 3 4", "line 3: triangle 1 is placed twice"),
     ],

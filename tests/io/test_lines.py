@@ -150,7 +150,7 @@ def test_the_first_line_that_does_not_fit_is_shown(put, kind: str, wrong: str) -
     write, _, _ = LINES[kind]
     lines = [write(i, row) for i, row in enumerate(READINGS.tolist())]
     lines[30] = wrong
-    with pytest.warns(AnisomapWarning, match="left out 1 line of 40.*: line 31") as caught:
+    with pytest.warns(AnisomapWarning, match="left out lines: 1 of 40.*: line 31") as caught:
         found = io.read(put("log.txt", "\n".join(lines) + "\n"))
     assert wrong[:9] in str(caught[-1].message)
     expected = READINGS.copy()
@@ -168,10 +168,10 @@ def test_up_to_one_line_in_a_hundred_is_left_out(put, n_bad: int) -> None:
         rows[50 + 80 * i] = "WARN: i2c timeout\n" if i % 2 else "0.5,12\n"
     path = put("log.csv", "".join(["time,a,b\n", *rows]))
     if n_bad > 10:
-        with pytest.raises(FileError, match="line 52 has 2 fields"):
+        with pytest.raises(FileError, match="line 52 has 2 instead of 3 fields"):
             io.read(path)
         return
-    with pytest.warns(AnisomapWarning, match=rf"left out {n_bad} lines? of 1000: line 52 has"):
+    with pytest.warns(AnisomapWarning, match=rf"left out lines: {n_bad} of 1000: line 52 has"):
         found = io.read(path)
     assert found.n_frames == 1000 - n_bad
     assert found.rate_hz == pytest.approx(50)

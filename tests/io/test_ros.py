@@ -237,7 +237,7 @@ def test_topics_are_listed(bag: Bag, tmp_path: Path) -> None:
         bag.add("/other", bag.make("lab_msgs/Mixed", np.zeros(2, "f4"), np.zeros(3, "f4"), 1.0), i)
     held = io.contents(written(bag, tmp_path, "/tactile", tactile_states(bag)))
     assert {(each.name, each.usable) for each in held} == {("/tactile", True), ("/other", False)}
-    assert "tactile_msgs/msg/TactileState, 60 messages" in {each.summary for each in held}
+    assert "tactile_msgs/msg/TactileState, messages: 60" in {each.summary for each in held}
 
 
 def test_messages_of_different_length(bag: Bag, tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ TABLES = [
     hold(
         "a,b,c\n1,2,3\n4,5,6\n7,8",
         readings=[[1, 2, 3], [4, 5, 6]],
-        warns="truncated .*\\(line 4 has 2 fields",
+        warns="truncated .*\\(line 4 has 2 instead of 3 fields",
     ),
     hold(
         "1,2,3\n4,5,6\n7,8,+",
@@ -222,7 +222,7 @@ MATS = [
     hold(
         movie()[: movie().rindex("\n", 0, -2) + 1],
         n_frames=29,
-        warns="truncated in row 3 of 4.* 29 frames",
+        warns="truncated in row 3 of 4.*: 29",
     ),
     *(
         hold(
@@ -345,12 +345,12 @@ def test_wrong_lines_are_located(put, far: int) -> None:
     words = ("abc", "1.2.3", "0x1F", "1_000", "12:30", "+-", "\u0661", "1 2")
     words = words if far == 513 else words[:1]
     for wrong, said in (
-        *(("1,2", " has 2 field"), ("1,2,3,4", " has 4 field"), ("7", " has 1 field")),
+        *(("1,2", " has 2 instead"), ("1,2,3,4", " has 4 instead"), ("7", " has 1 instead")),
         *((f"1,{word},3", f", column 2 (b): '{word}' is not a number") for word in words),
     ):
         lines = ["a,b,c", *["1,2,3"] * 2000]
         lines[far - 1] = wrong
-        with pytest.warns(AnisomapWarning, match="left out 1 line of 2000") as caught:
+        with pytest.warns(AnisomapWarning, match="left out lines: 1 of 2000") as caught:
             io.read(put("skin.csv", "\r\n".join(lines)))
         assert f": line {far}{said}" in str(caught[-1].message)
     lines = ["a,b,c", *["1,2,x"] * 2000]

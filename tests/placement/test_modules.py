@@ -209,7 +209,7 @@ def test_lists_of_modules_are_read(tmp_path):
     ("text", "message"),
     [
         ("sensor,pad\na,0\n", "must have a header with the columns sensor, module"),
-        ("sensor,module,pad\na,left\n", "line 2 has 2 fields, not 3"),
+        ("sensor,module,pad\na,left\n", "line 2 has 2 instead of 3 fields"),
         ("sensor,module,pad\na,left,-1\n", "line 2: pad '-1' must be a whole number from 0"),
         ("sensor,module\na,left\na,right\n", "line 3: sensor 'a' is listed twice"),
         ("sensor,module,pad\na,left,0\nb,left,0\n", "2 sensors share pad 0 of module left"),

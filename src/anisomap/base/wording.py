@@ -67,15 +67,6 @@ def shortened(text: str, max_characters: int) -> str:
     return f"{text[: max_characters - n_last - len(_CUT)]}{_CUT}{text[-n_last:]}"
 
 
-def counted(count: int, noun: str, of: int | None = None) -> str:
-    """Precede a noun with a count, in the plural unless it is 1: ``3 sensors``, ``1 of 8 sensors``.
-
-    of: Number of all of them.
-    """
-    whole = f" of {of:,}" if of is not None else ""
-    return f"{count:,}{whole} {noun}{'' if (of or count) == 1 else 's'}"
-
-
 def html_table(title: str, rows: Mapping[str, object]) -> str:
     """Format facts as an HTML table, for notebooks; all text is escaped."""
     body = "".join(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from anisomap import io
-from anisomap.base.wording import counted, join_items, number, percent
+from anisomap.base.wording import join_items, number, percent
 from anisomap.cli.console import Columns, Printer, attributes, print_warning
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import Score
@@ -104,8 +104,7 @@ def print_health(
         printer.say(f"  {join_items(names)}: {reason}")
     if len(faulty) > len(shown):
         printer.line(
-            f"  ... and {counted(len(faulty) - len(shown), 'more sensor')}: "
-            "anisomap info --all lists them all"
+            f"  ... and {len(faulty) - len(shown)} more: anisomap info --all lists them all"
         )
 
 
@@ -130,7 +129,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     """Print what a map places, and how well it fits."""
     n_placed, dimensions = int(np.count_nonzero(sensor_map.placed)), sensor_map.dimensions
     kind, sizes, order = sensor_map.kind, sensor_map.component_sizes, _order(sensor_map)
-    placed = f"{n_placed} of {sensor_map.n_sensors}, in {counted(dimensions, 'dimension')}"
+    placed = f"{n_placed} of {sensor_map.n_sensors}, in {dimensions}D"
     components, means = str(len(sizes)), "0 is a perfect fit of the metric"
     if len(sizes) > 1:
         placed += f", of which {sizes[0]} relative to one another"
@@ -273,7 +272,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
     apart = len(coverage.never_together)
     told = [f"median {np.median(counts):g} per sensor, least {counts.min()} ({least})"]
     if coverage.untouched.size:
-        told.append(f"{counted(coverage.untouched.size, 'sensor', len(counts))} untouched")
+        told.append(f"{coverage.untouched.size} of {len(counts)} untouched")
     if apart:
         told.append(
             f"{apart} of {len(coverage.pairs)} pairs of neighbours were never touched together"

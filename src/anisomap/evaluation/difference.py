@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.wording import counted
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
 from anisomap.numerics.neighbours import nearest_others, padded
@@ -138,8 +137,8 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     notes = list(by_order)
     if left_out := int(np.count_nonzero(placed & np.isnan(distance))):
         notes.append(
-            f"{counted(left_out, 'sensor')} not compared: their components share fewer than "
-            f"{MIN_COMPARED}"
+            f"sensors not compared, since their components share fewer than {MIN_COMPARED}: "
+            f"{left_out}"
         )
     return Difference(
         names=names,

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from anisomap.base.immutable import Value
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import join_items
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +85,7 @@ class _Words(NamedTuple):
 
 
 def _of_all(finding: Finding) -> str:
-    return counted(len(finding.sensors), "sensor", finding.values["n_sensors"])
-
-
-def _count(finding: Finding) -> str:
-    return counted(len(finding.sensors), "sensor")
+    return f"{len(finding.sensors)} of {finding.values['n_sensors']} sensors"
 
 
 def _copies(finding: Finding) -> str:
@@ -111,14 +107,14 @@ def _hum(finding: Finding) -> str:
     hertz = "" if rate is None else f" ({rate / period:.3g} Hz)"
     return (
         f"a hum with a period of {period:.4g} frames{hertz} makes up {finding.size:.0%} of the "
-        f"standard deviation of {_count(finding)}"
+        f"standard deviation; sensors: {len(finding.sensors)}"
     )
 
 
 def _regions(finding: Finding) -> str:
     (one, other), frame = finding.values["sizes"], finding.values["frame"]
     return (
-        f"two regions of {one} and {counted(other, 'sensor')} were touched one after the other, "
+        f"two regions of {one} and {other} sensors were touched one after the other, "
         f"the second from frame {frame} on; sensors touched together with both: "
         f"{round(finding.size)}"
     )
@@ -157,14 +153,14 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         ),
         "board-noise": _Words(
             "share of the standard deviation",
-            lambda f: _NOISE.format(f"a group of {_count(f)} shares", f.size),
+            lambda f: _NOISE.format(f"a group of {len(f.sensors)} sensors shares", f.size),
             _ALIKE,
             lambda _: "the common signal was estimated in each frame and subtracted",
         ),
         "spikes": _Words(
             "share of the frames",
             lambda f: (
-                f"a group of {_count(f)} jumps for single frames, in {f.size:.2%} of "
+                f"a group of {len(f.sensors)} sensors jumps for single frames, in {f.size:.2%} of "
                 f"the frames, by {f.values['height']:.3g}"
             ),
             "this makes distant sensors look similar",
@@ -208,8 +204,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "changed": _Words(
             "share",
             lambda f: (
-                f"the neighbours of {_count(f)} change at about frame {f.values['frame']} of "
-                f"{f.values['n_frames']}"
+                f"neighbours change at about frame {f.values['frame']} of "
+                f"{f.values['n_frames']}; sensors whose neighbours do: {len(f.sensors)}"
             ),
             "wires were exchanged, or the body took another posture; map the frames before and "
             "after separately",

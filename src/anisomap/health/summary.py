@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anisomap.base.immutable import Value
-from anisomap.base.wording import counted, join_items, number, percent
+from anisomap.base.wording import join_items, number, percent
 from anisomap.health.sensors import MIN_CONTACTS, STATUSES, SensorHealth, assess, exceeded_by_chance
 from anisomap.numerics.signals import some_sensors
 from anisomap.recording import Recording
@@ -138,7 +138,7 @@ def weaknesses(recording: Recording, health: Sequence[SensorHealth]) -> tuple[st
     found = []
     if recording.n_frames < MIN_FRAMES:
         found.append(
-            f"only {counted(recording.n_frames, 'frame')}: statistics are unreliable; record "
+            f"only {recording.n_frames} frames: statistics are unreliable; record "
             f"{MIN_FRAMES} or more"
         )
     n_told = sum(is_faulty(sensor.status) for sensor in health)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import as_text, counted, join_items
+from anisomap.base.wording import as_text, join_items
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.files.paths import atomic_write, check_target
@@ -214,7 +214,7 @@ def _said_once() -> Iterator[None]:
         file, _, text = str(each.message).partition(": ")
         said.setdefault(text, []).append(file)
     for text, files in said.items():
-        others = f" (also of {counted(len(files) - 1, 'other file')})" if len(files) > 1 else ""
+        others = f" (also of other files: {len(files) - 1})" if len(files) > 1 else ""
         warnings.warn(f"{files[0]}: {text}{others}", AnisomapWarning, stacklevel=4)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.columns import AXES
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.files import reader_process
 from anisomap.io.parsing.source import batches, warn, warn_of_loss
@@ -365,7 +365,7 @@ def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
     except DamagedError as error:
         if not n_frames:
             raise
-        warn_of_loss(path, error.__cause__ or error, counted(n_frames, "frame"), fraction)
+        warn_of_loss(path, error.__cause__ or error, f"{n_frames} frames", fraction)
 
 
 class Frame(NamedTuple):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted, printable
+from anisomap.base.wording import printable
 from anisomap.errors import FileError
 from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
@@ -237,7 +237,7 @@ class Recorder:
             for i in fresh[:3]:
                 self._notify(f"{names[i]} sent no number; maps interpolate its readings")
             if len(fresh) > 3:
-                self._notify(f"{counted(len(fresh) - 3, 'more sensor')} sent no number")
+                self._notify(f"{len(fresh) - 3} more sent no number")
 
     def _times(self, batch: Batch, now: float) -> NDArray[np.float64]:
         """Return increasing times of frames in seconds since the first one."""

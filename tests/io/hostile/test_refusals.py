@@ -50,22 +50,26 @@ CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
 """What is refused with options of reading."""
 
 RECORDINGS = [
-    ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n7 8\n", "line 5 has 2 fields, but line 3 has 3"),
+    (
+        "x.csv",
+        "# comment\n\n1 2 3\n4 5 6\n7 8\n7 8\n",
+        "line 5 has 2 instead of 3 fields: line 3",
+    ),
     ("x.csv", "1,5;2,5\nx,5;3\ny,5;3\n", "line 2, column 1: 'x,5' is not a number"),
     ("x.csv", "a,b,c\n", "holds only a header"),
     ("x.csv", "time\n1\n2\n3\n", "no sensor"),
-    ("x.csv", "a,b\n1,2,3\n", "line 2 has 3 fields, but the header names 2"),
+    ("x.csv", "a,b\n1,2,3\n", "line 2 has 3 instead of 2 fields: the header names 2"),
     ("x.csv", 'a,"b\n' + "1,2\n" * 10, "unbalanced quotation marks"),
     ("x.csv", "a,b\n1,2\n3,4\n# \u00b5\n".encode("latin-1"), "not UTF-8 text (line 4, byte 0xb5)"),
     ("x.csv", "a,b\n1,2\n".encode("utf-16"), "is UTF-16 text"),
     ("x.csv", gzip.compress(b"1,2\n3,4\n" * 9)[:11], "damaged or cut short"),
-    ("data.log", log("19 1379926523.2 1.0"), "line 20 has 3 fields, but line 1 has 8"),
+    ("data.log", log("19 1379926523.2 1.0"), "line 20 has 3 instead of 8 fields: line 1 has 8"),
     ("data.log", log("19 1379926523.2 1.o 2 3 4 5 6"), "line 20, column 3: '1.o' is not a number"),
     ("data.log", "1 1379926523.5 ()\n2 1379926523.6 ()\n", "stamps, but no values"),
     ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
     ("walk.asf", mat(third="x3,4\n"), "the frame at line"),
     ("walk.asf", mat(rows="5"), "2 x 2 cells, but the header says 5 x 2"),
-    ("walk.asc", INSOLE, "line 16 has 2 fields, but the header names 5"),
+    ("walk.asc", INSOLE, "line 16 has 2 instead of 5 fields: the header names 5"),
     ("h.json", taxel(), "holds no recording"),
 ]
 
@@ -95,7 +99,7 @@ ICUB = "taxel2Repr ( 0 )\n[calibration]\n"
 POINT = "x must be three finite numbers"
 
 MAPS = [
-    ("t.csv", "x,y\n1,2\n3,4\n5\n", "line 4 has 1 field, but line 1 has 2"),
+    ("t.csv", "x,y\n1,2\n3,4\n5\n", "line 4 has 1 instead of 2 fields, as line 1 has"),
     ("t.csv", "a,b,c,d\n1,2,3,4\n", "no columns x and y"),
     ("t.csv", MAP_HEADER + "a,1,2,zero,ok\n", "line 2, column 4: 'zero' is not an integer"),
     ("t.csv", MAP_HEADER + "a,1,2,5,ok\n", "components must be numbered"),
@@ -111,7 +115,11 @@ MAPS = [
     ("h.json", '{"skin": {"taxels": [{"id": 0, "x": [0, 0, 0]}]}}', "no taxel with an address"),
     ("s.ply", PLY.replace("ascii", "binary_x") + PLY_END, "line 2: the PLY format must be ascii"),
     ("s.ply", PLY + "0 0 0\n1 2 3\n", "line 7: '0 0 0' is not valid in a PLY header"),
-    ("s.ply", PLY + "end_header\n0 0\n1 2 3\n", "line 8 has 2 numbers, but the header announces 3"),
+    (
+        "s.ply",
+        PLY + "end_header\n0 0\n1 2 3\n",
+        "line 8 has 2 instead of 3 numbers",
+    ),
     ("s.ply", PLY, "ends within its PLY header"),
     ("a.urdf", joints(), "holds no fixed frames"),
     ("a.urdf", joints("b", origin="1 2"), "xyz of 'b' must be 3 finite numbers, got '1 2'"),

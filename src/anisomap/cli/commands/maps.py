@@ -14,7 +14,7 @@ from cyclopts import Parameter
 import anisomap
 from anisomap import drawing, io, placement
 from anisomap.base import METRES, PERMUTATIONS
-from anisomap.base.wording import counted, join_items, number, percent
+from anisomap.base.wording import join_items, number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer, attributes, progress
 from anisomap.errors import AnisomapError, AnisomapWarning, InputError
@@ -314,7 +314,7 @@ def _print_check(
             sure = f" ({one['certainty']}, z {one['z']:.1f})" if one["certainty"] else ""
             printer.say(f"  {one['kind']}{sure}: {one['explanation']}")
         if len(records) > MAX_SHOWN:
-            printer.line(f"  ... and {counted(len(records) - MAX_SHOWN, 'more finding')}")
+            printer.line(f"  ... and {len(records) - MAX_SHOWN} more")
     if edits:
         printer.say(f"Lines of the file that change: {len(edits)}")
         for edit in edits[:MAX_SHOWN]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from anisomap.base.wording import (
     UNKNOWN,
-    counted,
     join_items,
     number,
     percent,
@@ -121,8 +120,8 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
     sizes = sensor_map.component_sizes
     if len(sizes) > 1:
         sentences.append(
-            f"Only {sizes[0]} {kind}s are placed relative to one another: the others are in "
-            f"{counted(len(sizes) - 1, 'separate component')}."
+            f"Only {sizes[0]} {kind}s are placed relative to one another. Components of others: "
+            f"{len(sizes) - 1}."
         )
     fitted = "" if score is None else ", and was fitted to the true positions"
     return [*sentences, f"The map is {sensor_map.pose}{fitted}."]

@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted
 from anisomap.errors import FileError, InputError
 from anisomap.io.maps.edits import LineEdit, edited_rows, lines_of
 from anisomap.io.parsing.facts import format_value, read_comments
@@ -122,9 +121,7 @@ def _read_vertices(
     for number, line in lines:
         fields = line.split()
         if len(fields) != len(columns):
-            problem = (
-                f" has {counted(len(fields), 'number')}, but the header announces {len(columns)}"
-            )
+            problem = f" has {len(fields)} instead of {len(columns)} numbers, as in the header"
             raise LineError(path, number, problem)
         rows.append(parse_row(path, number, fields, wanted))
     if len(rows) != count:
@@ -212,7 +209,7 @@ def read_icub(path: Path) -> SensorMap:
         raise FileError(f"{path} is cut short: {problem}")
     for value, (number, fields) in enumerate(body):
         if len(fields) not in (6, 7):
-            problem = f" has {counted(len(fields), 'field')}; it must be x y z nx ny nz"
+            problem = f" has {len(fields)} instead of 6 numbers, x y z nx ny nz"
             raise LineError(path, number, problem)
         row = parse_row(path, number, fields, dict.fromkeys(range(6), ""))
         if not np.isfinite(row).all():

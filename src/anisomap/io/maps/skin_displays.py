@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 
 from anisomap.base import METRES
 from anisomap.base.channels import PADS, TACTILE, channel_name, channels_of
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import join_items
 from anisomap.errors import FileError, InputError
 from anisomap.io.maps.edits import LineEdit, changed_sensors, lines_of, replaced
 from anisomap.io.parsing.source import quote, read_lines, warn
@@ -87,8 +87,7 @@ def _warn_of_overlaps(path: Path, centres: dict[int, NDArray[np.float64]]) -> No
 
 def _read_triangle(path: Path, line: int, fields: list[str]) -> tuple[int, NDArray[np.float64]]:
     if len(fields) not in (5, 6, 7):
-        found = counted(len(fields), "field")
-        problem = f" has {found}; it must be {_TRIANGLE} number x y degrees gain mirror"
+        problem = f" must be {_TRIANGLE} number x y degrees gain mirror, got {len(fields)} fields"
         raise LineError(path, line, problem)
     if not (fields[1].isascii() and fields[1].isdigit() and int(fields[1]) < _MAX_TRIANGLE):
         raise LineError(path, line, f": {quote(fields[1])} is not the number of a triangle")

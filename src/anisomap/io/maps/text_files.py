@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import is_time
-from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.io.maps.edits import LineEdit, edited_rows, lines_of
 from anisomap.io.parsing.facts import (
@@ -79,7 +78,7 @@ def read_text(path: Path) -> SensorMap:
         raise FileError(f"{path} holds only a header")
     for line, row in rows:
         if len(row) != len(fields):
-            problem = f" has {counted(len(row), 'field')}, but line {first} has {len(fields)}"
+            problem = f" has {len(row)} instead of {len(fields)} fields, as line {first} has"
             raise LineError(path, line, problem)
 
     def column(index: int, parse: Callable[[str], Any], expected: str = "text") -> list[Any]:
@@ -287,9 +286,8 @@ def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
         assigned: dict[str, tuple[str, int | None]] = {}
         for line, fields in rows[1:]:
             if len(fields) != len(header):
-                raise LineError(
-                    file, line, f" has {counted(len(fields), 'field')}, not {len(header)}"
-                )
+                problem = f" has {len(fields)} instead of {len(header)} fields"
+                raise LineError(file, line, problem)
             row = dict(zip(header, map(str.strip, fields), strict=True))
             name, pad = row[sensor], row.get("pad")
             if name in assigned:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import parse_clock
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import join_items
 from anisomap.errors import FileError
 from anisomap.io.parsing.lines import Template, as_objects, find_template
 from anisomap.io.parsing.source import quote
@@ -323,7 +323,7 @@ def _of_lines(
         names,
         _filled(convert),
         numeric=",",
-        skipped=f"{counted(len(above), 'line')} at the start: {first}" if above else "",
+        skipped=f"lines at the start: {first}" if above else "",
     )
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import parse_clock
-from anisomap.base.wording import counted
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.lines import MisfitError
 from anisomap.io.parsing.source import (
@@ -154,7 +153,7 @@ class LeftOut:
         """Say how many lines were left out, and show the first."""
         reason = "" if self.first is None else self.first.reason
         place = "; the frame before stands in their place" if self.repeats else ""
-        return f"left out {counted(self.n_left, 'line')} of {self.n_lines}{place}: {reason}"
+        return f"left out lines: {self.n_left} of {self.n_lines}{place}: {reason}"
 
 
 def field_error(
@@ -302,7 +301,7 @@ def _frame_lines(lines: Iterable[str], table: Table, *, quietly: bool) -> Iterat
     if n_frames and (len(held) < n_rows or depth > 0):
         if not quietly:
             problem = f"the last frame has {len(held)} of {n_rows or 'its'} lines and is dropped"
-            warn(table.path, f"{problem}; read the {counted(n_frames, 'frame')} before it")
+            warn(table.path, f"{problem}; read the frames before it: {n_frames}")
         return
     yield number, between.join(held[table.n_titles :])
 
@@ -484,7 +483,7 @@ def _row(line: str, table: Table, number: int) -> list[float]:
         raise LineError(table.path, number, f": {error}") from None
     fields = _fields(cleaned, table.separator)
     if len(fields) != table.n_columns:
-        problem = f" has {counted(len(fields), 'field')}, but {table.because}"
+        problem = f" has {len(fields)} instead of {table.n_columns} fields: {table.because}"
         raise LineError(table.path, number, problem, surplus=len(fields) > table.n_columns)
     parsers = _parsers(table)
     values = []

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.columns import XYZ
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, import_extra
 from anisomap.files.paths import check_regular, read_small
 from anisomap.io.presets import grid_names, grid_positions
@@ -274,7 +274,7 @@ class _Bag:
         return tuple(
             Content(
                 str(topic),
-                f"{info.msgtype}, {counted(info.msgcount, 'message')}",
+                f"{info.msgtype}, messages: {info.msgcount}",
                 bool(fits(types[topic]) and info.msgcount),
             )
             for topic, info in topics.items()

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import counted
 from anisomap.errors import FileError
 from anisomap.io.parsing.source import TextLines, lines_of, open_text, quote, warn
 from anisomap.io.parsing.tables import read_undamaged
@@ -148,13 +147,13 @@ def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
     for n_frames, (line, clock, rows) in found:
         if len(rows) < header.rows and n_frames and not next(text, ""):
             what = f"truncated in row {len(rows)} of {header.rows} and dropped"
-            warn(path, f"the last frame is {what}; read the {counted(n_frames, 'frame')} before it")
+            warn(path, f"the last frame is {what}; read the frames before it: {n_frames}")
             return
         whole = len(rows) == header.rows
         cells = _parsed(path, line, rows, header.delimiter) if whole else np.empty((0, 0))
         if cells.shape[1] != header.columns:
             raise FileError(
-                f"{path}: the frame at line {line} has {counted(len(rows), 'row')} of numbers; "
+                f"{path}: the frame at line {line} has {len(rows)} rows of numbers; "
                 f"all frames must have {header.rows} rows of {header.columns} numbers"
             )
         yield Frame(cells.ravel()[header.inside], text.fraction(), clock)

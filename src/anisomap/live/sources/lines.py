@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import continued
-from anisomap.base.wording import counted, join_items
+from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.io.parsing.detection import find_table
 from anisomap.io.parsing.source import quote
@@ -127,7 +127,7 @@ class _Layout:
         n_skipped = len(lines) - len(self._body) - bool(self._names)
         if n_skipped > 0:
             first = join_items([quote(line.strip()) for line in lines[:n_skipped]], 1)
-            yield Notice(f"skipped {counted(n_skipped, 'line')} at the start: {first}")
+            yield Notice(f"skipped lines at the start: {first}")
         if self._names:
             yield Names(self._names)
         yield from self.read(self._body)
