@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,10 +13,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
-from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
+from anisomap.layout.evidence import MIN_DISPLACEMENT, MIN_GAIN, Evidence, Move
 from anisomap.layout.judging import MIN_GROUP_GAIN, MIN_Z, Judge, Verdict
 from anisomap.layout.modules import Mounting
 from anisomap.layout.orienting import Orientations
+from anisomap.layout.sensors import chains
 from anisomap.layout.together import AGREEING, bonds, border
 
 MIN_TESTED = 4
@@ -24,7 +26,6 @@ MIN_TESTED = 4
 MIN_RUN = 4  # modules in reverse order; two are exchanged
 _MAX_ROUNDS = 12
 _N_SLOTS = 12  # places, beside its own, that a module may have; chosen by hand
-_MIN_DISPLACEMENT = 3.0  # spacings to a free place: contacts of unequal reach pull by up to 2.5
 _FAR = 9.0  # spacings beyond which sensors say nothing about a place
 _BESIDE = 0.1  # least evidence that a changed module is adjacent to others, of that expected
 _NONE = -1e6
@@ -94,7 +95,7 @@ class Arrangement:
         for m, inside in enumerate(self._members):
             moves = [
                 Move(inside, places)
-                for turn, places in enumerate(self._images(m, int(self._slot[m])))
+                for turn, places in enumerate(self._images(m))
                 if turn != self._turn[m] and self._mounting.orientations[turn].fits
             ]
             if min((-evidence.gain(move) for move in moves), default=np.inf) < MIN_GAIN:
@@ -103,22 +104,15 @@ class Arrangement:
 
     def _arranged(self) -> Evidence:
         """Return the evidence with all modules at their present places."""
-        positions = self._stated.positions.copy()
-        for m, inside in enumerate(self._members):
-            positions[inside] = self._places(m, int(self._slot[m]), int(self._turn[m]))
+        positions = self._mounting.arranged(self._stated.positions, self._slot, self._turn)
         return replace(self._stated, positions=positions, falloff=self._falloff)
 
-    def _places(self, module: int, slot: int, turn: int) -> NDArray[np.float64]:
-        if slot == module and turn == 0:
-            return self._stated.positions[self._members[module]]
-        return self._mounting.places(module, slot, turn)
-
-    def _images(self, module: int, slot: int) -> NDArray[np.float64]:
-        """Return the places of a module in each orientation, (O, m, k)."""
-        return np.stack([self._places(module, slot, turn) for turn in range(self._n_turns)])
+    def _images(self, module: int) -> NDArray[np.float64]:
+        """Return the places of a module in each orientation at its present slot, (O, m, k)."""
+        return np.asarray(self._mounting.shapes[self._slot[module]][:, self._mounting.pads[module]])
 
     def _orient(self, evidence: Evidence) -> None:
-        images = [self._images(m, slot) for m, slot in enumerate(self._slot.tolist())]
+        images = [self._images(m) for m in range(len(self._slot))]
         ways = self._mounting.orientations
         price = np.array([MIN_GAIN if one.fits else 2 * MIN_GAIN for one in ways])
         price[0] = 0
@@ -131,10 +125,8 @@ class Arrangement:
         wanted (M, S) -> the log-likelihood ratio, and the orientation, both (M, S).
         """
         fits, turns = np.full(wanted.shape, _NONE), np.zeros(wanted.shape, int)
-        shapes = [
-            (o, np.nan_to_num(one.places))
-            for o, one in enumerate(self._mounting.orientations)
-            if one.fits and not one.backwards
+        ways = [
+            o for o, one in enumerate(self._mounting.orientations) if one.fits and not one.backwards
         ]
         home = np.full(len(evidence.usable), -1)
         for m, inside in enumerate(self._members):
@@ -153,16 +145,15 @@ class Arrangement:
             apart = (own[:, None] != home[others]) & evidence.usable[inside][:, None]
             codes = evidence.codes[np.ix_(inside, others)]
             starts = np.flatnonzero(np.diff(own, prepend=-1))
-            frame, centre = self._mounting.frames[s, :2], self._mounting.centres[s]
             values = []
-            for _, shape in shapes:
-                distances = cdist(shape @ frame + centre, evidence.positions[others])
+            for way in ways:
+                distances = cdist(self._mounting.shapes[s, way], evidence.positions[others])
                 bins = evidence.falloff.bins(distances)[pads]
                 ratios = np.where(apart, evidence.falloff.ratio(codes, bins), 0)
                 values.append(np.add.reduceat(ratios.sum(axis=1), starts))
             best = np.argmax(values, axis=0)
             fits[modules, s] = np.max(values, axis=0)
-            turns[modules, s] = np.array([o for o, _ in shapes])[best]
+            turns[modules, s] = np.array(ways)[best]
         return fits, turns
 
     def _likely(self, evidence: Evidence, n_slots: int) -> NDArray[np.bool_]:
@@ -179,7 +170,7 @@ class Arrangement:
         votes = similar @ weights.T / np.maximum(weights.sum(axis=1), MIN_TESTED)
         middles, spacing = self._mounting.middles, evidence.falloff.spacing
         away = cdist(middles[self._slot], middles[:n_slots])
-        near = (away > 0) & (away < _MIN_DISPLACEMENT * spacing)
+        near = (away > 0) & (away < MIN_DISPLACEMENT * spacing)
         near[:, : len(self._slot)] = False  # adjacent modules may be exchanged
         votes[near] = -np.inf
         rank = np.argsort(np.argsort(-votes, axis=1, kind="stable"), axis=1, kind="stable")
@@ -228,28 +219,25 @@ class Arrangement:
         kept = evidence.usable[sensors]
         module = np.repeat(np.arange(len(self._members)), [len(m) for m in self._members])[kept]
         pads, sensors = np.concatenate(self._mounting.pads)[kept], sensors[kept]
-        shape = np.nan_to_num(self._mounting.orientations[0].places)
-        n_modules = len(self._members)
-        frames, centres = self._mounting.frames, self._mounting.centres[:n_modules]
-        at = (shape @ frames[:n_modules, :2] + centres[:, None]).reshape(-1, frames.shape[1])
+        n_modules, n_pads = len(self._members), self._mounting.seats.shape[1]
+        at = self._mounting.seats[:n_modules].reshape(-1, evidence.positions.shape[1])
         falloff = evidence.falloff
         between = falloff.bins(cdist(at, at))
         stated = falloff.bins(cdist(at, evidence.positions[sensors]))
         codes = evidence.codes[np.ix_(sensors, sensors)]
         before = evidence.ratios[np.ix_(sensors, sensors)]
+        of_module = np.eye(n_modules, dtype=np.float32)[module]
         best, row = MIN_GROUP_GAIN, range(0)
         for middle in range(MIN_RUN - 1, 2 * n_modules - MIN_RUN):
             low, high = max(0, middle - n_modules + 1), min(middle, n_modules - 1)
             inside = np.flatnonzero((module >= low) & (module <= high))
-            place = (middle - module[inside]) * len(shape) + pads[inside]
+            place = (middle - module[inside]) * n_pads + pads[inside]
             one = falloff.ratio(codes[inside], stated[place]) - before[inside]
             within = np.ix_(inside, inside)
             two = falloff.ratio(codes[within], between[np.ix_(place, place)]) - before[within]
-            index = module[inside] - low
-            apart, both = (np.zeros((high - low + 1,) * 2) for _ in range(2))
-            np.add.at(apart, (index[:, None], index), one[:, inside])
-            np.add.at(both, (index[:, None], index), two)
-            total = np.bincount(index, one.sum(axis=1), minlength=high - low + 1)
+            own = of_module[inside, low : high + 1]
+            apart, both = own.T @ one[:, inside] @ own, own.T @ two @ own
+            total = own.T @ one.sum(axis=1)
             for skipped in range((high - low + 1 - MIN_RUN) // 2 + 1):
                 if 2 * (high - low + 1 - 2 * skipped) > n_modules:
                     continue  # the smaller part is wrong
@@ -270,13 +258,8 @@ class Arrangement:
         if any(slot not in held for _, slot, _ in placed):
             # A free place is near anything, and must be right by all criteria. A module that
             # agrees with those around it stays.
-            elsewhere = not border(evidence, self._members, [m for m, _, _ in placed]) > -AGREEING
-            every = [
-                self._move([(m, slot, turn) for m, slot, _ in placed])
-                for turn in range(self._n_turns)
-            ]
-            weighed = self._judge.weigh(evidence, move, every, rigid=True)
-            if not (elsewhere and weighed.holds):
+            lost = not border(evidence, self._members, [m for m, _, _ in placed]) > -AGREEING
+            if not (lost and self._judge.weigh(evidence, move, group=True, free=True).holds):
                 return False
         for m, slot, turn in placed:
             self._slot[m], self._turn[m] = slot, turn
@@ -284,7 +267,7 @@ class Arrangement:
 
     def _move(self, moved: list[tuple[int, int, int]]) -> Move:
         sensors = np.concatenate([self._members[m] for m, _, _ in moved])
-        return Move(sensors, np.concatenate([self._places(*one) for one in moved]))
+        return Move(sensors, np.concatenate([self._mounting.places(*one) for one in moved]))
 
     def _changes(self) -> tuple[Evidence, list[Change]]:
         """Undo the changes that do not hold, the weakest first, and return the others."""
@@ -323,9 +306,11 @@ class Arrangement:
         move, *others = tried
         second = max(others, key=before.gain) if others else move
         slots = tuple(int(self._slot[m]) for m in group)
-        rigid = not set(slots) <= set(group)
+        free = not set(slots) <= set(group)
         in_place = slots == group
-        verdict = self._judge.weigh(before, move, tried, rigid=rigid, in_place=in_place)
+        verdict = self._judge.weigh(
+            before, move, group=True, free=free, few=not free, in_place=in_place
+        )
         turned = tuple(int(self._turn[m]) for m in group)
         return Change(group, slots, turned, back.places, move, second, verdict)
 
@@ -334,47 +319,36 @@ class Arrangement:
 
         Each must still gain enough by itself.
         """
-        alone = [i for i, one in enumerate(changes) if one.slots == one.modules]
-        if len(alone) < 2:
-            return changes
-        modules = np.array([changes[i].modules[0] for i in alone])
-        ways = [self._mounting.orientations[changes[i].turns[0]] for i in alone]
-        alike = np.array([[a.reflected, 0 if a.reflected else a.angle, a.backwards] for a in ways])
-        same = (alike[:, None] == alike).all(axis=2) & self._mounting.adjacent[
-            np.ix_(modules, modules)
-        ]
-        label = connected_components(csr_array(same), directed=False)[1]
         found = list(changes)
-        for k in range(int(label.max()) + 1):
-            group = [alone[i] for i in np.flatnonzero(label == k).tolist()]
-            if len(group) < 2:
-                continue
+        for group in alike(changes, self._mounting):
             sensors = np.concatenate([changes[i].move.sensors for i in group])
             stated = np.concatenate([changes[i].stated for i in group])
             move = Move(sensors, evidence.positions[sensors])
             gain, z = self._judge.gain(evidence.moved(Move(sensors, stated)), move)
-            if gain >= MIN_GROUP_GAIN and z >= MIN_Z:
-                for i in group:
-                    verdict = changes[i].verdict
-                    better = replace(verdict, z=max(z, verdict.z))
-                    found[i] = replace(changes[i], verdict=better)
+            for i in group if gain >= MIN_GROUP_GAIN and z >= MIN_Z else []:
+                better = replace(changes[i].verdict, z=max(z, changes[i].verdict.z))
+                found[i] = replace(changes[i], verdict=better)
         return found
 
 
-def _chains(target: dict[int, int], slot: NDArray[np.intp]) -> list[list[int]]:
+def alike(changes: Sequence[Change], mounting: Mounting) -> list[list[int]]:
+    """Group the changes of modules at their own places by patches that have one fault in common."""
+    alone = [i for i, one in enumerate(changes) if one.slots == one.modules and not one.together]
+    if not alone:
+        return []
+    modules = [changes[i].modules[0] for i in alone]
+    faults = np.zeros((len(alone), 3))
+    for fault, i, m in zip(faults, alone, modules, strict=True):
+        way, frame = mounting.orientations[changes[i].turns[0]], mounting.frames[m]
+        # Adjacent modules in space have the same side to the outside.
+        hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 1.0
+        fault[:] = way.reflected, 0 if way.reflected else round(hand * way.angle), way.backwards
+    same = (faults[:, None] == faults).all(axis=2) & mounting.adjacent[np.ix_(modules, modules)]
+    label = connected_components(csr_array(same), directed=False)[1]
+    return [[alone[i] for i in np.flatnonzero(label == k)] for k in np.unique(label)]
+
+
+def _chains(target: Mapping[int, int], slot: NDArray[np.intp]) -> list[list[int]]:
     """Divide modules with other targets into chains, each of which has the place of the next."""
-    holder = {int(s): m for m, s in enumerate(slot.tolist())}
-    following = {m: holder.get(s, -1) for m, s in target.items() if s != int(slot[m])}
-    found: list[list[int]] = []
-    left = set(following)
-    starts = sorted(left - set(following.values())) + sorted(left)
-    for start in starts:
-        chain = []
-        here = start
-        while here in left:
-            left.discard(here)
-            chain.append(here)
-            here = following[here]
-        if chain:
-            found.append(chain)
-    return found
+    holder = {s: m for m, s in enumerate(slot.tolist())}
+    return chains({m: holder.get(s, -1) for m, s in target.items() if s != slot[m]})

@@ -18,9 +18,8 @@ from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.layout.arranging import Change
-from anisomap.layout.chance import agreement, own_agreement
 from anisomap.layout.evidence import REACH, Evidence, Move, neighbour_spacing
-from anisomap.layout.explanation import Explained, explain, explain_modules, span
+from anisomap.layout.explanation import explain, explain_modules, motion, span
 from anisomap.layout.findings import (
     CONSISTENT,
     DEAD,
@@ -35,14 +34,13 @@ from anisomap.layout.findings import (
     ModuleChange,
     at_positions,
 )
-from anisomap.layout.judging import Judge
-from anisomap.layout.modules import Mounting, find_modules, fit_frame
+from anisomap.layout.judging import Judge, agreement, own_agreement
+from anisomap.layout.modules import Mounting, find_modules, orientation
 from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
 from anisomap.layout.search import Search
 from anisomap.layout.together import unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
 from anisomap.numerics.compiled.parallel import limited_blas
-from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement.modules import Modules
 from anisomap.recording import Recording, join_runs, match_names, match_sensors
 from anisomap.sensor_map import SensorMap
@@ -89,7 +87,7 @@ def check_layout(
         Number of circular shifts of the null distribution; at least 1.
     statistics : ReadingStatistics, optional
         Of all sensors of the recording, from
-        `anisomap.layout.chance.reading_statistics`, to check several layouts against
+        `anisomap.layout.reading_statistics`, to check several layouts against
         one recording, in place of `n_shifts` shifts of it. Computed by default.
     rng : numpy.random.Generator or int, optional
         Draws the circular shifts. 0 by default.
@@ -110,12 +108,10 @@ def check_layout(
     little that half of the sensors or more are elsewhere, the whole layout is rejected.
 
     The evidence is how the similarity of two sensors falls with their distance on the layout. A
-    proposed change of places must raise the log-likelihood of all similarities, also in both
-    halves of the recording; and it must raise the agreement of the sensors with those around
-    them, the mean rank correlation, by more than a free choice of places raises it after circular
-    shifts in time. Two sensors closer than 2 to 3 spacings may read alike, so that small
-    displacements are not found. Sensors with fewer than 5 contacts are not tested, nor are those
-    that agree with others no more than after a shift.
+    change of places must raise the log-likelihood of all similarities beyond its standard error,
+    and the mean similarity of the sensors to those around them. Two sensors closer than 2 to 3
+    spacings may read alike, so that small displacements are not found. Sensors with fewer than 5
+    contacts are not tested, nor are those that agree with others no more than after a shift.
     """
     if n_shifts < 1:
         raise InputError(f"n_shifts must be at least 1, got {n_shifts}")
@@ -171,10 +167,10 @@ class _Checked:
     def __post_init__(self) -> None:
         self.positions = self.layout.positions[self.rows]
         self.names = [self.layout.names[i] for i in self.rows]
-        mounting = Mounting.of(self.modules.select(self.rows), self.positions, self.layout.units)
-        # Layouts of curved bodies bend modules, which are rigid.
-        self.unbent = mounting.fitted(self.positions)
-        self.mounting = mounting.with_free_slots(self.unbent)
+        inside = self.modules.select(self.rows)
+        self.mounting = Mounting.of(inside, self.positions, self.layout.units)
+        n = self.mounting.n_modules
+        self.unbent = self.mounting.arranged(self.positions, np.arange(n), np.zeros(n, int))
         self.spacing = neighbour_spacing(self.unbent)
         self.usable = self.statistics.tested & (self.contacts >= MIN_CONTACTS)
         self.findings: list[LayoutFinding] = []
@@ -197,12 +193,13 @@ class _Checked:
         self.agreement = own_agreement(evidence)
         self.p, self.explained = agreement_as_a_whole(evidence, self.rng)
         judge = Judge(self.statistics, evidence)
-        found = self._check_order(evidence, judge, paired=paired)
-        if found is not None:
-            return found
+        rival = best_rival(evidence, judge)
+        if rival and rival.better and not paired and self._fits(rival.evidence, _MANY_WRONG):
+            return self._in_another_order(rival.order)
         search = Search(evidence, self.mounting, judge)
-        if not self._fits(search.run_modules(), _HALF_WRONG):
-            return self._as_a_whole()
+        if paired or not self._fits(search.run_modules(), _HALF_WRONG):
+            lacking = "holds contacts at pairs of places, two at a time" if paired else ""
+            return self._as_a_whole(lacking)
         search.run_sensors()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
@@ -222,43 +219,36 @@ class _Checked:
         """Note what the readings leave open in a consistent layout."""
         near = " and ".join(f"{length * self.spacing:.3g}" for length in _HARDLY_TOLD)
         unit = f" {self.layout.units}" if self.layout.units else ""
-        self.notes += (
+        notes = [
             f"not tested: shifts of sensors and modules by less than two to three spacings ({near}"
-            f"{unit})",
-        )
-        unsure = [span(self.mounting.members[m], self.names) for m in search.unsure]
+            f"{unit})"
+        ]
+        members = self.mounting.members
+        unsure = [span(members[m], self.names) for m in search.unsure]
         if unsure:
-            self.notes += (
+            notes.append(
                 "modules whose orientation this recording cannot test: "
-                f"{len(unsure)} ({join_items(unsure, _MAX_NAMED)})",
+                f"{len(unsure)} ({join_items(unsure, _MAX_NAMED)})"
             )
         apart = unsure_patches(search.evidence, search.mounting)
         if apart:
-            named = [span(self.mounting.members[patch[0]], self.names) for patch in apart]
-            self.notes += (
+            named = [span(members[patch[0]], self.names) for patch in apart]
+            notes.append(
                 "separate patches of modules whose orientation this recording cannot test begin "
-                f"with modules {join_items(named, _MAX_NAMED)}",
+                f"with modules {join_items(named, _MAX_NAMED)}"
             )
-        if not len(self.mounting.members) and self.positions.shape[1] == 3:
-            self.notes += (
+        if not members and self.positions.shape[1] == 3:
+            notes.append(
                 "no modules were recognised, so their orientations were not tested: if there are "
-                "modules, state them (--module-size, and --module-layout if they are bent)",
+                "modules, state them (--module-size, and --module-layout if they are bent)"
             )
         n_images = own_images(self.positions, self.spacing)
         if n_images:
-            self.notes += (
+            notes.append(
                 "the layout is symmetric: images of it under rotation or reflection that fit the "
-                f"recording equally well: {n_images}",
+                f"recording equally well: {n_images}"
             )
-
-    def _check_order(self, evidence: Evidence, judge: Judge, *, paired: bool) -> LayoutCheck | None:
-        """Judge the order of all sensors; None if it is worth to look at them one by one."""
-        if paired:
-            return self._as_a_whole("holds contacts at pairs of places, two at a time")
-        rival = best_rival(evidence, judge)
-        if rival is not None and rival.better and self._fits(rival.evidence, _MANY_WRONG):
-            return self._in_another_order(rival.order)
-        return None
+        self.notes += tuple(notes)
 
     def _fits(self, evidence: Evidence, least: float) -> bool:
         """Return whether places explain so much that not many of them can be wrong."""
@@ -357,21 +347,20 @@ class _Checked:
         for kind, text, changes in explain_modules(
             search.changes, search.mounting, self.names, self.usable
         ):
-            self._add_modules(kind, text, changes, search.evidence)
+            self._add(kind, text, changes, search.evidence)
         explained = explain(
             search.arranged.positions,
             proposed,
             spacing=self.spacing,
-            rigid=search.rigid,
+            made=search.made,
             names=self.names,
         )
-        for group in explained:
-            self._add_sensors(group, search, proposed)
+        for kind, text, sensors in explained:
+            self._add_sensors(kind, text, sensors, search, proposed)
         return self._as_stated(proposed)
 
-    def _add_modules(
-        self, kind: str, text: str, changes: Sequence[Change], evidence: Evidence
-    ) -> None:
+    def _add(self, kind: str, text: str, changes: Sequence[Change], evidence: Evidence) -> None:
+        """Add a finding on changes, of modules or others, that have one cause."""
         agreements = []
         for change in changes:
             sensors = change.move.sensors
@@ -392,8 +381,7 @@ class _Checked:
             displacement=float(np.median(distance[changed])),
             agreement_stated=stated,
             agreement_proposed=there,
-            agreement_second=second,
-            chance=max(change.verdict.chance for change in changes),
+            agreement_second=second if changes[0].modules else float("nan"),
             gain=sum(change.verdict.gain for change in changes),
             z=min(change.verdict.z for change in changes),
             modules=tuple(one for change in changes for one in self._turned(change)),
@@ -402,27 +390,24 @@ class _Checked:
 
     def _turned(self, change: Change) -> list[ModuleChange]:
         """Tell how each module of a change lies then."""
-        found = []
+        found: list[ModuleChange] = []
+        if not change.modules:
+            return found
         ends = np.cumsum([len(self.mounting.members[m]) for m in change.modules])[:-1]
         halves = (np.split(places, ends) for places in (change.stated, change.move.places))
         for m, before, after in zip(change.modules, *halves, strict=True):
             label = self.modules.labels[self.modules.index[self.rows[self.mounting.members[m][0]]]]
             pads = self.mounting.orientations[0].places[self.mounting.pads[m]]
-            now = replace(self.mounting, frames=fit_frame(pads, after)[None])
             chosen = dict(zip(change.modules, change.turns, strict=False)).get(m, 0)
             way = self.mounting.orientations[chosen]
-            old, was = self.mounting.orientation(m)
-            new, there = (old, was) if way.backwards else now.orientation(0)
-            turn = fit_similarity(before, after, scaling=False, reflection=None)
-            mirror = was != there
+            (old, was), (new, there) = (orientation(pads, at) for at in (before, after))
+            if way.backwards:
+                new, there = old, was
+            mirror, angle = was != there, (new - old + 180) % 360 - 180
             if before.shape[1] > 2:
                 mirror = way.reflected
-                cosine = (np.trace(turn.rotation) - 1) / 2
-                angle = 0.0 if mirror else float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-            else:
-                angle = (new - old + 180) % 360 - 180
-            rounded = (0.0 + round(one, 1) for one in (angle, old, new))
-            angle, old, new = rounded
+                angle = 0.0 if mirror else motion(before, after)[1]
+            angle, old, new = (0.0 + round(one, 1) for one in (angle, old, new))
             found.append(ModuleChange(label, angle, mirror, old, new))
         return found
 
@@ -431,7 +416,7 @@ class _Checked:
         moved = {i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()}
         left = [
             (a, b, length)
-            for a, b, length in self.mounting.overlaps()
+            for a, b, length in self.mounting.overlaps
             if not moved & {*self.mounting.members[a].tolist(), *self.mounting.members[b].tolist()}
         ]
         while left:
@@ -448,36 +433,27 @@ class _Checked:
             )
             self.findings.append(LayoutFinding("overlapping", self.mounting.members[m], text))
 
-    def _add_sensors(self, group: Explained, search: Search, proposed: NDArray[np.float64]) -> None:
+    def _add_sensors(
+        self,
+        kind: str,
+        text: str,
+        sensors: NDArray[np.intp],
+        search: Search,
+        proposed: NDArray[np.float64],
+    ) -> None:
         """Add a finding on sensors that no module explains, or undo their move."""
-        before_all, sensors = search.arranged.positions, group.sensors
-        move = Move(sensors, proposed[sensors])
-        before = search.evidence.moved(Move(sensors, before_all[sensors]))
-        verdict = search.weigh(before, move, group.alternatives, rigid=group.kind == "moved")
-        stated, there = (
-            _mean(agreement(before, sensors, places[sensors])) for places in (before_all, proposed)
-        )
-        distance = np.linalg.norm(move.places - before_all[sensors], axis=1)
-        changed = distance > 0
+        stated, there = search.arranged.positions[sensors], proposed[sensors]
+        move, back = Move(sensors, there), Move(sensors, stated)
+        verdict = search.weigh(search.evidence.moved(back), move, kind)
+        moved = sensors[(there != stated).any(axis=1)]
         # A few tested sensors are no evidence against many others.
-        told = np.mean(self.usable[sensors[changed]]) >= _MIN_TESTED
-        if not (told and verdict.holds and there > stated):
-            proposed[sensors] = before_all[sensors]
+        if not (verdict.holds and np.mean(self.usable[moved]) >= _MIN_TESTED):
+            proposed[sensors] = stated
             return
-        untested = [self.names[i] for i in sensors[changed] if not self.usable[i]]
+        untested = [self.names[i] for i in moved if not self.usable[i]]
         caveat = f" ({join_items(untested, _MAX_NAMED)} not tested)" if untested else ""
-        finding = LayoutFinding(
-            group.kind,
-            sensors[changed],
-            group.text + caveat,
-            displacement=float(np.median(distance[changed])),
-            agreement_stated=stated,
-            agreement_proposed=there,
-            chance=verdict.chance,
-            gain=verdict.gain,
-            z=verdict.z,
-        )
-        self.findings.append(finding)
+        change = Change((), (), (), stated, move, back, verdict)
+        self._add(kind, text + caveat, [change], search.evidence)
 
     def _as_stated(self, proposed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return proposed places, with stated ones where nothing changed or another sensor was."""

@@ -125,6 +125,10 @@ The second ring of a hexagonal lattice is 2 spacings away, and modules have gaps
 """
 
 
+MIN_DISPLACEMENT = 3.0
+"""Spacings to a free place: contacts of unequal reach pull sensors by up to 2.5 spacings."""
+
+
 @dataclass(frozen=True, eq=False)
 class Move:
     """Positions other than the stated ones for some sensors.
@@ -141,13 +145,12 @@ class Proposal:
     """A move and its gain.
 
     gain: Increase of the log-likelihood of all similarities, in nats.
-    alternatives: Moves of the same sensors among which it was chosen, itself included; empty if
-        each sensor could have had any place.
+    kind: ``"swapped"``, ``"shifted"`` or ``"moved"`` to places that no sensor has.
     """
 
     gain: float
     move: Move
-    alternatives: tuple[Move, ...] = ()
+    kind: str = "swapped"
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,20 +245,11 @@ class Evidence:
             found.append(float(gain + inner / 2))
         return found
 
-    def similar(self, sensor: int) -> NDArray[np.intp]:
-        """Return the usable sensors that are most similar to a sensor."""
-        row = np.where(self.usable, self.similarity[sensor], -np.inf)
-        row[sensor] = -np.inf
-        n_similar = min(_N_SIMILAR, np.count_nonzero(np.isfinite(row)))
-        return np.argsort(-row, kind="stable")[:n_similar]
-
     @property
     def reach(self) -> float:
         """Distance up to which sensors count as neighbours, in units of the positions."""
         return REACH * self.falloff.spacing
 
-
-_N_SIMILAR = 6  # most similar sensors, near which a sensor may belong; chosen by hand
 
 MIN_GAIN = 15.0
 """Least gain in nats of a move.

@@ -2,44 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections import Counter
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from anisomap.base.wording import join_items
-from anisomap.layout.arranging import Change
-from anisomap.layout.evidence import Move
+from anisomap.layout.arranging import Change, alike
+from anisomap.layout.evidence import Proposal
 from anisomap.layout.modules import Mounting
-from anisomap.layout.sensors import shifted_moves
+from anisomap.layout.sensors import chains
 from anisomap.numerics.procrustes import fit_similarity
 
 _SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
-_MIN_RUN = 4  # sensors; fewer are swaps and cycles
-_MAX_STEP = 2  # channels by which a run may be shifted; as `cable_shifts`
-_MIN_SHARE = 0.7  # of the sensors of cycles that must be shifted equally; chosen by hand
 _SHIFTED = 15.0  # degrees; patches that turn less are told as shifted
 _MAX_NAMED = 6
-
-
-@dataclass(frozen=True, eq=False)
-class Explained:
-    """A group of sensors with new places, and the explanation.
-
-    kind: A key of `anisomap.layout.KINDS`.
-    sensors: Those that take part, some perhaps with the place that is stated.
-    alternatives: See `anisomap.layout.evidence.Proposal`.
-    """
-
-    kind: str
-    sensors: NDArray[np.intp]
-    text: str
-    alternatives: tuple[Move, ...] = ()
 
 
 def explain(
@@ -47,18 +27,55 @@ def explain(
     proposed: NDArray[np.float64],
     *,
     spacing: float,
-    rigid: Sequence[NDArray[np.intp]],
+    made: Sequence[Proposal],
     names: Sequence[str],
-) -> list[Explained]:
-    """Divide the sensors with new places into groups that one fault explains.
+) -> list[tuple[str, str, NDArray[np.intp]]]:
+    """Divide the sensors with new places into groups that one fault explains: kind, text, sensors.
 
     stated, proposed (n, k).
+    made: Proposals that led there.
     """
-    target = _targets(stated, proposed, spacing)
-    left = target != np.arange(len(stated))
-    found = _shifted_runs(target, left, stated)
-    found += _cycles(target, left, names)
-    return found + _moved(target, left, rigid, names)
+    distance, owner = KDTree(stated).query(proposed)
+    target = np.where(distance <= _SAME * spacing, owner, -1)
+    everyone = np.arange(len(stated))
+    left = (stated != proposed).any(axis=1) & (target != everyone)
+    found: list[tuple[str, str, NDArray[np.intp]]] = []
+
+    def tell(kind: str, sensors: NDArray[np.intp], text: str) -> None:
+        found.append((kind, text, sensors))
+        left[sensors] = False
+
+    for one in made:
+        if one.kind == "shifted" and left[one.move.sensors].all():
+            run = one.move.sensors
+            (step, _), *_ = Counter((target[run] - run).tolist()).most_common(1)
+            channels = "one channel" if abs(step) == 1 else f"{abs(step)} channels"
+            text = (
+                f"{len(run)} consecutive sensors are shifted by {channels}: each has the place "
+                f"of the {'next' if step > 0 else 'previous'}"
+            )
+            tell("shifted", run, text)
+    following = {int(i): int(target[i]) for i in np.flatnonzero(left & (target >= 0))}
+    for cycle in chains(following):
+        named = [names[i] for i in cycle]
+        if following[cycle[-1]] != cycle[0]:
+            continue
+        if len(cycle) == 2:
+            text = f"{named[0]} and {named[1]} have each other's places"
+            tell("swapped", np.array(cycle), text)
+        else:
+            text = f"{join_items(named, _MAX_NAMED)}: each has the place of the next"
+            tell("cycle", np.array(cycle), text)
+    groups = [one.move.sensors for one in made if one.kind == "moved"]
+    for group in [*groups, *everyone[left][:, None]]:
+        sensors = np.sort(group[left[group]])
+        if len(sensors) > 1:
+            tell("moved", sensors, f"{len(sensors)} sensors belong to another place, all together")
+        elif len(sensors):
+            name, there = names[sensors[0]], target[sensors[0]]
+            place = f"has the place of {names[there]}" if there >= 0 else "belongs to another place"
+            tell("moved", sensors, f"{name} {place}")
+    return found
 
 
 def explain_modules(
@@ -66,21 +83,24 @@ def explain_modules(
 ) -> list[tuple[str, str, list[Change]]]:
     """Explain changes of modules, those of one patch together: kind, text, and changes."""
     found = []
-    for kind, angle, group in _alike(changes, mounting):
+    for kind, angle, group in _causes(changes, mounting):
         modules = [m for change in group for m in change.modules]
         listed = [span(mounting.members[m], names) for m in modules]
         tested = sum(int(usable[mounting.members[m]].sum()) for m in modules)
         of_all = sum(len(mounting.members[m]) for m in modules)
         count = f" ({tested} of {of_all} pads tested)" if tested < of_all else ""
         if kind == "reversed":
-            text = (
-                f"module {listed[0]}: pads in reverse order"
-                if len(group) == 1
-                else _reversed_run(sorted(modules), mounting, names)
-            )
+            first, last = (span(mounting.members[end(modules)], names) for end in (min, max))
+            count_all = max(modules) - min(modules) + 1
+            text = f"modules {first} to {last}, {count_all} in a row, in reverse order"
+            if len(modules) == 1:
+                text = f"module {first}: pads in reverse order"
         elif group[0].together and kind == "moved":
             text = (
-                f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} are shifted together"
+                f"module {listed[0]} is shifted"
+                if len(listed) == 1
+                else f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} are shifted "
+                "together"
             )
         elif kind in ("turned", "mirrored"):
             text = _in_place(kind, angle, group, listed)
@@ -107,43 +127,26 @@ _Explained: TypeAlias = tuple[str, float, list[Change]]
 """A kind, an angle in degrees, and the changes that it explains."""
 
 
-def _alike(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
-    """Divide changes by kind and angle, and by the patches of adjacent modules that share them."""
-    by_kind: dict[tuple[str, float], list[Change]] = {}
+def _causes(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
+    """Divide changes by their cause; adjacent modules that are flipped alike have one."""
     found: list[_Explained] = []
     for change in changes:
         if change.together:
-            kind, angle = _motion(change.stated, change.move.places)
-            found.append((kind, angle, [change]))
-        elif set(change.slots) == set(change.modules) == set(change.modules[:1]):
-            orientation = mounting.orientations[change.turns[0]]
-            frame = mounting.frames[change.modules[0]]
-            # Adjacent modules in space have the same side to the outside.
-            hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 1.0
-            angle = hand * orientation.angle
-            kind = "mirrored" if orientation.reflected else "turned"
-            if orientation.backwards:
-                found.append(("reversed", 0.0, [change]))
-                continue
-            by_kind.setdefault((kind, float(round(angle))), []).append(change)
-        else:
+            found.append((*motion(change.stated, change.move.places), [change]))
+        elif change.slots != change.modules:
             closed = set(change.slots) == set(change.modules)
             found.append(("exchanged" if closed else "moved", 0.0, [change]))
     found = _with_runs(found)
-    for (kind, angle), group in by_kind.items():
-        modules = [change.modules[0] for change in group]
-        graph: Any = csr_array(mounting.adjacent[np.ix_(modules, modules)])
-        label = connected_components(graph, directed=False)[1]
-        found += [
-            (kind, angle, [group[i] for i in np.flatnonzero(label == k).tolist()])
-            for k in range(int(label.max()) + 1)
-        ]
+    for group in alike(changes, mounting):
+        way, those = mounting.orientations[changes[group[0]].turns[0]], [changes[i] for i in group]
+        if way.backwards:
+            found += [("reversed", 0.0, [one]) for one in those]
+        else:
+            found.append(("mirrored" if way.reflected else "turned", abs(way.angle), those))
     return found
 
 
-def _with_runs(
-    found: list[_Explained],
-) -> list[_Explained]:
+def _with_runs(found: list[_Explained]) -> list[_Explained]:
     """Join exchanges of modules that together reverse a row of modules."""
     by_sum: dict[int, dict[int, Change]] = {}
     for kind, _, group in found:
@@ -164,15 +167,9 @@ def _with_runs(
     return [one for one in found if id(one[2][0]) not in known] + joined
 
 
-def _reversed_run(modules: Sequence[int], mounting: Mounting, names: Sequence[str]) -> str:
-    first, last = (span(mounting.members[m], names) for m in (modules[0], modules[-1]))
-    count = modules[-1] - modules[0] + 1
-    return f"modules {first} to {last}, {count} in a row, in reverse order"
-
-
 def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence[str]) -> str:
     move, before = group[0].move, group[0].stated
-    turn = turn_in_words(before, move.places, abs(angle))
+    turn = turn_in_words(before, move.places, angle)
     if len(listed) > 1:
         modules = f"the {len(listed)} modules {join_items(listed, _MAX_NAMED)} of one patch are"
         if group[0].together:
@@ -180,14 +177,14 @@ def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence
         if kind == "mirrored":
             return f"{modules} mirrored in their places"
         if before.shape[1] > 2:  # each about an axis of its own
-            turn = f"{abs(angle):.0f} degrees"
+            turn = f"{angle:.0f} degrees"
         return f"{modules} turned by {turn} in their places"
     if kind == "mirrored":
         return f"module {listed[0]} is a mirror image of what is stated"
     return f"module {listed[0]} is turned by {turn}"
 
 
-def _motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[str, float]:
+def motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[str, float]:
     """Return whether places (m, k) were turned or mirrored, and the angle of a turn in degrees."""
     fit = fit_similarity(before, after, scaling=False, reflection=None)
     k = before.shape[1]
@@ -196,16 +193,6 @@ def _motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[st
     cosine = (np.trace(fit.rotation) - (k - 2)) / 2
     angle = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     return ("turned" if angle > _SHIFTED else "moved"), angle
-
-
-def _targets(
-    stated: NDArray[np.float64], proposed: NDArray[np.float64], spacing: float
-) -> NDArray[np.intp]:
-    """Return the sensor whose stated place each sensor has; -1 for a place that no sensor has."""
-    distance, owner = KDTree(stated).query(proposed)
-    found = np.where(distance <= _SAME * spacing, owner, -1)
-    unchanged = (stated == proposed).all(axis=1)
-    return np.where(unchanged, np.arange(len(stated)), found)
 
 
 def turn_in_words(before: NDArray[np.float64], after: NDArray[np.float64], angle: float) -> str:
@@ -227,94 +214,6 @@ def turn_in_words(before: NDArray[np.float64], after: NDArray[np.float64], angle
     sense = "+" if sign > 0 else "-"
     listed = ", ".join(f"{0.0 + round(one, 2):g}" for one in (sign / length * axis).tolist())
     return f"{sense}{size} about the axis ({listed})"
-
-
-def _shifted_runs(
-    target: NDArray[np.intp], left: NDArray[np.bool_], stated: NDArray[np.float64]
-) -> list[Explained]:
-    step = np.where(left & (target >= 0), target - np.arange(len(target)), 0)
-    cycles = _closed({int(i): int(target[i]) for i in np.flatnonzero(left) if target[i] >= 0})
-    # A run that is shifted by two channels closes in two cycles.
-    joined: list[list[int]] = []
-    for cycle in sorted(sorted(cycle) for cycle in cycles):
-        if joined and cycle[0] <= joined[-1][-1] + 1 and len(cycle) >= _MIN_RUN // 2:
-            joined[-1] = sorted(joined[-1] + cycle)
-        else:
-            joined.append(cycle)
-    found = []
-    for sensors in joined:
-        steps = step[sensors]
-        values, counts = np.unique(steps, return_counts=True)
-        most = int(values[counts.argmax()])
-        if (
-            len(sensors) >= _MIN_RUN
-            and abs(most) <= _MAX_STEP
-            and counts.max() >= _MIN_SHARE * len(sensors)
-        ):
-            channels = "one channel" if abs(most) == 1 else f"{abs(most)} channels"
-            order = "next" if most > 0 else "previous"
-            text = (
-                f"{len(sensors)} consecutive sensors are shifted by {channels}: each has the place "
-                f"of the {order}"
-            )
-            run = np.array(sensors)
-            found.append(Explained("shifted", run, text, shifted_moves(stated, run)))
-            left[sensors] = False
-    return found
-
-
-def _cycles(
-    target: NDArray[np.intp], left: NDArray[np.bool_], names: Sequence[str]
-) -> list[Explained]:
-    found = []
-    edges = {int(i): int(target[i]) for i in np.flatnonzero(left) if target[i] >= 0}
-    for cycle in _closed(edges):
-        named = [names[i] for i in cycle]
-        if len(cycle) == 2:
-            text = f"{named[0]} and {named[1]} have each other's places"
-            found.append(Explained("swapped", np.array(cycle), text))
-        else:
-            text = f"{join_items(named, _MAX_NAMED)}: each has the place of the next"
-            found.append(Explained("cycle", np.array(cycle), text))
-        left[cycle] = False
-    return found
-
-
-def _moved(
-    target: NDArray[np.intp],
-    left: NDArray[np.bool_],
-    rigid: Iterable[NDArray[np.intp]],
-    names: Sequence[str],
-) -> list[Explained]:
-    found = []
-    groups = [*rigid, *(np.array([i]) for i in np.flatnonzero(left))]
-    for group in groups:
-        sensors = np.sort(group[left[group]])
-        if not sensors.size:
-            continue
-        if len(sensors) > 1:
-            text = f"{len(sensors)} sensors belong to another place, all together"
-        elif target[sensors[0]] >= 0:
-            text = f"{names[sensors[0]]} has the place of {names[target[sensors[0]]]}"
-        else:
-            text = f"{names[sensors[0]]} belongs to another place"
-        found.append(Explained("moved", sensors, text))
-        left[sensors] = False
-    return found
-
-
-def _closed(edges: dict[int, int]) -> list[list[int]]:
-    """Return the cycles of a map; chains that end, or run into a cycle, are left out."""
-    found: list[list[int]] = []
-    seen: set[int] = set()
-    for start in sorted(edges):
-        path = [start]
-        while len(path) <= len(edges) and (following := edges.get(path[-1], start)) != start:
-            path.append(following)
-        if start not in seen and edges.get(path[-1]) == start:
-            found.append(path)
-            seen.update(path)
-    return found
 
 
 def span(members: NDArray[np.intp], names: Sequence[str]) -> str:

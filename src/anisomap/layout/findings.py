@@ -86,9 +86,6 @@ class LayoutFinding:
     agreement_stated, agreement_proposed, agreement_second : float
         Mean similarity of the sensors to those around their stated, their proposed, and their
         second best places; NaN if there are none, or no second best ones.
-    chance : float
-        Largest gain of agreement by a free choice of places after circular shifts in time; NaN
-        if no place is proposed.
     gain : float
         Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
     z : float
@@ -105,7 +102,6 @@ class LayoutFinding:
     agreement_stated: float = float("nan")
     agreement_proposed: float = float("nan")
     agreement_second: float = float("nan")
-    chance: float = float("nan")
     gain: float = float("nan")
     z: float = float("nan")
     modules: tuple[ModuleChange, ...] = ()

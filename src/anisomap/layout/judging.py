@@ -1,31 +1,36 @@
-"""Evidence for a change of places: likelihood, its uncertainty, and what chance gives."""
+"""Evidence for a change of places: likelihood, its uncertainty, and agreement with neighbours."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial.distance import cdist
 
-from anisomap.layout.chance import Chance, agreement_gain, median_gain, own_agreement
-from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, coded
+from anisomap.layout.evidence import MIN_GAIN, REACH, Evidence, Move, coded
 from anisomap.layout.readings import ReadingStatistics
 
 MIN_Z = 3.0
 """Least gain of a change, in standard errors of the jackknife over parts of the recording."""
 
 MIN_GROUP_GAIN = 30.0
-"""Least gain in nats of a module or a run, whose pairs have errors in common."""
+"""Least gain in nats of a module or run, whose pairs have errors in common, or at a free place."""
 
 _IN_PLACE = 40.0  # the same of a module that is turned at its place, in one of a dozen ways
 
-_MIN_RIGID = 0.48
-"""Least gain of agreement of a patch on free places, relative to the median agreement.
+_MIN_AGREEMENT, _MIN_OF_FEW = 0.48, 0.1
+"""Least gain of agreement, relative to the median agreement, at any place and at one of a few.
 
-Places that no sensor has are many, and fit a patch at an edge better than its own by chance: on the
-right layouts of nao_torso, nao_head and insole_L, patches gained up to 0.45.
+The best of all places agrees better than a right one by 0.4 to 0.55 if readings are shifted in time
+(torso and arm of an iCub). On the right layouts of nao_torso, nao_head and insole_L, patches on
+places that no sensor has gained up to 0.45.
 """
+
+_WIDTH = 1.3  # spacings, of the Gaussian weights of neighbours; chosen by hand
+_MIN_WEIGHT = 0.3  # of all neighbours: about one sensor at 2 spacings; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,36 +40,24 @@ class Verdict:
     gain: Increase of the log-likelihood, in nats.
     least: What it must be at least.
     z: Gain in standard errors.
-    agreement_gain: Increase of the mean similarity to the sensors around.
-    chance: Largest such increase of shifted readings.
-    median_gain: Such increase of the median sensor; 0 if less than half of all stay in place.
-    in_place: Whether a module is turned at its place.
-    not_missed: Whether the sensors around the stated places gain, too, if these are left.
+    agrees: Whether the sensors agree better with those around them, too. Most of a group must: a
+        few wrong ones among right ones would agree better wherever all of them were moved.
     """
 
     gain: float
     least: float
     z: float
-    agreement_gain: float
-    chance: float
-    median_gain: float
-    not_missed: bool = True
-    in_place: bool = False
+    agrees: bool
+
+    @property
+    def told(self) -> bool:
+        """Whether the likelihood rises beyond its uncertainty."""
+        return self.gain >= self.least and self.z >= MIN_Z
 
     @property
     def holds(self) -> bool:
-        """Whether the move explains the readings better than the uncertainty and chance do.
-
-        Most of its sensors must gain: a few wrong ones among right ones would agree better wherever
-        all of them were moved.
-        """
-        return (
-            self.gain >= self.least
-            and self.z >= MIN_Z
-            and self.agreement_gain > (0.0 if self.in_place else max(self.chance, 0.0))
-            and (self.in_place or self.median_gain > 0)
-            and self.not_missed
-        )
+        """Whether the move explains the readings better."""
+        return self.told and self.agrees
 
 
 class Judge:
@@ -78,7 +71,6 @@ class Judge:
         own = own_agreement(evidence)[evidence.usable]
         own = own[np.isfinite(own)]
         self._typical = float(np.median(own)) if own.size else 0.0
-        self._chance = Chance.of(statistics.shifted, evidence)
 
     def certainly_gains(self, evidence: Evidence, move: Move) -> bool:
         """Return whether the likelihood rises beyond its uncertainty."""
@@ -95,40 +87,44 @@ class Judge:
         self,
         evidence: Evidence,
         move: Move,
-        alternatives: Sequence[Move] = (),
         *,
-        rigid: bool = False,
+        group: bool = False,
+        free: bool = False,
+        few: bool = False,
         in_place: bool = False,
     ) -> Verdict:
         """Weigh the evidence for a move.
 
-        alternatives: Moves among which it was chosen; by default, each sensor could have had any
-            place.
-        rigid: Whether to places that no sensor has. Readings of the sensors of a patch have errors
+        group: Whether sensors move together, as a module does.
+        free: Whether to places that no sensor has. Readings of the sensors of a patch have errors
             in common, and each pair of them must gain as much as two that are swapped.
+        few: Whether the group is at one of a few places: of other modules, or some channels on.
         in_place: Whether it turns a module at its place. Half of its sensors may have no others
             around them then, so that agreement tells less.
         """
-        least = _IN_PLACE if in_place else MIN_GROUP_GAIN if alternatives else MIN_GAIN
-        if rigid:
+        least = _IN_PLACE if in_place else MIN_GROUP_GAIN if group or free else MIN_GAIN
+        if free:
             least = max(least, MIN_GAIN * len(move.sensors) / 2)
         gain, z = self.gain(evidence, move)
-        chance = (
-            self._chance.of_moves(evidence, alternatives)
-            if alternatives
-            else self._chance.of_sensors(move.sensors)
+        gains = agreement_gains(evidence, move) if gain >= least else np.empty(0)
+        if not gains.size:
+            return Verdict(gain, least, z, agrees=False)
+        of_all = float(gains.mean())
+        if in_place:
+            return Verdict(gain, least, z, agrees=of_all > 0)
+        if group or free:
+            # Few sensors should not outweigh the others of a group.
+            of_all = float(np.median(gains))
+        agrees = (
+            of_all > self._typical * (_MIN_OF_FEW if few else _MIN_AGREEMENT)
+            # No right sensor takes part in an exchange of others.
+            and (group or free or gains[0] > 0)
+            # If most sensors are moved, too few are left to compare them with.
+            and 2 * len(move.sensors) <= np.count_nonzero(evidence.usable)
+            # Layouts of closed bodies are cut open: a module is near others on both sides.
+            and (not free or _around(evidence, move).gain(move) >= 0)
         )
-        if rigid:
-            chance = max(chance, _MIN_RIGID * self._typical)
-        # If most sensors are moved, too few are left to compare them with.
-        most = 2 * len(move.sensors) > np.count_nonzero(evidence.usable)
-        of_median = 0.0 if most else median_gain(evidence, move)
-        of_all = agreement_gain(evidence, move)
-        # Few sensors should not outweigh the others of a group that is moved as a whole.
-        of_all = min(of_all, of_median) if (alternatives or rigid) and not in_place else of_all
-        # Layouts of closed bodies are cut open: a module is near others on both sides of the cut.
-        alone = not rigid or _around(evidence, move).gain(move) >= 0
-        return Verdict(gain, least, z, of_all, chance, of_median, alone, in_place)
+        return Verdict(gain, least, z, bool(agrees))
 
 
 def _around(evidence: Evidence, move: Move) -> Evidence:
@@ -137,3 +133,55 @@ def _around(evidence: Evidence, move: Move) -> Evidence:
     near = np.asarray((distances <= evidence.reach).any(axis=0))
     near[move.sensors] = True
     return replace(evidence, usable=evidence.usable & near)
+
+
+def agreement(
+    evidence: Evidence, sensors: NDArray[np.intp], places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean similarity of sensors to those around places, which did not move with them.
+
+    places (m, k) -> (m,); NaN without neighbours.
+    """
+    others = evidence.usable.copy()
+    others[sensors] = False
+    weights = _weights(evidence, cdist(places, evidence.positions[others]))
+    weights *= evidence.usable[sensors][:, None]
+    return _means((weights * evidence.similarity[sensors][:, others]).sum(axis=1), weights)
+
+
+def agreement_gains(evidence: Evidence, move: Move) -> NDArray[np.float64]:
+    """Return the increase of the `agreement` of each sensor that a move displaces, sorted.
+
+    Without neighbours, agreement is 0; sensors without any before and after do not count.
+    """
+    here = evidence.positions[move.sensors]
+    before, after = (agreement(evidence, move.sensors, places) for places in (here, move.places))
+    counted = (move.places != here).any(axis=1) & (np.isfinite(before) | np.isfinite(after))
+    return np.sort((np.nan_to_num(after) - np.nan_to_num(before))[counted])
+
+
+def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
+    """Return the `agreement` of each sensor alone at its position, shape (n,)."""
+    weights: Any = neighbour_weights(evidence)
+    sums = weights.multiply(np.asarray(evidence.similarity, dtype=np.float64)).sum(axis=1)
+    return _means(np.asarray(sums), weights)
+
+
+def neighbour_weights(evidence: Evidence) -> Any:
+    """Return the weights of the usable sensors around each position, without its own sensor."""
+    weights = _weights(evidence, cdist(evidence.positions, evidence.positions))
+    weights *= evidence.usable
+    np.fill_diagonal(weights, 0)
+    return csr_array(weights)
+
+
+def _weights(evidence: Evidence, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+    spacings = distances / evidence.falloff.spacing
+    return np.where(spacings <= REACH, np.exp(-((spacings / _WIDTH) ** 2) / 2), 0.0)
+
+
+def _means(sums: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
+    """Divide sums by those of their weights; NaN where these are small."""
+    total = np.asarray(weights.sum(axis=1))
+    unknown = np.full(sums.shape, np.nan)
+    return np.asarray(np.divide(sums, total, out=unknown, where=total > _MIN_WEIGHT))

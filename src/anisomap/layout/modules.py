@@ -48,7 +48,6 @@ Chosen by hand: layouts of curved bodies bend their modules by up to a tenth of 
 _MAX_MODULE = 64  # channels
 _MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
 _CLEARLY_MORE = 0.1  # a multiple of the true size has a share that is hardly larger
-_MAX_SHAPES = 8  # different shapes, the first ones found, of which one should be frequent
 _MAX_SIZES = 8  # sizes of modules that are tried, by how periodic the distances are
 _N_NEXT = 3  # following channels of which distances are compared
 _MIN_PADS = 5  # fewer places are congruent too often by chance
@@ -147,9 +146,10 @@ def blocks_of_size(
     distances = cdist(positions, positions)
     found = []
     for first in range(size):
-        labels = np.unique((numbers - first) // size, return_inverse=True)[1]
-        share = _share_congruent(distances, (numbers - first) % size, labels)
-        found.append((-round(share, 9), int(labels.max()), first))
+        block, pad = np.divmod(numbers - first, size)
+        block = np.unique(block, return_inverse=True)[1]
+        share = _share_congruent(distances, block, pad)
+        found.append((-round(share, 9), int(block.max()), first))
     share, _, first = min(found)
     return first, -share
 
@@ -159,49 +159,37 @@ def _share_periodic(positions: NDArray[np.float64], numbers: NDArray[np.intp], s
 
     Modules of this size have most distances between nearby channels in common.
     """
-    order = np.argsort(numbers)
-    channels, places = numbers[order], positions[order]
-    last = channels[-1] - channels[0] + 1
-    row = np.full(last + size + _N_NEXT, -1)
-    row[channels - channels[0]] = np.arange(len(channels))
-    here = row[:last]
-    same = here >= 0
-    compared = np.zeros(last, dtype=bool)
+    last = int(np.ptp(numbers)) + 1
+    places = np.full((last + size + _N_NEXT, positions.shape[1]), np.nan)
+    places[numbers - numbers.min()] = positions
+    same, compared = np.ones(last, dtype=bool), np.zeros(last, dtype=bool)
     for step in range(1, _N_NEXT + 1):
-        ends = (here, row[step:][:last], row[size:][:last], row[size + step :][:last])
-        known = np.all([end >= 0 for end in ends], axis=0)
-        first, second, third, fourth = (places[end[known]] for end in ends)
-        change = np.linalg.norm(first - second, axis=1) - np.linalg.norm(third - fourth, axis=1)
-        same[known] &= np.abs(change) <= _TOLERANCE * np.linalg.norm(first - second, axis=1)
+        length = np.linalg.norm(places[step:] - places[:-step], axis=1)
+        change = np.abs(length[size:][:last] - length[:last])
+        known = np.isfinite(change)
+        same &= ~known | (change <= _TOLERANCE * length[:last])
         compared |= known
     return float(same[compared].mean()) if compared.any() else 0.0
 
 
 def _share_congruent(
-    distances: NDArray[np.float64], channels: NDArray[np.intp], labels: NDArray[np.intp]
+    distances: NDArray[np.float64], block: NDArray[np.intp], pad: NDArray[np.intp]
 ) -> float:
-    order = np.argsort(labels, kind="stable")
-    blocks = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-    shapes: list[tuple[bytes, NDArray[np.float64], int]] = []
-    for inside in blocks:
-        if len(inside) < _MIN_PADS:
-            continue
-        present, shape = channels[inside].tobytes(), distances[np.ix_(inside, inside)]
-        for k, (known, other, count) in enumerate(shapes):
-            if known == present and _congruent(other, shape):
-                shapes[k] = (known, other, count + len(inside))
-                break
-        else:
-            if len(shapes) < _MAX_SHAPES:
-                shapes.append((present, shape, len(inside)))
-    repeated = [count for _, shape, count in shapes if count > len(shape)]
-    return max(repeated, default=0) / len(labels)
-
-
-def _congruent(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
-    """Return whether two matrices of distances are equal."""
-    others = first + np.diag(np.full(len(first), np.inf))
-    return float(np.abs(first - second).max()) <= _TOLERANCE * float(np.median(others.min(axis=0)))
+    """Return the share of sensors in whole blocks with the median distances between pads."""
+    sensor = np.full((block.max() + 1, pad.max() + 1), -1)
+    sensor[block, pad] = np.arange(len(block))
+    sensor = sensor[np.count_nonzero(sensor >= 0, axis=1) >= _MIN_PADS]
+    if len(sensor) < 2:
+        return 0.0
+    sensor = sensor[:, (sensor >= 0).mean(axis=0) > 0.5]  # so that any two pads share a block
+    known = sensor >= 0
+    between = distances[sensor[:, :, None], sensor[:, None]]
+    shapes = np.where(known[:, :, None] & known[:, None], between, np.nan)
+    middle = np.nanmedian(shapes, axis=0)
+    nearest = np.nanmin(middle + np.diag(np.full(len(middle), np.inf)), axis=0)
+    off = np.nan_to_num(np.abs(shapes - middle)).max(axis=(1, 2))
+    alike = (off <= _TOLERANCE * float(np.median(nearest))) & known.all(axis=1)
+    return float(known[alike].sum()) / len(block)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +198,7 @@ class Orientation:
 
     angle: Of the rotation, in degrees, in (-180, 180], after a reflection if there is one.
     places (P, 2): Where the pads are then, in the frame of the module.
+    target (P,): The pad in whose place each pad is then; -1 for a place that no pad has.
     fits: Whether most pads are where pads were before.
     backwards: Whether the pads are in reverse order.
     """
@@ -217,6 +206,7 @@ class Orientation:
     reflected: bool
     angle: float
     places: NDArray[np.float64]
+    target: NDArray[np.intp]
     fits: bool = True
     backwards: bool = False
 
@@ -231,7 +221,8 @@ def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
     """
     exist = np.flatnonzero(np.isfinite(template).all(axis=1))
     pads = template[exist]
-    found = [Orientation(reflected=False, angle=0.0, places=template)]
+    everyone = np.arange(len(template))
+    found = [Orientation(reflected=False, angle=0.0, places=template, target=everyone)]
     if len(pads) < MIN_PADS:
         return tuple(found)
     allowed = _SAME * float(np.median(nearest_distances(pads)))
@@ -253,17 +244,17 @@ def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
             if k == 0 and not reflected:
                 continue
             angle = 2 * math.pi * k / n_turns
-            there = _turned(image, angle, centre)
-            target = _mapped(there, pads, allowed)
-            kept = target >= 0
-            fits = bool(np.mean(kept) >= _MIN_MAPPED)
-            places = np.full_like(template, np.nan)
-            places[exist] = np.where(kept[:, None], pads[target], there) if fits else there
+            places, target = template.copy(), np.full(len(template), -1)
+            places[exist] = _turned(image, angle, centre)
+            onto = _mapped(places[exist], pads, allowed)
+            if fits := bool(np.mean(onto >= 0) >= _MIN_MAPPED):
+                target[exist[onto >= 0]] = exist[onto[onto >= 0]]
+                places[target >= 0] = template[target[target >= 0]]
             degrees = math.degrees(math.remainder(angle, 2 * math.pi))
-            found.append(Orientation(reflected, degrees, places, fits))
-    order = np.full_like(template, np.nan)
-    order[exist] = pads[::-1]
-    found.append(Orientation(reflected=False, angle=0.0, places=order, backwards=True))
+            found.append(Orientation(reflected, degrees, places, target, fits))
+    target = everyone.copy()
+    target[exist] = exist[::-1]
+    found.append(Orientation(False, 0.0, template[target], target, backwards=True))
     return tuple(found)
 
 
@@ -271,10 +262,9 @@ def _symmetry(
     pads: NDArray[np.float64], angle: float, allowed: float, *, reflected: bool = False
 ) -> Similarity | None:
     """Return the rotation or reflection near one by an angle that maps most pads onto pads."""
-    image = (pads * [1, -1] if reflected else pads) - pads.mean(axis=0) * (
-        [1, -1] if reflected else [1, 1]
-    )
-    target = _mapped(_turned(image, angle, np.zeros(2)) + pads.mean(axis=0), pads, allowed)
+    middle = pads.mean(axis=0)
+    image = (pads - middle) * [1, -1 if reflected else 1]
+    target = _mapped(_turned(image, angle, np.zeros(2)) + middle, pads, allowed)
     for _ in range(2):
         # Without the pads that map onto none, which pull the centre.
         kept = target >= 0
@@ -320,6 +310,9 @@ class Mounting:
     orientations: In which a module fits its place; the first is the stated one.
     frames (S, k, k), centres (S, k): Of each slot, a place of a module. The first slots are those
         of the modules, in order; others are free. Rows of a frame are the axes of a module.
+    seats (S, P, k): Places of the pads in each slot, stated if known. Layouts of curved bodies bend
+        modules, which are rigid: only modules in another orientation have seats of their pads.
+    home (n, k): Place of each sensor on its module; NaN for those of none.
     pitch: Spacing of the pads.
     """
 
@@ -328,17 +321,20 @@ class Mounting:
     orientations: tuple[Orientation, ...]
     frames: NDArray[np.float64]
     centres: NDArray[np.float64]
+    seats: NDArray[np.float64]
+    home: NDArray[np.float64]
     pitch: float
 
     @classmethod
     def of(cls, modules: Modules, positions: NDArray[np.float64], units: str) -> Mounting:
         """Fit modules to positions (n, k), by their template, or one that they have in common."""
-        k = positions.shape[1]
+        k, home = positions.shape[1], np.full_like(positions, np.nan)
         members = [modules.members(m) for m in range(modules.n_modules)]
         members = [inside for inside in members if len(inside) >= MIN_PADS]
         known = bool(len(modules.template))
         if not members:
-            return cls((), (), (), np.empty((0, k, k)), np.empty((0, k)), 0.0)
+            none = np.empty((0, 0, k))
+            return cls((), (), (), np.empty((0, k, k)), np.empty((0, k)), none, home, 0.0)
         shapes = [(modules.pads[inside], positions[inside]) for inside in members]
         template = _scaled(modules, shapes, units) if known else _common_shape(shapes)
         exist = np.asarray(np.isfinite(template).all(axis=1))
@@ -358,20 +354,24 @@ class Mounting:
             at = template[pad] @ fit[0][:2] + fit[1]
             near = np.linalg.norm(at - positions[inside[there]], axis=1) <= _MAX_PULL * pitch
             if np.count_nonzero(near) >= MIN_PADS and (known or fit[2] <= _MAX_MISFIT * pitch):
+                home[inside[there]] = at
                 kept.append(inside[there][near])
                 pads.append(pad[near])
                 fits.append(fit)
         part = np.full_like(template, np.nan)
         part[used] = template[used]
         frames, centres, _ = zip(*fits, strict=True) if fits else ((), (), ())
-        return cls(
+        mounting = cls(
             tuple(kept),
             tuple(pads),
             orientations(part),
             np.array(frames).reshape(-1, k, k),
             np.array(centres).reshape(-1, k),
+            np.empty((len(kept), len(template), k)),
+            home,
             pitch,
         )
+        return mounting._seated(positions)
 
     @property
     def n_modules(self) -> int:
@@ -379,10 +379,15 @@ class Mounting:
         return len(self.members)
 
     @cached_property
+    def _flat(self) -> NDArray[np.float64]:
+        """The pads that exist, (E, 2)."""
+        places = self.orientations[0].places
+        return places[np.isfinite(places).all(axis=1)]
+
+    @cached_property
     def middles(self) -> NDArray[np.float64]:
         """Middle of the pads in each slot, (S, k)."""
-        middle = np.nanmean(self.orientations[0].places, axis=0)
-        return np.asarray(middle @ self.frames[:, :2] + self.centres)
+        return np.asarray(self._flat.mean(axis=0) @ self.frames[:, :2] + self.centres)
 
     @cached_property
     def adjacent(self) -> NDArray[np.bool_]:
@@ -395,10 +400,9 @@ class Mounting:
     @cached_property
     def clearance(self) -> float:
         """Least distance of the centres of two modules that lie side by side."""
-        pads = self.orientations[0].places
-        pads = pads[np.isfinite(pads).all(axis=1)]
-        return 2 * _inscribed(pads)[1] + self.pitch
+        return 2 * _inscribed(self._flat)[1] + self.pitch
 
+    @cached_property
     def overlaps(self) -> list[tuple[int, int, float]]:
         """Return pairs of modules whose centres are nearer than their shape allows, and how far.
 
@@ -406,8 +410,7 @@ class Mounting:
         """
         if self.n_modules < 2:
             return []
-        pads = self.orientations[0].places
-        middle = _inscribed(pads[np.isfinite(pads).all(axis=1)])[0]
+        middle = _inscribed(self._flat)[0]
         n = self.n_modules
         centres = middle @ self.frames[:n, :2] + self.centres[:n]
         between = cdist(centres, centres)
@@ -415,24 +418,27 @@ class Mounting:
         near = np.argwhere(np.triu(between < least, 1)).tolist()
         return [(a, b, float(between[a, b])) for a, b in near]
 
-    def orientation(self, slot: int) -> tuple[float, bool]:
-        """Return the angle of a flat module in a slot in degrees, and whether it is mirrored."""
-        frame = self.frames[slot]
-        if len(frame) > 2:
-            return math.nan, False
-        degrees = math.degrees(math.atan2(-frame[1, 0], frame[1, 1]))
-        return degrees, bool(np.linalg.det(frame) < 0)
+    @cached_property
+    def shapes(self) -> NDArray[np.float64]:
+        """Places of the pads of a module in each slot and orientation, (S, O, P, k)."""
+        found = []
+        for o, way in enumerate(self.orientations):
+            rigid = np.nan_to_num(way.places) @ self.frames[:, :2] + self.centres[:, None]
+            seated = (way.target >= 0) & (o > 0)
+            found.append(np.where(seated[:, None], self.seats[:, way.target], rigid))
+        return np.stack(found, axis=1)
 
     def places(self, module: int, slot: int, orientation: int) -> NDArray[np.float64]:
         """Return where the sensors of a module are in a slot, (m, k)."""
-        pads = self.orientations[orientation].places[self.pads[module]]
-        return np.asarray(pads @ self.frames[slot, :2] + self.centres[slot])
+        return np.asarray(self.shapes[slot, orientation, self.pads[module]])
 
-    def fitted(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions (n, k) with each module unbent."""
+    def arranged(
+        self, positions: NDArray[np.float64], slots: NDArray[np.intp], turns: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """Return positions (n, k) with the modules in slots (M,) and orientations (M,), unbent."""
         found = positions.copy()
         for m, inside in enumerate(self.members):
-            found[inside] = self.places(m, m, 0)
+            found[inside] = self.places(m, int(slots[m]), int(turns[m]))
         return found
 
     def moved(self, modules: Sequence[int], positions: NDArray[np.float64]) -> Mounting:
@@ -441,53 +447,60 @@ class Mounting:
         for m in modules:
             pads = self.orientations[0].places[self.pads[m]]
             frames[m], centres[m], _ = _fit(pads, positions[self.members[m]])
-        return replace(self, frames=frames, centres=centres).with_free_slots(positions)
+        return replace(self, frames=frames, centres=centres)._seated(positions)
 
-    def part(self, modules: Sequence[int]) -> Mounting:
-        """Return some of the modules, at their places alone."""
-        chosen = list(modules)
+    def without(self, modules: Sequence[int], positions: NDArray[np.float64]) -> Mounting:
+        """Return the other modules, at positions (n, k), and the places that are free then."""
+        chosen = [m for m in range(self.n_modules) if m not in modules]
         return replace(
             self,
             members=tuple(self.members[m] for m in chosen),
             pads=tuple(self.pads[m] for m in chosen),
             frames=self.frames[chosen],
             centres=self.centres[chosen],
-        )
+        )._seated(positions, [i for m in modules for i in self.members[m].tolist()])
 
-    def with_free_slots(self, positions: NDArray[np.float64]) -> Mounting:
-        """Return the same with the free places beside modules, as others are beside others."""
-        if self.n_modules < 2:
-            return self
-        centres, frames = self.centres[: self.n_modules], self.frames[: self.n_modules]
-        middle = np.nanmean(self.orientations[0].places, axis=0)
-        first, second = np.nonzero(self.adjacent)
+    def _seated(self, positions: NDArray[np.float64], gone: Sequence[int] = ()) -> Mounting:
+        """Return the same with seats at positions (n, k), and the free places beside them.
+
+        Free places are beside modules as other modules are beside others.
+
+        gone: Sensors that are in nobody's way.
+        """
+        n = self.n_modules
+        frames, centres = self.frames[:n], self.centres[:n]
+        flat = np.nan_to_num(self.orientations[0].places)
+        seats = flat @ frames[:, :2] + centres[:, None]
+        for seat, inside, pads in zip(seats, self.members, self.pads, strict=True):
+            seat[pads] = positions[inside]
+        own = replace(self, frames=frames, centres=centres, seats=seats)
+        if n < 2:
+            return own
+        first, second = np.nonzero(own.adjacent)
         inverse = frames[first].transpose(0, 2, 1)
         steps = np.einsum("ek,ekl->el", centres[second] - centres[first], inverse)
         turns = frames[second] @ inverse
-        pads = self.orientations[0].places[np.isfinite(self.orientations[0].places).all(axis=1)]
         # Equal places that bending makes unequal are one.
         rounded = np.round(np.hstack([steps / self.pitch, turns.reshape(len(turns), -1)]))
         kinds = np.unique(rounded, axis=0, return_index=True)[1]
-        taken = KDTree(positions)
-        free_frames: list[NDArray[np.float64]] = []
-        free_centres: list[NDArray[np.float64]] = []
-        for kind in kinds.tolist():
-            for slot in range(self.n_modules):
-                frame = turns[kind] @ frames[slot]
-                centre = centres[slot] + steps[kind] @ frames[slot]
-                places = pads @ frame[:2] + centre
-                if np.mean(taken.query(places)[0] < _FREE * self.pitch) > _MAX_TAKEN:
-                    continue
-                known = [middle @ f[:2] + c for f, c in zip(free_frames, free_centres, strict=True)]
-                here = middle @ frame[:2] + centre
-                if known and np.linalg.norm(known - here, axis=1).min() < self.pitch:
-                    continue
-                free_frames.append(frame)
-                free_centres.append(centre)
+        frame = (turns[kinds, None] @ frames).reshape(-1, *frames.shape[1:])
+        centre = (steps[kinds, None, None] @ frames)[:, :, 0] + centres
+        centre = centre.reshape(-1, centres.shape[1])
+        there = self._flat @ frame[:, :2] + centre[:, None]
+        taken = (
+            np.asarray(KDTree(np.delete(positions, list(gone), axis=0)).query(there)[0])
+            < _FREE * self.pitch
+        )
+        middles = there.mean(axis=1)
+        chosen: list[int] = []
+        for i in np.flatnonzero(taken.mean(axis=1) <= _MAX_TAKEN).tolist():
+            if (np.linalg.norm(middles[chosen] - middles[i], axis=1) >= self.pitch).all():
+                chosen.append(i)
         return replace(
-            self,
-            frames=np.concatenate([frames, *(frame[None] for frame in free_frames)]),
-            centres=np.vstack([centres, *free_centres]),
+            own,
+            frames=np.concatenate([frames, frame[chosen]]),
+            centres=np.concatenate([centres, centre[chosen]]),
+            seats=np.concatenate([seats, flat @ frame[chosen, :2] + centre[chosen, None]]),
         )
 
 
@@ -552,15 +565,13 @@ def _fit_either_way(
 
     back (P,): Of each pad, the one in its place in reverse order.
     """
-
-    def misfit(way: NDArray[np.intp]) -> float:
-        at = template[way] @ fits[way.tobytes()][0][:2] + fits[way.tobytes()][1]
-        return float(np.minimum(np.linalg.norm(at - places, axis=1), pitch).mean())
-
-    fits = {way.tobytes(): _fit(template[way], places) for way in (pads, back[pads])}
-    reverse = len(pads) > MIN_PADS + 1 and misfit(back[pads]) < _CLEARLY * misfit(pads)
-    chosen = back[pads] if reverse else pads
-    return fits[chosen.tobytes()], chosen
+    ways, fits, misfits = (pads, back[pads]), [], []
+    for way in ways:
+        fits.append(_fit(template[way], places))
+        off = np.linalg.norm(template[way] @ fits[-1][0][:2] + fits[-1][1] - places, axis=1)
+        misfits.append(float(np.minimum(off, pitch).mean()))
+    reverse = len(pads) > MIN_PADS + 1 and misfits[1] < _CLEARLY * misfits[0]
+    return fits[reverse], ways[reverse]
 
 
 def _fit(
@@ -583,6 +594,13 @@ def _fit(
     return found.rotation.T, found.translation, rms
 
 
-def fit_frame(pads: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the axes, (k, k), of a module whose pads (m, 2) are at places (m, k)."""
-    return _fit(pads, places)[0]
+def orientation(pads: NDArray[np.float64], places: NDArray[np.float64]) -> tuple[float, bool]:
+    """Return the angle of a flat module in degrees, and whether it is mirrored; NaN in space.
+
+    pads (m, 2), places (m, k).
+    """
+    frame = _fit(pads, places)[0]
+    if len(frame) > 2:
+        return math.nan, False
+    degrees = math.degrees(math.atan2(-frame[1, 0], frame[1, 1]))
+    return degrees, bool(np.linalg.det(frame) < 0)

@@ -13,7 +13,6 @@ from anisomap.layout.evidence import Evidence
 
 _FAR = 4.0  # spacings between two modules up to which they orient each other; chosen by hand
 _LONGEST = 12  # flips of a chain
-_MAX_CHAINS = 20
 _LEAST = 1e-2  # nats by which a chain must gain, which rounding does not
 
 
@@ -87,28 +86,11 @@ class Orientations:
 
     def best(self, turn: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the orientations that no chain improves, from some orientations (M,) on."""
-        for _ in range(_MAX_CHAINS):
-            turn = self._flipped_singly(turn)
+        for _ in range(len(turn)):
             gain, better = self._chain(turn)
             if gain <= _LEAST:
                 break
             turn = better
-        return turn
-
-    def _fields(self, turn: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return the log-likelihood of each module in each orientation, (M, O)."""
-        modules = np.arange(len(turn))
-        return np.asarray(self.alone + self.pairs[:, modules, :, turn].sum(axis=0))
-
-    def _flipped_singly(self, turn: NDArray[np.intp]) -> NDArray[np.intp]:
-        turn, modules = turn.copy(), np.arange(len(turn))
-        for _ in range(10 * len(turn)):
-            fields = self._fields(turn)
-            gains = (fields.max(axis=1) - fields[modules, turn]) * self.free
-            best = int(gains.argmax())
-            if gains[best] <= _LEAST:
-                break
-            turn[best] = int(fields[best].argmax())
         return turn
 
     def _chain(self, turn: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:
@@ -122,7 +104,8 @@ class Orientations:
             return 0.0, turn
         chains = np.arange(m.size)
         now = np.tile(turn, (m.size, 1))
-        fields = np.repeat(self._fields(turn)[None], m.size, axis=0)
+        field = self.alone + self.pairs[:, modules, :, turn].sum(axis=0)  # each orientation, (M, O)
+        fields = np.repeat(field[None], m.size, axis=0)
         locked = np.tile(~self.free, (m.size, 1))
         gained = np.zeros(m.size)
         most, best = np.full(m.size, -np.inf), now.copy()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,157 +12,157 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
+from anisomap.layout.evidence import MIN_DISPLACEMENT, MIN_GAIN, Evidence, Move, Proposal
 from anisomap.layout.sensors import place_gains
-from anisomap.numerics.procrustes import fit_similarity, rotations
+from anisomap.numerics.procrustes import rotations
 
-_MIN_DISPLACEMENT = 3.0  # spacings: contacts of unequal reach pull patches by up to 2.5 spacings
 _MIN_GAP = 0.5  # spacings between sensors of a moved patch and others, which are not in its way
 _MAX_IN_THE_WAY = 0.2  # share of a patch that may come nearer: others may be wrong, too
 
 _MIN_PATCH = 3  # sensors, which have an orientation
 _MIN_RATIO = 2.0  # nats by which a link must favour its distance over a large one; by hand
-_N_STARTS = 3  # best translations that are refined; chosen by hand
-_MAX_TRIED = 60  # sensors of a patch that propose translations
+_N_ANGLES = 24  # turns, and as many reflections
+_N_LINKS = 40  # most similar pairs of a sensor of a patch and another, which should be near
+_NEAR = 2.5  # spacings up to which such pairs are
+_N_TRIED = 60  # motions of which the likelihood is computed
+_N_REFINED = 3  # of these, the best
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is placed against
 _MAX_EVALUATIONS = 150  # per refinement
 _PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 
 
-def patches(evidence: Evidence) -> list[NDArray[np.intp]]:
-    """Divide sensors into patches that neighbours with similar readings hold together."""
-    return _held_together(evidence, np.flatnonzero(evidence.usable))
+def free_moves(
+    evidence: Evidence, loose: NDArray[np.bool_], home: NDArray[np.float64]
+) -> list[Proposal]:
+    """Propose the best place of each patch of loose sensors, moved as a whole, and of single ones.
 
+    These agree with no neighbour, or fit a place that is not near theirs better. Pads of a module
+    return to it alone.
 
-def without_smaller_patches(evidence: Evidence, move: Move) -> Evidence:
-    """Return the evidence of the moved sensors, and of patches that are no smaller than they are.
-
-    Similarities to a smaller patch are explained as well if that one is at a wrong place.
+    home (n, k): See `Mounting`.
     """
-    usable = np.zeros_like(evidence.usable)
-    for patch in patches(evidence):
-        usable[patch] = len(patch) >= len(move.sensors)
-    usable[move.sensors] = evidence.usable[move.sensors]
-    return replace(evidence, usable=usable)
+    least = MIN_DISPLACEMENT * evidence.falloff.spacing
+    far = np.linalg.norm(home - evidence.positions, axis=1) >= least
+    best = [[Move(i, home[i])] for i in np.flatnonzero(loose & far)[:, None]]
+    loose = loose & np.isnan(home[:, 0])
+    patches = [patch for patch in _held_together(evidence)[1:] if loose[patch].all()]
+    gains = place_gains(evidence)
+    gains[cdist(evidence.positions, evidence.positions) < least] = 0
+    patches += [*np.flatnonzero(loose & (gains.max(axis=1) >= MIN_GAIN))[:, None]]
+    largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
+    best += [motions(evidence, one, MIN_DISPLACEMENT)[:1] for one in patches if len(one) <= largest]
+    return [Proposal(evidence.gain(move), move, "moved") for moves in best for move in moves]
 
 
-def is_possible(evidence: Evidence, move: Move, least: float = _MIN_DISPLACEMENT) -> bool:
-    """Return whether a patch moves far enough, to where no other sensors are.
-
-    least: Spacings by which the median sensor moves.
-    """
-    spacing = evidence.falloff.spacing
-    distance = np.linalg.norm(move.places - evidence.positions[move.sensors], axis=1)
-    others = np.ones(len(evidence.positions), dtype=bool)
-    others[move.sensors] = False
-    nearest = KDTree(evidence.positions[others & evidence.usable]).query(move.places)[0]
-    in_the_way = float(np.mean(nearest < _MIN_GAP * spacing))
-    return bool(np.median(distance) >= least * spacing and in_the_way <= _MAX_IN_THE_WAY)
-
-
-def _held_together(evidence: Evidence, sensors: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Divide sensors into groups connected by near pairs with similar readings."""
-    places = evidence.positions[sensors]
-    distances = cdist(places, places)
-    similarity = evidence.similarity[np.ix_(sensors, sensors)]
-    ratio = evidence.ratios[np.ix_(sensors, sensors)]
-    near = (distances <= evidence.reach) & (ratio > _MIN_RATIO) & (similarity > 0)
-    graph: Any = csr_array(near)
+def _held_together(evidence: Evidence) -> list[NDArray[np.intp]]:
+    """Divide sensors into patches of near pairs with similar readings, the largest first."""
+    sensors = np.flatnonzero(evidence.usable)
+    inside = np.ix_(sensors, sensors)
+    near = cdist(evidence.positions[sensors], evidence.positions[sensors]) <= evidence.reach
+    held = near & (evidence.ratios[inside] > _MIN_RATIO) & (evidence.similarity[inside] > 0)
+    graph: Any = csr_array(held)
     label = connected_components(graph, directed=False)[1]
     groups = [sensors[label == k] for k in range(int(label.max(initial=-1)) + 1)]
     return sorted(groups, key=lambda group: (-len(group), int(group[0])))
 
 
-def patch_moves(evidence: Evidence) -> list[Proposal]:
-    """Propose the best place of each patch of three and more sensors, moved as a whole."""
-    apart = [patch for patch in patches(evidence)[1:] if len(patch) >= _MIN_PATCH]
-    return _rigid_moves(evidence, apart)
+def motions(
+    evidence: Evidence, sensors: NDArray[np.intp], least: float, *, shifted: bool = True
+) -> list[Move]:
+    """Return the motions of a patch to where no other sensors are, the best first.
 
+    Turned and mirrored about its middle, it stays, or, if it may be shifted, moves such that
+    similar sensors are near.
 
-def single_moves(evidence: Evidence) -> list[Proposal]:
-    """Propose the best place of single sensors, and of two.
-
-    Candidates agree with no neighbour, or fit a place that is not near theirs better.
+    least: Spacings by which the median sensor moves.
     """
-    small = [patch for patch in patches(evidence)[1:] if len(patch) < _MIN_PATCH]
-    least = _MIN_DISPLACEMENT * evidence.falloff.spacing
-    gains, distances = place_gains(evidence), cdist(evidence.positions, evidence.positions)
-    gains[distances < least] = 0
-    near = distances <= evidence.reach
-    better = [
-        i
-        for i in np.flatnonzero(gains.max(axis=1) >= MIN_GAIN).tolist()
-        if gains[i, near[evidence.similar(i)].any(axis=0)].max(initial=0) >= MIN_GAIN
+    here = evidence.positions[sensors]
+    others = evidence.usable.copy()
+    others[sensors] = False
+    outside = np.flatnonzero(others)
+    if not evidence.usable[sensors].any() or not outside.size:
+        return []
+    turned = turns(here) if len(sensors) >= _MIN_PATCH else []
+    moves = [Move(sensors, places) for places in turned]
+    if shifted:
+        starts = [here, *turned]
+        moves += [Move(sensors, at) for at in _near_similar(evidence, sensors, outside, starts)]
+    moves.sort(key=lambda move: -evidence.gain(move))
+    if shifted:
+        moves += [_refined(evidence, one) for one in moves[:_N_REFINED]]
+        moves.sort(key=lambda move: -evidence.gain(move))
+    tree: Any = KDTree(evidence.positions[outside])
+    spacing = evidence.falloff.spacing
+    return [
+        move
+        for move in moves
+        if np.median(np.linalg.norm(move.places - here, axis=1)) >= least * spacing
+        and np.mean(tree.query(move.places)[0] < _MIN_GAP * spacing) <= _MAX_IN_THE_WAY
     ]
-    apart = {i for patch in small for i in patch.tolist()}
-    single = [np.array([i]) for i in better if i not in apart]
-    return _rigid_moves(evidence, small + single)
 
 
-def _rigid_moves(evidence: Evidence, groups: list[NDArray[np.intp]]) -> list[Proposal]:
-    largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
-    found = [_best_place(evidence, patch) for patch in groups if len(patch) <= largest]
-    return [proposal for proposal in found if proposal is not None]
+def _near_similar(
+    evidence: Evidence,
+    sensors: NDArray[np.intp],
+    outside: NDArray[np.intp],
+    starts: list[NDArray[np.float64]],
+) -> list[NDArray[np.float64]]:
+    """Shift a patch from places such that it is near the sensors that are most similar to it."""
+    kept = evidence.usable[sensors]
+    similarity = evidence.similarity[np.ix_(sensors[kept], outside)]
+    links = np.argsort(-similarity, axis=None, kind="stable")[:_N_LINKS]
+    inner, outer = np.unravel_index(links, similarity.shape)
+    targets, spacing = evidence.positions[outside[outer]], evidence.falloff.spacing
+    ranked = []
+    for places in starts:
+        offsets = targets - places[kept][inner]
+        close = np.linalg.norm(offsets[:, None] - offsets, axis=2) <= _NEAR * spacing
+        votes = zip(close.sum(axis=1).tolist(), offsets, strict=True)
+        ranked += [(-count, places + offset) for count, offset in votes]
+    ranked.sort(key=lambda one: one[0])
+    return [places for _, places in ranked[:_N_TRIED]]
 
 
-def _best_place(evidence: Evidence, patch: NDArray[np.intp]) -> Proposal | None:
-    """Find the best place of a patch: moved as it is, or where its similar sensors turn it."""
-    inside = np.zeros(len(evidence.positions), dtype=bool)
-    inside[patch] = True
-    here = evidence.positions[patch]
-    starts, targets, known = [], np.zeros_like(here), np.zeros(len(patch))
-    for row, i in enumerate(patch.tolist()):
-        similar = evidence.similar(i)
-        outside = similar[~inside[similar]]
-        if not outside.size:
-            continue
-        weights = np.maximum(evidence.similarity[i, outside], 1e-6)
-        targets[row] = np.average(evidence.positions[outside], axis=0, weights=weights)
-        known[row] = float(weights.max())
-        if row % -(-len(patch) // _MAX_TRIED) == 0:
-            offsets = [*(evidence.positions[outside[:2]] - evidence.positions[i])]
-            starts += [here + offset for offset in (*offsets, targets[row] - here[row])]
-    tried = [(evidence.gain(Move(patch, places)), places) for places in starts]
-    tried.sort(key=lambda pair: -pair[0])
-    chosen = [places for _, places in tried[:_N_STARTS]]
-    if np.count_nonzero(known) > here.shape[1]:
-        hands = (False, True) if here.shape[1] == 2 else (False,)
-        fits = [fit_similarity(here, targets, known, scaling=False, reflection=h) for h in hands]
-        chosen += [fit.apply(here) for fit in fits]
-    found = [refined(evidence, patch, places) for places in chosen]
-    return max(found, key=lambda proposal: proposal.gain) if found else None
+def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Turn and mirror points (m, k) about their middle, in their plane."""
+    centre, k = points.mean(axis=0), points.shape[1]
+    axes = np.eye(k) if k == 2 else np.linalg.svd(points - centre, full_matrices=False)[2]
+    flat = (points - centre) @ axes.T
+    found = []
+    for angle in 2 * np.pi * np.arange(_N_ANGLES) / _N_ANGLES:
+        for hand in (1.0, -1.0):
+            turn = np.eye(k)
+            cos, sin = np.cos(angle), np.sin(angle)
+            turn[:2, :2] = [[cos, -hand * sin], [sin, hand * cos]]
+            if angle > 0 or hand < 0:
+                found.append(flat @ turn.T @ axes + centre)
+    return found
 
 
-def refined(evidence: Evidence, patch: NDArray[np.intp], guess: NDArray[np.float64]) -> Proposal:
+def _refined(evidence: Evidence, move: Move) -> Move:
     """Refine the place, and the rotation of three and more sensors, from a first guess."""
+    guess = move.places
     spacing, dimensions = evidence.falloff.spacing, guess.shape[1]
     centre = guess.mean(axis=0)
     radius = max(float(np.linalg.norm(guess - centre, axis=1).max()), spacing)
-    n_angles = 0 if len(patch) < _MIN_PATCH else 1 if dimensions == 2 else 3
+    n_angles = 0 if len(guess) < _MIN_PATCH else 1 if dimensions == 2 else 3
 
     def placed(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
         moved = guess - centre
-        if len(parameters) > dimensions:
+        if n_angles:
             # A step of 1 in every parameter moves the outermost sensor by about a spacing.
             angles = parameters[dimensions:] * spacing / radius
             moved = moved @ rotations(angles[None])[0].T
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
     def loss(parameters: Any) -> float:
-        return -evidence.gain(Move(patch, placed(parameters)))
+        return -evidence.gain(Move(move.sensors, placed(parameters)))
 
-    def fit(n_parameters: int) -> Proposal:
-        options: Any = {
-            "initial_simplex": np.vstack([np.zeros(n_parameters), np.eye(n_parameters)]),
-            "xatol": _PRECISION,
-            "maxfev": _MAX_EVALUATIONS,
-        }
-        start = np.zeros(n_parameters)
-        found: Any = minimize(loss, start, method="Nelder-Mead", options=options)
-        return Proposal(-float(found.fun), Move(patch, placed(found.x)))
-
-    translated = fit(dimensions)
-    if not n_angles:
-        return translated
-    turned = fit(dimensions + n_angles)
-    return turned if turned.gain > translated.gain + MIN_GAIN else translated
+    start = np.zeros(dimensions + n_angles)
+    options: Any = {
+        "initial_simplex": np.vstack([start, np.eye(len(start))]),
+        "xatol": _PRECISION,
+        "maxfev": _MAX_EVALUATIONS,
+    }
+    found: Any = minimize(loss, start, method="Nelder-Mead", options=options)
+    return Move(move.sensors, placed(found.x))

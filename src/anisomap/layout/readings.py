@@ -1,4 +1,4 @@
-"""Similarities of readings, their uncertainty, and how large they are by chance."""
+"""Similarities of readings, their uncertainty, and which exceed those by chance."""
 
 from __future__ import annotations
 
@@ -30,18 +30,16 @@ _N_BEST = 3  # most similar sensors that show that a sensor says something; chos
 
 @dataclass(frozen=True, eq=False)
 class ReadingStatistics:
-    """Similarities of n sensors, their uncertainty, and how similar they are by chance.
+    """Similarities of n sensors, their uncertainty, and which sensors say something.
 
     similarity (n, n): Correlation of the ranks of the depths beyond rest.
     parts (g, n, n): The same without one of g parts of the frames each (jackknife).
-    shifted (s, n, n): The same after s circular shifts of sensor i, the row, against all others.
     tested (n,): Sensors whose similarity to the 3 most similar sensors exceeds that after every
-        shift.
+        circular shift of the sensor against all others.
     """
 
     similarity: Reals
     parts: Reals
-    shifted: Reals
     tested: NDArray[np.bool_]
 
     def select(self, sensors: NDArray[np.intp]) -> ReadingStatistics:
@@ -49,18 +47,14 @@ class ReadingStatistics:
         if np.array_equal(sensors, np.arange(len(self.tested))):
             return self
         inside = np.ix_(sensors, sensors)
-        return ReadingStatistics(
-            self.similarity[inside],
-            np.stack([part[inside] for part in self.parts]),
-            np.stack([one[inside] for one in self.shifted]),
-            self.tested[sensors],
-        )
+        parts = np.stack([part[inside] for part in self.parts])
+        return ReadingStatistics(self.similarity[inside], parts, self.tested[sensors])
 
 
 def reading_statistics(
     readings: ArrayLike, rng: np.random.Generator, *, n_shifts: int = N_SHIFTS
 ) -> ReadingStatistics:
-    """Compute the similarities of all pairs of sensors, their uncertainty and null distribution.
+    """Compute the similarities of all pairs of sensors, and their uncertainty.
 
     Parameters
     ----------
@@ -103,11 +97,10 @@ def reading_statistics(
     # Contacts last for many frames, so that a part of these tells as much about chance.
     every = max(1, n_frames // _MAX_SHIFTED)
     thinned = unit_rows(ranks[::every]).T
-    shifted = np.stack([_shifted_product(thinned, int(lag) // every) for lag in lags])
     strength = _strength(similarity)
-    chance = np.stack([_strength(one) for one in shifted])
-    tested = (strength > chance.max(axis=0)) & (strength > 0)
-    return ReadingStatistics(similarity, parts, shifted, tested)
+    chance = [_strength(_shifted_product(thinned, int(lag) // every)) for lag in lags]
+    tested = (strength > np.max(chance, axis=0)) & (strength > 0)
+    return ReadingStatistics(similarity, parts, tested)
 
 
 def _part_of_frames(ranks: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -3,48 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anisomap.layout.arranging import Arrangement, Change
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
-from anisomap.layout.judging import MIN_GROUP_GAIN, MIN_Z, Judge, Verdict
+from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
 from anisomap.layout.modules import Mounting
-from anisomap.layout.patches import (
-    is_possible,
-    patch_moves,
-    single_moves,
-    without_smaller_patches,
-)
-from anisomap.layout.sensors import cable_shifts, half_reassigned, reassigned
-from anisomap.layout.together import (
-    AGREEING,
-    MovedPatch,
-    border,
-    moved_patches,
-)
+from anisomap.layout.patches import free_moves
+from anisomap.layout.sensors import cable_shifts, reassigned
+from anisomap.layout.together import AGREEING, MovedPatch, border, moved_patches
 
 _MAX_ROUNDS = 12
 _PRICE_OF_PATCH = 100.0  # nats; by hand
 _LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
-
-Proposer: TypeAlias = Callable[[Evidence], list[Proposal]]
-
-PERMUTING: tuple[Proposer, ...] = (cable_shifts, reassigned)
-"""All functions that propose permutations of places."""
-
-SEARCHES: tuple[tuple[Proposer, ...], ...] = (
-    (cable_shifts, reassigned, patch_moves),
-    (half_reassigned,),
-    (single_moves,),
-)
-"""Functions that propose moves; those of one sensor are each used once no other move is left.
-
-Most sensors that fit another place have changed places with others that say where they belong.
-"""
-_OF_PATCHES = (patch_moves, single_moves)  # searches that do not permute places
 
 
 def _price(change: Change) -> float:
@@ -61,13 +34,13 @@ class Search:
     mounting: Where modules are, patches turned as proposed.
     changes: Of patches and modules.
     unsure: Modules whose orientation the readings leave open.
-    rigid: Groups of sensors that were moved to places where no sensor is.
+    made: Proposals for sensors that no module explains, which hold.
     """
 
     def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
         self.mounting, self.judge = mounting, judge
         self.arranged = self.evidence = evidence
-        self.rigid: list[NDArray[np.intp]] = []
+        self.made: list[Proposal] = []
         self.changes: list[Change] = []
         self.unsure: list[int] = []
         self._explained: set[int] = set()
@@ -79,17 +52,23 @@ class Search:
         self.evidence, self.changes = joint.run()
         patches: list[Change] = []
         for _ in range(_MAX_ROUNDS):
-            for patch in moved_patches(start, self.mounting):
+            for patch in moved_patches(start, self.mounting, self.evidence):
                 turned = start.moved(patch.move)
+                if not border(turned, self.mounting.members, patch.modules) > 0:
+                    continue
                 mounting = self.mounting.moved(patch.modules, turned.positions)
                 other = Arrangement(turned, mounting, self.judge)
                 evidence, changes = other.run()
-                change = self._turned(evidence, start, patch)
+                move, modules = patch.move, patch.modules
+                stated = start.positions[move.sensors]
+                before = evidence.moved(Move(move.sensors, stated))
+                verdict = self.judge.weigh(before, move, group=True, free=True)
                 # Few pads are at the border: their agreement with others tells less than all pads.
-                told = change.verdict.gain >= change.verdict.least and change.verdict.z >= MIN_Z
                 beside = border(evidence, mounting.members, patch.modules) > AGREEING
-                if told and beside and self._better(evidence, changes, patch):
-                    patches.append(change)
+                if verdict.told and beside and self._better(evidence, changes, patch):
+                    patches.append(
+                        Change(modules, modules, (), stated, move, patch.second, verdict, True)
+                    )
                     start, joint, self.mounting = turned, other, mounting
                     self.evidence, self.changes = evidence, changes
                     break
@@ -113,57 +92,46 @@ class Search:
         left = border(self.evidence, self.mounting.members, patch.modules) < 0
         return left and self.judge.certainly_gains(self.evidence, move)
 
-    def _turned(self, evidence: Evidence, start: Evidence, patch: MovedPatch) -> Change:
-        """Weigh a turn of a patch, with all other modules as proposed after it."""
-        stated = start.positions[patch.move.sensors]
-        before = evidence.moved(Move(patch.move.sensors, stated))
-        verdict = self.judge.weigh(before, patch.move, patch.tried, rigid=True)
-        modules, move = patch.modules, patch.move
-        return Change(modules, modules, (), stated, move, patch.second, verdict, together=True)
-
     def run_sensors(self) -> None:
-        """Move patches, runs of channels, and single sensors that no module explains."""
+        """Move patches, runs of channels, and single sensors that no module explains.
+
+        Sensors that are moved alone are each used once no other move is left: most that fit
+        another place have changed places with others that say where they belong. Single sensors of
+        a module change places only with others.
+        """
+        loose = np.ones(len(self.evidence.usable), dtype=bool)
+        loose[[i for inside in self.mounting.members for i in inside.tolist()]] = False
+        stages: list[tuple[Callable[[Evidence], list[Proposal]], ...]] = [
+            (cable_shifts, reassigned),
+            (partial(reassigned, alone=True),),
+            (partial(free_moves, loose=loose, home=self.mounting.home),),
+        ]
         for _ in range(_MAX_ROUNDS):
-            if not any(map(self._round, SEARCHES)):
+            if not any(
+                self._round([one for propose in stage for one in propose(self.evidence)])
+                for stage in stages
+            ):
                 break
             self.evidence = self.evidence.refitted()
 
-    def _round(self, searches: Sequence[Proposer]) -> bool:
-        proposals = [
-            (proposal, search)
-            for search in searches
-            for proposal in search(self.evidence)
-            if proposal.gain >= MIN_GAIN
-        ]
-        proposals.sort(key=lambda pair: -pair[0].gain)
+    def _round(self, proposals: Sequence[Proposal]) -> bool:
         changed: set[int] = set()
-        for proposal, search in proposals:
+        for proposal in sorted(proposals, key=lambda one: -one.gain):
             sensors = proposal.move.sensors.tolist()
-            if changed.intersection(sensors) or self._explained.intersection(sensors):
+            if proposal.gain < MIN_GAIN or (changed | self._explained).intersection(sensors):
                 continue
             if self.evidence.gain(proposal.move) < _LEFT * proposal.gain:
                 continue
-            # Without the readings of both, a swap is no stronger evidence than a free place.
-            rigid = search not in PERMUTING
-            if rigid and not is_possible(self.evidence, proposal.move):
-                continue
-            verdict = self.weigh(self.evidence, proposal.move, proposal.alternatives, rigid=rigid)
-            if verdict.holds:
+            if self.weigh(self.evidence, proposal.move, proposal.kind).holds:
                 self.evidence = self.evidence.moved(proposal.move)
                 changed.update(sensors)
-                if search in _OF_PATCHES:
-                    self.rigid.append(proposal.move.sensors)
+                self.made.append(proposal)
         return bool(changed)
 
-    def weigh(
-        self,
-        evidence: Evidence,
-        move: Move,
-        alternatives: Sequence[Move] = (),
-        *,
-        rigid: bool = False,
-    ) -> Verdict:
-        """Weigh the evidence for a move: see `Judge.weigh`."""
-        if rigid:
-            evidence = without_smaller_patches(evidence, move)
-        return self.judge.weigh(evidence, move, alternatives, rigid=rigid)
+    def weigh(self, evidence: Evidence, move: Move, kind: str) -> Verdict:
+        """Weigh the evidence for a move of single sensors."""
+        # Without the readings of both, a swap is no stronger evidence than a free place.
+        half = len(move.sensors) == 2 and not evidence.usable[move.sensors].all()
+        free = kind == "moved" or half
+        run = kind == "shifted"
+        return self.judge.weigh(evidence, move, group=run, free=free, few=run)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
 
-STEPS = (1, -1, 2, -2)
+MAX_STEP = 2
 """Channels by which a cable may be shifted."""
 
 _MIN_RUN = 4  # consecutive channels; fewer are swaps and cycles
@@ -21,6 +21,25 @@ _N_RUNS = 5  # runs of each step that are evaluated exactly; chosen by hand
 _N_BINS = 20  # of distances, to about 10 spacings: farther sensors hardly tell places apart
 _PRICE = 0.7 * MIN_GAIN  # of each sensor that is moved
 _DISTINCT = 2.5  # spacings: nearer places are hardly told apart
+
+
+def chains(following: Mapping[int, int]) -> list[list[int]]:
+    """Divide the keys of a one-to-one map into chains: open ones, which end elsewhere, and cycles.
+
+    An open chain has a last value that is no key.
+    """
+    found: list[list[int]] = []
+    left = set(following)
+    for start in [*sorted(left - set(following.values())), *sorted(left)]:
+        chain = []
+        here = start
+        while here in left:
+            left.discard(here)
+            chain.append(here)
+            here = following[here]
+        if chain:
+            found.append(chain)
+    return found
 
 
 def place_gains(evidence: Evidence) -> NDArray[np.float32]:
@@ -44,53 +63,33 @@ def place_gains(evidence: Evidence) -> NDArray[np.float32]:
     return np.asarray(gains)
 
 
-def reassigned(evidence: Evidence) -> list[Proposal]:
-    """Propose exchanges and cycles of sensors, by one assignment of all to each other's places."""
-    sensors = np.flatnonzero(evidence.usable)
-    gains = _distinct_gains(evidence)[np.ix_(sensors, sensors)]
-    np.fill_diagonal(gains, _PRICE)
-    gains -= _PRICE
-    target = linear_sum_assignment(-gains)[1]
-    both = gains + gains.T
-    np.fill_diagonal(both, -np.inf)
-    pairs = {(min(pair), max(pair)) for pair in enumerate(both.argmax(axis=1).tolist())}
-    groups = [list(pair) for pair in sorted(pairs) if both[pair] > 0]
-    groups += [cycle for cycle in _cycles(target) if len(cycle) > 2]
-    return _proposals(evidence, [sensors[group] for group in groups])
+def reassigned(evidence: Evidence, *, alone: bool = False) -> list[Proposal]:
+    """Propose exchanges and cycles of sensors, by one assignment of all to each other's places.
 
-
-def half_reassigned(evidence: Evidence) -> list[Proposal]:
-    """Propose exchanges with sensors of which the readings say nothing, if no place fits better."""
-    gains = _distinct_gains(evidence)
-    best = gains.argmax(axis=1)
-    found = np.flatnonzero(evidence.usable & ~evidence.usable[best] & (gains.max(axis=1) > 0))
-    return _proposals(evidence, [np.array([i, best[i]]) for i in found.tolist()])
-
-
-def _distinct_gains(evidence: Evidence) -> NDArray[np.float32]:
-    """Return the `place_gains`, negative where places are hardly told apart."""
+    alone: Exchange sensors with those of which the readings say nothing, instead, if no other
+        place fits better.
+    """
     gains = place_gains(evidence)
     near = cdist(evidence.positions, evidence.positions) < _DISTINCT * evidence.falloff.spacing
     gains[near] = -2 * MIN_GAIN
-    return gains
-
-
-def _proposals(evidence: Evidence, groups: list[NDArray[np.intp]]) -> list[Proposal]:
-    """Propose that each sensor of a group has the place of the next."""
+    if alone:
+        best = gains.argmax(axis=1)
+        found = evidence.usable & ~evidence.usable[best] & (gains.max(axis=1) > 0)
+        groups = [np.array([i, best[i]]) for i in np.flatnonzero(found).tolist()]
+    else:
+        sensors = np.flatnonzero(evidence.usable)
+        gains = gains[np.ix_(sensors, sensors)]
+        np.fill_diagonal(gains, _PRICE)
+        gains -= _PRICE
+        target = linear_sum_assignment(-gains)[1]
+        both = gains + gains.T
+        np.fill_diagonal(both, -np.inf)
+        pairs = {(min(pair), max(pair)) for pair in enumerate(both.argmax(axis=1).tolist())}
+        following = {i: int(t) for i, t in enumerate(target.tolist()) if i != t}
+        longer = [cycle for cycle in chains(following) if len(cycle) > 2]
+        groups = [sensors[list(one)] for one in [*sorted(pairs), *longer]]
     moves = [Move(one, evidence.positions[np.roll(one, -1)]) for one in groups]
     return [Proposal(evidence.gain(move), move) for move in moves]
-
-
-def _cycles(target: NDArray[np.intp]) -> list[list[int]]:
-    """Return the cycles of a permutation, without those of one element."""
-    found, left = [], set(np.flatnonzero(target != np.arange(len(target))).tolist())
-    while left:
-        cycle = [left.pop()]
-        while (following := int(target[cycle[-1]])) != cycle[0]:
-            cycle.append(following)
-            left.discard(following)
-        found.append(cycle)
-    return found
 
 
 def cable_shifts(evidence: Evidence) -> list[Proposal]:
@@ -101,7 +100,7 @@ def cable_shifts(evidence: Evidence) -> list[Proposal]:
     n_sensors = len(evidence.positions)
     everyone = np.arange(n_sensors)
     proposals = []
-    for step in STEPS:
+    for step in (1, -1, MAX_STEP, -MAX_STEP):
         if n_sensors < _MIN_RUN + abs(step):
             continue
         places = np.roll(evidence.positions, -step, axis=0)
@@ -116,23 +115,11 @@ def cable_shifts(evidence: Evidence) -> list[Proposal]:
         gains += within[stop, stop] - within[start, stop] - within[stop, start]
         gains += within[start, start]
         best = np.argsort(-gains, kind="stable")[:_N_RUNS]
-        moves = [_closed_run(evidence, int(start[k]), int(stop[k]), step) for k in best]
-        found = max((Proposal(evidence.gain(m), m) for m in moves), key=lambda one: one.gain)
-        alternatives = shifted_moves(evidence.positions, found.move.sensors)
-        proposals.append(replace(found, alternatives=alternatives))
+        proposed = []
+        for k in best:
+            # Sensors at the end of a run take the places that are left over.
+            run = np.arange(max(0, start[k] + min(step, 0)), min(stop[k] + max(step, 0), n_sensors))
+            move = Move(run, np.roll(evidence.positions[run], -step, axis=0))
+            proposed.append(Proposal(evidence.gain(move), move, "shifted"))
+        proposals.append(max(proposed, key=lambda one: one.gain))
     return proposals
-
-
-def shifted_moves(positions: NDArray[np.float64], run: NDArray[np.intp]) -> tuple[Move, ...]:
-    """Return the moves of a run of sensors to each other's places, one for each step."""
-    return tuple(Move(run, np.roll(positions[run], -step, axis=0)) for step in STEPS)
-
-
-def _closed_run(evidence: Evidence, start: int, stop: int, step: int) -> Move:
-    """Shift the places of a run; sensors at its end take the places that are left over."""
-    if step > 0:
-        stop = min(stop + step, len(evidence.positions))
-    else:
-        start = max(start + step, 0)
-    run = np.arange(start, stop)
-    return Move(run, np.roll(evidence.positions[run], -step, axis=0))

@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
 from anisomap.layout.judging import MIN_GROUP_GAIN
 from anisomap.layout.modules import Mounting
-from anisomap.layout.patches import is_possible, refined
+from anisomap.layout.patches import motions, turns
 from anisomap.numerics.procrustes import fit_similarity
 
 AGREEING = 0.35
@@ -28,11 +28,6 @@ modules that are elsewhere -0.6 and less.
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is moved against
 _N_GROUPS = 8  # the smallest groups that are contradicted
 _N_BEST = 3  # patches that are tried
-_N_ANGLES = 24  # turns, and as many reflections
-_N_LINKS = 40  # most similar pairs of a sensor of a patch and another, which should be near
-_NEAR = 2.5  # spacings up to which such pairs are
-_N_TRIED = 60  # motions of which the likelihood is computed
-_N_REFINED = 3  # of these, the best
 _LEAST = 2.0  # spacings by which the median sensor moves
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
 _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are hardly told
@@ -42,33 +37,38 @@ _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are ha
 class MovedPatch:
     """A patch at the place that explains the readings best.
 
-    tried: Moves among which it was chosen, the best first.
-    second: The best of those that differ from it by more than readings hardly tell.
+    second: The best of the moves that differ from it by more than readings hardly tell.
     """
 
     modules: tuple[int, ...]
-    tried: tuple[Move, ...]
+    move: Move
     second: Move
 
-    @property
-    def move(self) -> Move:
-        """The best move."""
-        return self.tried[0]
 
+def moved_patches(evidence: Evidence, mounting: Mounting, arranged: Evidence) -> list[MovedPatch]:
+    """Propose patches that fit better turned, mirrored or shifted, the best first.
 
-def moved_patches(evidence: Evidence, mounting: Mounting) -> list[MovedPatch]:
-    """Propose patches that fit better turned, mirrored or shifted, the best first."""
+    arranged: With modules moved one by one, of which those that are contradicted are patches, too;
+        groups that then agree with those around them, unchanged, are right.
+    """
     largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     found = []
-    for group in sorted(_contradicted(evidence, mounting), key=len)[:_N_GROUPS]:
+    groups = _contradicted(evidence, mounting)
+    if evidence.positions.shape[1] == 2:  # in space, modules alone move to free places only
+        alone = bonds(arranged, mounting.members)[0].sum(axis=1) < 0
+        groups += [[m] for m in np.flatnonzero(alone).tolist()]
+    for group in sorted(groups, key=len)[:_N_GROUPS]:
         sensors = np.concatenate([mounting.members[m] for m in group])
-        if len(sensors) > largest:
+        changed = (arranged.positions[sensors] != evidence.positions[sensors]).any()
+        agrees = not changed and border(arranged, mounting.members, group) > AGREEING
+        if agrees or len(sensors) > largest:
             continue
         # Layouts in space are bent: there, patches gain by any small motion.
-        moves = _motions(evidence, sensors, shifted=evidence.positions.shape[1] == 2)
+        shifted = evidence.positions.shape[1] == 2
+        moves = motions(evidence, sensors, _LEAST, shifted=shifted)
         if moves and (gain := evidence.gain(moves[0])) >= MIN_GROUP_GAIN:
-            found.append((gain / len(group), group, moves))
-    # The one of two groups at a border that gains more for each of its modules is wrong.
+            found.append((gain - MIN_GROUP_GAIN * len(group), group, moves))
+    # The smaller of two groups at a border is wrong, unless the larger explains more.
     found.sort(key=lambda one: -one[0])
     found = found[:_N_BEST]
     best = [_on_places(evidence, mounting, group, moves) for _, group, moves in found]
@@ -123,7 +123,7 @@ def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     for group in sorted(groups, key=lambda one: -len(one))[1:]:
         sensors = np.concatenate([mounting.members[m] for m in group])
         here = evidence.positions[sensors]
-        far = [places for places in _turns(here) if _farthest(places, here) > least]
+        far = [places for places in turns(here) if _farthest(places, here) > least]
         gains = [evidence.gain(Move(sensors, places)) for places in far]
         if len(group) > 1 and max(gains, default=-np.inf) > -MIN_GAIN:
             found.append(group)
@@ -153,122 +153,51 @@ def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     return contradicted
 
 
-def _beside(evidence: Evidence, mounting: Mounting, modules: list[int], move: Move) -> list[Move]:
-    """Return motions near one after which a module is beside others exactly as these are."""
-    rest = [m for m in range(mounting.n_modules) if m not in modules]
-    others = mounting.part(rest).with_free_slots(
-        np.delete(evidence.positions, move.sensors, axis=0)
-    )
+def _beside(
+    mounting: Mounting, modules: list[int], move: Move, shapes: NDArray[np.float64]
+) -> list[Move]:
+    """Return motions near one with a module exactly on a place, shapes (S, O, P, k)."""
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
-    ways = [one.places for one in mounting.orientations if one.fits and not one.backwards]
+    ways = [o for o, one in enumerate(mounting.orientations) if one.fits and not one.backwards]
     found = []
     for m, there in zip(modules, np.split(move.places, ends), strict=True):
-        for slot in range(len(rest), len(others.frames)):
-            frame, centre = others.frames[slot, :2], others.centres[slot]
-            for places in ways:
-                at = places[mounting.pads[m]] @ frame + centre
-                if np.sqrt(((at - there) ** 2).sum(axis=1).mean()) <= _SAME * mounting.pitch:
-                    fit = fit_similarity(there, at, scaling=False, reflection=False)
-                    found.append(Move(move.sensors, fit.apply(move.places)))
-    return found
-
-
-def _motions(evidence: Evidence, sensors: NDArray[np.intp], *, shifted: bool = True) -> list[Move]:
-    """Return the motions of a patch to where no other sensors are, the best first.
-
-    Turned and mirrored about its middle, it stays, or, if it may be shifted, moves such that
-    similar sensors are near.
-    """
-    here = evidence.positions[sensors]
-    kept = evidence.usable[sensors]
-    others = evidence.usable.copy()
-    others[sensors] = False
-    outside = np.flatnonzero(others)
-    if not kept.any() or not outside.size:
-        return []
-    turned_places = _turns(here)
-    moves = [Move(sensors, turned) for turned in turned_places]
-    if shifted:
-        starts = [here, *turned_places]
-        moves += [Move(sensors, at) for at in _near_similar(evidence, sensors, outside, starts)]
-    moves.sort(key=lambda move: -evidence.gain(move))
-    if shifted:
-        moves += [refined(evidence, sensors, one.places).move for one in moves[:_N_REFINED]]
-        moves.sort(key=lambda move: -evidence.gain(move))
-    return [move for move in moves if is_possible(evidence, move, _LEAST)]
-
-
-def _near_similar(
-    evidence: Evidence,
-    sensors: NDArray[np.intp],
-    outside: NDArray[np.intp],
-    starts: list[NDArray[np.float64]],
-) -> list[NDArray[np.float64]]:
-    """Shift a patch from places such that it is near the sensors that are most similar to it."""
-    kept = evidence.usable[sensors]
-    similarity = evidence.similarity[np.ix_(sensors[kept], outside)]
-    links = np.argsort(-similarity, axis=None, kind="stable")[:_N_LINKS]
-    inner, outer = np.unravel_index(links, similarity.shape)
-    targets, spacing = evidence.positions[outside[outer]], evidence.falloff.spacing
-    ranked = []
-    for places in starts:
-        offsets = targets - places[kept][inner]
-        close = np.linalg.norm(offsets[:, None] - offsets, axis=2) <= _NEAR * spacing
-        votes = zip(close.sum(axis=1).tolist(), offsets, strict=True)
-        ranked += [(-count, places + offset) for count, offset in votes]
-    ranked.sort(key=lambda one: one[0])
-    return [places for _, places in ranked[:_N_TRIED]]
-
-
-def _turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Turn and mirror points (m, k) about their middle, in their plane."""
-    centre, k = points.mean(axis=0), points.shape[1]
-    axes = np.eye(k) if k == 2 else np.linalg.svd(points - centre, full_matrices=False)[2]
-    flat = (points - centre) @ axes.T
-    found = []
-    for angle in 2 * np.pi * np.arange(_N_ANGLES) / _N_ANGLES:
-        for hand in (1.0, -1.0):
-            turn = np.eye(k)
-            cos, sin = np.cos(angle), np.sin(angle)
-            turn[:2, :2] = [[cos, -hand * sin], [sin, hand * cos]]
-            if angle > 0 or hand < 0:
-                found.append(flat @ turn.T @ axes + centre)
+        for at in shapes[:, ways][:, :, mounting.pads[m]].reshape(-1, *there.shape):
+            if _apart(at, there) <= _SAME * mounting.pitch:
+                fit = fit_similarity(there, at, scaling=False, reflection=False)
+                found.append(Move(move.sensors, fit.apply(move.places)))
     return found
 
 
 def _on_places(
     evidence: Evidence, mounting: Mounting, modules: list[int], moves: list[Move]
 ) -> MovedPatch | None:
-    """Return the best move, with each module on a place of one of them if all are near one.
+    """Return the best move, on flat layouts with a module on one of their places, or beside others.
 
-    None if that is its own: then each module is turned by itself.
+    None if all modules stay at their own places: then each is turned by itself.
     """
-    sensors, slots, found = moves[0].sensors, [], []
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
-    for m, there in zip(modules, np.split(moves[0].places, ends), strict=True):
-        options = [
-            (float(np.sqrt(((at - there) ** 2).sum(axis=1).mean())), slot, at)
-            for slot in modules
-            for at in (mounting.places(m, slot, o) for o in range(len(mounting.orientations)))
-        ]
-        off, slot, at = min(options, key=lambda option: option[0])
-        if off <= _SAME * mounting.pitch:
-            slots.append(slot)
-            found.append(at)
-    if slots == modules:
+    off = [
+        min(_apart(mounting.places(m, m, o), at) for o in range(len(mounting.orientations)))
+        for m, at in zip(modules, np.split(moves[0].places, ends), strict=True)
+    ]
+    if max(off) <= _SAME * mounting.pitch:
         return None
-    if set(slots) == set(modules):
-        onto = Move(sensors, np.concatenate(found))
-        if evidence.gain(onto) > evidence.gain(moves[0]) - MIN_GAIN:
-            moves = [onto, *moves]
-    elif evidence.positions.shape[1] == 2:
-        exact = _beside(evidence, mounting, modules, moves[0])
-        best = max(exact, key=evidence.gain, default=moves[0])
-        if evidence.gain(best) > evidence.gain(moves[0]) - MIN_GAIN:
-            moves = [best, *moves]
+    if evidence.positions.shape[1] == 2:
+        others = mounting.without(modules, evidence.positions)
+        for shapes in (mounting.shapes[modules], others.shapes[others.n_modules :]):
+            exact = _beside(mounting, modules, moves[0], shapes)
+            best = max(exact, key=evidence.gain, default=moves[0])
+            if exact and evidence.gain(best) > evidence.gain(moves[0]) - MIN_GROUP_GAIN:
+                moves = [best, *moves]
+                break
     least = _FAR * evidence.falloff.spacing
-    others = [move for move in moves if _farthest(move.places, moves[0].places) > least]
-    return MovedPatch(tuple(modules), tuple(moves), (others or moves[1:])[0])
+    far = [move for move in moves if _farthest(move.places, moves[0].places) > least]
+    return MovedPatch(tuple(modules), moves[0], (far or moves[-1:])[0])
+
+
+def _apart(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
+    """Return the root mean square distance between two places of sensors."""
+    return float(np.sqrt(((places - others) ** 2).sum(axis=1).mean()))
 
 
 def _farthest(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:

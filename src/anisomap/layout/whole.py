@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.spatial.distance import pdist
+from scipy.spatial.distance import cdist, pdist
 
-from anisomap.layout.chance import neighbour_weights
 from anisomap.layout.evidence import Evidence, Move
-from anisomap.layout.judging import MIN_GROUP_GAIN, Judge
+from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, neighbour_weights
 
 N_PERMUTATIONS = 199
 """Number of shuffled layouts that a layout is compared with."""
@@ -136,31 +135,16 @@ def own_images(positions: NDArray[np.float64], spacing: float) -> int:
     positions (n, k), k 2 or 3. Such layouts fit the same readings equally well.
     """
     centred = positions - positions.mean(axis=0)
-    radius = np.linalg.norm(centred, axis=1)
-    tree, allowed = KDTree(centred), _SAME * spacing
-    a = int(radius.argmax())
-    dimensions = positions.shape[1]
-    # In space, a second sensor, across from the first, fixes an image but for its hand.
-    off = np.linalg.norm(np.cross(centred, centred[a]), axis=1) if dimensions == 3 else radius
-    b = int(off.argmax()) if dimensions == 3 else a
-    pairs = [
-        (i, j)
-        for i in np.flatnonzero(np.abs(radius - radius[a]) <= allowed).tolist()
-        for j in (
-            np.flatnonzero(
-                (np.abs(radius - radius[b]) <= allowed)
-                & (
-                    np.abs(
-                        np.linalg.norm(centred - centred[i], axis=1)
-                        - np.linalg.norm(centred[b] - centred[a])
-                    )
-                    <= allowed
-                )
-            ).tolist()
-            if dimensions == 3
-            else [i]
-        )
-    ]
+    radius, tree, allowed = np.linalg.norm(centred, axis=1), KDTree(centred), _SAME * spacing
+    a = b = int(radius.argmax())
+    pairs = [(i, i) for i in np.flatnonzero(np.abs(radius - radius[a]) <= allowed).tolist()]
+    if positions.shape[1] == 3:
+        # In space, a second sensor, across from the first, fixes an image but for its hand.
+        b = int(np.linalg.norm(np.cross(centred, centred[a]), axis=1).argmax())
+        like = np.flatnonzero(np.abs(radius - radius[b]) <= allowed)
+        apart = cdist(centred, centred)
+        near = np.abs(apart[:, like] - apart[a, b]) <= allowed
+        pairs = [(i, j) for i, _ in pairs for j in like[near[i]].tolist()]
     stated = _frame(centred[a], centred[b])
     found = set()
     for i, j in pairs[:_MAX_IMAGES]:

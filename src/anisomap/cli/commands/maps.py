@@ -307,7 +307,6 @@ def _print_check(
             "agreement": ("agreement_stated", lambda share: number(share, 2)),
             "corrected": ("agreement_proposed", lambda share: number(share, 2)),
             "second best": ("agreement_second", lambda share: number(share, 2)),
-            "chance gains": ("chance", lambda gain: number(gain, 2)),
         }
         printer.rows("Findings", columns, records[:MAX_SHOWN])
         for one in records[:MAX_SHOWN]:
@@ -349,7 +348,7 @@ def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
     ]
     measured = (
         "kind explanation displacement agreement_stated agreement_proposed agreement_second "
-        "chance gain z certainty"
+        "gain z certainty"
     )
     fields = "module angle mirror old_orientation new_orientation"
     modules = [attributes(one, fields) for one in finding.modules]

@@ -415,22 +415,12 @@ _LOOKS = {
     "anchors": (PALETTE[0], MARKERS[1]),
     "as stated": ("#a9b0b7", MARKERS[0]),
     "not tested": ("#dfe2e5", MARKERS[0]),
-    "turned, mirrored": (PALETTE[0], MARKERS[1]),
-    "exchanged, moved": (PALETTE[2], MARKERS[2]),
-    "swapped, shifted": (PALETTE[1], MARKERS[3]),
-    "dead, doubled": (PALETTE[3], "X"),
+    **dict.fromkeys(("turned", "mirrored", "reversed"), (PALETTE[0], MARKERS[1])),
+    **dict.fromkeys(("exchanged", "moved", "overlapping"), (PALETTE[2], MARKERS[2])),
+    **dict.fromkeys(("swapped", "cycle", "shifted"), (PALETTE[1], MARKERS[3])),
+    **dict.fromkeys(("dead", "doubled"), (PALETTE[3], "X")),
 }
-"""Colour and marker of each kind of sensor, by its name in the legend."""
-
-_STATUSES = {
-    "as stated": ("ok",),
-    "not tested": ("not tested",),
-    "turned, mirrored": ("turned", "mirrored"),
-    "exchanged, moved": ("exchanged", "moved"),
-    "swapped, shifted": ("swapped", "cycle", "shifted"),
-    "dead, doubled": ("dead", "doubled"),
-}
-"""Statuses of `LayoutCheck` that are drawn alike."""
+"""Colour and marker of each kind of sensor, by its name in the legend; similar kinds look alike."""
 
 
 def plot_placement(
@@ -485,8 +475,8 @@ def plot_layout(
         See `plot`, as for what is returned and raised.
     """
     layout, corrected = in_millimetres(check.layout), in_millimetres(check.corrected)
-    status = np.array(check.status)
-    kinds = {kind: np.isin(status, every) & layout.placed for kind, every in _STATUSES.items()}
+    status = np.array(["as stated" if one == "ok" else one for one in check.status])
+    kinds = {kind: (status == kind) & layout.placed for kind in _LOOKS}
     start, end = layout.positions, corrected.positions
     changed = (start != end).any(axis=1) & layout.placed
     ends = [i for finding in check.findings for i in finding.sensors[[0, -1]].tolist()]
