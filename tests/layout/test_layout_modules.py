@@ -274,7 +274,7 @@ ROBOT = {
         "forearm_forearm_nomesh": {"taxel1537"},
     },
     "icub_right_arm": {
-        "arm_flat": {f"taxel{n}" for n in (2113, 2305, 1957, 1969, 1981, 1993)},
+        "arm_flat": {f"taxel{n}" for n in (2113, 2305, 1957, 1993)},
         "arm_arm": {"taxel1957", "taxel1969", "taxel1993"},
         "arm_arm_mesh": {"taxel2053", "taxel2113", "taxel2305", "taxel2425"},
     },

@@ -14,10 +14,11 @@ from anisomap.base.wording import join_items
 from anisomap.layout.arranging import Change, alike
 from anisomap.layout.evidence import Proposal
 from anisomap.layout.modules import Mounting
-from anisomap.layout.sensors import chains
+from anisomap.layout.sensors import MAX_STEP, chains
 from anisomap.numerics.procrustes import fit_similarity
 
 _SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
+_MIN_SHARE = 0.7  # of the sensors of a run that must be shifted equally; chosen by hand
 _SHIFTED = 15.0  # degrees; patches that turn less are told as shifted
 _MAX_NAMED = 6
 
@@ -46,26 +47,23 @@ def explain(
         left[sensors] = False
 
     for one in made:
-        if one.kind == "shifted" and left[one.move.sensors].all():
-            run = one.move.sensors
-            (step, _), *_ = Counter((target[run] - run).tolist()).most_common(1)
+        run = one.move.sensors
+        (step, count), *_ = Counter((target[run] - run).tolist()).most_common(1)
+        alike = abs(step) <= MAX_STEP and count >= _MIN_SHARE * len(run)
+        if one.kind == "shifted" and alike and left[run].all():
             channels = "one channel" if abs(step) == 1 else f"{abs(step)} channels"
-            text = (
-                f"{len(run)} consecutive sensors are shifted by {channels}: each has the place "
-                f"of the {'next' if step > 0 else 'previous'}"
-            )
-            tell("shifted", run, text)
+            order = "next" if step > 0 else "previous"
+            text = f"sensors are shifted by {channels}: each has the place of the {order}"
+            tell("shifted", run, f"{len(run)} consecutive {text}")
     following = {int(i): int(target[i]) for i in np.flatnonzero(left & (target >= 0))}
     for cycle in chains(following):
         named = [names[i] for i in cycle]
         if following[cycle[-1]] != cycle[0]:
             continue
+        text = f"{join_items(named, _MAX_NAMED)}: each has the place of the next"
         if len(cycle) == 2:
             text = f"{named[0]} and {named[1]} have each other's places"
-            tell("swapped", np.array(cycle), text)
-        else:
-            text = f"{join_items(named, _MAX_NAMED)}: each has the place of the next"
-            tell("cycle", np.array(cycle), text)
+        tell("swapped" if len(cycle) == 2 else "cycle", np.array(cycle), text)
     groups = [one.move.sensors for one in made if one.kind == "moved"]
     for group in [*groups, *everyone[left][:, None]]:
         sensors = np.sort(group[left[group]])

@@ -32,23 +32,26 @@ _PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 
 
 def free_moves(
-    evidence: Evidence, loose: NDArray[np.bool_], home: NDArray[np.float64]
+    evidence: Evidence, loose: NDArray[np.bool_], home: NDArray[np.float64], *, alone: bool
 ) -> list[Proposal]:
-    """Propose the best place of each patch of loose sensors, moved as a whole, and of single ones.
+    """Propose the best place of each patch of loose sensors, moved as a whole, or of single ones.
 
     These agree with no neighbour, or fit a place that is not near theirs better. Pads of a module
     return to it alone.
 
     home (n, k): See `Mounting`.
     """
-    least = MIN_DISPLACEMENT * evidence.falloff.spacing
-    far = np.linalg.norm(home - evidence.positions, axis=1) >= least
-    best = [[Move(i, home[i])] for i in np.flatnonzero(loose & far)[:, None]]
-    loose = loose & np.isnan(home[:, 0])
-    patches = [patch for patch in _held_together(evidence)[1:] if loose[patch].all()]
-    gains = place_gains(evidence)
-    gains[cdist(evidence.positions, evidence.positions) < least] = 0
-    patches += [*np.flatnonzero(loose & (gains.max(axis=1) >= MIN_GAIN))[:, None]]
+    homeless = loose & np.isnan(home[:, 0])
+    patches = [patch for patch in _held_together(evidence)[1:] if homeless[patch].all()]
+    patches = [patch for patch in patches if (len(patch) < _MIN_PATCH) == alone]
+    best = []
+    if alone:
+        least = MIN_DISPLACEMENT * evidence.falloff.spacing
+        far = np.linalg.norm(home - evidence.positions, axis=1) >= least
+        best = [[Move(i, home[i])] for i in np.flatnonzero(loose & far)[:, None]]
+        gains = place_gains(evidence)
+        gains[cdist(evidence.positions, evidence.positions) < least] = 0
+        patches += [*np.flatnonzero(homeless & (gains.max(axis=1) >= MIN_GAIN))[:, None]]
     largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     best += [motions(evidence, one, MIN_DISPLACEMENT)[:1] for one in patches if len(one) <= largest]
     return [Proposal(evidence.gain(move), move, "moved") for moves in best for move in moves]

@@ -95,16 +95,16 @@ class Search:
     def run_sensors(self) -> None:
         """Move patches, runs of channels, and single sensors that no module explains.
 
-        Sensors that are moved alone are each used once no other move is left: most that fit
-        another place have changed places with others that say where they belong. Single sensors of
-        a module change places only with others.
+        Sensors are moved alone once no other move is left: most that fit another place have changed
+        places with others that say where they belong.
         """
         loose = np.ones(len(self.evidence.usable), dtype=bool)
         loose[[i for inside in self.mounting.members for i in inside.tolist()]] = False
+        apart = partial(free_moves, loose=loose, home=self.mounting.home)
         stages: list[tuple[Callable[[Evidence], list[Proposal]], ...]] = [
-            (cable_shifts, reassigned),
+            (cable_shifts, reassigned, partial(apart, alone=False)),
             (partial(reassigned, alone=True),),
-            (partial(free_moves, loose=loose, home=self.mounting.home),),
+            (partial(apart, alone=True),),
         ]
         for _ in range(_MAX_ROUNDS):
             if not any(
@@ -132,6 +132,5 @@ class Search:
         """Weigh the evidence for a move of single sensors."""
         # Without the readings of both, a swap is no stronger evidence than a free place.
         half = len(move.sensors) == 2 and not evidence.usable[move.sensors].all()
-        free = kind == "moved" or half
         run = kind == "shifted"
-        return self.judge.weigh(evidence, move, group=run, free=free, few=run)
+        return self.judge.weigh(evidence, move, group=run, free=kind == "moved" or half, few=run)
