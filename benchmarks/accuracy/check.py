@@ -8,8 +8,8 @@ median), and right modules of which any sensor is flagged; for exchanged sensors
 ``--picture docs/_static/check-torso.png`` draws the check of the first layout as it is.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
-docs/results/check.csv --table docs/development/check-table.md``. Scores of other recordings in the
-CSV file are kept; without a recording, only the table is written.
+docs/results/check.csv --table docs/development/check-table.md``. Scores of other recordings and of
+other thinnings in the CSV file are kept; without a recording, only the table is written.
 """
 
 from __future__ import annotations
@@ -140,6 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Check all recordings, write the scores and print a summary."""
     parser = options(__doc__, "check.csv", seeds=2, first_seed=5001, recordings=False)
     parser.add_argument("pairs", nargs="*", help="recordings and their layouts, A.npz=B.csv")
+    parser.add_argument("--thinned", type=int, nargs="+", default=THINNED, help="every n-th frame")
     parser.add_argument("--template", type=Path, help="file of the pads of a module")
     parser.add_argument("--picture", type=Path, help="draw the check of the first pair, only")
     parser.add_argument("--table", type=Path, help="file for a summary in Markdown")
@@ -149,14 +150,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         recording, layout = pairs[0]
         draw(recording, layout, anisomap.read_map(chosen.template), chosen.picture)
         return
-    renewed = {(recording.stem, layout.stem) for recording, layout in pairs}
+    renewed = {(one.stem, layout.stem, n) for one, layout in pairs for n in chosen.thinned}
     results = [
-        r for r in read_rows(chosen.output, Result) if (r.recording, r.layout) not in renewed
+        r
+        for r in read_rows(chosen.output, Result)
+        if (r.recording, r.layout, r.thinned) not in renewed
     ]
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     with quietly():
         for recording, layout in pairs:
-            for result in checks(recording, layout, anisomap.read_map(chosen.template), seeds):
+            template = anisomap.read_map(chosen.template)
+            for result in checks(recording, layout, template, seeds, chosen.thinned):
                 results.append(result)
                 write_rows(chosen.output, results, digits=3)
     text = "\n".join(table(results))
@@ -176,7 +180,11 @@ def draw(path: Path, layout_path: Path, template: anisomap.SensorMap, picture: P
 
 
 def checks(
-    path: Path, layout_path: Path, template: anisomap.SensorMap, seeds: range
+    path: Path,
+    layout_path: Path,
+    template: anisomap.SensorMap,
+    seeds: range,
+    thinnings: Sequence[int],
 ) -> Iterator[Result]:
     """Score checks of one recording against its layout: all thinnings, faults and seeds."""
     whole = anisomap.read(path)
@@ -188,7 +196,7 @@ def checks(
         print(f"  {finding.kind}: {finding.explanation}")
     right = untouched.corrected
     skin = Skin.of(right, modules)
-    for thinned in THINNED:
+    for thinned in thinnings:
         part = replace(whole, readings=whole.readings[::thinned], times=None)
         # The correlations, most of the work, are the same for every stated layout.
         statistics = reading_statistics(part.readings, np.random.default_rng(0))
