@@ -388,7 +388,7 @@ def test_noise_in_a_few_frames_is_not_an_inverted_contact(seed):
     assert "inverted" not in kinds(find_faults(Recording(readings)))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("kind", "case"),
     [
@@ -424,20 +424,6 @@ def test_a_sensor_that_a_slow_finger_stays_on_is_not_inverted(seed):
         apart = np.linalg.norm(2.5 + 2.6 * np.sin(turns)[:, None] - places, axis=2)
         readings = np.maximum(readings, np.exp(-((apart / rng.uniform(1, 2)) ** 2)))
     assert list(CHECKS["inverted"](Recording(np.round(1000 * readings)))) == []
-
-
-@pytest.mark.parametrize("seed", [39, 43, 44, 52])
-def test_a_sensor_that_rises_with_a_rarely_touched_one_is_not_inverted(seed):
-    """Long presses of one place at a time: sensors far apart fall when the others rise."""
-    rng, places = np.random.default_rng(seed), lattice(10, 10)
-    readings, begin = np.zeros((120, 100)), 0
-    while begin < 120:
-        length = int(rng.integers(20, 60))
-        apart = np.linalg.norm(places - rng.uniform(0, 9, 2), axis=1)
-        readings[begin : begin + length] += np.exp(-(apart**2) / 3) * rng.uniform(0.5, 1)
-        begin += length + int(rng.integers(1, 15))
-    readings = np.round(1000 * readings + 1.5 * rng.normal(size=readings.shape))
-    assert "inverted" not in kinds(find_faults(Recording(readings)))
 
 
 @pytest.mark.parametrize("fault", ["common-noise:level=1,of_boards=1", "humming:level=2"])
@@ -540,7 +526,7 @@ def test_hands_that_rest_in_one_place_after_another_change_and_step_nothing(body
 
 
 @pytest.mark.parametrize("noise", [0, 0.01])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_blocks_that_are_moved_at_once_and_held_are_no_steps(noise, seed):
     rng, places = np.random.default_rng(seed), lattice(9, 9)
     lengths = rng.integers(30, 200, 40)
@@ -563,23 +549,7 @@ def test_still_contacts_are_not_frozen_readings(form):
     assert list(CHECKS["frozen"](Recording(readings))) == []
 
 
-def test_where_all_sensors_are_lost_readings_lie_on_lines():
-    readings = np.array(wired_at_random().readings)
-    for begin in range(50, 1500, 100):
-        readings[begin : begin + 20] = np.nan
-    bad = Recording(readings)
-    lines = bad.complete("interpolate").readings
-    np.testing.assert_array_equal(repair(bad).recording.readings, lines)
-
-
-@pytest.mark.parametrize(
-    "fault",
-    [
-        "copied:share=.1,noise=.1",
-        "inverted:share=.5",
-    ],
-    ids=lambda fault: fault.partition(":")[0],
-)
+@pytest.mark.parametrize("fault", ["copied:share=.1,noise=.1", "inverted:share=.5"])
 def test_a_repaired_recording_is_mapped_better(fault):
     bad = spoilt(wired_at_random(), fault)
     before, after = (
@@ -597,19 +567,6 @@ def test_tiny_recordings_are_examined(shape):
     assert {sensor.status for sensor in health} <= set(STATUSES)
     assert kinds(find_faults(readings)) <= set(CHECKS)
     assert find_faults(np.full(shape, np.nan)) == ()
-
-
-@given(
-    gain=st.sampled_from([0.125, 1024.0, 2.0**-90, 2.0**90]),
-    offset=st.sampled_from([0.0, 128.0]),
-    kind=st.sampled_from(["leak", "copies", "inverted"]),
-)
-@settings(max_examples=4)
-def test_findings_do_not_depend_on_units(gain, offset, kind):
-    bad = spoilt(wired_at_random(), FOUND[kind].replace("copied", "shorted"))  # without a gain
-    readings = np.round(bad.readings.astype(np.float64) * 1024) / 1024
-    plain, changed = (find_faults(Recording(r)) for r in (readings, gain * (readings + offset)))
-    assert kinds(plain) == kinds(changed) == {kind}
 
 
 def test_some_sensors_are_left_of_a_recording_of_one_signal():

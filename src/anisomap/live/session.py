@@ -331,10 +331,7 @@ class LiveSession:
     """
 
     def __init__(
-        self,
-        source: Source,
-        recording: Path,
-        options: ExaminationOptions | None = None,
+        self, source: Source, recording: Path, options: ExaminationOptions | None = None
     ) -> None:
         self.source = source
         options = options or ExaminationOptions()
@@ -448,22 +445,17 @@ class LiveSession:
         if self.segment is None:
             return ""
         options, unknown = self.maps.options, self.maps.unknown
-        words = ["anisomap", "map", str(self.segment.path)]
-        if options.dimensions != AUTO:
-            words += ["-d", str(options.dimensions)]
-        if options.method != DEFAULT_METHOD:
-            words += ["-m", options.method]
-        if options.preset:
-            words += ["--preset", options.preset]
-        for name in options.drop:
-            words += [] if name in unknown else ["--drop", name]
-        if options.contacts:
-            words += ["--contacts", options.contacts]
-        if self.recorder.has_gaps:
-            words += ["--missing", "interpolate"]
-        if options.spacing_mm:
-            words += ["--spacing", f"{options.spacing_mm:g}mm"]
-        return shlex.join(words)
+        given = [
+            ("-d", "" if options.dimensions == AUTO else str(options.dimensions)),
+            ("-m", "" if options.method == DEFAULT_METHOD else options.method),
+            ("--preset", options.preset),
+            *(("--drop", name) for name in options.drop if name not in unknown),
+            ("--contacts", options.contacts),
+            ("--missing", "interpolate" if self.recorder.has_gaps else ""),
+            ("--spacing", f"{options.spacing_mm:g}mm" if options.spacing_mm else ""),
+        ]
+        words = [word for name, value in given if value for word in (name, value)]
+        return shlex.join(["anisomap", "map", str(self.segment.path), *words])
 
     def notify(self, text: str) -> None:
         """Add a sentence for the user; of those of one kind in some seconds, the last stays."""
