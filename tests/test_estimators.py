@@ -97,11 +97,6 @@ def test_missing_readings_are_refused_with_our_option(mapper):
             call(readings)
 
 
-def test_points_with_nan_are_told_from_unknown_pairs():
-    with pytest.raises(InputError, match="unknown pairs with metric='precomputed'"):
-        Anisomap().fit([[0, np.nan], [1, 2], [3, 4]])
-
-
 def test_the_score_prefers_the_true_map(mapper):
     score = mapper.score(SKIN.readings)
     assert score > 0.8

@@ -7,7 +7,7 @@ import pytest
 
 from anisomap import MethodOptions, reconstruct, reconstruct_from
 from anisomap.errors import InputError
-from anisomap.numerics.precision import check_pair_memory, physical_memory
+from anisomap.numerics.precision import check_pair_memory
 
 
 @pytest.fixture
@@ -20,12 +20,6 @@ def machine_with(monkeypatch):
         monkeypatch.setattr(os, "sysconf", lambda name: answers.get(name) or ask(name))
 
     return set_memory
-
-
-def test_nothing_is_refused_if_memory_is_unknown(monkeypatch):
-    monkeypatch.delattr(os, "sysconf")
-    assert physical_memory() is None
-    check_pair_memory(10**9, refined=True)
 
 
 def test_20000_sensors_fit_into_24_gib_and_100000_do_not(machine_with):

@@ -13,7 +13,6 @@ from benchmarks.accuracy.compare import (
 )
 from benchmarks.accuracy.rivals import RIVALS, map_by_rival
 from scipy.spatial.distance import pdist
-from sklearn.manifold import Isomap
 
 import anisomap
 from anisomap.evaluation import mantel
@@ -51,15 +50,6 @@ def test_rivals_see_correlations_only():
         first = map_by_rival(recording, name, 3).positions
         second = map_by_rival(anisomap.Recording(changed[:, order]), name, 3).positions
         np.testing.assert_allclose(relative(first[order]), relative(second), atol=1e-5)
-
-
-def test_isomap_on_r_is_ten_lines_of_scikit_learn():
-    recording = flat_skin()
-    r = np.corrcoef(recording.readings.T)
-    distances = np.sqrt(2 * (1 - np.minimum(r, 1)))
-    expected = Isomap(n_neighbors=8, n_components=2, metric="precomputed").fit_transform(distances)
-    found = map_by_rival(recording, "isomap-on-r", 2).positions
-    np.testing.assert_allclose(pdist(found), pdist(expected), rtol=1e-6, atol=1e-9)
 
 
 def test_tables_state_the_scores_and_the_losses():

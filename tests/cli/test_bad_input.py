@@ -163,11 +163,6 @@ def test_layouts_without_distances(folder, name, command):
     refused(folder, command.format(name))
 
 
-def test_recordings_that_make_no_map_have_a_summary(folder):
-    for name in TOO_LITTLE:
-        call(folder, "info", name)
-
-
 def test_an_unexpected_error_is_reported_as_a_defect(skin_csv, monkeypatch, capsys):
     def broken(*_, **__):
         message = "a bug"

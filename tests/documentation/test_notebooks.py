@@ -21,9 +21,3 @@ def test_cells_run_in_order(path, tmp_path):
 def test_no_outputs_are_stored(path):
     cells = json.loads(path.read_text("utf-8"))["cells"]
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in cells)
-
-
-def test_an_error_in_a_cell_is_raised(tmp_path):
-    text = json.dumps({"cells": [{"cell_type": "code", "source": ["1 / 0"]}]})
-    with pytest.raises(ZeroDivisionError):
-        list(run(read_notebook(text), tmp_path))

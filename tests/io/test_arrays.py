@@ -108,11 +108,6 @@ def test_a_last_axis_of_three(tmp_path: Path, axis: str) -> None:
     assert any("three axes" in str(each.message) for each in said) == (axis != "all")
 
 
-def test_variable_length_names_are_read(h5) -> None:
-    names = np.array(list("abcdef"), h5py.string_dtype())
-    assert io.read(h5(readings=READINGS, names=names)).names == tuple("abcdef")
-
-
 def test_datasets_in_other_files_are_not_opened(tmp_path: Path) -> None:
     (tmp_path / "secret").write_bytes(bytes(48))
     with h5py.File(tmp_path / "skin.h5", "w") as file:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import SensorMap, io
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap import io
+from anisomap.errors import FileError
 
 DISPLAY = (
     b"cardid 12\r\n"
@@ -133,28 +133,3 @@ def test_a_cut_icub_file_is_refused(tmp_path):
     path.write_text("taxel2Repr ( 0 1 2 3 -1 -1 )\n[calibration]\n0 0 1 0 0 1\n0 1 0 0 0 1\n")
     with pytest.raises(FileError, match="cut short"):
         anisomap.read_map(path)
-
-
-def test_layouts_of_both_kinds_of_names_differ_in_the_turned_triangle_alone(tmp_path):
-    """Names by board, triangle and pad, and names that count the taxels of the robot."""
-    places = {t: (18.5 * (t % 4) + 9.25 * (t // 4), 16 * (t // 4), 0) for t in range(12)}
-    text = "robotPart arm\n[SENSORS]\n" + "".join(
-        f"triangle_10pad {t} {x} {y} {angle} 4 0\n" for t, (x, y, angle) in places.items()
-    )
-    path = tmp_path / "part.ini"
-    path.write_text(text)
-    layout = anisomap.read_map(path)
-    inside = [i for i, name in enumerate(layout.names) if name.startswith("b0.t7.")]
-    centre = np.array(places[7][:2])
-    positions = layout.positions.copy()
-    cos, sin = -0.5, 3**0.5 / 2
-    positions[inside] = (positions[inside] - centre) @ [[cos, sin], [-sin, cos]] + centre
-    channels = [12 * t + k for t in places for k in range(12) if k not in (6, 10)]
-    other = SensorMap(positions, names=[f"taxel{1921 + c}" for c in channels], units="mm")
-    found = anisomap.evaluation.compare_maps(layout, other)
-    flagged = {found.names[i].rsplit(".", 1)[0] for i in np.flatnonzero(found.moved)}
-    assert flagged == {"b0.t7"}
-    assert "matched by number" in " ".join(found.notes)
-    with pytest.warns(AnisomapWarning, match="matched by number"):
-        scored = anisomap.score(other, layout, permutations=0)
-    assert scored.mantel.r > 0.95

@@ -121,14 +121,6 @@ def test_dates_and_clocks(put, header: str, stamp: str) -> None:
     np.testing.assert_allclose(found.times, np.arange(40) / 50, atol=1e-6)
 
 
-def test_a_clock_goes_on_after_midnight(put) -> None:
-    rows = [
-        f"{23 + i // 60 if i < 60 else 0}:{(59 + i // 60) % 60:02d}:{i % 60:02d}" for i in range(90)
-    ]
-    text = "time,a,b\n" + "".join(f"{stamp},{i % 3},1\n" for i, stamp in enumerate(rows))
-    np.testing.assert_array_equal(io.read(put("night.csv", text)).times, np.arange(90))
-
-
 WORDS = ("NA", "n/a", "null", "None", "NaN", "-", "", "nil", "?", "--", "#N/A")
 
 

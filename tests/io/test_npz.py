@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anisomap import io
-from anisomap.errors import AnisomapWarning, FileError
+from anisomap.errors import FileError
 
 READINGS = np.arange(12.0).reshape(4, 3)
 
@@ -75,12 +75,6 @@ def test_all_optional_arrays(saved) -> None:
     assert found.source == "skin.npz"
     assert dict(found.metadata) == {"licence": "MIT", "seed": 7, "gain": 0.5, "dry": True}
     assert [type(value) for value in found.metadata.values()] == [str, int, float, bool]
-
-
-def test_times_that_do_not_increase(saved) -> None:
-    with pytest.warns(AnisomapWarning, match=r"skin\.npz.*frame 2"):
-        found = io.read(saved(readings=READINGS, times=[0, 1, 1, 2]))
-    assert found.times is None
 
 
 WRONG_RECORDINGS = [

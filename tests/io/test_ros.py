@@ -1,10 +1,7 @@
 """ROS 1 and ROS 2 bags and MCAP: all message types of tactile sensors, and files that were cut."""
 
-import re
 import sqlite3
-import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from itertools import starmap
 from pathlib import Path
 from typing import Any
@@ -12,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anisomap import SensorMap, io
+from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
 from bags import DEFINITIONS, Bag
 
@@ -46,16 +43,6 @@ def test_arrays(bag: Bag, tmp_path: Path) -> None:
     # Without a stamp, the time of a message is that of its receipt.
     expected = np.arange(60) / 50 + 1e-3 * (np.arange(60) % 3)
     np.testing.assert_allclose(found.times, expected, atol=1e-8)
-
-
-def test_links_of_a_map_of_a_bag_have_names(tmp_path: Path) -> None:
-    """Frames of a robot that are called 0, 1, 2 would tell nothing, and collide."""
-    bag = Bag("mcap")
-    skin = io.read(written(bag, tmp_path, "/skin", map(bag.array, READINGS)))
-    places = np.random.default_rng(0).normal(size=(6, 3))
-    io.write(SensorMap(places, names=skin.names, units="m"), tmp_path / "skin.urdf")
-    links = re.findall('<link name="(.+?)"', (tmp_path / "skin.urdf").read_text())
-    assert links == ["skin", *(f"s{i}" for i in range(6))]
 
 
 def tactile_states(bag: Bag) -> Iterator[Any]:
@@ -295,20 +282,3 @@ def test_bags_that_were_not_closed_name_the_tool_that_repairs(tmp_path: Path, ki
         path.write_bytes(whole[:at] + bytes(8) + whole[at + 8 :])
         with pytest.raises(FileError, match=repair):
             io.read(path)
-
-
-@pytest.mark.parametrize("packed", ["LZ4", "BZ2"])
-def test_damaged_chunks(tmp_path: Path, packed: str) -> None:
-    rng = np.random.default_rng(0)
-    bag = Bag("bag")
-    for i in range(40):
-        bag.add("/skin", bag.array((rng.random(8000) < 0.1) * 1.0), i)
-    path = bag.write(tmp_path / "run.bag", packed)
-    whole = path.read_bytes()
-    for at in rng.integers(5000, len(whole) // 3, 10):
-        damaged = bytearray(whole)
-        damaged[at] ^= 1 << int(rng.integers(8))
-        path.write_bytes(damaged)
-        with warnings.catch_warnings(), suppress(FileError):
-            warnings.simplefilter("ignore", AnisomapWarning)
-            assert 0 < io.read(path).n_frames <= 40

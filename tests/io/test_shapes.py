@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anisomap import io, reconstruct
+from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io import ReadOptions
 from anisomap.recording import Recording, join_runs, match_sensors
@@ -303,22 +303,6 @@ def test_labelled_arrays() -> None:
     )
     np.testing.assert_array_equal(Recording(cells).readings, PRESSED)
     assert Recording(cells).names[5] == "r1c1"
-
-
-@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
-def test_maps_of_labelled_arrays_are_those_of_their_readings() -> None:
-    xarray = pytest.importorskip("xarray")
-    array = xarray.DataArray(PRESSED, dims=("time", "sensor"), coords={"sensor": NAMES})
-    found = reconstruct(array, dimensions=2)
-    assert found.names == tuple(NAMES)
-    np.testing.assert_array_equal(found.positions, reconstruct(PRESSED, dimensions=2).positions)
-    with pytest.raises(InputError, match=r"got a DataArray; use .*array\.data of xarray"):
-        reconstruct(array.chunk(), "r-anisomap", dimensions=2)
-
-
-def test_objects_in_memory_are_no_files() -> None:
-    with pytest.raises(InputError, match=r"got a list; anisomap\.Recording takes"):
-        io.read([PRESSED])  # type: ignore[arg-type]
 
 
 def test_raw_recordings_of_mne() -> None:

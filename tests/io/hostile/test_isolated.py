@@ -72,14 +72,6 @@ def test_streams_that_are_open_at_the_same_time(path: Path) -> None:
             np.testing.assert_array_equal(found.readings, READINGS)
 
 
-def test_relative_paths(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    io.read(path)
-    monkeypatch.chdir(path.parent)
-    np.testing.assert_array_equal(io.read("skin.mat").readings, READINGS)
-    with pytest.raises(FileError, match=r"^there is no file b\.mat"):
-        io.read("b.mat")
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked on Unix")
 def test_a_forked_process_reads_by_itself(path: Path) -> None:
     """In a process without threads: a fork may hang on the locks of threads that it lacks."""

@@ -80,21 +80,6 @@ def test_materials_are_not_opened(tmp_path, named):
     assert len(read_mesh(tmp_path / "box.obj")[1]) == 12
 
 
-def test_groups_of_a_mesh_are_not_divided(tmp_path):
-    """The 20,000 groups would take a minute."""
-    box = trimesh.creation.box().export(file_type="obj", include_normals=False)
-    vertices = [line for line in box.splitlines() if line.startswith("v ")]
-    faces = [line for line in box.splitlines() if line.startswith("f ")]
-    groups = [f"o a{i}\ng g{i}\nusemtl m{i}\ns {i}" for i in range(20_000)]
-    groups[: len(faces)] = [f"{g}\n{face}" for g, face in zip(groups, faces, strict=False)]
-    (tmp_path / "plain.obj").write_text("\n".join(vertices + faces))
-    (tmp_path / "groups.obj").write_text("\n".join(vertices + groups))
-    plain, grouped = read_mesh(tmp_path / "plain.obj"), read_mesh(tmp_path / "groups.obj")
-    assert len(plain[1]) == 12
-    for expected, found in zip(plain, grouped, strict=True):
-        np.testing.assert_array_equal(found, expected)
-
-
 @needs_limit
 def test_copies_of_parts_of_a_mesh_take_limited_time(tmp_path, monkeypatch):
     """Each node places all parts of a mesh, which takes time and memory for each."""
