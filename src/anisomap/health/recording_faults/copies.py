@@ -18,7 +18,6 @@ from anisomap.health.recording_faults import Found, has_contacts, turns_like_noi
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import (
     MAX_WHOLE,
-    NO_SENSOR,
     all_products,
     most_similar,
 )
@@ -180,8 +179,7 @@ class _Excerpt:
         """Return pairs of similar sensors, each once, the lower index first, shape (P, 2)."""
         n_sensors, n_frames = self.rows.shape
         found, products = most_similar(self.rows, min(_N_PARTNERS, n_sensors - 1), whole=self.whole)
-        close = (products >= _MIN_CORRELATION * n_frames) & (found != NO_SENSOR)
-        first, which = np.nonzero(close)
+        first, which = np.nonzero(products >= _MIN_CORRELATION * n_frames)
         ordered = np.sort(np.column_stack([first, found[first, which]]), axis=1)
         return np.unique(ordered, axis=0).astype(np.intp).reshape(-1, 2)
 

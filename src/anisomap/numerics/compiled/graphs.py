@@ -1,4 +1,4 @@
-"""Compiled loops of graphs: shortest paths of all pairs and from some nodes, and neighbours."""
+"""Compiled loops of shortest paths of all pairs."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from anisomap.numerics.compiled.parallel import loop
 
 Reals = NDArray[np.floating[Any]]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
 SIDE = 64
@@ -93,27 +91,3 @@ def lower_rows(tiles: Reals, inwards: Reals, outwards: Reals, rows: Range) -> No
             tile = tiles[tile_number(row, column, n_blocks)]
             for middle in range(n_middles):
                 lower_tile(tile, inwards[middle, row], outwards[middle, column])
-
-
-@loop()
-def keep_greatest(block: Singles, start: tuple[int, int], greatest: tuple[Ints, Singles]) -> None:
-    """Update the greatest entries of each row, in decreasing order, with a block of columns.
-
-    The block begins at the row and column `start`. Entries on the diagonal are skipped.
-    """
-    top, left = start
-    ends, values = greatest
-    count = ends.shape[1]
-    for i in range(len(block)):
-        row, kept, places = block[i], values[i], ends[i]
-        least = kept[count - 1]
-        for j in range(len(row)):
-            if row[j] > least and left + j != top + i:
-                place = count - 1
-                while place > 0 and kept[place - 1] < row[j]:
-                    kept[place] = kept[place - 1]
-                    places[place] = places[place - 1]
-                    place -= 1
-                kept[place] = row[j]
-                places[place] = left + j
-                least = kept[count - 1]

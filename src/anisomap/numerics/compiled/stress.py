@@ -11,7 +11,6 @@ from anisomap.numerics.compiled.parallel import loop
 
 Reals = NDArray[np.floating[Any]]
 Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 Range = tuple[int, int]  # from the first to before the last
 
 WIDTH = 512  # columns at a time, which fit into the first-level cache

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components
 
-from anisomap.numerics.compiled.parallel import (
-    MIN_COMPILED_ROWS,
-    has_loops,
-    limited_blas,
-    load_loops,
-    parallel_map,
-)
+from anisomap.numerics.compiled.parallel import limited_blas, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.neighbours import spanning_tree
@@ -94,66 +88,39 @@ def local_path_lengths(similarity: ArrayLike, n_neighbours: int = _N_NEIGHBOURS)
     return metricise(lengths).astype(np.float64)
 
 
-ROWS = 512
-"""Rows of a block of inner products."""
-
-COLUMNS = 4096
-"""Columns of a block of inner products; 8 MiB, which stay in the cache while searched."""
+_ROWS = 512  # of a block of inner products
 
 MAX_WHOLE = 2048
 """Sensors up to which all inner products are computed at once; 16 MiB."""
 
-NO_SENSOR = -1
-"""Index that marks the absence of a sensor."""
-
 
 def most_similar(
     rows: NDArray[np.float32], count: int, *, whole: NDArray[np.float32] | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Find, for each sensor, the sensors with the greatest inner products of rows.
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Find, for each of N sensors, the others with the greatest inner products of rows, (N, count).
 
-    whole (N, N): The products of all rows, if they are known.
+    Of equal ones, the first. whole (N, N): The products of all rows, if they are known.
     """
     n_sensors = len(rows)
-    if n_sensors < MIN_COMPILED_ROWS or not has_loops():
-        return _most_similar_of_few(rows, count, whole)
-    found = np.full((n_sensors, count), NO_SENSOR, dtype=np.int64)
-    products = np.full(found.shape, -np.inf, dtype=np.float32)
+    found = np.empty((n_sensors, count), dtype=np.intp)
+    products = np.empty(found.shape, dtype=np.float32)
+
+    def search(begin: int) -> None:
+        part = slice(begin, begin + _ROWS)
+        block = rows[part] @ rows.T if whole is None else whole[part].copy()
+        each = np.arange(len(block))
+        block[each, begin + each] = -np.inf
+        for k in range(count):
+            found[part, k] = best = block.argmax(axis=1)
+            products[part, k] = block[each, best]
+            block[each, best] = -np.inf
 
     # One BLAS thread, so that sums do not depend on the number of threads.
     with limited_blas(1):
-        if whole is None and n_sensors <= MAX_WHOLE:
-            whole = all_products(rows)
-
-        def search(begin: int) -> None:
-            part = slice(begin, begin + ROWS)
-            for left in range(0, n_sensors, COLUMNS):
-                columns = slice(left, left + COLUMNS)
-                if whole is None:
-                    block = rows[part] @ rows[columns].T
-                else:
-                    block = whole[part, columns].copy()
-                kept = found[part], products[part]
-                load_loops("graphs").keep_greatest(block, (begin, left), kept)
-
-        parallel_map(search, range(0, n_sensors, ROWS), n_sensors)
+        parallel_map(search, range(0, n_sensors, _ROWS), n_sensors)
     return found, products
 
 
 def all_products(rows: NDArray[np.float32]) -> NDArray[np.float32]:
     """Multiply all rows; numpy computes half of a product of a matrix with its transpose."""
     return np.asarray(rows @ rows.T)
-
-
-def _most_similar_of_few(
-    rows: NDArray[np.float32], count: int, whole: NDArray[np.float32] | None
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Sort all products, which takes less time than loading a compiled loop."""
-    with limited_blas(1):
-        products = np.array(all_products(rows) if whole is None else whole)
-    np.fill_diagonal(products, -np.inf)
-    missing = max(0, count - len(rows))
-    products = np.pad(products, ((0, 0), (0, missing)), constant_values=-np.inf)
-    order = np.argsort(-products, axis=1, kind="stable")[:, :count]
-    greatest = np.take_along_axis(products, order, axis=1)
-    return np.where(np.isneginf(greatest), NO_SENSOR, order), greatest
