@@ -24,7 +24,6 @@ MAX_PAIRED = 2048
 """Sensors up to which statistics of all pairs are kept."""
 
 _FRAMES_AT_ONCE = 256  # whose intermediate arrays stay in the cache
-_LEAST_SQUARE = 1e-20
 _EXCEEDED = 0.01  # probability with which a normal maximum is exceeded
 _HALF_IN_COMMON = 0.5**0.5  # r of sensors that have half of their variance in common
 _MAX_PARTS, _N_LOOKED_AT = 17, 512  # parts of a recording, and frames of each, that are looked at
@@ -152,27 +151,18 @@ def squares_and_lagged(
 
     centre (N,): Values near the means, or readings: of others, sums might be below 0 by rounding.
     """
-    found = _lagged(readings, centre)
-    if not ((found[0] > _LEAST_SQUARE) & (found[0] < np.inf)).all():  # of float32
-        found = _lagged(readings.astype(np.float64), centre)
-    return found
-
-
-def _lagged(readings: NDArray[Any], centre: NDArray[np.floating]) -> tuple[Floats, Floats]:
-    sums, n_frames = np.zeros((3, len(centre))), len(readings)
-    near = centre.astype(readings.dtype)
-    ends = (readings[0] - near).astype(np.float64) + (readings[-1] - near)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for begin in range(0, n_frames, _FRAMES_AT_ONCE):
-            part = readings[max(0, begin - 1) : begin + _FRAMES_AT_ONCE] - near
-            later = part[begin > 0 :]
-            sums[0] += later.sum(axis=0)
-            sums[1] += np.einsum("ti,ti->i", later, later)
-            sums[2] += np.einsum("ti,ti->i", part[1:], part[:-1])
-        total, squares, products = sums
-        mean = total / n_frames
-        products -= mean * (2 * total - ends - (n_frames - 1) * mean)
-        return squares - mean * total, products
+    n_frames, near = len(readings), centre.astype(np.float64)
+    total, squares, products = np.zeros((3, len(near)))
+    ends = readings[0] - near + (readings[-1] - near)
+    for begin in range(0, n_frames, _FRAMES_AT_ONCE):
+        part = readings[max(0, begin - 1) : begin + _FRAMES_AT_ONCE] - near
+        later = part[begin > 0 :]
+        total += later.sum(axis=0)
+        squares += np.einsum("ti,ti->i", later, later)
+        products += np.einsum("ti,ti->i", part[1:], part[:-1])
+    mean = total / n_frames
+    products -= mean * (2 * total - ends - (n_frames - 1) * mean)
+    return squares - mean * total, products
 
 
 def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:
