@@ -107,7 +107,7 @@ def _hum(finding: Finding) -> str:
     hertz = "" if rate is None else f" ({rate / period:.3g} Hz)"
     return (
         f"a hum with a period of {period:.4g} frames{hertz} makes up {finding.size:.0%} of the "
-        f"standard deviation; sensors: {len(finding.sensors)}"
+        f"standard deviation of {len(finding.sensors)} sensors"
     )
 
 
@@ -204,8 +204,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "changed": _Words(
             "share",
             lambda f: (
-                f"neighbours change at about frame {f.values['frame']} of "
-                f"{f.values['n_frames']}; sensors whose neighbours do: {len(f.sensors)}"
+                f"the neighbours of {len(f.sensors)} sensors change at about frame "
+                f"{f.values['frame']} of {f.values['n_frames']}"
             ),
             "wires were exchanged, or the body took another posture; map the frames before and "
             "after separately",
