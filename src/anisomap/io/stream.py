@@ -218,22 +218,13 @@ class Block:
 class Stream:
     """A recording that is read block by block, with its metadata.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file, for messages.
-    n_sensors : int
-        Number of sensors, N, in every block.
-    blocks : iterator of Block
-        Can be iterated once.
-    names, rate_hz, positions, normals, surface_distances, units, source, metadata
-        As for `Recording`.
-    from_zero : bool
-        Whether to shift times so that the first frame is at 0.
-    locate : callable, optional
-        Maps a frame index to its place in the file, such as ``"line 12"``.
-    raw_columns : bool
-        Whether columns may be something else than sensors, or axes of sensors.
+    path: The file, for messages.
+    n_sensors: In every block.
+    blocks: Can be iterated once.
+    names, ..., metadata: As for `Recording`.
+    from_zero: Whether to shift times so that the first frame is at 0.
+    locate: Maps a frame index to its place in the file, such as ``"line 12"``.
+    raw_columns: Whether columns may be something else than sensors, or axes of sensors.
     """
 
     path: Path

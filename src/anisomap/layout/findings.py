@@ -50,16 +50,10 @@ _CERTAIN_Z, _CERTAIN_GAIN = 5.0, 60.0  # standard errors, nats
 class ModuleChange:
     """How a module lies against what is stated.
 
-    Attributes
-    ----------
-    module : str
-    angle : float
-        Degrees by which it is turned, counterclockwise in two dimensions, in (-180, 180].
-    mirror : bool
-        Whether it is a mirror image.
-    old_orientation, new_orientation : float
-        Degrees from the axes of the layout to those of the template, which is mirrored before if
-        the module is; NaN in three dimensions.
+    angle: Degrees by which it is turned, counterclockwise in two dimensions, in (-180, 180].
+    mirror: Whether it is a mirror image.
+    old_orientation, new_orientation: Degrees from the axes of the layout to those of the template,
+        which is mirrored before if the module is; NaN in three dimensions.
     """
 
     module: str

@@ -241,13 +241,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 
 
 def find_method(name: str) -> Method:
-    """Look up a method by its name, a key of `METHODS`.
-
-    Raises
-    ------
-    InputError
-        If there is no method of that name; the message lists all names.
-    """
+    """Look up a method by its name, a key of `METHODS`; an error lists all names."""
     if name not in METHODS:
         raise InputError(f"there is no method {name!r}; choose from {', '.join(METHODS)}")
     return METHODS[name]

@@ -22,14 +22,9 @@ _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+\Z")
 class LineEdit:
     """A line of a file that changes.
 
-    Attributes
-    ----------
-    line : int
-        Its number, from 1.
-    before, after : str
-        The line without its end.
-    text : str
-        What changes, in the terms of the file.
+    line: Its number, from 1.
+    before, after: The line without its end.
+    text: What changes, in the terms of the file.
     """
 
     line: int
