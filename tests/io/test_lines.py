@@ -181,11 +181,13 @@ def test_labels_with_two_numbers(put, mark: str, label: str) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*numbers the 3 rows of a frame")
 @pytest.mark.parametrize("first", [0, 1])
-@pytest.mark.parametrize("head", ["", "row,a,b,c,d\n", "timestamp,row,c0,c1,c2,c3\n"])
+@pytest.mark.parametrize(
+    "head", ["", "row,a,b,c,d\n", "timestamp,row,c0,c1,c2,c3\n", "frame,row,c0,c1,c2,c3\n"]
+)
 def test_rows_of_a_matrix_are_joined(put, head: str, first: int) -> None:
     frames = np.random.default_rng(0).integers(1, 9, (40, 3, 4))
     lines = [
-        (f"{t / 50}," if "time" in head else "")
+        (f"{t / 50}," if "time" in head else f"{t}," if "frame" in head else "")
         + (f"{i + first}," if head else f"Row {i + first}: ")
         + (",".join if head else " ".join)(map(str, row))
         for t, frame in enumerate(frames)

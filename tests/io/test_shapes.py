@@ -100,10 +100,11 @@ def test_columns_beside_pressures_of_insoles(put) -> None:
         "acceleration X[g]",
         "angular Y[dps]",
         "total force[N]",
+        "mass[kg]",
         "center of pressure X[-1...1]",
     ]
     names = [f"{s} pressure {k}[N/cm\u00b2]" for s in ("left", "right") for k in range(6)]
-    rows = np.column_stack([PRESSED, RNG.normal(size=(N_FRAMES, 4))]).round(2).astype(object)
+    rows = np.column_stack([PRESSED, RNG.normal(size=(N_FRAMES, 5))]).round(2).astype(object)
     rows[100:130, -1] = ""
     path = put("insole.csv", text([*names, *(f"left {name}" for name in others)], rows))
     with pytest.warns(AnisomapWarning, match="are left out") as said:

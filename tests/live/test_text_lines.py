@@ -64,7 +64,7 @@ def test_any_bytes_give_the_same_frames_however_they_are_cut(content, cuts):
 
 
 HEADER = "ms,T0_0,T0_1\n"
-FRAMES = [f"{20 * i},{i % 7},{i % 5}.5\n" for i in range(60)]
+FRAMES = [f"{20 * i},{i * i % 7},{i % 5}.5\n" for i in range(60)]
 STARTS = {
     "a header": HEADER,
     "a banner": f"Skin v1.3 boot\n{HEADER}",
@@ -81,7 +81,7 @@ def test_a_header_names_the_sensors_and_the_time(start, clock):
     items = parsed(text.encode())
     assert Names(("T0_0", "T0_1")) in items
     batches = [item for item in items if isinstance(item, Batch)]
-    assert readings(items) == [[i % 7, i % 5 + 0.5] for i in range(60)]
+    assert readings(items) == [[i * i % 7, i % 5 + 0.5] for i in range(60)]
     times = np.concatenate([batch.times for batch in batches])
     assert (np.diff(times) > 0).all()
     if not clock:
@@ -90,7 +90,7 @@ def test_a_header_names_the_sensors_and_the_time(start, clock):
 
 
 def test_an_object_gives_the_time_and_the_order_of_its_first_names():
-    lines = [f'{{"t": {i}, "a": {i % 3}, "b": {i % 4}}}\n' for i in range(20)]
+    lines = [f'{{"t": {i}, "a": {i * i % 7}, "b": {i * i % 5}}}\n' for i in range(20)]
     items = parsed("".join(lines).encode(), b'{"t": 20, "b": 4, "a": 3}\n')
     assert items[0] == Names(("a", "b"))
     assert readings(items)[-1] == [3, 4]
@@ -98,11 +98,27 @@ def test_an_object_gives_the_time_and_the_order_of_its_first_names():
 
 
 def test_rows_of_a_matrix_are_joined_to_frames():
-    frames = np.random.default_rng(0).integers(0, 9, (20, 3, 4))
+    frames = np.random.default_rng(0).integers(0, 9, (20, 8, 4))
     lines = [
-        f"Row {i}: {' '.join(map(str, row))}\n" for frame in frames for i, row in enumerate(frame)
+        f"\x1b[0;32mRow {i}: {' '.join(map(str, row))}\x1b[0m\n"
+        for frame in frames
+        for i, row in enumerate(frame)
     ]
-    np.testing.assert_array_equal(readings(parsed("".join(lines).encode())), frames.reshape(20, 12))
+    text = "".join(lines)
+    np.testing.assert_array_equal(readings(parsed(text.encode())), frames.reshape(20, 32))
+    (*_, notice) = parsed(text.replace("Row", "Board").encode())  # of which kind, nobody knows
+    assert "repeats 0, 1, 2, ..., so that 8 lines seem to be a frame" in notice.text
+
+
+def test_what_is_no_sensor_is_left_out_as_of_files():
+    lines = [
+        "ms,p0 [N],p1 [N],p2 [N],load [kg],acc_x\n",
+        *(f"{i},1,2,3,{i},5\n" for i in range(60)),
+    ]
+    notice, names, *batches = parsed("".join(lines).encode())
+    assert notice.text.endswith("load [kg], acc_x")
+    assert names == Names(("p0", "p1", "p2"))
+    assert readings(batches) == [[1, 2, 3]] * 60
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ _OTHERS = {
     **dict.fromkeys(["temp", "temperature", "temperatur", "humidity"], "a temperature or humidity"),
     **dict.fromkeys(["battery", "batt", "vbat", "rssi"], "a state of the read-out"),
     **dict.fromkeys(["seq", "sequence", "counter", "packet"], COUNTER),
-    **dict.fromkeys(["sum", "total", "checksum", "crc"], "a sum or checksum"),
+    **dict.fromkeys(["sum", "summe", "total", "grf", "checksum", "crc"], "a sum or checksum"),
     **dict.fromkeys(["mean", "average", "avg", "max", "min", "std"], "a statistic of others"),
     **dict.fromkeys(["cop", "copx", "copy"], "a centre of pressure"),
     **dict.fromkeys(["flag", "contact", "slip"], "a flag"),
@@ -239,6 +239,11 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
     named = {i: what for i, name in enumerate(names) if (what := _what_is_named(name))}
     kinds = Counter(named.values())  # mag0 ... mag35 are sensors
     found = {i: what for i, what in named.items() if kinds[what] <= _MAX_SHARE * len(names)}
+    units = [match[2] if (match := _UNIT.fullmatch(name)) else "" for name in names]
+    for usual, count in Counter(units).most_common(1):
+        if usual and count > _MAX_SHARE * len(units):
+            others = {i: f"not in {usual}" for i, u in enumerate(units) if u not in ("", usual)}
+            found = others | found
     found |= _by_values(names, table, found)
     n_sensors = table.shape[1] - len(found)
     return found if n_sensors >= _MIN_SENSORS else {}

@@ -24,7 +24,7 @@ Item = TypeVar("Item")
 Line = TypeVar("Line", str, bytes)
 
 _MIN_REPORTED_LOSS = 0.005
-_COLOURS = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]")  # of terminals
+COLOURS = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]")  # of terminals
 
 
 def warn(path: Path | str, problem: str) -> None:
@@ -134,7 +134,7 @@ class TextLines(io.TextIOWrapper):
             raise StopIteration
         self.last, self.number = line, self.number + 1
         if "\x1b" in line:
-            line = _COLOURS.sub("", line)
+            line = COLOURS.sub("", line)
         if len(line) == _MAX_LINE:
             raise _long_line(self._path)
         return line

@@ -135,21 +135,17 @@ def _stream_table(
         text = (*table.text_columns, *table.clocks)
         names, roles = with_kept(names, roles, options.keep, table.n_columns, text)
         warn_of_guesses(path, names, roles)
-        matrix = (
-            None
-            if options.keep
-            else find_matrix(table, names, roles, first_rows(table, ROWS_LOOKED_AT))
-        )
-        if not (options.keep or matrix):
-            known_for = {*roles.non_sensors} - {*table.text_columns}
-            refuse_turned(table, sample, known_for)
-        roles = _without_frame_numbers(table, roles, options.grid)
-    if matrix:
-        warn(
-            path,
-            f"{_column_label(table, matrix.column)} numbers the {matrix.height} rows of a frame",
-        )
-        roles = dataclasses.replace(roles, non_sensors=(*roles.non_sensors, matrix.column))
+        if not options.keep:
+            matrix = find_matrix(table, names, roles, first_rows(table, ROWS_LOOKED_AT))
+        if matrix:
+            numbers = _column_label(table, matrix.columns[0])
+            warn(path, f"{numbers} numbers the {matrix.height} rows of a frame")
+            non_sensors = (*roles.non_sensors, *matrix.columns)
+            roles = dataclasses.replace(roles, non_sensors=non_sensors)
+        else:
+            if not options.keep:
+                refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
+            roles = _without_frame_numbers(table, roles, options.grid)
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -355,7 +351,7 @@ def _blocks(table: Table, roles: Roles, matrix: MatrixRows | None = None) -> Ite
             before = float(times[-1])
         readings = np.delete(values, roles.non_sensors, axis=1)
         if matrix:
-            readings, times = matrix.join(values[:, matrix.column], readings, times)
+            readings, times = matrix.join(values[:, matrix.columns[0]], readings, times)
         if len(readings):
             yield Block(to_float32_if_exact(readings), fraction, times)
 
@@ -365,9 +361,11 @@ class MatrixRows:
     """Lines that are the rows of a matrix, which a column numbers; each frame ends with the last.
 
     Rows without a line are as in the frame before, and frames are left out that begin in between.
+
+    columns: The column of these numbers, and those that number frames.
     """
 
-    column: int
+    columns: tuple[int, ...]
     first: int
     height: int
     _held: Any = None
@@ -418,8 +416,11 @@ def find_matrix(
     if (np.diff(levels) != 1).any():
         return None
     steps = (np.diff(rows) - 1) % len(levels)
-    steady = np.mean(steps == 0) >= _CYCLIC
-    return MatrixRows(column, int(levels[0]), len(levels)) if steady else None
+    if np.mean(steps == 0) < _CYCLIC:
+        return None
+    frames = (i for i, name in enumerate(names) if _FRAMES & {*words_of(name)})
+    frames = (i for i in frames if i != column and (np.diff(start[:, i]) >= 0).all())
+    return MatrixRows((column, *frames), int(levels[0]), len(levels))
 
 
 def _column_metadata(table: Table, roles: Roles) -> dict[str, Scalar]:
