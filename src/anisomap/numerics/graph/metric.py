@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,7 +14,6 @@ from anisomap.numerics.precision import Floats, Reals, slices_of, symmetric_from
 _TILE_ROWS = 4  # rows of tiles per task; few enough for many threads
 _TILE_MIDDLES = 2  # blocks of nodes through which a tile is lowered while it is in the cache
 _EXTENT = 0.9  # quantile of lengths: the longest are outliers themselves
-_CACHE_LINE = 64  # bytes, of current processors
 
 
 def with_bounded_stems(lengths: Reals, hidden: NDArray[np.intp]) -> Reals:
@@ -52,14 +48,14 @@ def shortest_paths(lengths: Reals) -> Reals:
     n_nodes, side = len(lengths), loops.SIDE
     blocks = list(slices_of(n_nodes, side))
     pairs = [(rows, columns) for i, rows in enumerate(blocks) for columns in blocks[i:]]
-    tiles = _aligned((len(pairs), side, side), lengths.dtype)
+    tiles = np.empty((len(pairs), side, side), lengths.dtype)
     for tile, (rows, columns) in zip(tiles, pairs, strict=True):
         part = lengths[rows, columns]
         if part.shape != tile.shape:
             tile.fill(np.inf)
         tile[: len(part), : part.shape[1]] = part
     shape = (_TILE_MIDDLES, len(blocks), side, side)
-    outwards, inwards = _aligned(shape, lengths.dtype), _aligned(shape, lengths.dtype)
+    outwards, inwards = np.empty((2, *shape), lengths.dtype)
     for group in slices_of(len(blocks), _TILE_MIDDLES):
         middles = range(group.start, group.stop)
         for done, middle in enumerate(middles):
@@ -79,14 +75,6 @@ def shortest_paths(lengths: Reals) -> Reals:
         paths[rows, columns] = part
         paths[columns, rows] = part.T
     return paths
-
-
-def _aligned(shape: tuple[int, ...], dtype: np.dtype[Any]) -> Reals:
-    """Return an empty array that begins with a cache line, so that vectors do not cross its end."""
-    n_bytes = dtype.itemsize * math.prod(shape)
-    memory = np.empty(n_bytes + _CACHE_LINE, np.uint8)
-    first = -memory.ctypes.data % _CACHE_LINE
-    return memory[first : first + n_bytes].view(dtype).reshape(shape)
 
 
 def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
