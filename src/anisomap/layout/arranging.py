@@ -278,14 +278,15 @@ class Arrangement:
             changed = {m: int(self._slot[m]) for m in np.flatnonzero(self._slot != own).tolist()}
             groups = [tuple(chain) for chain in _chains(changed, own)]
             groups += [(m,) for m in np.flatnonzero(self._turn != 0).tolist() if m not in changed]
-            found = [self._weighed(evidence, group) for group in groups]
-            found = self._as_groups(evidence, found)
-            # A module that agrees with none around it is elsewhere, however it lies.
+            found = self._as_groups(evidence, [self._weighed(evidence, one) for one in groups])
+            # Modules that agree with none around them are elsewhere, however they lie.
             there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
-            sure = self._tested & (there >= _BESIDE * expected)
-            wrong = [
-                one for one in found if not (one.verdict.holds and sure[list(one.modules)].all())
-            ]
+            wrong = []
+            for one in found:
+                some = list(one.modules)
+                beside = there[some].sum() >= _BESIDE * expected[some].sum()
+                if not (one.verdict.holds and beside and self._tested[some].all()):
+                    wrong.append(one)
             if not wrong:
                 return evidence, found
             untested = [one for one in wrong if not self._tested[list(one.modules)].any()]

@@ -88,11 +88,11 @@ def explain_modules(
         of_all = sum(len(mounting.members[m]) for m in modules)
         count = f" ({tested} of {of_all} pads tested)" if tested < of_all else ""
         if kind == "reversed":
-            first, last = (span(mounting.members[end(modules)], names) for end in (min, max))
-            count_all = max(modules) - min(modules) + 1
-            text = f"modules {first} to {last}, {count_all} in a row, in reverse order"
-            if len(modules) == 1:
-                text = f"module {first}: pads in reverse order"
+            first, last = min(modules), max(modules)
+            ends = f"{names[mounting.members[first][0]]} to {names[mounting.members[last][-1]]}"
+            text = f"modules {ends}, {last - first + 1} in a row, in reverse order"
+            if first == last:
+                text = f"module {ends}: pads in reverse order"
         elif group[0].together and kind == "moved":
             text = (
                 f"module {listed[0]} is shifted"

@@ -122,12 +122,12 @@ class Judge:
             # If most sensors are moved, too few are left to compare them with.
             and 2 * len(move.sensors) <= np.count_nonzero(evidence.usable)
             # Layouts of closed bodies are cut open: a module is near others on both sides.
-            and (not free or _around(evidence, move).gain(move) >= 0)
+            and (not free or around(evidence, move).gain(move) >= 0)
         )
         return Verdict(gain, least, z, bool(agrees))
 
 
-def _around(evidence: Evidence, move: Move) -> Evidence:
+def around(evidence: Evidence, move: Move) -> Evidence:
     """Return the evidence of the moved sensors with those around their present places only."""
     distances = cdist(evidence.positions[move.sensors], evidence.positions)
     near = np.asarray((distances <= evidence.reach).any(axis=0))

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
-from anisomap.layout.judging import MIN_GROUP_GAIN
+from anisomap.layout.judging import MIN_GROUP_GAIN, around
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import motions, turns
 from anisomap.numerics.procrustes import fit_similarity
@@ -53,8 +53,8 @@ def moved_patches(evidence: Evidence, mounting: Mounting, arranged: Evidence) ->
     """
     largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     found = []
-    groups = _contradicted(evidence, mounting)
-    if evidence.positions.shape[1] == 2:  # in space, modules alone move to free places only
+    groups, flat = _contradicted(evidence, mounting), evidence.positions.shape[1] == 2
+    if flat:  # in space, modules alone move to free places only
         alone = bonds(arranged, mounting.members)[0].sum(axis=1) < 0
         groups += [[m] for m in np.flatnonzero(alone).tolist()]
     for group in sorted(groups, key=len)[:_N_GROUPS]:
@@ -64,11 +64,11 @@ def moved_patches(evidence: Evidence, mounting: Mounting, arranged: Evidence) ->
         if agrees or len(sensors) > largest:
             continue
         # Layouts in space are bent: there, patches gain by any small motion.
-        shifted = evidence.positions.shape[1] == 2
-        moves = motions(evidence, sensors, _LEAST, shifted=shifted)
-        if moves and (gain := evidence.gain(moves[0])) >= MIN_GROUP_GAIN:
-            found.append((gain - MIN_GROUP_GAIN * len(group), group, moves))
-    # The smaller of two groups at a border is wrong, unless the larger explains more.
+        moves = motions(evidence, sensors, _LEAST, shifted=flat)
+        if moves and evidence.gain(moves[0]) >= MIN_GROUP_GAIN:
+            gain = around(evidence, moves[0]).gain(moves[0]) - MIN_GROUP_GAIN * len(group)
+            found.append((gain, group, moves))
+    # The one of two groups that explains more at their border is wrong: both gain across a cut.
     found.sort(key=lambda one: -one[0])
     found = found[:_N_BEST]
     best = [_on_places(evidence, mounting, group, moves) for _, group, moves in found]
