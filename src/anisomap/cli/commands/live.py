@@ -118,7 +118,7 @@ def live(
         Map, in the format of its suffix. May be repeated. Default: the name of the recording with
         .map.csv.
     spacing
-        Distance between neighbouring sensors, such as 6.5mm. It scales the written maps.
+        Median distance to the nearest sensor, such as 6.5mm. It scales the written maps.
     dimensions
         2 for flat skins, 3 for bodies, or auto. That is chosen for each checked map, and quick maps
         follow when two checked maps in a row agree.

@@ -103,7 +103,7 @@ def place_map(
     mesh_units
         Unit of the mesh.
     spacing
-        Distance between neighbouring sensors, such as 6.5mm.
+        Median distance to the nearest sensor, such as 6.5mm.
     handedness
         Whether the map has the handedness of the skin, if you know: same or mirrored. By default
         it follows from anchors and modules.

@@ -127,8 +127,8 @@ class VerdictOptions:
         This takes about as long as the map, which is written before; Ctrl-C ends it.
     contacts
         Shape of all contacts: compact or elongated. Those of a fingertip, a palm or a ball are
-        compact, those of an edge or a roller elongated. Only a map of unevenly spaced
-        sensors depends on it; without it, that is usable for neighbours at best. Default: what the
+        compact, those of an edge or a roller elongated. Only a map of unevenly spaced sensors
+        depends on it; without it, such a map is usable for neighbours at best. Default: what the
         file states, as files of simulate do.
     min_quality
         Exit with code 1 if the verdict is worse than this, or "cannot tell". All files are written.
@@ -156,7 +156,7 @@ class MappingOptions:
     Parameters
     ----------
     dimensions
-        2 for flat skins, 3 for bodies, or auto. That chooses 3 if the third coordinate improves the
+        2 for flat skins, 3 for bodies, or auto. Auto chooses 3 if the third coordinate improves the
         fit clearly, else 2.
     repair
         Mend faults of the recording first. These are copies, inverted sensors, hum, noise of

@@ -49,8 +49,8 @@ def simulate_body(
     sensors
         Number of sensors of a named body.
     parameter
-        NAME=VALUE of the scenario: list scenarios SCENARIO. May be repeated; `anisomap list
-        scenarios SCENARIO` explains the parameters.
+        Parameter of the scenario, as NAME=VALUE. May be repeated; `anisomap list
+        scenarios SCENARIO` explains all.
     picture
         Figure of body, sensors, contacts and readings: .png, .svg or .pdf.
 

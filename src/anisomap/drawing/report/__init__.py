@@ -156,6 +156,9 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
             ("RMS error", number(score.rms, unit=score.units), in_spacings),
             ("Neighbours kept", f"{score.neighbours_kept:.0%}", kept),
         ]
+    if score is not None and np.isfinite(score.scale):
+        unscaled = f"of the reference; without scaling, the RMS error is {number(score.rigid_rms)}"
+        found.append(("Scale", number(score.scale, 3), f"{unscaled} {score.units}"))
     placed = f"{int(sensor_map.placed.sum())} of {sensor_map.n_sensors}"
     misfit = "misfit between the distances on the map and the metric; 0 is a perfect fit"
     return [
