@@ -3,11 +3,13 @@
 Recordings are noisy caps on a sphere: contacts at random places, noise in every reading. The CPU
 times, on one thread, are of the default map; of all that ``anisomap map`` does, the search for
 faults, the health of sensors, the map and its verdict; and of r-ANISOMAP with the health of
-sensors. Commands from the shell are processes of their own.
+sensors. The errors are those of the default map and of Isomap's, on the same readings. Commands
+from the shell are processes of their own.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -23,16 +25,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import anisomap
-from anisomap import Recording
+from anisomap import Recording, SensorMap
 from anisomap.errors import InputError
 from anisomap.method.pipeline import reconstruct_with_stages
+from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
 from benchmarks.accuracy.rivals import map_by_rival
 from benchmarks.harness import frame, machine, markdown_table, options, quietly, write_rows
 from benchmarks.skins.inputs import directions, sphere
 
 SIZES = ((60, 4000), (256, 10_000), (400, 4000), (700, 6000))
-LARGE = ((1000, 30_000), (4000, 4000))
-"""Numbers of sensors and frames; the large ones take minutes."""
+LARGE = ((1000, 10_000), (2000, 20_000))
+"""Numbers of sensors and frames; the large ones take minutes, and are also placed at random."""
 
 GOALS = {"map": 8, "journey": 16}
 """Most times the CPU time of corrcoef and Isomap."""
@@ -46,9 +49,14 @@ _NOISE = 0.05  # of a deep contact
 _SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-def caps(n_sensors: int, n_frames: int, rng: np.random.Generator) -> Recording:
-    """Touch a sphere at random places, each for some frames, with noise in every reading."""
-    places = sphere(n_sensors, rng)
+def caps(
+    n_sensors: int, n_frames: int, rng: np.random.Generator, *, even: bool = True
+) -> Recording:
+    """Touch a sphere at random places, each for some frames, with noise in every reading.
+
+    even: Whether sensors are evenly spaced, or at random places.
+    """
+    places = sphere(n_sensors, rng) if even else directions(n_sensors, rng)
     reach = _REACH * np.sqrt(4 * np.pi / n_sensors) * rng.uniform(0.7, 1.3, (n_frames, 1))
     centres = np.repeat(directions(n_frames // 10 + 1, rng), 10, axis=0)[:n_frames]
     course = np.sin(np.pi * (np.arange(n_frames) % 10 + 0.5) / 10)[:, None]
@@ -60,31 +68,41 @@ def caps(n_sensors: int, n_frames: int, rng: np.random.Generator) -> Recording:
 
 @dataclass(frozen=True)
 class Row:
-    """CPU seconds of what is done with one recording; isomap: With ``numpy.corrcoef``."""
+    """CPU seconds of what is done with one recording, and what is made of it.
+
+    isomap: With ``numpy.corrcoef``. r, error: Mantel r, and the RMS error in spacings, of the
+    default map; isomap_r, isomap_error: of Isomap's. level: Of the verdict.
+    """
 
     n_sensors: int
     n_frames: int
+    even: bool
     seed: int
+    level: str
+    r: float
+    error: float
+    isomap_r: float
+    isomap_error: float
     isomap: float
     map: float
     journey: float
     paper: float
 
 
-def journey(recording: Recording) -> None:
+def journey(recording: Recording) -> SensorMap:
     """Do what ``anisomap map`` does."""
     findings, health = anisomap.find_faults(recording), anisomap.assess(recording)
     made, stages = reconstruct_with_stages(recording, dimensions=_DIMENSIONS)
-    anisomap.diagnose(made, recording, health=health, findings=findings, stages=stages)
+    return anisomap.diagnose(made, recording, health=health, findings=findings, stages=stages)
 
 
-def as_published(recording: Recording) -> None:
+def as_published(recording: Recording) -> SensorMap:
     """Assess the sensors, and map them by the paper's method."""
     anisomap.assess(recording)
-    anisomap.reconstruct(recording, "r-anisomap", _DIMENSIONS)
+    return anisomap.reconstruct(recording, "r-anisomap", _DIMENSIONS)
 
 
-TIMED: Mapping[str, Callable[[Recording], object]] = {
+TIMED: Mapping[str, Callable[[Recording], SensorMap]] = {
     "isomap": lambda recording: map_by_rival(recording, "isomap-on-r", _DIMENSIONS),
     "map": lambda recording: anisomap.reconstruct(recording, dimensions=_DIMENSIONS),
     "journey": journey,
@@ -92,25 +110,46 @@ TIMED: Mapping[str, Callable[[Recording], object]] = {
 }
 
 
-def timed(run: Callable[[Recording], object], readings: NDArray[np.floating]) -> float:
-    """Return the CPU seconds of the fastest of some runs, each on a fresh recording."""
-    seconds = []
-    for _ in range(RUNS):
+def timed(
+    run: Callable[[Recording], SensorMap], readings: NDArray[np.floating]
+) -> tuple[float, SensorMap | None]:
+    """Return the CPU seconds of the fastest of some runs, each on a fresh recording, and the map.
+
+    Recordings of many sensors run once.
+    """
+    seconds, made = [], None
+    for _ in range(RUNS if readings.shape[1] < LARGE[0][0] else 1):
         recording = Recording(readings)  # without statistics that another run has left in it
         begun = time.process_time()
         with suppress(InputError):
-            run(recording)
+            made = run(recording)
         seconds.append(time.process_time() - begun)
-    return min(seconds)
+    return min(seconds), made
 
 
 def rows_of(sizes: Sequence[tuple[int, int]], seeds: Sequence[int]) -> Iterator[Row]:
     """Time everything on recordings of some sizes and seeds."""
-    for run in TIMED.values():  # compile, or load what was compiled
-        timed(run, caps(30, 400, np.random.default_rng(0)).readings)
-    for (n_sensors, n_frames), seed in product(sizes, seeds):
-        readings = caps(n_sensors, n_frames, np.random.default_rng(seed)).readings
-        yield Row(n_sensors, n_frames, seed, *(timed(run, readings) for run in TIMED.values()))
+    for run, n_sensors in product(TIMED.values(), (30, MIN_COMPILED_ROWS)):
+        # Compile, or load what was compiled.
+        timed(run, caps(n_sensors, 400, np.random.default_rng(0)).readings)
+    for (n_sensors, n_frames), even, seed in product(sizes, (True, False), seeds):
+        if not even and n_sensors < LARGE[0][0]:
+            continue
+        recording = caps(n_sensors, n_frames, np.random.default_rng(seed), even=even)
+        found = {name: timed(run, recording.readings) for name, run in TIMED.items()}
+        (r, error), others = (_accuracy(found[name][1], recording) for name in ("map", "isomap"))
+        judged = found["journey"][1]
+        level = "" if judged is None else judged.verdict.level
+        times = {name: cpu for name, (cpu, _) in found.items()}
+        yield Row(n_sensors, n_frames, even, seed, level, r, error, *others, **times)
+
+
+def _accuracy(made: SensorMap | None, truth: Recording) -> tuple[float, float]:
+    """Return Mantel r and the RMS error of a map, in spacings; NaN without one."""
+    if made is None:
+        return math.nan, math.nan
+    found = anisomap.score(made, truth, permutations=0)
+    return found.mantel.r, found.rms_in_spacings
 
 
 def from_shell(seed: int) -> Iterator[tuple[str, str, str]]:
@@ -144,12 +183,12 @@ def from_shell(seed: int) -> Iterator[tuple[str, str, str]]:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """Return the medians of each size, in Markdown."""
-    names = ("sensors", "frames", "corrcoef + Isomap, s", "map, s", "ratio", "map + verdict, s",
-             "ratio", "r-ANISOMAP + health, s", "ratio")  # fmt: skip
-    lines = []
-    for (n_sensors, n_frames), group in frame(rows).groupby(["n_sensors", "n_frames"]):
-        cells = [f"{n_sensors:,}", f"{n_frames:,}", f"{group.isomap.median():.4f}"]
+    """Return the medians of each size, in Markdown: of times, and of errors."""
+    times, errors = [], []
+    sizes = ["n_sensors", "n_frames", "even"]
+    for (n_sensors, n_frames, even), group in frame(rows).groupby(sizes, sort=False):
+        size = [f"{n_sensors:,}", f"{n_frames:,}", "evenly" if even else "at random"]
+        cells = [*size, f"{group.isomap.median():.4f}"]
         for what in ("map", "journey", "paper"):
             ratio = float((group[what] / group.isomap).median())
             missed = ratio > GOALS.get(what, np.inf)
@@ -157,8 +196,18 @@ def markdown(rows: Sequence[Row]) -> str:
                 f"{group[what].median():.3f}",
                 f"**{ratio:.1f}**" if missed else f"{ratio:.1f}",
             ]
-        lines.append(cells)
-    return "\n".join(markdown_table(names, lines, ())) + "\n"
+        times.append(cells)
+        apart = [f"{1 - group[one].mean():.4f}" for one in ("r", "isomap_r")]
+        apart += [f"{group[one].mean():.2f}" for one in ("error", "isomap_error")]
+        usable = np.count_nonzero(group.level == "usable")
+        errors.append([*size, *apart, f"{usable} of {len(group)}"])
+    names = ("sensors", "frames", "placed")
+    of_times = ("corrcoef + Isomap, s", "map, s", "ratio", "map + verdict, s",
+             "ratio", "r-ANISOMAP + health, s", "ratio")  # fmt: skip
+    of_errors = ("1 - r", "1 - r of Isomap", "error", "error of Isomap", "usable")
+    tables = (markdown_table((*names, *of_times), times, ()),
+              markdown_table((*names, *of_errors), errors, ()))  # fmt: skip
+    return "\n\n".join("\n".join(lines) for lines in tables) + "\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -56,7 +56,7 @@ _FLOOR = 0.01  # Stress-1 that counts as perfect; bounds the elbows of exact dis
 _MOST = 0.5
 _MIN_POINTS = 8  # fewer have hardly more distances than coordinates in 4 dimensions
 _MAX_POINTS = 1000  # regularly sampled; their 500,000 distances determine the stress
-_MAX_EXAMINED = 250  # for a note on a number that is given
+_MAX_EXAMINED = 125  # for a note on a number that is given
 # With 1e-8, elbows differ by less than .001 (53 recordings, real and simulated).
 _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-5)
 
