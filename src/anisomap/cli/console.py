@@ -285,9 +285,10 @@ def plain(value: Any) -> Any:
 
 @contextmanager
 def progress(task: str) -> Iterator[Callable[[float], None]]:
-    """Show progress and the remaining time on stderr, if it is a terminal."""
+    """Show progress and the remaining time on stderr; in a log, the stages of long maps."""
     if not errors.is_terminal:
-        yield lambda share: None
+        with _told("anisomap.method", lambda text: _complain(Text(text))):
+            yield lambda share: None
         return
     columns = (
         SpinnerColumn(),
@@ -298,18 +299,24 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
         TimeRemainingColumn(elapsed_when_finished=False),
         TextColumn("left"),
     )
-    library = logging.getLogger("anisomap")
     with Progress(*columns, console=errors, transient=True) as display:
         shown = display.add_task(printable(task), total=None)
-        handler = _Description(lambda text: display.update(shown, description=printable(text)))
-        level = library.level
-        library.addHandler(handler)
-        library.setLevel(logging.INFO)
-        try:
+        with _told("anisomap", lambda text: display.update(shown, description=text)):
             yield lambda share: display.update(shown, completed=share, total=1.0)
-        finally:
-            library.removeHandler(handler)
-            library.setLevel(level)
+
+
+@contextmanager
+def _told(name: str, describe: Callable[[str], None]) -> Iterator[None]:
+    """Pass the messages of a logger and those below it to a function."""
+    library, handler = logging.getLogger(name), _Description(describe)
+    level = library.level
+    library.addHandler(handler)
+    library.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        library.removeHandler(handler)
+        library.setLevel(level)
 
 
 class _Description(logging.Handler):
@@ -320,7 +327,7 @@ class _Description(logging.Handler):
         self._describe = describe
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._describe(record.getMessage())
+        self._describe(printable(record.getMessage()))
 
 
 def _is_number(text: str) -> bool:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning
 from anisomap.method.dimensions import Dimensions
-from anisomap.method.evidence import Evidence
+from anisomap.method.evidence import Evidence, log_stage
 from anisomap.method.named import DEFAULT_OPTIONS, Method, MethodOptions, find_method
 from anisomap.method.refinement import Refinement
 from anisomap.notes import Note
@@ -29,8 +29,7 @@ from anisomap.numerics.scaling.multidimensional_scaling import (
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
 
-logger = logging.getLogger(__name__)
-
+_REFINEMENT = 4  # times the time of the scaling; with 2,000 sensors
 _START = SmacofOptions(tolerance=1e-5)  # of a scaling that only starts the covariogram fit
 
 
@@ -92,7 +91,11 @@ def configure(task: Task, dimensions: int) -> Configuration:
     near = chosen
     if chosen.tolerance < _START.tolerance:
         near = _START if chosen == DEFAULT_SMACOF else replace(chosen, tolerance=_START.tolerance)
-    return _refined(task, task.evidence, _scaled(task, dimensions, near))
+    begun = monotonic()
+    scaled = _scaled(task, dimensions, near)
+    seconds = _REFINEMENT * (monotonic() - begun)
+    log_stage("fitting positions to all correlations", len(task.metric), seconds)
+    return _refined(task, task.evidence, scaled)
 
 
 def _scaled(task: Task, dimensions: int, options: SmacofOptions) -> Configuration:
@@ -106,7 +109,8 @@ def _scaled(task: Task, dimensions: int, options: SmacofOptions) -> Configuratio
     scalings: list[Scaling] = []
     for label in range(labels.max() + 1):
         inside = labels == label
-        logger.info("scaling %d sensors into %d dimensions", inside.sum(), dimensions)
+        n_sensors = int(np.count_nonzero(inside))
+        log_stage(f"scaling {n_sensors} sensors into {dimensions} dimensions", n_sensors)
         scaling = smacof(
             among(metric, inside),
             dimensions=dimensions,

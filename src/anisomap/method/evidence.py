@@ -7,6 +7,7 @@ different sensors and a component of the sensors are evidence alike.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -138,7 +139,7 @@ class Evidence:
         cls, recording: Recording, statistic: str, *, bins: int, with_variance: bool
     ) -> Evidence:
         """Compare all pairs of sensors, each over the parts of the recording that contain both."""
-        logger.info("comparing all pairs of sensors (%s)", statistic)
+        log_stage(f"comparing all pairs of sensors ({statistic})", recording.n_sensors)
         if len(recording.parts) > 1:
             return _of_parts(recording, statistic, bins)
         how, (recording,) = SIMILARITIES[statistic], recording.parts
@@ -247,6 +248,16 @@ class Evidence:
     def unexplained(self, positions: Reals) -> float:
         """Return the share of the variance of S that distances on a map, (n, k), do not explain."""
         return unexplained_share(self.similarity, positions, self.noise, known=self.known)
+
+
+_MIN_TOLD = 1000  # sensors, whose maps take long
+
+
+def log_stage(stage: str, n_sensors: int, seconds: float | None = None) -> None:
+    """Log a stage of a map of many sensors, and about how long the map still takes."""
+    if n_sensors >= _MIN_TOLD:
+        left = "" if seconds is None else f", about {max(1, math.ceil(seconds))} s left"
+        logger.info("%s%s", stage, left)
 
 
 def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_rows) -> None:

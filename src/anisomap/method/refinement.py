@@ -9,11 +9,12 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import partial
+from time import monotonic
 
 import numpy as np
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.method.evidence import Evidence
+from anisomap.method.evidence import Evidence, log_stage
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
@@ -44,6 +45,7 @@ maps (``python -m benchmarks.accuracy.steps``).
 _LEAST_VARIANCE = 1e-4  # of ratios: no metric is known to 1 %
 _ROUGH = 1e-4  # tolerance of the fit that the metric is compared with
 
+_AFTER_ROUGH, _AFTER_FITS = 1.5, 0.3  # time still taken, over that taken; with 2,000 sensors
 _NEAR_MINIMUM = SmacofOptions(tolerance=1e-6)
 
 
@@ -89,13 +91,20 @@ def refine(
         known=evidence.known,
         options=options,
     )
+    begun = monotonic()
     first = fit(positions, metric, least_tolerance=_ROUGH) if near is None else near
+    if near is None:
+        seconds = _AFTER_ROUGH * (monotonic() - begun)
+        log_stage("fitting positions to the metric as well", len(positions), seconds)
     lengths, prior_weight = _in_unit_of(first.positions, metric)
     found = fit(first.positions, lengths, least_prior=prior_weight, near=first)
     logger.debug("covariogram with exponent %.2f, %d steps", found.exponent, found.iterations)
     share = evidence.unexplained(found.positions)
     if share <= 0:
         return Refinement(found.positions, found, share, 0.0)
+    if near is None:
+        seconds = _AFTER_FITS * (monotonic() - begun)
+        log_stage("scaling paths between neighbours", len(positions), seconds)
     proposed = _by_paths(evidence, found.positions)
     # The variance of each map is taken to be proportional to the share that it leaves unexplained,
     # to which paths add their own; a mean weighted by precisions has the smallest variance.

@@ -5,7 +5,6 @@ All are computed from a map and its recording; none changes a position.
 
 from __future__ import annotations
 
-import logging
 import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -22,7 +21,7 @@ from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.method.configuration import Configuration
 from anisomap.method.dimensions import AUTO, SPATIAL
-from anisomap.method.evidence import Evidence
+from anisomap.method.evidence import Evidence, log_stage
 from anisomap.method.named import METHODS, MethodOptions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.notes import Note, untouched
@@ -50,8 +49,6 @@ from anisomap.verdict.second_map import (
     is_uneven,
     sensors_pair_off,
 )
-
-logger = logging.getLogger(__name__)
 
 _SAME = 1e-6  # of the extent; rounding errors of a map that was scaled or turned are far below
 
@@ -204,7 +201,7 @@ def examine(
     made, stages = judged
     generator = np.random.default_rng(0 if rng is None else rng)
     found = np.full((*sensor_map.positions.shape, sensor_map.dimensions), np.nan)
-    logger.info("mapping resampled recordings to estimate the repeatability")
+    log_stage("mapping resampled recordings to estimate the repeatability", sizes[0])
     sizes = made.component_sizes
     for label, size in enumerate(sizes):
         part = Part.of(stages, label)
