@@ -20,7 +20,7 @@ import numpy as np
 
 import anisomap
 from anisomap.base import DEFAULT_METHOD
-from anisomap.method import evidence
+from anisomap.method import evidence, refinement
 from anisomap.method.named import METHODS, Method
 from anisomap.method.pipeline import reconstruct_with_stages
 from anisomap.method.refinement import Refinement, refine
@@ -67,10 +67,16 @@ def _without_paths(*stages: Any) -> Refinement | None:
     return refined and replace(refined, positions=refined.fit.positions, path_weight=0.0)
 
 
+def _without_weight(*stages: Any) -> Refinement | None:
+    with patch.object(refinement, "_METRIC_SHARE", 0.0):
+        return refine(*stages)
+
+
 VARIANTS: Mapping[str, Method] = {
     "nothing": _DEFAULT,
     "common signal": _DEFAULT,
     "kappa": replace(_DEFAULT, contact_similarity=None),
+    "weight of the metric": replace(_DEFAULT, refine=_without_weight),
     "paths": replace(_DEFAULT, refine=_without_paths),
     "refinement": replace(_DEFAULT, refine=lambda *_: None),
 }

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 import anisomap
 from anisomap import io, route
-from skins import flat_skin
+from skins import flat_skin, lattice
 
 SKIN = flat_skin(n_frames=4000)
 HOW = io.ReadOptions()
@@ -79,3 +80,18 @@ def test_maps_of_samples_say_so_on_the_screen_and_in_files(run_map, tmp_path, re
     assert written.provenance["frames_sampled_every"] == 2
     assert any("one frame in 2 was used" in note for note in written.notes)
     assert anisomap.score(written, SKIN.positions, permutations=0).mantel.r > 0.95
+
+
+@pytest.mark.slow
+def test_a_log_tells_the_stages_of_long_maps_with_the_time_left(run, skin_npz, tmp_path):
+    places = lattice(32, 32)
+    contacts = np.random.default_rng(0).uniform(-1, 33, (1500, 2))
+    readings = np.maximum(0, 3 - cdist(contacts, places))
+    anisomap.write(anisomap.Recording(readings), tmp_path / "wide.npz")
+    said = run("map", "wide.npz", "-d", 2, "--no-verdict", "-o", "map.csv").err
+    told = [line for line in said.splitlines() if not line.startswith("warning")]
+    begun = ["comparing all pairs", "scaling 1024 sensors", "fitting", "fitting", "scaling paths"]
+    assert len(told) == len(begun)
+    assert all(line.startswith(stage) for line, stage in zip(told, begun, strict=True))
+    assert all(line.endswith(" s left") for line in told[2:])
+    assert "scaling" not in run("map", skin_npz, "-d", 2, "--no-verdict", "-o", "map.csv").err

@@ -60,6 +60,10 @@ def _methods(printer: Printer) -> None:
     similarities = [(name, one.summary) for name, one in anisomap.SIMILARITIES.items()]
     _print_rows(printer, "Methods", "name summary source", own)
     _print_rows(printer, "Similarities", "name summary", similarities)
+    printer.say(
+        "Noise at rest misleads mutual-information and spearman where contacts are rare: set "
+        "readings below a threshold above the noise to 0, or use the default method."
+    )
 
 
 def _formats(printer: Printer) -> None:
