@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from anisomap.method.dimensions import SPATIAL
 from benchmarks.harness import keyed_table
 from benchmarks.verdicts.trust import MAX_ERROR, closeness, read_outcomes
 
@@ -50,19 +51,21 @@ _WHOLE, _REGIONS = ("difference", "error"), ("regional", "region")
 
 
 def expected_errors(outcomes: Any, factors: Floats, range_: tuple[str, str] = _WHOLE) -> Any:
-    """Return the expected errors, given the factors of the two measurements."""
-    return np.hypot(factors[0] * outcomes.repeatability, factors[1] * outcomes[range_[0]])
+    """Return the expected errors, given the factors of chance, and of differences in 2D and 3D."""
+    by_difference = np.where(outcomes.dimensions == SPATIAL, factors[-1], factors[1])
+    return np.hypot(factors[0] * outcomes.repeatability, by_difference * outcomes[range_[0]])
 
 
 def fitted(outcomes: Any, range_: tuple[str, str] = _WHOLE) -> Floats:
-    """Fit the two factors of the expected error, robustly, to the logarithms of errors."""
+    """Fit the factors of the expected error, robustly, to the logarithms of errors."""
 
     def loss(factors: Floats) -> float:
         expected = expected_errors(outcomes, np.exp(factors), range_)
         apart = np.abs(np.log(expected / outcomes[range_[1]]))
         return float(np.where(apart < _HUBER, apart**2, 2 * _HUBER * apart - _HUBER**2).mean())
 
-    return np.exp(minimize(loss, [-0.7, -0.5], method="Nelder-Mead").x)
+    start = [-0.7, -0.5] if range_ is _REGIONS else [-0.7, -0.5, -0.5]
+    return np.exp(minimize(loss, start, method="Nelder-Mead").x)
 
 
 def constants(outcomes: Any) -> str:
@@ -79,7 +82,7 @@ def constants(outcomes: Any) -> str:
     at = expit(odds + slope * np.log(0.5))
     return "\n".join(
         [
-            f"BY_CHANCE, BY_DIFFERENCE = {factors[0]:.2f}, {factors[1]:.2f}",
+            "BY_CHANCE, BY_STEPS = {:.2f}, ({:.2f}, {:.2f})".format(*factors),
             "ERROR_INTERVAL = ({:.2f}, {:.1f})".format(*np.exp(missed)),
             "REGION_BY_CHANCE, REGION_BY_DIFFERENCE = {:.2f}, {:.2f}".format(*of_regions),
             "REGION_INTERVAL = ({:.2f}, {:.1f})".format(*apart),

@@ -1,7 +1,8 @@
 """Verdicts with a given number of dimensions and with ``auto``, on sound skins of all kinds.
 
-Each seed draws a skin of `benchmarks.skins.independent` with 25 to 110 sensors. The output is a
-table in Markdown, with intervals of 95 %, and all results as CSV.
+Each seed draws a skin of `benchmarks.skins.independent` with 25 to 110 sensors. Contacts are stated
+to be compact, or elongated if they roll. The output is a table in Markdown, with intervals of 95 %,
+and all results as CSV.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.stats import binomtest
 
 import anisomap
 from anisomap.method.pipeline import reconstruct_with_stages
+from anisomap.notes import kind_of
 from benchmarks.harness import keyed_table, measured, options, quietly
 from benchmarks.skins.independent import RANDOM, Case, drawn, make
 
@@ -24,6 +26,7 @@ FIRST_SEED, LONGEST, SENSORS = 11001, 3000, (25, 110)
 GOOD, WRONG = 0.5, 1.0
 """Most error of a good map, of which all sensors are placed, and least of a wrong one."""
 
+ROLLED = ("rolling", "rolling-pin")
 THIN = ("hand", "glove", "finger", "two-fingers", "torus")
 
 
@@ -54,6 +57,7 @@ def judged(seed: int) -> list[dict[str, Any]]:
     case = case_of(seed)
     recording = make(case).complete("interpolate")
     true = int(np.asarray(recording.positions).shape[1])
+    stated = "elongated" if case.stimulation in ROLLED else "compact"
     rows = []
     with quietly():
         health, findings = anisomap.assess(recording), anisomap.find_faults(recording)
@@ -61,7 +65,8 @@ def judged(seed: int) -> list[dict[str, Any]]:
             row: dict[str, Any] = {
                 "seed": seed, "body": case.body.partition(":")[0], "touch": case.stimulation,
                 "transducer": case.transducer, "auto": dimensions == "auto", "level": "refused",
-                "silent": False, "expected": math.nan, "error": math.nan, "placed": 0.0,
+                "silent": False, "stated": False, "expected": math.nan, "error": math.nan,
+                "placed": 0.0,
             }  # fmt: skip
             rows.append(row)
             try:
@@ -69,7 +74,11 @@ def judged(seed: int) -> list[dict[str, Any]]:
             except anisomap.InputError:
                 continue
             made = anisomap.diagnose(
-                made, recording, health=health, findings=findings, stages=stages
+                *(made, recording),
+                health=health,
+                findings=findings,
+                contacts=stated,
+                stages=stages,
             )
             said = any("whether the skin" in text for text in made.notes)
             said |= any("-d 2 or -d 3" in reason for reason in made.verdict.reasons)
@@ -77,6 +86,7 @@ def judged(seed: int) -> list[dict[str, Any]]:
             row |= {
                 "level": made.verdict.level,
                 "silent": made.dimensions != true and not said,
+                "stated": "compact" in map(kind_of, made.verdict.reasons),
                 "expected": made.verdict.expected_error,
                 "error": scored.rms_in_spacings,
                 "placed": float(np.mean(made.component == 0)),
@@ -93,7 +103,9 @@ def table(outcomes: Any) -> str:
         figures = {
             "good maps usable": (usable, good),
             "wrong maps usable": (usable, wrong),
+            "good maps usable if contacts are not stated": (usable & ~group.stated, good),
             "good maps of random places usable": (usable, good & group.body.str.startswith(RANDOM)),
+            "rolled skins usable": (usable, (group.placed > 0) & group.touch.isin(ROLLED)),
             "dimensions wrong without a word": (group.silent, group.placed > 0),
             "these usable": (usable, group.silent),
         }

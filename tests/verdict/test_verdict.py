@@ -55,11 +55,11 @@ def test_worse_evidence_never_improves_a_verdict(chances, differences, apart, fa
 
 @given(ERRORS, ERRORS, ERRORS, st.booleans(), st.floats(-10, 100))
 def test_an_error_if_the_skin_is_flat_is_expected(chance, difference, apart, spatial, gain):
-    clear = judge(evidence(chance, difference))
+    clear = judge(evidence(chance, difference, spatial=spatial))
     maps = {"between": apart, "regions_between": apart / 2, "spatial": spatial, "unclear": spatial}
     found = judge(evidence(chance, difference, **maps, gain=gain, chosen=True))
     error = clear.expected_error
-    doubted = apart <= 2.75 * error if spatial else gain > 5
+    doubted = apart <= 2.3 * error if spatial else gain > 5
     expected = math.hypot(error, apart) if doubted else error
     assert found.expected_error == pytest.approx(expected)
     assert any(one.kind in ("if-flat", "if-bent") for one in found.reasons) == (

@@ -236,7 +236,8 @@ def examine(
                 apart, regions = _between_dimensions(stages.configuration, stages.other)
                 gain = _gain_of_third(part.evidence, stages.configuration, stages.other)
                 measured = replace(measured, between=apart, regions_between=regions, gain=gain)
-        error = expected_error(repeatability, difference, uneven=uneven).value
+        kind = {"spatial": measured.spatial, "uneven": uneven}
+        error = expected_error(repeatability, difference, **kind).value
         if math.isfinite(error):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
