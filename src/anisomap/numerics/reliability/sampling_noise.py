@@ -187,6 +187,7 @@ _MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unr
 _GREATEST_R = 1 - 1e-6  # correlations of more than this are equal to it; float32 resolves 6e-8
 _MIN_COVERED = 0.95  # share of the sensors that significant links connect; chosen by hand
 _N_STRONGEST = 5  # with 4 to 6, strips and spheres have about equal maps; 8 bridge strips
+_MIN_SHARED = 0.1  # share of common neighbours; near sensors have 1/3 in a plane; chosen by hand
 
 
 def remove_insignificant_links(
@@ -277,15 +278,19 @@ def significant_links(similarity: Reals, variance: ArrayLike) -> NDArray[np.bool
     """Select the links that show that two sensors of a large skin are close.
 
     A link is significant if it is 1.5 times as strong as the strongest of P unrelated pairs,
-    ``sqrt(2 log P)`` standard deviations. The 5 strongest links of each sensor are kept, those of
-    the maximum spanning tree that join components, and all links if significant ones connect too
-    few sensors: contacts are then too small, or the recording is too short, to distinguish links.
+    ``sqrt(2 log P)`` standard deviations, and if its sensors share neighbours. The 5 strongest
+    links of each sensor are kept, those of the maximum spanning tree that join components, and all
+    links if significant ones connect too few sensors: contacts are then too small, or the recording
+    is too short, to distinguish links.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
     n_pairs = max(2, n_sensors * (n_sensors - 1) // 2)
     np.fill_diagonal(links, -np.inf)
     kept = links >= _MIN_LINK * math.sqrt(2 * math.log(n_pairs))
+    counted = kept.astype(np.float32)
+    degree = counted.sum(axis=1)
+    kept &= counted @ counted >= _MIN_SHARED * np.minimum(degree[:, None], degree)
     component = connected_components(kept, directed=False)[1]
     if np.bincount(component).max() < _MIN_COVERED * n_sensors:
         return ~np.eye(n_sensors, dtype=bool)
