@@ -25,8 +25,8 @@ from scipy.stats import chi2
 
 import anisomap
 from anisomap.evaluation import align, median_spacing
+from anisomap.map_verdict import ACCURACY
 from anisomap.method.pipeline import reconstruct_with_stages
-from anisomap.usability import ACCURACY
 from anisomap.verdict import judge
 from anisomap.verdict.chance import MIN_REGION, REGION_RADIUS
 from anisomap.verdict.diagnosis import examine

@@ -22,6 +22,7 @@ from .io import read as read
 from .io import read_map as read_map
 from .io import write as write
 from .layout import check_layout as check_layout
+from .map_verdict import Verdict as Verdict
 from .method.evidence import SIMILARITIES as SIMILARITIES
 from .method.named import METHODS as METHODS
 from .method.named import MethodOptions as MethodOptions
@@ -32,5 +33,4 @@ from .recording import join_runs as join_runs
 from .sensor_map import SensorMap as SensorMap
 from .sensor_map import ellipses as ellipses
 from .simulation import simulate as simulate
-from .usability import Verdict as Verdict
 from .verdict.diagnosis import diagnose as diagnose

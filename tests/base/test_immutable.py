@@ -6,7 +6,7 @@ import pytest
 
 from anisomap.base.immutable import Value
 from anisomap.health import summary
-from anisomap.usability import Verdict
+from anisomap.map_verdict import Verdict
 
 VALUES = sorted(Value.__subclasses__(), key=lambda kind: kind.__name__)
 

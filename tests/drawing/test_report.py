@@ -22,9 +22,9 @@ from anisomap.drawing.report import (
 )
 from anisomap.evaluation import score
 from anisomap.health import STATUSES, SensorHealth, touch_coverage
+from anisomap.map_verdict import Verdict
 from anisomap.recording import Recording
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
-from anisomap.usability import Verdict
 from reports import Page, assessed, example, page_of, scene_of, summary
 
 HOSTILE = (

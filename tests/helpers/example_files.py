@@ -12,9 +12,9 @@ import pytest
 import scipy
 
 from anisomap import io
+from anisomap.map_verdict import Verdict
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
 
 N_FRAMES, N_SENSORS = 24, 5
 NAMES = ("a", "b,c", 'd"e', "=f\ng", "#h")

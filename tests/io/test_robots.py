@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.map_verdict import Verdict
 from anisomap.placement import surface_normals
 from anisomap.placement.placing import judgement
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
 
 xml = pytest.importorskip("defusedxml.ElementTree")
 

@@ -15,9 +15,9 @@ from hypothesis.extra import numpy as hnp
 
 from anisomap import io
 from anisomap.errors import FileError, InputError
+from anisomap.map_verdict import ACCURACY, LEVELS, UNKNOWN, Verdict
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import MAX_COORDINATE, SensorMap
-from anisomap.usability import ACCURACY, LEVELS, UNKNOWN, Verdict
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
 TRICKY = st.sampled_from(

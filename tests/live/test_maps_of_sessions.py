@@ -17,11 +17,11 @@ from anisomap.live.quick_map import Advice, QuickMapper, confirmed_faults, turne
 from anisomap.live.recorder import JournalWriter
 from anisomap.live.session import SessionMaps
 from anisomap.live.workers import Examination, examine
+from anisomap.map_verdict import LEVELS, UNKNOWN, Verdict
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.sampling import MAX_FRAMES
 from anisomap.numerics.signals import count_contacts
 from anisomap.numerics.similarity.rest import estimate_rest
-from anisomap.usability import LEVELS, UNKNOWN, Verdict
 from live_processes import Given, wait_for_maps
 from skins import flat_skin, lattice, rubbed
 

@@ -14,7 +14,7 @@ from anisomap.live import ExaminationOptions, LiveSession
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.page import save_page
 from anisomap.live.page.server import Server
-from anisomap.usability import LEVELS, UNKNOWN
+from anisomap.map_verdict import LEVELS, UNKNOWN
 from live_processes import LONGEST_S, Given, wait_for_maps
 from skins import flat_skin
 

@@ -14,6 +14,7 @@ from scipy.stats import special_ortho_group
 import anisomap
 from anisomap import SensorMap, align
 from anisomap.errors import InputError
+from anisomap.map_verdict import Verdict
 from anisomap.notes import Note
 from anisomap.numerics.surfaces import Mesh, TriangleSearch
 from anisomap.placement import (
@@ -31,7 +32,6 @@ from anisomap.placement import (
 from anisomap.placement.placing import errors_of_sensors, headline, judgement
 from anisomap.simulation import find_body, solids
 from anisomap.simulation.bodies import covered
-from anisomap.usability import Verdict
 from skins import flat_map, lattice
 
 seeds = st.integers(0, 1000)

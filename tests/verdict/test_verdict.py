@@ -18,8 +18,8 @@ from anisomap import Recording, diagnose, reconstruct, reconstruct_from
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation import align
 from anisomap.health import Finding
+from anisomap.map_verdict import RANGES
 from anisomap.method.pipeline import reconstruct_with_stages
-from anisomap.usability import RANGES
 from anisomap.verdict import LEVELS, UNKNOWN, Measurements, Verdict, judge
 from anisomap.verdict.chance import regional_difference, rms_in_spacings
 from anisomap.verdict.judge import expected_error, neighbours_kept, region_error

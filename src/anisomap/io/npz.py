@@ -37,9 +37,9 @@ from anisomap.io.stream import (
     read_in_blocks,
     salvage,
 )
+from anisomap.map_verdict import ACCURACY, UNKNOWN
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import ACCURACY, UNKNOWN
 
 MAGICS, ARRAY_MAGIC = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
 NUMBERS, WHOLE, TEXT = "biuf", "biu", "US"

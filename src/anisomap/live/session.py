@@ -25,12 +25,12 @@ from anisomap.live.batches import Names, Notice, Source
 from anisomap.live.quick_map import QuickMap, confirmed_faults, read_levels
 from anisomap.live.recorder import GAP, Arrivals, Recorder, Segment
 from anisomap.live.workers import Answer, Examination, ExaminationOptions, Task, Worker
+from anisomap.map_verdict import LEVELS, Verdict
 from anisomap.method.dimensions import AUTO, SPATIAL
 from anisomap.notes import scaled_note
 from anisomap.placement import parse_length, scaled_to_spacing
 from anisomap.route import find_dropped
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import LEVELS, Verdict
 from anisomap.verdict.chance import MIN_FRAMES
 
 MAX_CURVE = 500

@@ -29,11 +29,11 @@ from anisomap.evaluation import score
 from anisomap.health import RecordingSummary, SensorHealth
 from anisomap.live.quick_map import QuickMap, QuickMapper
 from anisomap.live.recorder import JournalTail, Segment
+from anisomap.map_verdict import COMPACT, Verdict
 from anisomap.method.dimensions import AUTO, SPATIAL, Dimensions
 from anisomap.numerics.precision import check_pair_memory
 from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import COMPACT, Verdict
 
 MAX_INTERIM_READINGS = 1 << 22
 """Readings of a checked map while the session runs; of more, frames are sampled evenly."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from anisomap.base import METRES
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
+from anisomap.map_verdict import ACCURACY
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.surfaces import Mesh, Points
@@ -38,7 +39,6 @@ from anisomap.placement.surface import (
 )
 from anisomap.recording import match_names
 from anisomap.sensor_map import UNPLACED, SensorMap, radius
-from anisomap.usability import ACCURACY
 
 # Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on real and simulated
 # hexagons; that of the spacing is a guess on the safe side.

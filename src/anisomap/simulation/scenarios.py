@@ -16,6 +16,7 @@ import numpy as np
 
 from anisomap._version import __version__
 from anisomap.errors import InputError
+from anisomap.map_verdict import CONTACTS
 from anisomap.numerics.ranges import COUNT
 from anisomap.recording import Recording, Scalar
 from anisomap.simulation.bodies import BODIES
@@ -25,7 +26,6 @@ from anisomap.simulation.kinematic import RubbingOptions, rubbing
 from anisomap.simulation.locomotion import LocomotionOptions, locomotion
 from anisomap.simulation.options import Progress, ScenarioResult, Scene, no_progress, options_for
 from anisomap.simulation.physics import load_mujoco
-from anisomap.usability import CONTACTS
 
 DEFAULT_FRAMES = 2000  # as in the paper
 DEFAULT_SEED = 1

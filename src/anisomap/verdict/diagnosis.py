@@ -19,6 +19,7 @@ from anisomap.evaluation.scoring import align
 from anisomap.health import Finding, SensorHealth, assess, find_faults, spoiling, weaknesses
 from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
+from anisomap.map_verdict import CONTACTS, Verdict
 from anisomap.method.configuration import Configuration
 from anisomap.method.dimensions import AUTO, SPATIAL
 from anisomap.method.evidence import Evidence, log_stage
@@ -28,7 +29,6 @@ from anisomap.notes import Note, untouched
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import CONTACTS, Verdict
 from anisomap.verdict.chance import (
     MAX_SENSORS,
     MIN_FRAMES,

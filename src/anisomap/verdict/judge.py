@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 from scipy.special import expit
 
+from anisomap.map_verdict import COMPACT, Verdict
 from anisomap.notes import Note
-from anisomap.usability import COMPACT, Verdict
 
 MIN_AGREEMENT = 0.4
 """Least correlation of the similarities of two halves, over pairs of sensors.
@@ -111,7 +111,7 @@ class Measurements:
     chosen: Whether the number was chosen. gain: What a third dimension explains of the variance of
         the correlations, over what it would explain of sampling noise; 0 if unknown.
     uneven: Whether the sensors are not evenly spaced on the map. contacts: What is stated of them,
-        one of `anisomap.usability.CONTACTS`; empty if nothing is.
+        one of `anisomap.map_verdict.CONTACTS`; empty if nothing is.
     extent: RMS distance of the sensors from their centre, in spacings.
     agreement: Of two halves of the recording: see `agreement_of_halves`.
     paired: Whether the sensors pair off: see `sensors_pair_off`.

@@ -24,7 +24,7 @@ from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, print_warning, progress
 from anisomap.errors import InputError
 from anisomap.files.paths import together
-from anisomap.usability import Verdict
+from anisomap.map_verdict import Verdict
 
 if TYPE_CHECKING:
     from anisomap.live import LiveSession

@@ -18,7 +18,7 @@ from anisomap.base.wording import number
 from anisomap.cli import parameters as options
 from anisomap.cli.console import MAX_SHOWN, Columns, Printer
 from anisomap.errors import InputError
-from anisomap.usability import UNKNOWN
+from anisomap.map_verdict import UNKNOWN
 
 _MM = 1e3  # per metre
 

@@ -46,11 +46,11 @@ from anisomap.io.parsing.tables import (
 )
 from anisomap.io.recordings.delimited_text import MAP_TITLE, TITLE, open_recording
 from anisomap.io.stream import ReadOptions
+from anisomap.map_verdict import ACCURACY, UNKNOWN
 from anisomap.placement.modules import Modules, modules_by_name
 from anisomap.placement.placing import errors_in_mm
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNASSESSED, SensorMap, axis_names
-from anisomap.usability import ACCURACY, UNKNOWN
 
 _MAX_COLUMNS = 10_000  # covariances in 140 dimensions
 _NAMES = ("name", "sensor", "taxel", "label", "id")

@@ -13,9 +13,9 @@ import numpy as np
 
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.source import quote
+from anisomap.map_verdict import ACCURACY, UNKNOWN, Verdict
 from anisomap.recording import Scalar
 from anisomap.sensor_map import DEFAULT_FRAME, DEFAULT_KIND, SensorMap
-from anisomap.usability import ACCURACY, UNKNOWN, Verdict
 
 
 def texts_of(mapping: Mapping[str, Scalar]) -> Iterator[str]:

@@ -26,10 +26,10 @@ from anisomap.evaluation import median_spacing
 from anisomap.files.paths import atomic_write, together
 from anisomap.live.quick_map import QuickMap, turned_onto
 from anisomap.live.session import LiveSession
+from anisomap.map_verdict import Verdict
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.sensor_map import SensorMap
-from anisomap.usability import Verdict
 
 STATIC = Path(__file__).parent / "static"
 """Files of which the page is made."""
