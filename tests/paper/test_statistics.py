@@ -120,10 +120,8 @@ def test_sphericity_is_1_on_spheres_and_0_on_planes(seed, scale):
 
 def test_a_bulge_is_the_more_spherical_the_higher_it_is():
     flat = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2), -1).reshape(-1, 2)
-    found = [
-        sphericity(np.column_stack([flat, np.sqrt(r**2 - (flat**2).sum(axis=1))]))
-        for r in (10.0, 3.0, 1.5)
-    ]
+    heights = [np.sqrt(radius**2 - (flat**2).sum(axis=1)) for radius in (10.0, 3.0, 1.5)]
+    found = [sphericity(np.column_stack([flat, height])) for height in heights]
     assert 0 < found[0] < found[1] < found[2] < 1
 
 
