@@ -56,6 +56,7 @@ _MAX_P = 0.01  # of a layout that explains the readings better than shuffled one
 _HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors are shuffled
 _MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
 _MIN_TESTED = 0.5  # share of the sensors of a finding, or of all, that must be tested
+_PATCH_CONTACTS = 10  # of the median tested sensor; with 6 to 8, right patches gain by moving
 _PAIRED = 0.2  # share of the sensors that repeat others, for contacts that come in pairs
 _HARDLY_TOLD = (2, 3)  # spacings: nearer sensors may read alike
 _SAME = 0.01  # spacings; differences of places by rounding
@@ -190,6 +191,7 @@ class _Checked:
         similarity = self.statistics.similarity
         evidence = Evidence.of(similarity, self.unbent, self.usable, self.spacing)
         self.told = bool(np.mean(self.usable) >= _MIN_TESTED)
+        self.enough = bool(np.median(self.contacts[self.usable]) >= _PATCH_CONTACTS)
         self.agreement = own_agreement(evidence)
         self.p, self.explained = agreement_as_a_whole(evidence, self.rng)
         judge = Judge(self.statistics, evidence)
@@ -197,7 +199,7 @@ class _Checked:
         if rival and rival.better and not paired and self._fits(rival.evidence, _MANY_WRONG):
             return self._in_another_order(rival.order)
         search = Search(evidence, self.mounting, judge)
-        if paired or not self._fits(search.run_modules(), _HALF_WRONG):
+        if paired or not self._fits(search.run_modules(patches=self.enough), _HALF_WRONG):
             lacking = "holds contacts at pairs of places, two at a time" if paired else ""
             return self._as_a_whole(lacking)
         search.run_sensors()
@@ -223,6 +225,8 @@ class _Checked:
             f"not tested: shifts of sensors and modules by less than two to three spacings ({near}"
             f"{unit})"
         ]
+        if not self.enough:
+            notes.append(f"not tested with fewer than {_PATCH_CONTACTS} contacts: moved patches")
         members = self.mounting.members
         unsure = [span(members[m], self.names) for m in search.unsure]
         if unsure:

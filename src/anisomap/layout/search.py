@@ -45,13 +45,13 @@ class Search:
         self.unsure: list[int] = []
         self._explained: set[int] = set()
 
-    def run_modules(self) -> Evidence:
-        """Change modules and patches of them, and return the evidence then."""
+    def run_modules(self, *, patches: bool = True) -> Evidence:
+        """Change modules, and patches of them if they are to move; return the evidence then."""
         start = self.evidence
         joint = Arrangement(start, self.mounting, self.judge)
         self.evidence, self.changes = joint.run()
-        patches: list[Change] = []
-        for _ in range(_MAX_ROUNDS):
+        moved: list[Change] = []
+        for _ in range(_MAX_ROUNDS if patches else 0):
             for patch in moved_patches(start, self.mounting, self.evidence):
                 turned = start.moved(patch.move)
                 if not border(turned, self.mounting.members, patch.modules) > 0:
@@ -66,7 +66,7 @@ class Search:
                 # Few pads are at the border: their agreement with others tells less than all pads.
                 beside = border(evidence, mounting.members, patch.modules) > AGREEING
                 if verdict.told and beside and self._better(evidence, changes, patch):
-                    patches.append(
+                    moved.append(
                         Change(modules, modules, (), stated, move, patch.second, verdict, True)
                     )
                     start, joint, self.mounting = turned, other, mounting
@@ -74,7 +74,7 @@ class Search:
                     break
             else:
                 break
-        self.changes = patches + self.changes
+        self.changes = moved + self.changes
         self.unsure = joint.unsure()
         for change in self.changes:
             self._explained.update(change.move.sensors.tolist())
