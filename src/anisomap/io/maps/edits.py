@@ -57,8 +57,12 @@ def replaced(line: str, fields: Mapping[tuple[int, int], str]) -> str:
 def changed_sensors(stated: SensorMap, corrected: SensorMap) -> NDArray[np.intp]:
     """Return the sensors with another place."""
     off = np.linalg.norm(corrected.positions - stated.positions, axis=1)
-    size = float(np.ptp(stated.positions[stated.placed], axis=0).max())
-    return np.flatnonzero(off > _SAME * size)
+    return np.flatnonzero(off > _rounding(stated))
+
+
+def _rounding(stated: SensorMap) -> float:
+    """Return the largest difference of places that is taken for rounding."""
+    return _SAME * float(np.ptp(stated.positions[stated.placed], axis=0).max())
 
 
 def edited_rows(
@@ -81,14 +85,14 @@ def edited_rows(
         return []
     tree = KDTree(stated.positions[placed])
     distance, nearest = map(np.asarray, tree.query(corrected.positions[changed]))
-    size = float(np.ptp(stated.positions[placed], axis=0).max())
+    rounding = _rounding(stated)
     found = []
     for sensor, off, owner in zip(changed.tolist(), distance, placed[nearest], strict=True):
         number, line, spans = rows[sensor]
         _, other, there = rows[int(owner)]
         old = [line[slice(*span)] for span in spans]
         new = [other[slice(*span)] for span in there]
-        if off > _SAME * size:
+        if off > rounding:
             values = corrected.positions[sensor].tolist()
             new[:k] = [_like(text, value) for text, value in zip(old, values, strict=False)]
         pairs = {span: text for span, was, text in zip(spans, old, new, strict=True) if was != text}
