@@ -22,6 +22,7 @@ from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
+from anisomap.numerics.graph.neighbour_graphs import all_products
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import (
     Blend,
@@ -34,7 +35,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     thinning,
     typical_variance,
 )
-from anisomap.numerics.signals import Signals
+from anisomap.numerics.signals import Signals, unit_rows
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import (
     co_activation,
@@ -231,7 +232,7 @@ class Evidence:
         """Correlation of the changes of ranks between frames, shape (n, n); None without them."""
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
             return None
-        return pearson(np.diff(self.ranks, axis=0))
+        return all_products(unit_rows(np.diff(self.ranks, axis=0)))
 
     @cached_property
     def rank_correlation(self) -> Reals:

@@ -191,12 +191,20 @@ def regional_difference(differences: NDArray[np.float64], positions: NDArray[np.
     if spacing == 0 or not np.isfinite(differences).all():
         return math.inf
     near: Any = KDTree(positions).query_ball_point(positions, REGION_RADIUS * spacing)
-    squares = []
-    for inside in [one for one in near if len(one) >= MIN_REGION] or [slice(None)]:
-        here, there = positions[inside], positions[inside] + differences[inside]
-        left = fit_similarity(there, here).apply(there) - here
-        squares.append(float(np.square(left).sum(axis=1).mean()))
-    return math.sqrt(float(np.mean(squares))) / spacing
+    regions = [one for one in near if len(one) >= MIN_REGION] or [range(len(positions))]
+    sizes, members = np.array([len(one) for one in regions]), np.concatenate(regions)
+    begins = np.cumsum(sizes) - sizes
+
+    def centred(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        means = np.add.reduceat(points[members], begins) / sizes[:, None]
+        return np.asarray(points[members] - np.repeat(means, sizes, axis=0))
+
+    here, there = centred(positions), centred(positions + differences)
+    squares, of_other = (np.add.reduceat(np.square(x).sum(axis=1), begins) for x in (here, there))
+    products = np.add.reduceat(np.einsum("mi,mj->mij", here, there), begins)
+    fitted = np.linalg.svd(products, compute_uv=False).sum(axis=1)  # as in `fit_similarity`
+    left = squares - fitted**2 / np.maximum(of_other, np.finfo(float).tiny)
+    return math.sqrt(float(np.mean(np.maximum(left, 0) / sizes))) / spacing
 
 
 def pooled(

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
@@ -117,7 +118,7 @@ def differences_from_second_map(
         steps = local_path_lengths(correlation)
     else:
         graph = adjacency_graph(correlation, changes, positions)
-        steps = shortest_path(graph.astype(np.float64), unweighted=True)
+        steps = shortest_path(csr_array(graph, dtype=np.float64), unweighted=True)
     # Classical scaling as start: this map must not inherit a fold of the given one. Sensors with
     # equal numbers of steps to all others would coincide there, and rounding would part them.
     distances = cdist(positions, positions)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from anisomap.health.recording_faults import (
     Found,
@@ -30,8 +31,8 @@ _MIN_LINE = 20.0  # power of a line over the median power on either side; noise:
 _GAP, _BESIDE = 2, 8  # frequencies on each side that a line reaches, and for comparison
 _MIN_COHERENCE = 0.95  # of the phases of a hum over sensors; chosen by hand
 _MIN_SENSORS = 0.8  # share of the sensors that hum; chosen by hand
+_SAME_FREQUENCY = 1e-4  # of a step between frequencies
 _N_PHASES = 8  # parts of a period, for quantiles
-_LOW_AND_HIGH = (0.25, 0.75)
 _MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
 _MIN_GROUP = 3  # sensors of a board
 # In fewer frames, one or two strokes over the sensors look like a signal that they share: of such
@@ -85,10 +86,12 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     frequency, width = (int(clear.argmax()) + _BESIDE + _GAP - 1) / n_frames, 1 / n_frames
     if _coherence(rows, frequency)[0] < _MIN_COHERENCE / 2:  # half a step off, it is hardly less
         return
-    for _ in range(8):
-        trials = frequency + width * np.linspace(-1, 1, 9)
-        strength = [abs(total @ np.exp(-2j * np.pi * trial * times)) for trial in trials]
-        frequency, width = float(trials[int(np.argmax(strength))]), width / 3
+    frequency = minimize_scalar(
+        lambda trial: -abs(total @ np.exp(-2j * np.pi * trial * times)),
+        bounds=(frequency - width, frequency + width),
+        method="bounded",
+        options={"xatol": _SAME_FREQUENCY * width},
+    ).x
     coherence, phase = _coherence(rows, frequency)
     if not coherence >= _MIN_COHERENCE or not _is_added(rows, frequency, phase):
         return
@@ -105,7 +108,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
 
 def _coherence(rows: NDArray[np.float32], frequency: float) -> tuple[float, float]:
     """Return the coherence of a sine over sensors, and its phase. rows (n, T)."""
-    wave = np.exp(-2j * np.pi * frequency * np.arange(rows.shape[1]))
+    wave = np.exp(-2j * np.pi * frequency * np.arange(rows.shape[1])).astype(np.complex64)
     of_sensors = rows @ wave.real + 1j * (rows @ wave.imag)
     total = of_sensors.sum()
     return float(abs(total) / np.abs(of_sensors).sum()), float(np.angle(total))
@@ -186,7 +189,8 @@ def _is_added(rows: NDArray[np.float32], frequency: float, phase: float) -> bool
     bins = (turns * _N_PHASES).astype(np.intp)
     present = np.unique(bins)
     waves = np.cos(2 * np.pi * (present + 0.5) / _N_PHASES)
-    levels = [np.quantile(rows[:, bins == b], _LOW_AND_HIGH, axis=1) for b in present]
+    ordered = (np.sort(rows[:, bins == b], axis=1).T for b in present)
+    levels = [one[[len(one) // 4, -1 - len(one) // 4]] for one in ordered]  # quartiles
     low, high = np.median(np.tensordot(waves, levels, 1), axis=1)
     return bool(0 < _MIN_EVEN * high <= low)
 

@@ -15,6 +15,7 @@ from anisomap.health.recording_faults.stimulation import one_period
 from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.graph.neighbour_graphs import greatest_of_rows
 from anisomap.numerics.neighbours import tree_edges
+from anisomap.numerics.precision import Reals
 from anisomap.numerics.reliability.sampling_noise import FALSE_ALARMS, block_length
 from anisomap.numerics.signals import (
     MAX_FRAMES,
@@ -237,7 +238,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
         if judged.size < _MIN_SENSORS:
             continue
         kept = np.append(judged, chosen.size)
-        blocks = moments[:, kept][:, :, kept]
+        blocks = np.ascontiguousarray(moments[:, kept][:, :, kept])
         found = _agreement(blocks, np.arange(n_blocks) < division)
         if np.count_nonzero(found < _MIN_KEPT) < 2:  # whatever is typical, which is 1 at most
             continue
@@ -261,9 +262,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
         yield Found(chosen[lost], lost.size / chosen.size, where)
 
 
-def _of_blocks(
-    readings: NDArray[Any], n_blocks: int
-) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
+def _of_blocks(readings: NDArray[Any], n_blocks: int) -> tuple[Reals, NDArray[np.intp]]:
     """Return sums of products of ranks, (blocks, n + 1, n + 1), and contacts, (blocks, n).
 
     readings (T, n). A column of ones turns products into sums and counts as well.
@@ -278,31 +277,31 @@ def _of_blocks(
     return np.array(moments), np.array(contacts)
 
 
-def _agreement(blocks: NDArray[np.floating], earlier: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _agreement(blocks: Reals, earlier: NDArray[np.bool_]) -> Reals:
     """Correlate the similarities of each sensor in some blocks and in the others, (n,)."""
     before, after = (_own(one) for one in _parts(blocks, earlier))
     return np.asarray(np.einsum("ij,ij->i", before, after))
 
 
-def _ratio_of_reach(blocks: NDArray[np.floating], earlier: NDArray[np.bool_]) -> float:
+def _ratio_of_reach(blocks: Reals, earlier: NDArray[np.bool_]) -> float:
     """Return the ratio of the numbers of sensors that one resembles in two parts."""
     similar = [np.median((np.maximum(r, 0) ** 2).sum(axis=1)) for r in _parts(blocks, earlier)]
     return float(max(similar) / max(min(similar), 1e-12))
 
 
-def _loss(agreement: NDArray[np.float64], typical: NDArray[np.float64]) -> float:
+def _loss(agreement: Reals, typical: Reals) -> float:
     return float(np.maximum(_MIN_KEPT * typical - agreement, 0).sum())
 
 
-def _parts(blocks: NDArray[np.floating], earlier: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+def _parts(blocks: Reals, earlier: NDArray[np.bool_]) -> list[Reals]:
     """Correlate sensors in some blocks and in the others, (n, n); 0 with themselves."""
     sums = np.tensordot(np.array([earlier, ~earlier], blocks.dtype), blocks, 1)
     return [_correlation(part) for part in sums]
 
 
-def _correlation(moments: NDArray[np.floating]) -> NDArray[np.float64]:
+def _correlation(moments: Reals) -> Reals:
     """Correlate sensors, given sums of products; 0 with themselves."""
-    sums, count = moments[-1, :-1].astype(np.float64), float(moments[-1, -1])
+    sums, count = moments[-1, :-1], moments[-1, -1]
     found = moments[:-1, :-1] - np.outer(sums, sums / count)
     scale = 1 / np.sqrt(np.maximum(np.diag(found), 1e-9 * count))
     found *= scale[:, None]
@@ -311,8 +310,9 @@ def _correlation(moments: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(found)
 
 
-def _own(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
+def _own(correlation: Reals) -> Reals:
     """Centre and normalise the row of each sensor, (n, n)."""
     found = correlation - correlation.sum(axis=1, keepdims=True) / (len(correlation) - 1)
     np.fill_diagonal(found, 0)
-    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12))
+    found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
+    return np.asarray(found)
