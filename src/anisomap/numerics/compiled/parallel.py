@@ -20,7 +20,9 @@ Result = TypeVar("Result")
 Loop = TypeVar("Loop", bound=Callable[..., Any])
 
 MIN_COMPILED_ROWS = 500
-"""Minimum rows of a matrix for compiled loops; below, importing numba costs more than it saves."""
+"""Minimum rows of a matrix that require compiled loops."""
+
+_MIN_FASTER_ROWS = 400  # from which they save more time than importing numba takes
 
 MIN_PARALLEL_ROWS = 1500
 """Minimum rows of a matrix for threads; below, starting them takes longer than they save."""
@@ -45,9 +47,15 @@ def load_loops(name: str) -> Any:
     return import_module(f"anisomap.numerics.compiled.{name}")
 
 
+@lru_cache
 def has_loops() -> bool:
     """Return whether loops can be compiled, for what is merely faster by them."""
     return find_spec("numba") is not None
+
+
+def uses_loops(n_rows: int) -> bool:
+    """Return whether matrices of so many rows are processed by compiled loops."""
+    return n_rows >= (_MIN_FASTER_ROWS if has_loops() else MIN_COMPILED_ROWS)
 
 
 def thread_count() -> int:

@@ -18,7 +18,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS
+from anisomap.numerics.compiled.parallel import uses_loops
 from anisomap.numerics.covariogram.objective import (
     DEFAULT_COVARIOGRAM,
     CovariogramOptions,
@@ -130,9 +130,8 @@ def fit_covariogram(
     positions /= unit
     np.fill_diagonal(mask, val=False)
     precision = np.float32 if len(positions) >= _MIN_SINGLE else np.float64
-    compiled = len(positions) >= MIN_COMPILED_ROWS
     prior = max(chosen.prior_weight, least_prior)
-    problem = Problem(correlation, lengths / unit, mask, noise, prior, chosen, precision, compiled)
+    problem = Problem(correlation, lengths / unit, mask, noise, prior, chosen, precision)
     objective = Objective(problem)
     tolerance = max(chosen.tolerance, least_tolerance)
     found = minimise(objective, positions, tolerance, chosen.max_iterations, near)

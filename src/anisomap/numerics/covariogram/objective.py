@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk, ssyrk
 from scipy.spatial.distance import pdist, squareform
 
-from anisomap.numerics.compiled.parallel import load_loops
+from anisomap.numerics.compiled.parallel import load_loops, uses_loops
 from anisomap.numerics.graph.dissimilarity import invert_definite
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.ranges import NOT_NEGATIVE, POSITIVE, at_least, check_ranges
@@ -258,7 +258,6 @@ class Problem:
     prior: float
     options: CovariogramOptions
     precision: type[np.floating] = np.float64
-    compiled: bool = False
 
 
 class Terms(NamedTuple):
@@ -289,7 +288,7 @@ class Objective:
         similarity = similarity.astype(problem.precision)
         offset = problem.known.astype(problem.precision)
         inverse_metric = 1 / squareform(problem.metric, checks=False).astype(np.float64)
-        kind = CompiledPairs if problem.compiled else Pairs
+        kind = CompiledPairs if uses_loops(len(similarity)) else Pairs
         self._pairs = pairs = kind(
             known=squareform(offset, checks=False),
             similarity=squareform(similarity, checks=False),

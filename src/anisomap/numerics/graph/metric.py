@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map, uses_loops
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.neighbours import tree_edges
 from anisomap.numerics.precision import Floats, Reals, slices_of, symmetric_from_upper
@@ -105,7 +105,7 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
     Float32 input is processed in float32, with a relative error of about 1e-6.
     """
     lengths = check_semi_metric(dissimilarity, copy=False)
-    if len(lengths) >= MIN_COMPILED_ROWS:
+    if uses_loops(len(lengths)):
         return shortest_paths(lengths)
     paths = lengths.copy()
     detours = np.empty_like(paths)

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 from scipy.spatial.distance import cdist
 
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import MIN_COMPILED_ROWS, load_loops, parallel_map
+from anisomap.numerics.compiled.parallel import load_loops, parallel_map, uses_loops
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric, metricise
 from anisomap.numerics.neighbours import components
@@ -407,7 +407,7 @@ def smacof(
     weights (N, N): Symmetric, non-negative; 0 where unknown. The diagonal is ignored. 1 by default.
 
     De Leeuw (1977); Borg & Groenen (2005), chapter 8. No iteration of any solver increases the
-    weighted stress. From 500 points on the stress is computed by compiled loops.
+    weighted stress. Compiled loops compute the stress of many points, see `uses_loops`.
     """
     chosen = options or DEFAULT_SMACOF
     targets = known = check_semi_metric(distances, copy=False)
@@ -424,7 +424,7 @@ def smacof(
     if not np.isfinite(positions).all():
         raise InputError("the start has NaN or infinite coordinates")
     positions -= positions.mean(axis=0)  # float32 could not resolve points far from the origin
-    problem = Problem(targets, shares, compiled=len(targets) >= MIN_COMPILED_ROWS)
+    problem = Problem(targets, shares, compiled=uses_loops(len(targets)))
     solve = SOLVERS[chosen.solver]
     positions, trace, converged = solve(problem, positions, chosen.tolerance, chosen.max_iterations)
     if not converged and chosen.max_iterations:
