@@ -18,7 +18,6 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
-from anisomap.numerics.compiled.parallel import uses_loops
 from anisomap.numerics.covariogram.objective import (
     DEFAULT_COVARIOGRAM,
     CovariogramOptions,
