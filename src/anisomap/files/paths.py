@@ -45,9 +45,7 @@ def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
     raise FileError(f"{path} is not a regular file; save its content to a regular file first")
 
 
-def read_small(
-    path: str | os.PathLike[str], limit: int, what: str, encoding: str = "utf-8-sig"
-) -> str:
+def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
     """Read a small text file."""
     try:
         with open_regular(path) as stream:
@@ -57,7 +55,7 @@ def read_small(
     if len(content) > limit:
         raise FileError(f"{path} is larger than {limit} bytes, the limit for {what}")
     try:
-        return content.decode(encoding)
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileError(f"{path} is not UTF-8 text; {what} must be") from error
 

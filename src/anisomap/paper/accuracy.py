@@ -156,23 +156,18 @@ def _tables(name: str, rows: Mapping[str, list[Row]]) -> Iterator[Table]:
         yield Table(f"{kind}-{name}", "Scores of all runs.", _KINDS[kind], found, shown=False)
 
 
-def case_tables(
-    case: Case, settings: Settings, seeds: Iterable[int], *, whole: bool = True
-) -> Iterator[Table]:
-    """Score all maps of a simulated scenario in 3D; of the plane also in 2D.
-
-    whole: Whether to try other numbers of bins and unlike sensors.
-    """
+def case_tables(case: Case, settings: Settings, seeds: Iterable[int]) -> Iterator[Table]:
+    """Score all maps of a simulated scenario in 3D; of the plane also in 2D."""
     dimensions, mu = (2, 3) if case.body == "plane" else (3,), settings.mu
     rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "responses": [], "pairs": []}
-    bins = MORE_BINS if whole else ()
     for seed in seeds:
         run = case.record(settings, seed)
-        rows["scores"] += score_rows(case.run_name, run, seed, dimensions, settings, more_bins=bins)
+        rows["scores"] += score_rows(
+            case.run_name, run, seed, dimensions, settings, more_bins=MORE_BINS
+        )
         rows["ablations"] += ablation_rows(case.name, run, seed, 3, mu)
         rows["pairs"] += pair_rows(case.name, run, seed, 3, mu)
-        if whole:
-            rows["responses"] += response_rows(case.name, run, seed, mu)
+        rows["responses"] += response_rows(case.name, run, seed, mu)
     yield from _tables(case.name, rows)
 
 
@@ -180,13 +175,12 @@ def _patch_name(dimensions: int) -> str:
     return f"patch, {dimensions}D"
 
 
-def patch_tables(settings: Settings, n_runs: int, *, whole: bool = True) -> Iterator[Table]:
+def patch_tables(settings: Settings, n_runs: int) -> Iterator[Table]:
     """Score all maps of the simulated patch without the failing sensor, and its failures."""
     rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "pairs": [], "failures": []}
-    bins = MORE_BINS if whole else ()
     for _number, run, seed in patch_runs(settings, n_runs=n_runs):
         rows["scores"] += score_rows(
-            _patch_name, run, seed, (2, 3), settings, exclude=[FAILING], more_bins=bins
+            _patch_name, run, seed, (2, 3), settings, exclude=[FAILING], more_bins=MORE_BINS
         )
     sound = [*patch_runs(settings, fails=False, n_runs=n_runs)]
     for _number, run, seed in sound:

@@ -108,11 +108,11 @@ def estimate(runs: Runs, statistic: Callable[[Runs], Runs] | None = None) -> Est
     return Estimate(value, value - half, value + half, error, n_runs)
 
 
-def holm(p_values: Sequence[float], error: float = _ERROR) -> list[bool]:
+def holm(p_values: Sequence[float]) -> list[bool]:
     """Tell which hypotheses Holm's step-down procedure rejects."""
     found = [False] * len(p_values)
     for i, place in enumerate(np.argsort(p_values, kind="stable")):
-        if p_values[place] > error / (len(p_values) - i):
+        if p_values[place] > _ERROR / (len(p_values) - i):
             break
         found[place] = True
     return found
@@ -137,10 +137,10 @@ class Evidence:
         return tables_of(kind, self.tables).records()
 
     def scores(
-        self, value: str = "mantel_r", *, bins: int = DEFAULT_BINS, methods: Sequence[str] = METHODS
+        self, value: str = "mantel_r", *, bins: int = DEFAULT_BINS
     ) -> dict[str, dict[str, Runs]]:
         """Return a score of the maps, by run and method."""
-        return _by_method([r for r in self._scores if r["bins"] == bins], value, methods)
+        return _by_method([r for r in self._scores if r["bins"] == bins], value, METHODS)
 
     def seen(self, value: str = "mantel_r") -> dict[str, dict[str, Runs]]:
         """Return a score of the maps that exceed their null distribution; NaN of others."""

@@ -89,9 +89,9 @@ def find_frozen(recording: Recording) -> Iterator[Found]:
     at rest, or at an end of the range.
     """
     varying = np.flatnonzero(recording.varying())
-    readings = recording.readings[:, varying]
-    if varying.size < 2 or len(readings) < 2 * _MIN_SPAN:
+    if varying.size < 2 or recording.n_frames < 2 * _MIN_SPAN:
         return
+    readings = recording.select(varying).readings
     repeats = np.zeros(readings.shape, dtype=bool)
     np.equal(readings[1:], readings[:-1], out=repeats[1:])
     share = repeats.mean(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -238,13 +238,14 @@ def find_change(recording: Recording) -> Iterator[Found]:
         if judged.size < _MIN_SENSORS:
             continue
         kept = np.append(judged, chosen.size)
-        blocks = np.ascontiguousarray(moments[:, kept][:, :, kept])
+        # A copy takes longer than a correlation.
+        some = judged.size < chosen.size
+        blocks = np.ascontiguousarray(moments[:, kept][:, :, kept]) if some else moments
         found = _agreement(blocks, np.arange(n_blocks) < division)
         if np.count_nonzero(found < _MIN_KEPT) < 2:  # whatever is typical, which is 1 at most
             continue
-        orders = (rng.permutation(n_blocks) < division for _ in range(_N_PERMUTATIONS))
-        some = [_agreement(blocks, next(orders)) for _ in range(_N_TYPICAL)]
-        typical = np.median(some, axis=0)
+        orders = [rng.permutation(n_blocks) < division for _ in range(_N_PERMUTATIONS)]
+        typical = _typical_agreement(blocks, orders[:_N_TYPICAL])
         lost = judged[found < _LOST * typical]
         if lost.size < 2:  # no sensor has all others about it exchanged: another posture
             lost = judged[found < _MIN_KEPT * typical]
@@ -253,7 +254,9 @@ def find_change(recording: Recording) -> Iterator[Found]:
         unclear = lost.size < 2 or loss < least or np.median(typical) < _MIN_REPEATED
         if unclear or _ratio_of_reach(blocks, np.arange(n_blocks) < division) > _MAX_REACH:
             continue
-        if all(loss > _MARGIN * _loss(_agreement(blocks, one), typical) for one in orders):
+        if all(
+            loss > _MARGIN * _loss(_agreement(blocks, one), typical) for one in orders[_N_TYPICAL:]
+        ):
             best = loss / judged.size, division, lost
     if best is not None:
         _, division, lost = best
@@ -281,6 +284,15 @@ def _agreement(blocks: Reals, earlier: NDArray[np.bool_]) -> Reals:
     """Correlate the similarities of each sensor in some blocks and in the others, (n,)."""
     before, after = (_own(one) for one in _parts(blocks, earlier))
     return np.asarray(np.einsum("ij,ij->i", before, after))
+
+
+def _typical_agreement(blocks: Reals, orders: Sequence[NDArray[np.bool_]]) -> Reals:
+    """Return the median agreement over orders; over half of them if it is low in all of these."""
+    half = len(orders) // 2 + 1
+    some = [_agreement(blocks, one) for one in orders[:half]]
+    if np.median(np.max(some, axis=0)) >= _MIN_REPEATED:
+        some += [_agreement(blocks, one) for one in orders[half:]]
+    return np.asarray(np.median(some, axis=0))
 
 
 def _ratio_of_reach(blocks: Reals, earlier: NDArray[np.bool_]) -> float:

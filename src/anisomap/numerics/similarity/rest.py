@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.numerics.columns import columns, mean_ranks, transposed
-from anisomap.numerics.precision import Floats
+from anisomap.numerics.precision import Floats, slices_of
 
 _MIN_REST_SHARE = 0.1  # of the frames at one value for this value to be the rest; chosen by hand
 _NOISE_QUANTILE = 0.99  # of deviations opposite to contact that count as noise; 2.6 sigma if normal
@@ -20,6 +20,7 @@ _MIN_CONTACT_RATIO = 2.0  # of deviations on the side of contact to noise; chose
 _MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
 _SENSORS_AT_ONCE = 32  # whose readings are sorted
+_RANKED_AT_ONCE = 1 << 15  # readings, which stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,13 +184,30 @@ def ranks_of_depths(
         return ranks.T
     if alike:
         rest = replace(rest, known=np.ones_like(rest.known))
-    own = zip(ranks, columns(values), rest.value, rest.side, rest.threshold, strict=True)
-    for row, column, value, side, threshold in own:
-        depth = side * np.subtract(column, value, dtype=np.float64)
-        active = np.flatnonzero(depth > threshold)
-        n_resting = column.size - active.size
-        row.fill((n_resting + 1) / 2 + (0 if side > 0 else active.size))
-        row[active] = (n_resting if side > 0 else 0) + mean_ranks(column[active])
+    by_sensor, at_once = transposed(values), max(1, _RANKED_AT_ONCE // max(1, len(values)))
+    for some in slices_of(len(ranks), at_once):
+        rows = by_sensor[some]
+        value, side, limit = (x[some, None] for x in (rest.value, rest.side, rest.threshold))
+        active = side * np.subtract(rows, value, dtype=np.float64) > limit
+        n_active, raised = np.count_nonzero(active, axis=1), side[:, 0] > 0
+        n_resting, before = len(values) - n_active, np.cumsum(n_active) - n_active
+        ranks[some] = ((n_resting + 1) / 2 + np.where(raised, 0, n_active))[:, None]
+        # Sorted by the readings, and then by the sensors, of which there are few.
+        place = np.flatnonzero(active)
+        reached = rows.ravel()[place]
+        sensor = np.repeat(np.arange(len(rows), dtype=np.int16), n_active)
+        order = reached.argsort()
+        if len(rows) > 1:
+            order = order[sensor[order].argsort(kind="stable")]
+        ordered = reached[order]
+        differs = np.append(True, ordered[1:] != ordered[:-1])[: order.size]
+        differs[before[n_active > 0]] = True
+        first = np.flatnonzero(differs)
+        counts = np.diff(first, append=order.size)
+        # Of sensors whose readings contact lowers, those at rest have the highest ranks.
+        below = np.where(raised, n_resting, 0) - before
+        mean = first + (counts + 1) / 2 + below[sensor[first]]
+        ranks[some].ravel()[place[order]] = np.repeat(mean, counts)
     return ranks.T
 
 
