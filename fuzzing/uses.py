@@ -16,8 +16,8 @@ from anisomap.layout import check_layout
 from anisomap.live.batches import Batch, Names, Notice
 from anisomap.live.quick_map import QuickMapper, read_levels
 from anisomap.live.sources.lines import LineParser
+from anisomap.names import default_names
 from anisomap.placement import Anchors, place
-from anisomap.recording import default_names
 from fuzzing.checks import Findings
 
 BEFORE, AFTER, SKIN = "before.json", "after.json", "skin.csv"

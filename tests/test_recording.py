@@ -150,12 +150,10 @@ HOSTILE = "<script>alert(1)</script>"
 
 
 def test_notebooks_show_escaped_tables():
-    recording = Recording(np.eye(4), source=HOSTILE)
-    made = SensorMap(np.eye(3), notes=[HOSTILE], method=HOSTILE)
-    for table in (recording._repr_html_(), made._repr_html_()):
-        assert table.startswith("<table>")
-        assert "<script>" not in table
-        assert "&lt;script&gt;" in table
+    table = SensorMap(np.eye(3), notes=[HOSTILE], method=HOSTILE)._repr_html_()
+    assert table.startswith("<table>")
+    assert "<script>" not in table
+    assert "&lt;script&gt;" in table
 
 
 SKIN = flat_skin(n_frames=3000)

@@ -28,8 +28,9 @@ from anisomap.health import (
 )
 from anisomap.method.dimensions import Dimensions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
+from anisomap.names import find_sensors
 from anisomap.numerics.precision import check_pair_memory
-from anisomap.recording import MissingPolicy, Recording, Scalar, find_sensors, join_runs
+from anisomap.recording import MissingPolicy, Recording, Scalar, join_runs
 from anisomap.sensor_map import SensorMap
 from anisomap.verdict.diagnosis import diagnose
 

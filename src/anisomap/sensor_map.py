@@ -15,7 +15,8 @@ from anisomap.base.immutable import Immutable
 from anisomap.base.wording import html_table
 from anisomap.errors import InputError, import_extra
 from anisomap.map_verdict import UNJUDGED, Verdict
-from anisomap.recording import Recording, Scalar, check_names, default_names, find_sensors
+from anisomap.names import check_names, default_names, find_sensors
+from anisomap.recording import Recording, Scalar
 
 UNPLACED = -1
 """The component label of a sensor without a position."""

@@ -9,7 +9,8 @@ import pytest
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError, InputError
 from anisomap.io import ReadOptions
-from anisomap.recording import Recording, join_runs, match_sensors
+from anisomap.names import match_sensors
+from anisomap.recording import Recording, join_runs
 
 N_SENSORS, N_FRAMES = 12, 600
 RNG = np.random.default_rng(8)

@@ -174,25 +174,6 @@ def test_a_fit_that_is_not_whitened_gives_nearly_the_map_of_one_that_is():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"noise": 0.0}, "noise .* got 0"),
-        ({"noise": np.nan}, "noise .* got nan"),
-        ({"start": np.zeros((3, 2))}, "start must have shape"),
-        ({"metric": np.ones((3, 3))}, "metric must have the shape"),
-        ({"metric": np.zeros((40, 40))}, "positive between"),
-        ({"start": np.full((40, 2), np.inf)}, "must be finite"),
-        ({"known": np.ones((2, 2))}, "known must have the shape"),
-    ],
-)
-def test_invalid_arguments_are_refused(change, message):
-    places, similarity = skin()
-    given_ = {"start": places, "metric": cdist(places, places), "noise": 0.01} | change
-    with pytest.raises(InputError, match=message):
-        fit_covariogram(similarity, **given_)
-
-
-@pytest.mark.parametrize(
     "change", [{"prior_weight": -1}, {"repulsion": np.nan}, {"ridge": 0}, {"max_whitened": -1},
                {"max_iterations": -1}]
 )  # fmt: skip

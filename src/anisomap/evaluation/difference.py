@@ -11,9 +11,9 @@ from scipy.special import ndtri
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances, median_spacing
+from anisomap.names import match_names, match_sensors
 from anisomap.numerics.neighbours import nearest_others, padded
 from anisomap.numerics.procrustes import fit_similarity_robustly
-from anisomap.recording import match_names, match_sensors
 from anisomap.sensor_map import UNPLACED, SensorMap, is_faulty
 
 LEVEL = 0.01

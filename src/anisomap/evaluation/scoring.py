@@ -14,9 +14,10 @@ from scipy.spatial import KDTree
 from anisomap.base import METRES, PERMUTATIONS
 from anisomap.errors import AnisomapWarning, InputError
 from anisomap.evaluation.mantel_r import MIN_SENSORS_COMPARED, Mantel, mantel
+from anisomap.names import default_names, match_sensors
 from anisomap.numerics.neighbours import nearest_distances, nearest_others, padded
 from anisomap.numerics.procrustes import Similarity, fit_similarity
-from anisomap.recording import Recording, default_names, match_sensors
+from anisomap.recording import Recording
 from anisomap.sensor_map import UNSCALED, SensorMap, check_coordinates
 
 

@@ -219,9 +219,7 @@ class SensorHealth(Value):
     best_match: float
 
 
-def assess(
-    recording: Recording | Sequence[Recording], *, best_match: NDArray[np.float64] | None = None
-) -> tuple[SensorHealth, ...]:
+def assess(recording: Recording | Sequence[Recording]) -> tuple[SensorHealth, ...]:
     """Assess every sensor of a recording.
 
     Parameters
@@ -229,8 +227,6 @@ def assess(
     recording : Recording or sequence of Recording
         Missing readings are interpolated first. If some of several recordings of one skin lack
         sensors, each sensor is assessed in the run with most contacts.
-    best_match : ndarray of shape (N,), optional
-        Highest Pearson r of each sensor with another, if known from more than this recording.
 
     Returns
     -------
@@ -250,18 +246,16 @@ def assess(
     parts = join_runs(recording).parts
     with limited_blas(parts[0].n_sensors):
         if len(parts) == 1:
-            return _assess(parts[0], best_match)
+            return _assess(parts[0])
         best: dict[str, SensorHealth] = {}
-        for sensor in (one for part in parts for one in _assess(part, None)):
+        for sensor in (one for part in parts for one in _assess(part)):
             known = best.get(sensor.name)
             if known is None or sensor.contacts > known.contacts:
                 best[sensor.name] = sensor
         return tuple(best.values())
 
 
-def _assess(
-    recording: Recording, best_match: NDArray[np.float64] | None
-) -> tuple[SensorHealth, ...]:
+def _assess(recording: Recording) -> tuple[SensorHealth, ...]:
     recording = recording.complete("interpolate")
     varying = recording.varying()
     statuses = _of_constant(recording, varying)
@@ -276,7 +270,7 @@ def _assess(
     }
     if varying.any():
         signals = recording.signals if varying.all() else Signals(recording.readings[:, varying])
-        best = _best_match(signals) if best_match is None else best_match[varying]
+        best = _best_match(signals)
         behaviour = Behaviour(signals, best)
         sensors = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):

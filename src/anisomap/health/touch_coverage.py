@@ -11,9 +11,10 @@ from scipy.sparse import csr_array
 
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
+from anisomap.names import match_names
 from anisomap.numerics.neighbours import nearest_others
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
-from anisomap.recording import Recording, join_runs, match_names
+from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 ENOUGH_CONTACTS = 12
@@ -106,8 +107,6 @@ class TouchCoverage:
 def touch_coverage(
     sensor_map: SensorMap,
     recording: Recording | ArrayLike | Sequence[Recording],
-    *,
-    n_places: int = N_PLACES,
 ) -> TouchCoverage:
     """Count the contacts of sensors and of neighbours on a map, and find where they are lacking.
 
@@ -116,8 +115,6 @@ def touch_coverage(
     sensor_map : SensorMap
     recording : Recording, array_like of shape (T, N), or sequence of Recording
         Recordings of the sensors of the map, matched by name. Missing readings count as no contact.
-    n_places : int
-        Maximum number of places to touch next.
 
     Returns
     -------
@@ -145,9 +142,7 @@ def touch_coverage(
         inside = (column[pairs] >= 0).all(axis=1)
         together[inside] += count_joint_contacts(touched, column[pairs[inside]])
     need = needed_evidence(contacts, pairs, together, sensor_map.component)
-    places = next_places(
-        sensor_map.positions, need, component=sensor_map.component, n_places=n_places
-    )
+    places = next_places(sensor_map.positions, need, component=sensor_map.component)
     for array in (contacts, pairs, together, need):
         array.setflags(write=False)
     return TouchCoverage(contacts, pairs, together, need, places)

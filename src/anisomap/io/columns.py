@@ -15,7 +15,7 @@ from anisomap.base.wording import join_items
 from anisomap.errors import FileError
 from anisomap.io.parsing.source import quote_if_needed, warn
 from anisomap.io.stream import Block, ReadOptions, Stream
-from anisomap.recording import default_names, find_sensors
+from anisomap.names import default_names, find_sensors
 
 _ROWS, _LEAST_ROWS, _CELLS = 1000, 20, 1 << 17  # that tell what columns are
 _FEW = 3

@@ -20,7 +20,8 @@ from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.names import cells_of, numbers_of
 from anisomap.io.parsing.source import warn
 from anisomap.io.stream import BLOCK_FRAMES, Block, Stream, rechunk
-from anisomap.recording import Recording, default_names
+from anisomap.names import default_names
+from anisomap.recording import Recording
 
 UNITS = "spacings"
 """Unit of grid positions if the physical spacing is unknown."""

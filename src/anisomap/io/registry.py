@@ -48,7 +48,8 @@ from anisomap.io.stream import (
     rechunk,
     refuse_selection,
 )
-from anisomap.recording import Recording, default_names, join_runs
+from anisomap.names import default_names
+from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 

@@ -26,8 +26,9 @@ from anisomap.base.wording import join_items
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.files import reader_process
 from anisomap.io.parsing.source import batches, warn, warn_of_loss
+from anisomap.names import default_names
 from anisomap.numerics.sampling import EvenSample
-from anisomap.recording import Recording, Scalar, default_names
+from anisomap.recording import Recording, Scalar
 
 
 def increasing_times(

@@ -21,13 +21,13 @@ from anisomap.method.configuration import Configuration, as_map, caveats, parame
 from anisomap.method.dimensions import AUTO, check_size
 from anisomap.method.evidence import check_unlike
 from anisomap.method.named import MethodOptions, find_method
+from anisomap.names import check_names, default_names
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.graph.dissimilarity import NUMERICAL_ZERO
 from anisomap.numerics.precision import Floats, float_type, slices_of
 from anisomap.numerics.scaling import multidimensional_scaling as mds
 from anisomap.numerics.similarity.binning import maximum_entropy_codes
 from anisomap.numerics.similarity.information import information_from_logarithms
-from anisomap.recording import check_names, default_names
 from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)

@@ -40,9 +40,10 @@ from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statis
 from anisomap.layout.search import Search
 from anisomap.layout.together import unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
+from anisomap.names import match_names, match_sensors
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.placement.modules import Modules
-from anisomap.recording import Recording, join_runs, match_names, match_sensors
+from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)

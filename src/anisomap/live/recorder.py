@@ -25,7 +25,7 @@ from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.recordings.delimited_text import header_text
 from anisomap.live.batches import Batch
-from anisomap.recording import default_names
+from anisomap.names import default_names
 
 MAX_WIDTH = 250_000
 """Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a

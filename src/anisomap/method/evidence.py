@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
+from anisomap.names import match_names
 from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.covariogram.covariogram_fit import unexplained_share
 from anisomap.numerics.graph.dissimilarity import as_symmetric
@@ -45,7 +46,7 @@ from anisomap.numerics.similarity.correlation import (
 )
 from anisomap.numerics.similarity.information import mutual_information
 from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
-from anisomap.recording import Recording, match_names
+from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
 

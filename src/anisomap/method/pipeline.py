@@ -44,20 +44,13 @@ from anisomap.method.named import (
     MethodOptions,
     find_method,
 )
+from anisomap.names import check_names, column_names, default_names, sensor_mask
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import check_semi_metric
 from anisomap.numerics.precision import Floats, Reals, check_pair_memory, float_type
-from anisomap.recording import (
-    Recording,
-    Scalar,
-    check_names,
-    column_names,
-    default_names,
-    join_runs,
-    sensor_mask,
-)
+from anisomap.recording import Recording, Scalar, join_runs
 from anisomap.sensor_map import SensorMap
 
 

@@ -37,9 +37,7 @@ def sample_runs(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     for i, case in enumerate(cases, start=1):
         seed = settings.picked_seed(case.name)
         recording, what = case.record(settings, seed), f"{case.body} {case.scenario}"
-        text = _text_of(recording)
-        yield Document(f"data-s{i}.txt", f"Data S{i}: {what}, seed {seed}.", text)
-        rows.append((f"data-s{i}.txt", what, seed, recording.n_frames, recording.n_sensors))
+        yield _document(i, what, seed, recording, rows)
     yield Table("data-s1-s6", "Sample runs of all scenarios.", _COLUMNS, rows)
 
 
@@ -53,11 +51,7 @@ def sample_patch(settings: Settings, _: Tables) -> Iterator[Document | Table]:
     """Write Data S7 to S11."""
     rows: list[Row] = []
     for number, recording, seed in patch_runs(settings):
-        name = f"data-s{6 + number}.txt"
-        what = f"simulated patch, run {number}"
-        text = _text_of(recording)
-        yield Document(name, f"Data S{6 + number}: run {number}, seed {seed}.", text)
-        rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
+        yield _document(6 + number, f"simulated patch, run {number}", seed, recording, rows)
     yield Table("data-s7-s11", "The five runs of the simulated patch.", _COLUMNS, rows)
 
 
@@ -73,10 +67,13 @@ def proof(_: Settings, __: Tables) -> Iterator[Document]:
     yield Document("text-s3.txt", caption, text)
 
 
-def _text_of(recording: Recording) -> str:
-    """Write a recording as text with its positions."""
+def _document(number: int, what: str, seed: int, recording: Recording, rows: list[Row]) -> Document:
+    """Write a recording as text with its positions, and add a row on it."""
+    name = f"data-s{number}.txt"
+    rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", AnisomapWarning)  # distances along the surface are left out
         path = Path(folder) / "data.tsv"
         io.write(recording, path)
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+    return Document(name, f"Data S{number}: {what}, seed {seed}.", text)

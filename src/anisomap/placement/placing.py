@@ -17,6 +17,7 @@ from anisomap.base import METRES
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.map_verdict import ACCURACY
+from anisomap.names import match_names
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.surfaces import Mesh, Points
@@ -37,7 +38,6 @@ from anisomap.placement.surface import (
     fit_to_surface,
     surface_evidence,
 )
-from anisomap.recording import match_names
 from anisomap.sensor_map import UNPLACED, SensorMap, radius
 
 # Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on real and simulated

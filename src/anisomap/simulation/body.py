@@ -14,9 +14,9 @@ from scipy.spatial import KDTree
 
 from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
+from anisomap.names import default_names
 from anisomap.numerics.neighbours import nearest_distances, nearest_others
 from anisomap.numerics.surfaces import frozen
-from anisomap.recording import default_names
 from anisomap.simulation.solids import (
     Points,
     Solid,

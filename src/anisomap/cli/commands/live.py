@@ -136,7 +136,7 @@ def live(
     from anisomap.io.presets import check_preset
     from anisomap.live.page.server import Server
     from anisomap.live.sources import SimulatedHand
-    from anisomap.recording import find_sensors
+    from anisomap.names import find_sensors
 
     target = _target(recording)
     given = Path(source) if source and Path(source).exists() else None

@@ -43,7 +43,7 @@ def convert(
     anisomap convert skin.map.csv skin.icub.txt --drop s3,c0-c35 --mirror
     """
     from anisomap.cli.outputs import Outputs
-    from anisomap.recording import sensor_mask
+    from anisomap.names import sensor_mask
     from anisomap.route import split_names
 
     outputs = Outputs(maps=[output], inputs=[map_file], placing=placing)

@@ -16,7 +16,7 @@ from anisomap.base.clocks import NAMING_TIME, SINCE_1970_S, Clock, clock_of, is_
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.io.parsing.source import quote_if_needed, warn
-from anisomap.recording import default_names, find_sensors
+from anisomap.names import default_names, find_sensors
 
 ROWS_LOOKED_AT = 1000
 """Rows at the start of a file that determine the roles of its columns."""

@@ -24,7 +24,7 @@ from anisomap.errors import InputError
 from anisomap.io.stream import Block
 from anisomap.live.batches import WAIT_S, Address, Batch, Source
 from anisomap.live.sources import connections
-from anisomap.recording import default_names
+from anisomap.names import default_names
 from anisomap.sensor_map import SensorMap
 from anisomap.simulation import Body
 from anisomap.simulation.kinematic import GuidedHand, RubbingOptions

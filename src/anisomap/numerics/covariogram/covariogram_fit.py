@@ -17,7 +17,6 @@ from scipy.optimize import Bounds, isotonic_regression, minimize
 from scipy.spatial.distance import pdist, squareform
 
 from anisomap.base.immutable import Immutable
-from anisomap.errors import InputError
 from anisomap.numerics.covariogram.objective import (
     DEFAULT_COVARIOGRAM,
     CovariogramOptions,
@@ -120,7 +119,6 @@ def fit_covariogram(
     positions = np.array(start, dtype=np.float64)
     lengths = as_symmetric(metric, "metric")
     mask = np.ones(correlation.shape, dtype=bool) if known is None else np.array(known, dtype=bool)
-    _check(correlation, positions, lengths, mask, noise)
     positions -= positions.mean(axis=0)
     if near is None:
         unit = _estimate_range(correlation, positions, mask)
@@ -158,29 +156,6 @@ def _estimate_range(similarity: Reals, positions: Reals, known: NDArray[np.bool_
     chosen = distances[one_range] if one_range.any() else distances[pairs]
     unit = float(np.median(chosen)) if chosen.size else 0.0
     return unit if unit > 0 else 1.0
-
-
-def _check(
-    similarity: Reals, positions: Reals, metric: Reals, known: NDArray[np.bool_], noise: float
-) -> None:
-    n_sensors = len(similarity)
-    if positions.ndim != 2 or len(positions) != n_sensors or not positions.shape[1]:
-        raise InputError(f"start must have shape ({n_sensors}, k), got {positions.shape}")
-    for name, matrix in (("metric", metric), ("known", known)):
-        if matrix.shape != similarity.shape:
-            raise InputError(
-                f"{name} must have the shape of the similarity, {similarity.shape}, "
-                f"got {matrix.shape}"
-            )
-    n_positive = np.count_nonzero(metric > 0) - np.count_nonzero(np.diag(metric) > 0)
-    if n_positive < n_sensors * (n_sensors - 1) or not np.isfinite(metric).all():
-        raise InputError("metric must be finite, and positive between different sensors")
-    n_unknown = np.count_nonzero(~np.isfinite(similarity))
-    n_unknown -= np.count_nonzero(~np.isfinite(np.diag(similarity)))
-    if not np.isfinite(positions).all() or n_unknown:
-        raise InputError("start and similarity must be finite")
-    if not (np.isfinite(noise) and noise > 0):
-        raise InputError(f"noise must be finite and positive, got {noise}")
 
 
 class Minimum(NamedTuple):
