@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy.special import gammaincinv
 
 from anisomap.base.immutable import Immutable
-from anisomap.base.wording import html_table
 from anisomap.errors import InputError, import_extra
 from anisomap.map_verdict import UNJUDGED, Verdict
 from anisomap.names import check_names, default_names, find_sensors
@@ -248,19 +247,6 @@ class SensorMap(Immutable):
         judged = self.verdict != UNJUDGED
         details.append(f"verdict: {self.verdict.summary}" if judged else "not judged")
         return f"<SensorMap: {', '.join(details)}>"
-
-    def _repr_html_(self) -> str:
-        rows = {
-            f"{self.kind}s placed": f"{np.count_nonzero(self.placed)} of {self.n_sensors}",
-            "dimensions": self.dimensions,
-            "components": len(self.component_sizes),
-            "method": self.method,
-            "units": self.units,
-            "Stress-1": f"{self.stress:.3f}",
-            "verdict": "not judged" if self.verdict == UNJUDGED else self.verdict,
-            "pose": self.pose,
-        } | {f"note {i}": note for i, note in enumerate(self.notes, 1)}
-        return html_table("SensorMap", rows)
 
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
         """Look sensors up by name or index; see `Recording.indices`."""

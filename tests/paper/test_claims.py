@@ -16,12 +16,10 @@ from anisomap.paper.claims import (
     OWN,
     REPRODUCED,
     Claim,
-    Estimate,
     claims_table,
-    estimate,
-    holm,
 )
 from anisomap.paper.experiment import Settings
+from anisomap.paper.map_scores import Estimate, estimate, holm
 
 RUNS = [(case.name, 3) for case in CASES]
 RUNS += [("plane-bombardment, 2D", 2), ("patch, 2D", 2), ("patch, 3D", 3)]

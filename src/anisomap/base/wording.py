@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Sequence
 
 _CUT = " ... "
 
@@ -65,12 +64,3 @@ def shortened(text: str, max_characters: int) -> str:
         return text
     n_last = max_characters // 3
     return f"{text[: max_characters - n_last - len(_CUT)]}{_CUT}{text[-n_last:]}"
-
-
-def html_table(title: str, rows: Mapping[str, object]) -> str:
-    """Format facts as an HTML table, for notebooks; all text is escaped."""
-    body = "".join(
-        f"<tr><th>{escape(str(name))}</th><td>{escape(str(value))}</td></tr>"
-        for name, value in rows.items()
-    )
-    return f"<table><caption>{escape(title)}</caption>{body}</table>"

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anisomap.base.wording import html_table
 from anisomap.sensor_map import SensorMap
 
 OK = "ok"
@@ -183,18 +182,6 @@ class LayoutCheck:
             f"<LayoutCheck: {self.verdict}, {int(self.flagged.sum())} of {self.n_tested} tested "
             f"sensors flagged, {self.layout.n_sensors} in the layout>"
         )
-
-    def _repr_html_(self) -> str:
-        rows: dict[str, object] = {
-            "sensors tested": f"{self.n_tested} of {self.layout.n_sensors}",
-            "modules": self.n_modules,
-            "verdict": self.verdict,
-        }
-        rows |= {
-            f"{i}: {finding.kind}": finding.explanation
-            for i, finding in enumerate(self.findings, 1)
-        }
-        return html_table("LayoutCheck", rows)
 
 
 def at_positions(layout: SensorMap, positions: NDArray[np.float64]) -> SensorMap:

@@ -221,10 +221,6 @@ def tables_of(kind: str, tables: Tables, name: str = "", caption: str = "") -> T
     return joined(tables, [f"{kind}-{one}" for one in _NAMES], name, caption)
 
 
-def _default_scores(tables: Tables) -> list[Mapping[str, Any]]:
-    return [row for row in tables_of("scores", tables).records() if row["bins"] == DEFAULT_BINS]
-
-
 _RUN = "body and scenario; the patch and real skin in 2D or 3D"
 SUMMARY_COLUMNS = {
     "run": _RUN,
@@ -252,7 +248,8 @@ SUMMARY_COLUMNS = {
 )
 def figure_3(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     """Draw the scores of all methods on all runs."""
-    groups = by(_default_scores(tables), "run")
+    scores = tables_of("scores", tables).records()
+    groups = by([row for row in scores if row["bins"] == DEFAULT_BINS], "run")
     simulated = [_score_group(case.label, groups[case.name]) for case in CASES]
     patch = [
         _score_group(f"run {number},\n{k}D", found)

@@ -30,15 +30,14 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import rankdata, t
+from scipy.stats import rankdata
 
 from anisomap.base.wording import join_items
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
 from anisomap.paper.accuracy import ALL_PAIRS, DIRECT, RUNS, SMALLEST, tables_of
 from anisomap.paper.cases import METHODS
 from anisomap.paper.experiment import Row, Settings, Table, Tables, by, experiment, mean_by
-from anisomap.paper.map_scores import MORE_BINS
+from anisomap.paper.map_scores import MORE_BINS, Estimate, Runs, estimate, holm
 from anisomap.paper.similarities import CLAIMED_NOISE, MEDIAN
 
 # The paper gives no numbers for its claims; all bounds are chosen by hand.
@@ -55,8 +54,6 @@ graphs of more neighbours than connect all sensors."""
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 PARTLY, UNCLEAR, EXCLUDED = "partly reproduced", "not clear", "at chance"
 
-_ERROR = 0.05  # of an interval, and of all cases of a claim together
-_RESAMPLES = 1000
 _MAX_LISTED = 10  # cases with a value in the table
 _ROLLING, _BOMBARDED = "cylinder-locomotion", "cylinder-bombardment"
 _FLAT_SKINS = {
@@ -66,56 +63,6 @@ _FLAT_SKINS = {
 }
 _LARGER_GRAPHS = ("k = 4", "k = 8")
 _ALL, _WITH_REAL = "all maps", "all maps and real skin"
-
-Runs: TypeAlias = NDArray[np.float64]
-"""A value of each run, (S, ...), in the same order for all methods; NaN if its map is at chance."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A statistic over runs with its interval, or the range of the runs.
-
-    error: Standard error; 0 of a single run.
-    """
-
-    value: float
-    low: float
-    high: float
-    error: float = 0.0
-    n_runs: int = 1
-
-    def p_value(self, bound: float) -> float:
-        """Two-sided p-value of a bound; 0 of a single run, which has no error."""
-        if not self.error:
-            return 0.0
-        return float(2 * t.sf(abs(self.value - bound) / self.error, self.n_runs - 1))
-
-
-def estimate(runs: Runs, statistic: Callable[[Runs], Runs] | None = None) -> Estimate:
-    """Estimate the mean of runs, or another statistic by resampling them. runs (S, ...).
-
-    statistic: Takes samples of runs, (B, S, ...), and returns a value of each, (B,).
-    """
-    n_runs = len(runs)
-    if statistic is None:
-        value = float(runs.mean())
-        error = float(runs.std(ddof=1)) / math.sqrt(n_runs) if n_runs > 1 else 0.0
-    else:
-        value = float(statistic(runs[None])[0])
-        drawn = np.random.default_rng(0).integers(n_runs, size=(_RESAMPLES, n_runs))
-        error = float(np.nanstd(statistic(runs[drawn])))
-    half = error * float(t.isf(_ERROR / 2, n_runs - 1)) if error else 0.0
-    return Estimate(value, value - half, value + half, error, n_runs)
-
-
-def holm(p_values: Sequence[float]) -> list[bool]:
-    """Tell which hypotheses Holm's step-down procedure rejects."""
-    found = [False] * len(p_values)
-    for i, place in enumerate(np.argsort(p_values, kind="stable")):
-        if p_values[place] > _ERROR / (len(p_values) - i):
-            break
-        found[place] = True
-    return found
 
 
 def scope_of(case: str) -> str:
@@ -154,7 +101,7 @@ class Evidence:
         """Return scores of the rolling and of the bombarded cylinder, for each method."""
         if _ROLLING not in found or _BOMBARDED not in found:
             return []
-        return [(m, found[_ROLLING][m], found[_BOMBARDED][m]) for m in METHODS]
+        return [(m, found[_ROLLING][m], found[_BOMBARDED][m]) for m in found[_ROLLING]]
 
     def drops(self, methods: Sequence[str]) -> dict[str, Runs]:
         """Return how much Mantel r is lower in 3D than in 2D, on flat skins."""
@@ -187,10 +134,7 @@ class Evidence:
 
     def axial(self) -> dict[str, Runs]:
         """Return how much more often similar sensors share a line if the cylinder rolls."""
-        found = self.pairs("axial")
-        if _ROLLING not in found or _BOMBARDED not in found:
-            return {}
-        return {m: found[_ROLLING][m] - found[_BOMBARDED][m] for m in METHODS[:2]}
+        return {m: rolling - other for m, rolling, other in self.rolling(self.pairs("axial"))}
 
     def needs(self) -> dict[str, Runs]:
         """Return how much more mutual information loses by few frames than r."""

@@ -1,13 +1,16 @@
-"""Maps of the runs by all methods, and their scores."""
+"""Maps of the runs by all methods, their scores, and what these show over runs."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t
 
 from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
@@ -227,3 +230,57 @@ def _null_cells(mantel: Mantel) -> Row:
     outliers = " ".join(f"{value:.4f}" for value in np.sort(null[~is_inside]))
     z = (mantel.r - float(null.mean())) / float(null.std())
     return (low, first, median, third, high, float(null.max()), z, outliers)
+
+
+_ERROR = 0.05  # of an interval, and of all cases of a claim together
+_RESAMPLES = 1000
+
+Runs: TypeAlias = NDArray[np.float64]
+"""A value of each run, (S, ...), in the same order for all methods; NaN if its map is at chance."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A statistic over runs with its interval, or the range of the runs.
+
+    error: Standard error; 0 of a single run.
+    """
+
+    value: float
+    low: float
+    high: float
+    error: float = 0.0
+    n_runs: int = 1
+
+    def p_value(self, bound: float) -> float:
+        """Two-sided p-value of a bound; 0 of a single run, which has no error."""
+        if not self.error:
+            return 0.0
+        return float(2 * t.sf(abs(self.value - bound) / self.error, self.n_runs - 1))
+
+
+def estimate(runs: Runs, statistic: Callable[[Runs], Runs] | None = None) -> Estimate:
+    """Estimate the mean of runs, or another statistic by resampling them. runs (S, ...).
+
+    statistic: Takes samples of runs, (B, S, ...), and returns a value of each, (B,).
+    """
+    n_runs = len(runs)
+    if statistic is None:
+        value = float(runs.mean())
+        error = float(runs.std(ddof=1)) / math.sqrt(n_runs) if n_runs > 1 else 0.0
+    else:
+        value = float(statistic(runs[None])[0])
+        drawn = np.random.default_rng(0).integers(n_runs, size=(_RESAMPLES, n_runs))
+        error = float(np.nanstd(statistic(runs[drawn])))
+    half = error * float(t.isf(_ERROR / 2, n_runs - 1)) if error else 0.0
+    return Estimate(value, value - half, value + half, error, n_runs)
+
+
+def holm(p_values: Sequence[float]) -> list[bool]:
+    """Tell which hypotheses Holm's step-down procedure rejects."""
+    found = [False] * len(p_values)
+    for i, place in enumerate(np.argsort(p_values, kind="stable")):
+        if p_values[place] > _ERROR / (len(p_values) - i):
+            break
+        found[place] = True
+    return found

@@ -19,8 +19,8 @@ from anisomap.evaluation import mantel, median_spacing
 from anisomap.method.pipeline import reconstruct
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.paper.cases import METHODS, true_positions
-from anisomap.paper.claims import estimate
 from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, by, experiment
+from anisomap.paper.map_scores import estimate
 from anisomap.recording import Recording
 from anisomap.simulation import find_body
 from anisomap.simulation.body import Body

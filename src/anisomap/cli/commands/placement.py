@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -185,11 +184,11 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
         facts["verdict on the map"] = f"{headline(placed)}, RMS over all sensors"
     facts["pose"] = placed.pose
     printer.facts(f"Placement of {name}", facts)
-    anchors = _records(
-        sensor=found.anchors,
-        residual=found.residuals.tolist(),
-        left_out=found.left_out_errors.tolist(),
-    )
+    numbers = zip(found.residuals.tolist(), found.left_out_errors.tolist(), strict=True)
+    anchors = [
+        {"sensor": name, "residual": residual, "left_out": left_out}
+        for name, (residual, left_out) in zip(found.anchors, numbers, strict=True)
+    ]
     columns: Columns = {
         "sensor": ("sensor", str),
         "residual (mm)": ("residual", _in_mm),
@@ -209,10 +208,6 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
         anchors=anchors,
         left_out=found.left_out,
     )
-
-
-def _records(**columns: Sequence[Any]) -> list[dict[str, Any]]:
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _in_mm(length: float) -> str:

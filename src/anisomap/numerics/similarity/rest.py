@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.numerics.columns import columns, mean_ranks, transposed
+from anisomap.numerics.columns import ranked, transposed
 from anisomap.numerics.precision import Floats, slices_of
 
 _MIN_REST_SHARE = 0.1  # of the frames at one value for this value to be the rest; chosen by hand
@@ -177,13 +177,11 @@ def ranks_of_depths(
     values = np.asarray(readings)
     rest = estimate_rest(values) if rest is None else rest
     dtype = np.float32 if single and len(values) <= _MAX_EXACT_FRAMES else np.float64
-    ranks = np.empty(values.shape[::-1], dtype)
     if alike and 2 * np.count_nonzero(rest.known) < rest.known.size:
-        for row, column in zip(ranks, columns(values), strict=True):
-            row[:] = mean_ranks(column)
-        return ranks.T
+        return ranked(values).astype(dtype, copy=False)
     if alike:
         rest = replace(rest, known=np.ones_like(rest.known))
+    ranks = np.empty(values.shape[::-1], dtype)
     by_sensor, at_once = transposed(values), max(1, _RANKED_AT_ONCE // max(1, len(values)))
     for some in slices_of(len(ranks), at_once):
         rows = by_sensor[some]
