@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.signals import some_sensors, unit_rows
@@ -137,6 +138,6 @@ def linked_groups(
     rows: NDArray[np.float32], least: float, size: int
 ) -> Iterator[NDArray[np.bool_]]:
     """Mark each group of `size` rows or more, of norm 1, that correlations above `least` link."""
-    _, group = connected_components(rows @ rows.T > least, directed=False)
+    _, group = connected_components(csr_array(rows @ rows.T > least), directed=False)
     for number in np.flatnonzero(np.bincount(group) >= size):
         yield group == number

@@ -39,11 +39,10 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
     if len(readings) < 100 or chosen.size < _MIN_GROUP:
         return
     jumps = _jumps(readings[:, chosen])
-    jumping = np.count_nonzero(jumps, axis=0) >= _MIN_SPIKES
-    chosen, jumps = chosen[jumping], jumps[:, jumping]
-    for group in linked_groups(unit_rows(jumps), _MIN_LINK, _MIN_GROUP):
-        members = chosen[group]
-        frames, height = _common(jumps[:, group], readings[:, members])
+    jumping = np.flatnonzero(np.count_nonzero(jumps, axis=0) >= _MIN_SPIKES)
+    for group in linked_groups(unit_rows(jumps)[jumping], _MIN_LINK, _MIN_GROUP):
+        members = chosen[jumping[group]]
+        frames, height = _common(jumps[:, jumping[group]], readings[:, members])
         touched = recording.signals.touched[excerpt][:, members]
         if (
             frames.size >= _MIN_SPIKES

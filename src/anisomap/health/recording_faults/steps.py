@@ -44,7 +44,7 @@ def find_steps(recording: Recording) -> Iterator[Found]:
     changes = np.diff(readings[excerpt_frames(readings)], axis=0)
     size = np.abs(changes)
     noise = medians(size) / 0.954  # of the differences of two normal numbers
-    noise = np.maximum(noise, size.min(axis=0, where=size > 0, initial=np.inf) / 2)  # of codes
+    noise = np.maximum(noise, np.where(size > 0, size, np.inf).min(axis=0) / 2)  # of codes
     noise = np.maximum(noise, _FINEST * np.ptp(readings, axis=0)).astype(np.float64)
     least = _NOISE * noise
     windows = (side * readings[: n_windows * _WINDOW]).reshape(n_windows, _WINDOW, -1)

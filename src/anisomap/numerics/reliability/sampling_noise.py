@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import squareform
 from scipy.special import ndtr
@@ -71,7 +72,7 @@ def typical_variance(variance: ArrayLike) -> float:
     values = np.asarray(variance)
     step = -(-len(values) // _MAX_SENSORS)
     values = values[::step, ::step]
-    pairs = values[np.triu_indices(len(values), 1)]
+    pairs = squareform(values, checks=False)  # of a symmetric matrix
     return float(np.median(pairs if pairs.size else values))
 
 
@@ -291,13 +292,13 @@ def significant_links(similarity: Reals, variance: ArrayLike) -> NDArray[np.bool
     counted = kept.astype(np.float32)
     degree = counted.sum(axis=1)
     kept &= counted @ counted >= _MIN_SHARED * np.minimum(degree[:, None], degree)
-    component = connected_components(kept, directed=False)[1]
+    component = connected_components(csr_array(kept), directed=False)[1]
     if np.bincount(component).max() < _MIN_COVERED * n_sensors:
         return ~np.eye(n_sensors, dtype=bool)
     strongest = np.argpartition(links, -_N_STRONGEST, axis=1)[:, -_N_STRONGEST:]
     np.put_along_axis(kept, strongest, values=True, axis=1)
     kept |= kept.T
-    component = connected_components(kept, directed=False)[1]
+    component = connected_components(csr_array(kept), directed=False)[1]
     for i, j in _strongest_first(links) if component.any() else ():
         if component[i] != component[j]:
             component[component == component[j]] = component[i]
