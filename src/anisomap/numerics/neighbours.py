@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
@@ -78,7 +79,13 @@ def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
     joined = np.isfinite(dissimilarity)
     if joined.all():  # the most frequent case, without a slow search
         return np.zeros(len(joined), dtype=np.intp)
-    return labels_by_size(connected_components(joined, directed=False)[1])
+    return labels_by_size(linked_labels(joined))
+
+
+def linked_labels(joined: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Label the components of a symmetric graph, (N, N) -> (N,)."""
+    graph: Any = csr_array(joined)  # scipy masks a dense one first, which takes longer
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
 def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:

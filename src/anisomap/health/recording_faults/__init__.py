@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
+from anisomap.numerics.neighbours import linked_labels
 from anisomap.numerics.signals import some_sensors, unit_rows
 from anisomap.recording import Recording
 
@@ -138,6 +137,6 @@ def linked_groups(
     rows: NDArray[np.float32], least: float, size: int
 ) -> Iterator[NDArray[np.bool_]]:
     """Mark each group of `size` rows or more, of norm 1, that correlations above `least` link."""
-    _, group = connected_components(csr_array(rows @ rows.T > least), directed=False)
+    group = linked_labels(rows @ rows.T > least)
     for number in np.flatnonzero(np.bincount(group) >= size):
         yield group == number

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
 
 from anisomap.numerics.compiled.parallel import limited_blas, parallel_map
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.graph.metric import metricise
-from anisomap.numerics.neighbours import spanning_tree
+from anisomap.numerics.neighbours import linked_labels, spanning_tree
 from anisomap.numerics.precision import Reals
 
 
@@ -59,7 +58,7 @@ def smallest_connected_neighbour_graph(
     too_few, enough = 0, max(1, len(values) - 1)
     while enough - too_few > 1:
         middle = (too_few + enough) // 2
-        if connected_components(_joined(values, middle), directed=False)[0] == 1:
+        if not linked_labels(_joined(values, middle)).any():
             enough = middle
         else:
             too_few = middle

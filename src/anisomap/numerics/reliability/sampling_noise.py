@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import squareform
 from scipy.special import ndtr
 
 from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows
-from anisomap.numerics.neighbours import labels_by_size, tree_edges
+from anisomap.numerics.neighbours import labels_by_size, linked_labels, tree_edges
 from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks
 from anisomap.numerics.similarity.correlation import PairSums, pearson, resampled_correlation
 from anisomap.numerics.similarity.rest import Rest, ranks_of_depths
@@ -266,7 +264,7 @@ def group_sensors(similarity: Reals, variance: ArrayLike) -> Groups:
     strength = np.minimum(np.where(sizes > 1, weakest, np.inf), weakest[0])
     least = np.array([_least_bridge(size, n_sensors) for size in sizes.tolist()])
     shown = np.minimum.outer(strength, strength) >= np.minimum.outer(least, least) + _MISSED
-    joined = connected_components(~shown, directed=False)[1]
+    joined = linked_labels(~shown)
     return Groups(linked, labels_by_size(joined[linked]))
 
 
@@ -292,13 +290,13 @@ def significant_links(similarity: Reals, variance: ArrayLike) -> NDArray[np.bool
     counted = kept.astype(np.float32)
     degree = counted.sum(axis=1)
     kept &= counted @ counted >= _MIN_SHARED * np.minimum(degree[:, None], degree)
-    component = connected_components(csr_array(kept), directed=False)[1]
+    component = linked_labels(kept)
     if np.bincount(component).max() < _MIN_COVERED * n_sensors:
         return ~np.eye(n_sensors, dtype=bool)
     strongest = np.argpartition(links, -_N_STRONGEST, axis=1)[:, -_N_STRONGEST:]
     np.put_along_axis(kept, strongest, values=True, axis=1)
     kept |= kept.T
-    component = connected_components(csr_array(kept), directed=False)[1]
+    component = linked_labels(kept)
     for i, j in _strongest_first(links) if component.any() else ():
         if component[i] != component[j]:
             component[component == component[j]] = component[i]
