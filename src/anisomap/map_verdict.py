@@ -27,7 +27,7 @@ LEVELS: Mapping[str, str] = MappingProxyType(
 CONTACTS = (COMPACT, _) = ("compact", "elongated")
 """What can be stated of contacts: as of a fingertip, a palm or a ball; as of an edge or a roller.
 
-Where sensors are not evenly spaced, long contacts squash a map, and nothing shows it.
+Where sensors are not evenly spaced, long contacts compress a map unnoticed.
 """
 
 FORMER_LEVELS: Mapping[str, str] = MappingProxyType(

@@ -194,14 +194,13 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             + (": contacts may differ in size from place to place" if much else "")
         ),
         "if-compact": lambda size, unit="spacings": (
-            "the sensors are not evenly spaced, so nothing shows whether long contacts squashed "
-            "the map: if all contacts were compact, as of a fingertip or a ball, positions are off "
+            "the sensors are not evenly spaced, so long contacts may have compressed the map "
+            "unnoticed: if all were compact, as of a fingertip or a ball, positions are off "
             f"by {size:.2f} {unit} (--contacts compact)"
         ),
         "compact": lambda size, unit="spacings": (
             f"positions are off by {size:.2f} {unit} if all contacts were compact, as stated: the "
-            "sensors are not evenly spaced, so nothing would show that long contacts squashed the "
-            "map"
+            "sensors are not evenly spaced, so long contacts would compress the map unnoticed"
         ),
         "if-flat": lambda size, unit="spacings": (
             "the readings do not show whether the skin is flat: if it is, positions are off by "
@@ -213,7 +212,7 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             "dimensions (-d 2 or -d 3)"
         ),
         "chosen-dimensions": lambda: (
-            "the number of dimensions was chosen by readings that do not show the shape for "
+            "the number of dimensions was chosen from readings that do not show the shape for "
             "certain: choose it if it is known (-d 2 or -d 3)"
         ),
         "not-examined": lambda: "the map was not examined",

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from anisomap.sensor_map import SensorMap
 
 OK = "ok"
-"""Status of a tested sensor that reads as its place says."""
+"""Status of a tested sensor whose readings fit its place."""
 
 NOT_TESTED = "not tested"
 DEAD = "dead"
@@ -21,14 +21,14 @@ DEAD = "dead"
 
 KINDS: Mapping[str, str] = MappingProxyType(
     {
-        "turned": "a module that is rotated on its own places",
+        "turned": "a module that is rotated in its place",
         "mirrored": "a module that is a mirror image of what the layout states",
         "exchanged": "modules that have each other's places",
         "reversed": "a reverse order: of all sensors, the pads of a module, or modules in a row",
         "shifted": "a run of consecutive sensors that each have the place of the next",
         "swapped": "two sensors that have each other's places",
-        "cycle": "three and more sensors that each have the place of another of them",
-        "moved": "sensors that belong to a place where no other sensor is",
+        "cycle": "three or more sensors that each have the place of another of them",
+        "moved": "sensors that belong to a place where the layout has none",
         "overlapping": "a module nearer to another than their shape allows",
         "doubled": "a sensor that repeats the readings of another",
         "dead": "a sensor that stays constant while its neighbours are touched",

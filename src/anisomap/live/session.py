@@ -144,7 +144,7 @@ class SessionMaps:
         dead = join_items([self.names[i] for i in advice.dead], _MAX_NAMED)
         told = f"{dead} never responded: dead? " if dead else ""
         if not self.is_good:
-            return f"{told}Touch the whole skin again, each place in other directions", False
+            return f"{told}Touch the whole skin again, each place in new directions", False
         return f"{told}Good: {self.error_told}. End the session, or go on", True
 
     @property

@@ -166,7 +166,7 @@ class Measurements:
 
     @property
     def unseen_squash(self) -> bool:
-        """Whether long contacts may have squashed the map unseen."""
+        """Whether long contacts may have compressed the map unnoticed."""
         return self.uneven and self.contacts != COMPACT
 
     @property

@@ -61,7 +61,7 @@ def _methods(printer: Printer) -> None:
     _print_rows(printer, "Methods", "name summary source", own)
     _print_rows(printer, "Similarities", "name summary", similarities)
     printer.say(
-        "Noise at rest misleads mutual-information and spearman where contacts are rare: set "
+        "Noise at rest distorts mutual-information and spearman where contacts are rare: set "
         "readings below a threshold above the noise to 0, or use the default method."
     )
 

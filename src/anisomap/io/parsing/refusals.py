@@ -73,7 +73,7 @@ _FOREIGN = (
              (".pcd",), rb"(?:#[^\n]*+\n)*+VERSION [.\d]++\s++FIELDS "),
     _Foreign("a launch file", "robot_state_publisher publishes a .urdf", (".launch.xml",)),
     _Foreign("a spreadsheet", "save its table as CSV", (".xlsx", ".xlsm", ".xls", ".ods")),
-    _Foreign("a mesh, onto which anisomap place lays a map",
+    _Foreign("a mesh, as anisomap place --mesh takes it",
              "to read its vertices as positions of sensors, save them as CSV",
              (".obj", ".off", ".stl", ".glb", ".gltf")),
 )

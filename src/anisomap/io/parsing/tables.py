@@ -152,7 +152,7 @@ class LeftOut:
     def __str__(self) -> str:
         """Say how many lines were left out, and show the first."""
         reason = "" if self.first is None else self.first.reason
-        place = "; the frame before stands in their place" if self.repeats else ""
+        place = "; the previous frame replaces each of them" if self.repeats else ""
         return f"left out lines: {self.n_left} of {self.n_lines}{place}: {reason}"
 
 

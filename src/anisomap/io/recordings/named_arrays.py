@@ -327,7 +327,7 @@ def _reader(path: Path, name: str) -> Callable[[int, int], NDArray[Any]]:
 def _load(path: Path, names: list[str]) -> dict[str, Any]:
     found = scipy.io.loadmat(path, variable_names=names)
     if lost := [name for name in names if name not in found]:
-        raise FileError(f"{path} is damaged: it lists the variable {quote(lost[0])} and lacks it")
+        raise FileError(f"{path} is damaged: it lists the variable {quote(lost[0])}, but lacks it")
     return {name: found[name] for name in names}
 
 

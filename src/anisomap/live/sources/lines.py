@@ -162,7 +162,7 @@ class _Layout:
             first = join_items([quote(line.strip()) for line in lines[:n_skipped]], 1)
             yield Notice(f"skipped lines at the start: {first}")
         if self._others:
-            yield Notice(f"left out what is no sensor: {join_items(self._others, 3)}")
+            yield Notice(f"left out, since they are not sensors: {join_items(self._others, 3)}")
         if self._names:
             yield Names(self._names)
         yield from self.read(self._body)
