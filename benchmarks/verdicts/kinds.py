@@ -1,8 +1,8 @@
 """Verdicts with a given number of dimensions and with ``auto``, on sound skins of all kinds.
 
 Each seed draws a skin of `benchmarks.skins.independent` with 25 to 110 sensors. Contacts are stated
-to be compact, or elongated if they roll. The output is a table in Markdown, with intervals of 95 %,
-and all results as CSV.
+to be compact, or elongated if they roll, and sensors at random places not to be evenly spaced. The
+output is a table in Markdown, with intervals of 95 %, and all results as CSV.
 """
 
 from __future__ import annotations
@@ -78,6 +78,7 @@ def judged(seed: int) -> list[dict[str, Any]]:
                 health=health,
                 findings=findings,
                 contacts=stated,
+                uneven=case.body.startswith(RANDOM),
                 stages=stages,
             )
             said = any("whether the skin" in text for text in made.notes)

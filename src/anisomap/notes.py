@@ -194,13 +194,14 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             + (": contacts may differ in size from place to place" if much else "")
         ),
         "if-compact": lambda size, unit="spacings": (
-            "the sensors are not evenly spaced, so long contacts may have compressed the map "
-            "unnoticed: if all were compact, as of a fingertip or a ball, positions are off "
-            f"by {size:.2f} {unit} (--contacts compact)"
+            "the sensors are not evenly spaced on the map, so long contacts may have compressed "
+            "it, or a fold crowded it, unnoticed: if they are not on the skin either, and all "
+            "contacts were compact, as of a fingertip or a ball, positions are off by "
+            f"{size:.2f} {unit} (--uneven --contacts compact)"
         ),
         "compact": lambda size, unit="spacings": (
-            f"positions are off by {size:.2f} {unit} if all contacts were compact, as stated: the "
-            "sensors are not evenly spaced, so long contacts would compress the map unnoticed"
+            f"positions are off by {size:.2f} {unit} if sensors are not evenly spaced and all "
+            "contacts were compact, as stated: long contacts would compress the map unnoticed"
         ),
         "if-flat": lambda size, unit="spacings": (
             "the readings do not show whether the skin is flat: if it is, positions are off by "

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,13 +218,11 @@ def judge(
     sensor_map: SensorMap,
     stages: Stages,
     *,
-    contacts: str = "",
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    **how: Any,
 ) -> SensorMap:
-    """Add a verdict to a map from `make_map`, by maps of resampled recordings."""
-    how = {"stages": stages, "contacts": contacts, "rng": seed, "progress": progress}
-    return _diagnosed(examined, sensor_map, **how)
+    """Add a verdict to a map from `make_map`, by maps of resampled recordings. how: `diagnose`."""
+    return _diagnosed(examined, sensor_map, stages=stages, rng=seed, **how)
 
 
 def _diagnosed(examined: Examined, sensor_map: SensorMap, **how: object) -> SensorMap:

@@ -75,6 +75,7 @@ def diagnose(
     findings: Sequence[Finding] | None = None,
     with_verdict: bool = True,
     contacts: str = "",
+    uneven: bool = False,
     rng: np.random.Generator | int | None = None,
     progress: Callable[[float], None] | None = None,
     stages: Stages | None = None,
@@ -103,6 +104,9 @@ def diagnose(
         ``"elongated"``, as of an edge or a roller; by default, what the metadata of the recording
         state. Without it, a map of sensors that are not evenly spaced is usable for neighbours at
         best, since long contacts squash such maps unseen.
+    uneven : bool
+        Whether sensors are known not to be evenly spaced on the skin. Otherwise, a map on which
+        they are not is usable for neighbours at best: it may be folded.
     rng : numpy.random.Generator or int, optional
         Draws the resamples; seed 0 by default.
     progress : callable, optional
@@ -152,7 +156,7 @@ def diagnose(
         )
         if stated := _stated(contacts, joined):
             facts["contacts"] = stated
-        verdict = judge(replace(measured, contacts=stated))
+        verdict = judge(replace(measured, contacts=stated, known_uneven=uneven))
         if not joined.touched:
             verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
         if measured.confirmed:

@@ -130,6 +130,9 @@ class VerdictOptions:
         compact, those of an edge or a roller elongated. Only a map of unevenly spaced sensors
         depends on it; without it, such a map is usable for neighbours at best. Default: what the
         file states, as files of simulate do.
+    uneven
+        The sensors are not evenly spaced on the skin. Without it, a map on which they are not is
+        usable for neighbours at best.
     min_quality
         Exit with code 1 if the verdict is worse than this, or "cannot tell". All files are written.
     seed
@@ -140,6 +143,7 @@ class VerdictOptions:
     contacts: Annotated[
         Literal["compact", "elongated"] | None, Parameter(group=options.method_group)
     ] = None
+    uneven: Annotated[bool, Parameter(group=options.method_group)] = False
     min_quality: options.Quality | None = None
     seed: options.Seed = 0
 
@@ -238,8 +242,8 @@ def map_recording(
     printing.print_recording(printer, examined.recording, examined.summary)
     faults = [*examined.mended, *examined.findings]
     printing.print_findings(printer, faults, repaired=mapping.repair)
-    stated = judging.contacts or ""
-    judge = partial(route.judge, examined, stages=stages, contacts=stated, seed=judging.seed)
+    stated = partial(route.judge, contacts=judging.contacts or "", uneven=judging.uneven)
+    judge = partial(stated, examined, stages=stages, seed=judging.seed)
     wanted = judge if judging.verdict else None
     scored = Truth(permutations, judging.seed, reference)
     shown = finish(printer, files, made, examined, scored, judge=wanted)
