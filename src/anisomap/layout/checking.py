@@ -38,10 +38,11 @@ from anisomap.layout.judging import Judge, agreement, own_agreement
 from anisomap.layout.modules import Mounting, find_modules, orientation
 from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
 from anisomap.layout.search import Search
-from anisomap.layout.together import unsure_patches
+from anisomap.layout.together import AGREEING, bonds, unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
 from anisomap.names import match_names, match_sensors
 from anisomap.numerics.compiled.parallel import limited_blas
+from anisomap.numerics.neighbours import linked_labels
 from anisomap.placement.modules import Modules
 from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import SensorMap
@@ -206,7 +207,7 @@ class _Checked:
         search.run_sensors()
         logger.info("weighing the evidence")
         proposed = self._explain(search)
-        self._find_overlaps()
+        self._find_overlaps(search.evidence)
         # With any sensor at a wrong place, a symmetric layout is no image of itself.
         rival = best_rival(search.evidence, judge)
         if rival is not None and not rival.worse:
@@ -416,18 +417,24 @@ class _Checked:
             found.append(ModuleChange(label, angle, mirror, old, new))
         return found
 
-    def _find_overlaps(self) -> None:
-        """Report modules that are nearer than their shape allows, and that no finding explains."""
+    def _find_overlaps(self, evidence: Evidence) -> None:
+        """Report modules that are nearer than their shape allows, and that no finding explains.
+
+        Of two, the one that agrees with fewer others, directly or through modules beside it.
+        """
         moved = {i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()}
         left = [
             (a, b, length)
             for a, b, length in self.mounting.overlaps
             if not moved & {*self.mounting.members[a].tolist(), *self.mounting.members[b].tolist()}
         ]
+        found, expected = bonds(evidence, self.mounting.members)
+        label = linked_labels(found > AGREEING * expected)
+        size = np.bincount(label)[label]
         while left:
             counts = Counter(m for a, b, _ in left for m in (a, b))
             worst = {m: -_mean(self.agreement[self.mounting.members[m]]) for m in counts}
-            m = max(counts, key=lambda m: (counts[m], worst[m]))
+            m = max(counts, key=lambda m: (-size[m], counts[m], worst[m]))
             others = sorted((length, b if a == m else a) for a, b, length in left if m in (a, b))
             left = [one for one in left if m not in one[:2]]
             near = [span(self.mounting.members[other], self.names) for _, other in others]
