@@ -120,7 +120,7 @@ def check_lowest_versions(root: Path) -> None:
         venv.create(folder)
         python = Path(folder) / ("Scripts" if sys.platform == "win32" else "bin") / "python"
         install = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", python]
-        lowest = ["--resolution", "lowest-direct", ".[all]", "--group", "test"]
+        lowest = ["--resolution", "lowest-direct", ".[all]", "--group", "test", "--group", "build"]
         subprocess.run([*install, *lowest], cwd=root, check=True)
         tests = ["-m", "pytest", "--numprocesses", "auto", "-m", "not slow"]
         needed = {**os.environ, "SCIPY_ARRAY_API": "1"}  # by scikit-learn 1.6 to import its checks

@@ -19,8 +19,9 @@ WATCHED = """
 import os, sys
 allowed = tuple(sys.argv.pop(1).split(os.pathsep))
 
-# matplotlib lists fonts, and glfw asks for its version, when they are first imported.
-library = ("fc-list", sys.executable)
+# When first imported, matplotlib lists fonts, glfw asks for its version, and numpy.testing, which
+# SciPy 1.14 imports, asks for the kind of processor.
+library = ("fc-list", "lscpu", sys.executable)
 
 def watch(event, arguments):
     if event == "subprocess.Popen" and arguments[0] in library:
