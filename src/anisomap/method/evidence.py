@@ -35,6 +35,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     sampling_variance,
     thinning,
     typical_variance,
+    without_slow_changes,
 )
 from anisomap.numerics.signals import Signals, unit_rows
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
@@ -285,13 +286,14 @@ def _compared(
 ) -> Evidence:
     """Compare all pairs of sensors. readings (T, n). signals: Of these readings, if known."""
     how = SIMILARITIES[statistic]
-    values, share = without_common_signal(readings) if how.centred else (readings, 0.0)
+    slow = without_slow_changes(readings) if how.centred else readings
+    values, share = without_common_signal(slow) if how.centred else (readings, 0.0)
+    rest = None if signals is None or values is not readings else signals.rest
     values = np.asfortranarray(values)  # most statistics go sensor by sensor
     scores = None
     if how.score is None:
         found, variance = how.compute(values, bins), sampling_variance(how.correlated(values))
     else:
-        rest = signals.rest if signals is not None and share == 0 else None
         scores = how.score(values, rest, share > 0)
         found = scores.similarity
         if isinstance(scores, Blend):

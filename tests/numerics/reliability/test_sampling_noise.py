@@ -27,6 +27,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     standardised_correlation,
     thinning,
     typical_variance,
+    without_slow_changes,
 )
 from anisomap.numerics.scaling.multidimensional_scaling import torgerson
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
@@ -388,3 +389,20 @@ def test_few_long_contacts_connect_a_skin(seed):
     readings = np.concatenate([course[:, None] * press for press in depth])
     readings = readings[:, depth.any(axis=0)]
     assert not grouped(readings).related.any()
+
+
+def test_drift_of_single_sensors_is_removed_where_it_hides_contacts():
+    skin = flat_skin(n_frames=2000)
+    touches, positions = np.asarray(skin.readings), np.asarray(skin.positions)
+    drift = np.cumsum(np.random.default_rng(1).normal(size=touches.shape), axis=0)
+    drifting = touches + drift * (touches.std() / drift.std())
+    assert without_slow_changes(touches) is touches
+    distance, r = pdist(positions), pearson(without_slow_changes(drifting))
+    near = r[np.triu_indices(len(r), 1)]
+    assert np.corrcoef(near, distance)[0, 1] < -0.4
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.95])
+def test_noise_without_drift_is_left_as_it_is(coefficient):
+    noise = autoregressive(2000, 20, coefficient)
+    assert without_slow_changes(noise) is noise

@@ -23,6 +23,7 @@ from anisomap.numerics.signals import (
     excerpt_frames,
     medians,
     some_sensors,
+    squares_and_lagged,
     unit_rows,
 )
 from anisomap.recording import Recording
@@ -248,7 +249,8 @@ def _noise_of(
     share = 1 - np.median(after**2 / np.maximum(before**2, 1e-300))
     fast = np.diff(course, 2)
     white = np.sum(fast[1:] * fast[:-1]) / max(np.sum(fast**2), 1e-300)
-    smooth = np.median(_autocorrelation(left))
+    squares, lagged = squares_and_lagged(left, left.mean(axis=0))
+    smooth = np.median(lagged / np.maximum(squares, 1e-300))
     # By chance, the mean of n sensors takes 1 / n of the noise of each.
     if share < max(_MIN_SHARE, 3 / gains.size) or white > _MAX_WHITE or smooth < _MIN_SMOOTH:
         return None
@@ -299,9 +301,3 @@ def _one_sided_width(left: NDArray[np.float64]) -> NDArray[np.float64]:
     below = np.sort(np.minimum(left, 0), axis=0)
     counts = np.count_nonzero(left <= 0, axis=0)
     return np.asarray(-below[counts // 2, np.arange(left.shape[1])])
-
-
-def _autocorrelation(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    centred = values - values.mean(axis=0)
-    products = np.einsum("ti,ti->i", centred[1:], centred[:-1])
-    return np.asarray(products / np.maximum(np.einsum("ti,ti->i", centred, centred), 1e-300))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import lfilter
 from scipy.spatial.distance import squareform
 from scipy.special import ndtr
 
@@ -355,18 +356,21 @@ N_BLOCKS = 20
 
 _MIN_SPLIT_FRAMES = 4  # for a reliability: 2 per half
 _MIN_SPLIT_SENSORS = 3  # for a reliability: a correlation over 3 pairs
-_NO_VARIANCE = 1e-12  # relative, of a variance over pairs that is 0
 
 
-def split_blocks(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def split_blocks(
+    values: NDArray[Any], n_blocks: int = N_BLOCKS
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Split frames, (T, ...), into two halves of alternating blocks: contacts last for several."""
     if len(values) < 2:
         raise InputError(f"split-half needs at least 2 frames, got {len(values)}")
-    blocks = np.array_split(values, min(N_BLOCKS, len(values)))
+    blocks = np.array_split(values, min(n_blocks, len(values)))
     return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
 
 
-def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
+def correlation_and_reliability(
+    readings: ArrayLike, n_blocks: int = N_BLOCKS
+) -> tuple[Reals, float]:
     """Compute Pearson's r, and its correlation between the two halves, over pairs of sensors.
 
     readings (T, N) -> (N, N), reliability in [-1, 1].
@@ -376,18 +380,38 @@ def correlation_and_reliability(readings: ArrayLike) -> tuple[Reals, float]:
     if n_frames < _MIN_SPLIT_FRAMES:
         return pearson(values), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
-    first, second = map(PairSums.of, split_blocks(values))
+    first, second = map(PairSums.of, split_blocks(values, n_blocks))
     whole, step = first.merged(second).correlation(), -(-n_sensors // _MAX_SENSORS)
     if len(whole[::step]) < _MIN_SPLIT_SENSORS:
         return whole, 0.0
     halves = (one.correlation()[::step, ::step] for one in (first, second))
-    a, b = (squareform(one, checks=False).astype(np.float64) for one in halves)
-    squares = a @ a, b @ b
-    a -= a.mean()
-    b -= b.mean()
-    if any(one @ one <= _NO_VARIANCE * size for one, size in zip((a, b), squares, strict=True)):
-        return whole, 0.0
-    return whole, float(np.clip((a @ b) / math.sqrt((a @ a) * (b @ b)), -1, 1))
+    pairs = [squareform(one, checks=False) for one in halves]
+    return whole, float(pearson(np.stack(pairs, axis=1))[0, 1])
+
+
+_MIN_REPEATED = 0.5  # correlation of the correlations of two halves; chosen by hand
+_GAIN = 0.25  # by which innovations must repeat better, above chance in short recordings; by hand
+
+
+def without_slow_changes(readings: NDArray[Any]) -> NDArray[Any]:
+    """Return the innovations of readings, (T, N), if slow changes hide what repeats, else readings.
+
+    Levels that wander for minutes are few events, whose correlations in the first half of the
+    frames differ from those in the second. Innovations are what a random walk with white noise
+    leaves unpredicted (Muth 1960, doi:10.1080/01621459.1960.10482064): ``y_t = x_t - x_(t-1) +
+    theta y_(t-1)``, where the autocorrelation of differences at lag 1 is ``-theta/(1 + theta^2)``.
+    """
+    step = -(-readings.shape[1] // _SAMPLED_SENSORS)
+    repeated = correlation_and_reliability(readings[:, ::step], 2)[1]
+    if repeated >= _MIN_REPEATED or N_BLOCKS * correlation_time(readings) < len(readings):
+        return readings
+    values = readings - readings[0].astype(np.float64)
+    found = _autocorrelation(np.diff(values, axis=0), 1, np.arange(values.shape[1]))
+    lag_1 = float(np.clip(np.median(found[1]), -0.5, 0))
+    theta = math.tan(math.asin(-2 * lag_1) / 2)
+    left = lfilter([1, -1], [1, -theta], values, axis=0)
+    gained = correlation_and_reliability(left[:, ::step], 2)[1] - repeated
+    return left if gained >= _GAIN else readings
 
 
 # Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
