@@ -108,6 +108,8 @@ def test_tables_of_programs(put, kind: str) -> None:
     [
         ("time", "2026-03-01T10:00:{:06.3f}"),
         ("time", "2026-03-01T10:00:{:06.3f}+01:00"),
+        ("time", "2026-03-01T1{1}:00:{0:06.3f}+0{1}:00"),
+        ("time", "2026-03-01T0{1}:30:{0:06.3f}-0{2}30"),
         ("", "2026-03-01 10:00:{:06.3f}"),
         ("when", "10:00:{:06.3f}"),
         ("Datum,Zeit", "01.03.2026,10:00:{:06.3f}"),
@@ -115,7 +117,8 @@ def test_tables_of_programs(put, kind: str) -> None:
     ],
 )
 def test_dates_and_clocks(put, header: str, stamp: str) -> None:
-    rows = "".join(f"{stamp.format(i / 50)},{joined(r)}\n" for i, r in enumerate(READINGS.tolist()))
+    stamps = [stamp.format(i / 50, i % 2, 1 - i % 2) for i in range(40)]
+    rows = "".join(f"{s},{joined(r)}\n" for s, r in zip(stamps, READINGS.tolist(), strict=True))
     found = io.read(put("run.csv", f"{header},{HEADER}\n{rows}"))
     assert found.names == tuple(NAMES)
     np.testing.assert_allclose(found.times, np.arange(40) / 50, atol=1e-6)

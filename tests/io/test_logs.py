@@ -102,6 +102,10 @@ REFUSED = {
         lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v:04X}" for v in row[:4])),
         "CAN bus .*decode them",
     ),
+    "candump in lower case": (
+        lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v:04x}" for v in row) + " R"),
+        "CAN bus .*decode them",
+    ),
     "hexadecimal": (
         lines(lambda t, row: " ".join(f"0x{v:04X}" for v in row)),
         "'0x0000' is not a number; write decimal numbers",
@@ -198,7 +202,7 @@ def test_text_is_not_kept(put) -> None:
 def test_meshes_are_no_tables(put) -> None:
     path = put("skin.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     for read in (io.read, io.read_map):
-        with pytest.raises(FileError, match="is a mesh, onto which anisomap place"):
+        with pytest.raises(FileError, match="is a mesh, as anisomap place"):
             read(path)
 
 

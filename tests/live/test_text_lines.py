@@ -110,6 +110,15 @@ def test_rows_of_a_matrix_are_joined_to_frames():
     assert "repeats 0, 1, 2, ..., so that 8 lines seem to be a frame" in notice.text
 
 
+@pytest.mark.parametrize("start", ["", "\ufeff", "n,a0,a1,a2\n"])
+@pytest.mark.parametrize("end", ["\n", "\r", "\r\n"])
+@pytest.mark.parametrize("n_counted", [16, 100, 256])
+def test_a_counter_that_starts_again_is_no_sensor(start, end, n_counted):
+    rows = np.random.default_rng(0).integers(0, 999, (120, 3)).tolist()
+    lines = [f"{(i - 5) % n_counted},{','.join(map(str, row))}\n" for i, row in enumerate(rows)]
+    assert readings(parsed("".join([start, *lines]).replace("\n", end).encode())) == rows
+
+
 def test_what_is_no_sensor_is_left_out_as_of_files():
     lines = [
         "ms,p0 [N],p1 [N],p2 [N],load [kg],acc_x\n",

@@ -48,7 +48,7 @@ _DAY_ZERO = date(1970, 1, 1).toordinal()
 
 _OF_DAY = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?\s?([AaPp][Mm])?"
 _OF_YEAR = r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})"
-_ZONE = r"\s?(?:Z|UTC|[-+]\d{2}:?\d{2})?"
+_ZONE = r"\s?(?:Z|UTC|([-+])(\d{2}):?(\d{2}))?"
 _CLOCK = re.compile(
     rf"(?:(?:{_OF_YEAR})(?:(?:T|,?\s+){_OF_DAY}{_ZONE})?|(?=\d+:\d+:){_OF_DAY}{_ZONE})"
 )
@@ -69,7 +69,7 @@ def is_time(name: str, column: int = 0) -> bool:
 
 
 def parse_clock(text: str) -> float | None:
-    """Return the seconds of a clock, since 1970 if it has a date; None for other text."""
+    """Return the seconds of a clock in UTC, since 1970 if it has a date; None for other text."""
     whole, _, rest = text.strip().rpartition(" days ")
     if whole.isdecimal() and len(whole) < 7 and (at := parse_clock(rest)) is not None:
         return int(whole) * _DAY_S + at  # as pandas prints durations
@@ -86,11 +86,13 @@ def parse_clock(text: str) -> float | None:
             days = date(int(year), int(month), int(day)).toordinal() - _DAY_ZERO
     except ValueError:
         return None
-    hour, minute, seconds, fraction, half = times[:5] if times[0] else times[5:]
+    hour, minute, seconds, fraction, half, *zone = times[:8] if times[0] else times[8:]
     if hour is None:
         return days * _DAY_S
     hours = int(hour) % 12 + 12 * (half.lower() == "pm") if half else int(hour)
     of_day = 3600.0 * hours + 60.0 * int(minute) + int(seconds or 0)
+    if zone[0]:
+        of_day -= float(f"{zone[0]}1") * (3600 * int(zone[1]) + 60 * int(zone[2]))
     return days * _DAY_S + of_day + (float(f".{fraction}") if fraction else 0.0)
 
 

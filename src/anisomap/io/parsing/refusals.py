@@ -83,7 +83,7 @@ _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
 _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
-_CAN = re.compile(r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*\s*$|\s+\[\d+\](?:\s+[0-9A-F]{2})*\s*$)")
+_CAN = re.compile(r"(?i)\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)")
 _DOCUMENT = re.compile(r"\s*+\[\s*+\[")
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
 _MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps

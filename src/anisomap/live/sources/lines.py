@@ -50,7 +50,7 @@ class LineParser:
     def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
         """Parse the whole lines of the next bytes, and keep the rest."""
         # The rest is only added to while no line ends: a line may come byte by byte.
-        ended, end, rest = content.rpartition(b"\n")
+        ended, end, rest = content.replace(b"\r", b"\n").rpartition(b"\n")
         lines: list[bytes] = []
         if end:
             lines = bytes(self._rest + ended).split(b"\n")
@@ -66,7 +66,7 @@ class LineParser:
             self._overlong = False
             del lines[0]
             yield Notice(f"ignored a line that holds no frame: it has more than {MAX_LINE} bytes")
-        texts = [COLOURS.sub("", line.decode("utf-8", "replace")).strip() for line in lines]
+        texts = [COLOURS.sub("", line.decode("utf-8-sig", "replace")).strip() for line in lines]
         yield from self._read([f"{text}\n" for text in texts if not is_apart(text)])
 
     def end(self) -> Iterator[Item]:
@@ -138,9 +138,10 @@ class _Layout:
         if self._matrix:
             others = [*self._matrix.columns]
         else:
-            named = [i for i, _ in enumerate(names) if i not in roles.non_sensors]
-            others = [named[i] for i in find_others([names[i] for i in named], start[:0, named])]
-        self._others = [names[i] for i in others]
+            rest = [i for i in range(table.n_columns) if i not in roles.non_sensors]
+            shown = start[:, rest] if self.is_sawtooth else start[:0, rest]
+            others = [rest[i] for i in find_others([names[i] for i in rest if names], shown)]
+        self._others = others
         roles = replace(roles, non_sensors=(*roles.non_sensors, *others))
         self._roles, self.n_left, self._before = roles, left.n_left, -math.inf
         self._n_ignored = 0
@@ -152,7 +153,7 @@ class _Layout:
     def refuse(self, lines: Sequence[str]) -> None:
         """Raise FileError if several lines are a frame, and nothing tells how they are joined."""
         if not self._matrix:
-            known = {*self._roles.non_sensors} - {*self._table.text_columns}
+            known = {*self._roles.non_sensors} - {*self._table.text_columns, *self._others}
             refuse_turned(self._table, lines, known)
 
     def begin(self, lines: Sequence[str]) -> Iterator[Item]:
@@ -162,7 +163,9 @@ class _Layout:
             first = join_items([quote(line.strip()) for line in lines[:n_skipped]], 1)
             yield Notice(f"skipped lines at the start: {first}")
         if self._others:
-            yield Notice(f"left out, since they are not sensors: {join_items(self._others, 3)}")
+            own = self._table.names
+            labels = [own[i].strip() if own else f"column {i + 1}" for i in self._others]
+            yield Notice(f"left out, since they are not sensors: {join_items(labels, 3)}")
         if self._names:
             yield Names(self._names)
         yield from self.read(self._body)
