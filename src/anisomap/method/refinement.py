@@ -37,10 +37,10 @@ _PATHS_UNEXPLAINED = 0.05
 .02 to .1 give about equal maps (``python -m benchmarks.accuracy.steps``).
 """
 
-_METRIC_SHARE, _LARGE = 2.5e-4, 200
+_METRIC_SHARE, _LARGE = 2.5e-4, 500
 """Weight of the metric per sensor, times the variance of its ratios, and the number of sensors from
-which it grows with their square. Below, 1e-4 to 4e-4 make about equal maps. With 100, Nao's torso
-loses .003 of its Mantel r; spheres of 1,000 gain from 4 to 16 times the weight per sensor."""
+which it grows with their square: there, residuals are not whitened, and count as independent. Below
+it, 1e-4 to 4e-4 make about equal maps; spheres of 1,000 gain from up to 16 times the weight."""
 
 _LEAST_VARIANCE = 1e-4  # of ratios: no metric is known to 1 %
 _ROUGH = 1e-4  # tolerance of the fit that the metric is compared with

@@ -143,7 +143,7 @@ class VerdictOptions:
     contacts: Annotated[
         Literal["compact", "elongated"] | None, Parameter(group=options.method_group)
     ] = None
-    uneven: Annotated[bool, Parameter(group=options.method_group)] = False
+    uneven: bool = False
     min_quality: options.Quality | None = None
     seed: options.Seed = 0
 

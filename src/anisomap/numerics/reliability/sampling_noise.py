@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 from scipy.spatial.distance import squareform
 from scipy.special import ndtr
 
@@ -405,11 +405,12 @@ def without_slow_changes(readings: NDArray[Any]) -> NDArray[Any]:
     repeated = correlation_and_reliability(readings[:, ::step], 2)[1]
     if repeated >= _MIN_REPEATED or N_BLOCKS * correlation_time(readings) < len(readings):
         return readings
-    values = readings - readings[0].astype(np.float64)
-    found = _autocorrelation(np.diff(values, axis=0), 1, np.arange(values.shape[1]))
+    changes = np.diff(readings - readings[0].astype(np.float64), axis=0)
+    found = _autocorrelation(changes, 1, np.arange(changes.shape[1]))
     lag_1 = float(np.clip(np.median(found[1]), -0.5, 0))
     theta = math.tan(math.asin(-2 * lag_1) / 2)
-    left = lfilter([1, -1], [1, -theta], values, axis=0)
+    bands = np.outer([1, -theta], np.ones(len(readings)))
+    left = solve_banded((1, 0), bands, np.pad(changes, ((1, 0), (0, 0))))
     gained = correlation_and_reliability(left[:, ::step], 2)[1] - repeated
     return left if gained >= _GAIN else readings
 
