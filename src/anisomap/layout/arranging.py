@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import MIN_DISPLACEMENT, MIN_GAIN, Evidence, Move
@@ -19,6 +17,7 @@ from anisomap.layout.modules import Mounting
 from anisomap.layout.orienting import Orientations
 from anisomap.layout.sensors import chains
 from anisomap.layout.together import AGREEING, bonds, border
+from anisomap.numerics.neighbours import linked_labels
 
 MIN_TESTED = 4
 """Least number of tested pads that orient a module; three fitted wrong ones by chance."""
@@ -345,7 +344,7 @@ def alike(changes: Sequence[Change], mounting: Mounting) -> list[list[int]]:
         hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 1.0
         fault[:] = way.reflected, 0 if way.reflected else round(hand * way.angle), way.backwards
     same = (faults[:, None] == faults).all(axis=2) & mounting.adjacent[np.ix_(modules, modules)]
-    label = connected_components(csr_array(same), directed=False)[1]
+    label = linked_labels(same)
     return [[alone[i] for i in np.flatnonzero(label == k)] for k in np.unique(label)]
 
 

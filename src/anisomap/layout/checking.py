@@ -428,6 +428,8 @@ class _Checked:
             for a, b, length in self.mounting.overlaps
             if not moved & {*self.mounting.members[a].tolist(), *self.mounting.members[b].tolist()}
         ]
+        if not left:
+            return
         found, expected = bonds(evidence, self.mounting.members)
         label = linked_labels(found > AGREEING * expected)
         size = np.bincount(label)[label]

@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import MIN_DISPLACEMENT, MIN_GAIN, Evidence, Move, Proposal
 from anisomap.layout.sensors import place_gains
+from anisomap.numerics.neighbours import linked_labels
 from anisomap.numerics.procrustes import rotations
 
 _MIN_GAP = 0.5  # spacings between sensors of a moved patch and others, which are not in its way
@@ -63,9 +62,8 @@ def _held_together(evidence: Evidence) -> list[NDArray[np.intp]]:
     inside = np.ix_(sensors, sensors)
     near = cdist(evidence.positions[sensors], evidence.positions[sensors]) <= evidence.reach
     held = near & (evidence.ratios[inside] > _MIN_RATIO) & (evidence.similarity[inside] > 0)
-    graph: Any = csr_array(held)
-    label = connected_components(graph, directed=False)[1]
-    groups = [sensors[label == k] for k in range(int(label.max(initial=-1)) + 1)]
+    label = linked_labels(held)
+    groups = [sensors[label == k] for k in np.unique(label)]
     return sorted(groups, key=lambda group: (-len(group), int(group[0])))
 
 

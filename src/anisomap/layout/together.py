@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
 from anisomap.layout.judging import MIN_GROUP_GAIN, around
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import motions, turns
+from anisomap.numerics.neighbours import linked_labels
 from anisomap.numerics.procrustes import fit_similarity
 
 AGREEING = 0.35
@@ -115,9 +113,8 @@ def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     """Return the patches apart from a larger one that fit nearly as well turned or mirrored."""
     if mounting.n_modules < 2:
         return []
-    graph: Any = csr_array(mounting.adjacent)
-    n_groups, label = connected_components(graph, directed=False)
-    groups = [np.flatnonzero(label == k).tolist() for k in range(n_groups)]
+    label = linked_labels(mounting.adjacent)
+    groups = [np.flatnonzero(label == k).tolist() for k in np.unique(label)]
     least = _FAR * evidence.falloff.spacing
     found = []
     for group in sorted(groups, key=lambda one: -len(one))[1:]:

@@ -288,12 +288,13 @@ def _compared(
     how = SIMILARITIES[statistic]
     slow = without_slow_changes(readings) if how.centred else readings
     values, share = without_common_signal(slow) if how.centred else (readings, 0.0)
-    rest = None if signals is None or values is not readings else signals.rest
+    unchanged = values is readings
     values = np.asfortranarray(values)  # most statistics go sensor by sensor
     scores = None
     if how.score is None:
         found, variance = how.compute(values, bins), sampling_variance(how.correlated(values))
     else:
+        rest = signals.rest if signals is not None and unchanged else None
         scores = how.score(values, rest, share > 0)
         found = scores.similarity
         if isinstance(scores, Blend):

@@ -184,11 +184,10 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
         facts["verdict on the map"] = f"{headline(placed)}, RMS over all sensors"
     facts["pose"] = placed.pose
     printer.facts(f"Placement of {name}", facts)
-    numbers = zip(found.residuals.tolist(), found.left_out_errors.tolist(), strict=True)
-    anchors = [
-        {"sensor": name, "residual": residual, "left_out": left_out}
-        for name, (residual, left_out) in zip(found.anchors, numbers, strict=True)
-    ]
+    errors_of = zip(
+        found.anchors, found.residuals.tolist(), found.left_out_errors.tolist(), strict=True
+    )
+    anchors = [dict(zip(("sensor", "residual", "left_out"), one, strict=True)) for one in errors_of]
     columns: Columns = {
         "sensor": ("sensor", str),
         "residual (mm)": ("residual", _in_mm),
