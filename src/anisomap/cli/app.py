@@ -46,7 +46,7 @@ _HEADING = "Examples\n--------\n"  # of a docstring
 
 def _shown(default: object) -> str | None:
     """Return the default of an option as its help shows it; nothing for switches and no value."""
-    return None if default in (None, "", [], True, False) else str(default)
+    return None if isinstance(default, bool) or default in (None, "", []) else str(default)
 
 
 app = App(
@@ -215,7 +215,7 @@ def command_page(command: App, title: str) -> str:
     words = " ".join(_positional(one) for one in given)
     doc = _doc(command)
     lines = [f"Usage: {title} {words} [OPTIONS]".replace("  ", " "), "", f"{_sentence(doc)}.", ""]
-    lines += _aligned([(_names(one), _sentence(one.parameter.help or "")) for one in shown])
+    lines += _aligned([(_names(one), _meaning(one)) for one in shown])
     lines += ["Examples:", *_examples(doc)]
     if others:
         more = f"More ({HELP_ALL} describes them): {', '.join(others)}"
@@ -236,6 +236,12 @@ def _sentence(text: str) -> str:
     """Return the first sentence of a text on one line, without its full stop."""
     first = " ".join(text.partition("\n\n")[0].split()).partition(". ")[0]
     return first.replace("`", "").removesuffix(".")
+
+
+def _meaning(argument: Argument) -> str:
+    """Return the first sentence on an option, and its default."""
+    default = _shown(argument.field_info.default)
+    return _sentence(argument.parameter.help or "") + (f" [{default}]" if default else "")
 
 
 def _positional(argument: Argument) -> str:

@@ -43,24 +43,25 @@ class ReadingOptions:
     Parameters
     ----------
     select
-        Recording to read from a file of several. It is a topic (optionally with its field, as in
-        /skin:data), a dataset or a port; anisomap info lists them. Several topics or
-        ports are separated by commas.
+        Recording to read, if the file holds several. Give a topic (optionally with a field, as in
+        /skin:data), a dataset or a port; separate several topics or ports by commas.
+        `anisomap info` lists them.
     positions
-        File of true positions of the sensors. They are matched by the names or the numbers at their
-        ends, and maps are scored against them.
+        File of the true positions of the sensors. Sensors are matched by name, or by the number in
+        their names; maps are scored against these positions.
     grid
-        Rows and columns of an array in row-major order, as in 32x64. They give the true positions.
+        Rows and columns of an array whose sensors are numbered row by row, such as 32x64. The true
+        positions follow from them.
     preset
-        Robot with a known numbering of sensors: icub, icub-hand.
+        Robot whose numbering of sensors is known: icub or icub-hand.
     keep
         Columns that are sensors: names, indices, ranges (c0-c35) or patterns ('c*_z'), separated by
-        commas; may be repeated. Default: all that are not recognised as something else.
+        commas; may be repeated. Default: all columns that are not recognised as something else.
     axis
-        What is read of taxels with three axes: z, norm (the length from rest), x, y, or all for
-        each axis as a sensor.
+        Axis to read from taxels with three axes: z, x, y, norm (the distance of the reading from
+        its value at rest), or all, which makes each axis a sensor.
     msg
-        Message definition (.msg) for a bag without definitions; may be repeated.
+        Message definition (.msg) for a bag that holds none; may be repeated.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic"))] = ""
@@ -110,13 +111,13 @@ class PlacingOptions:
     Parameters
     ----------
     spacing
-        Median distance to the nearest sensor, such as 6.5mm. It scales the map, and all errors are
-        in millimetres. Formats of robot software are in metres and require it.
-        Without it, `anisomap place --module-layout` finds the scale.
+        Median distance to the nearest sensor, such as 6.5mm. The map is scaled to it, and errors
+        are given in millimetres. Formats of robot software are in metres and require a scale.
+        If the spacing is unknown, `anisomap place --module-layout` finds the scale.
     mirror
-        Reflect the map, whose handedness is unknown.
+        Reflect the map, if its handedness is wrong. Readings do not determine it.
     frame
-        Name of the coordinate frame.
+        Name of the coordinate frame to write in the map.
     """
 
     spacing: str = ""
@@ -160,10 +161,10 @@ class ModuleOptions:
     module_layout
         File of the pads of a module, as x [mm], y [mm].
     module_size
-        Numbers per module, missing pads included. Sensors are divided by the numbers at the end of
-        their names, counted from 0 or 1, whichever gives fewer modules.
+        Pads per module, including missing pads. The number at the end of a sensor's name, counted
+        from 0 or 1 (whichever gives fewer modules), determines its module.
     module_table
-        File of the module of each sensor, for --module-size. Its columns are sensor, module and
+        File of each sensor's module; replaces --module-size. Its columns are sensor, module and
         optionally pad.
     """
 
@@ -242,11 +243,11 @@ Quality: TypeAlias = Literal["usable", "usable-for-neighbours"]
 Output: TypeAlias = Annotated[list[Path] | None, Parameter(alias="-o", group=outputs_group)]
 Picture: TypeAlias = Annotated[
     Path | None,
-    Parameter(group=outputs_group, help="Figure: .png, .svg or .pdf."),
+    Parameter(group=outputs_group, help="Figure to write: .png, .svg or .pdf."),
 ]
 Report: TypeAlias = Annotated[
     Path | None,
-    Parameter(group=outputs_group, help="Report: one HTML file that works offline."),
+    Parameter(group=outputs_group, help="Report to write: one HTML file that works offline."),
 ]
 
 Seed: TypeAlias = Annotated[
@@ -254,21 +255,23 @@ Seed: TypeAlias = Annotated[
 ]
 Permutations: TypeAlias = Annotated[
     Amount,
-    Parameter(group=expert_group, help="Size of the null distribution of Mantel r; 0 skips it."),
+    Parameter(
+        group=expert_group, help="Random permutations for the p-value of Mantel r; 0 skips it."
+    ),
 ]
 Truth: TypeAlias = Annotated[
     Path | None,
     Parameter(
         group=expert_group,
-        help="File of true positions to score against, in any format of layouts. Default: those of "
-        "the recording, if it has any.",
+        help="File of true positions to score the map against, in any format of maps. Default: "
+        "the positions in the recording, if it has any.",
     ),
 ]
 Exclude: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
-        help="Sensors to leave out of the score. They are given as to --drop: names, indices, "
-        "ranges (c0-c35) or patterns, separated by commas; may be repeated.",
+        help="Sensors to leave out of the score, such as s3,c0-c35. Give names, indices, ranges or "
+        "patterns, separated by commas; may be repeated.",
     ),
 ]
 
@@ -294,8 +297,8 @@ Drop: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
         group=method_group,
-        help="Sensors to leave out, such as s3,c0-c35. They are names, indices, ranges or "
-        "patterns, separated by commas; may be repeated.",
+        help="Sensors to leave out, such as s3,c0-c35. Give names, indices, ranges or patterns, "
+        "separated by commas; may be repeated.",
     ),
 ]
 MapDimensions: TypeAlias = Annotated[
@@ -306,13 +309,13 @@ Missing: TypeAlias = Annotated[
     Literal["error", "drop-frames", "interpolate"],
     Parameter(
         group=method_group,
-        help="Missing readings: error, drop-frames or interpolate. They are NaN or infinite.",
+        help="NaN readings: error, drop-frames, interpolate. Infinite readings count as NaN.",
     ),
 ]
 
 
 Units: TypeAlias = Annotated[
-    str | None, Parameter(help="Unit of the positions in the file, if it states none.")
+    str | None, Parameter(help="Unit of the positions, if their file states none.")
 ]
 Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)]
 

@@ -46,16 +46,16 @@ class PageOptions:
     Parameters
     ----------
     port
-        Port of the page; 0 for any free one.
+        Port of the page; 0 for any free port.
     host
         Address to listen on. By default, only this computer can open the page; with 0.0.0.0, other
-        computers can open it by the printed address, which contains a token.
+        computers can open it at the printed address, which contains a token.
     browser
         Open the page in a browser.
     headless
         Show no page: print lines, or objects with --json.
     until
-        End when two checked maps in a row reach this level, or a better one.
+        End when the verdicts on two checked maps in a row reach this level.
     duration
         End this number of seconds after the first frame.
     """
@@ -109,21 +109,21 @@ def live(
     coached
         Let the simulated hand follow the advice of the page.
     speed
-        Multiple of the rate of a replay, or 0 for no pauses. It holds for simulations, too.
+        Multiple of the replay rate, or 0 for no pauses. It applies to simulations, too.
     preset
-        Robot with a known numbering of sensors: icub, icub-hand.
+        Robot whose numbering of sensors is known: icub or icub-hand.
     recording
         New file for the recording [live-DATE-TIME.csv].
     output
         Map, in the format of its suffix. May be repeated. Default: the name of the recording with
         .map.csv.
     spacing
-        Median distance to the nearest sensor, such as 6.5mm. It scales the written maps.
+        Median distance to the nearest sensor, such as 6.5mm. Written maps are scaled to it.
     dimensions
-        2 for flat skins, 3 for bodies, or auto. That is chosen for each checked map, and quick maps
+        2 for flat skins, 3 for bodies, or auto. Auto chooses for each checked map; quick maps
         follow when two checked maps in a row agree.
     truth
-        File of true positions to compare with.
+        File of true positions with which maps are compared.
 
     Examples
     --------

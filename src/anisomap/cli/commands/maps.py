@@ -32,9 +32,9 @@ def convert(
     drop: options.Drop = None,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Write a map in another format: for robot software, a viewer, a table.
+    """Write a map in another format: for robot software, viewers or tables.
 
-    `anisomap list formats` lists the formats.
+    The formats are listed by `anisomap list formats`.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def diff(
     *,
     printer: options.Printing = options.PRINTER,
 ) -> int:
-    """Compare two maps of a skin: sensors that moved, appeared or went.
+    """Compare two maps: sensors that moved, appeared or disappeared.
 
     The maps may come from two days or two methods, or from before and after a repair. The second
     map is aligned with the first; sensors that moved do not affect the alignment. The exit code is
@@ -164,7 +164,8 @@ def score_map(
 ) -> None:
     """Score a map against known positions, and name the worst sensors.
 
-    Sensors are matched by name, or by order if no name is shared.
+    Sensors are matched by name. If no name is shared, they are matched by the numbers in their
+    names, or by order.
 
     Examples
     --------
@@ -207,12 +208,13 @@ def check(
 ) -> int:
     """Check sensor positions against a recording, and correct them.
 
-    Finds turned, mirrored, exchanged and moved modules, shifted and reversed orders of sensors,
-    swapped and moved sensors, and doubled and dead ones. Sensors without evidence in the recording
-    are not tested. Without options of modules, blocks of consecutive sensors whose shapes repeat
-    are modules; with --module-layout, modules are fitted to their places whatever their shape
-    there. The exit code is 0 if the layout is consistent, 1 if sensors are flagged or the whole
-    layout is rejected, and 2 if the recording has too little evidence.
+    The check finds turned, mirrored, exchanged and moved modules, shifted and reversed orders of
+    sensors, swapped and moved sensors, and doubled and dead ones. Sensors without evidence in the
+    recording are not tested. By default, blocks of consecutive sensors whose shape repeats are
+    taken as modules; with --module-layout, the given module is fitted at each stated place, even
+    if the pads there have another shape. The exit code is 0 if the layout is consistent, 1 if
+    sensors are flagged or the whole layout is rejected, and 2 if the recording has too little
+    evidence.
 
     Parameters
     ----------

@@ -30,11 +30,11 @@ class AnchorOptions:
     Parameters
     ----------
     anchor
-        A sensor and its place in metres: s17=0.012,0.040,0.003. May be repeated.
+        Sensor and position in metres: s17=0.012,0.040,0.003. May be repeated.
     anchors
         File of the positions of some sensors, in any map format.
     units
-        Unit of the file of --anchors, if it states none.
+        Unit of the --anchors file, if it states none.
     """
 
     anchor: list[str] = field(default_factory=list)
@@ -85,9 +85,9 @@ def place_map(
 ) -> None:
     """Place a map in the frame of the robot, with an error for each sensor.
 
-    Anchors, modules and a mesh can be given together. Three or more anchors, sensors with a known
-    position, determine the pose. Rigid modules of known shape determine the scale and make the map
-    more accurate.
+    Anchors, modules and a mesh can be given together. Anchors are sensors with a known position;
+    three or more determine the pose. Rigid modules of known shape determine the scale and make the
+    map more accurate.
 
     Parameters
     ----------
@@ -104,10 +104,11 @@ def place_map(
     spacing
         Median distance to the nearest sensor, such as 6.5mm.
     handedness
-        Whether the map has the handedness of the skin, if you know: same or mirrored. By default
-        it follows from anchors and modules.
+        Handedness of the map, if known: same as the skin, or mirrored. By default, it is
+        determined from anchors and modules.
     suggest
-        Number of sensors of each component to name as worth measuring; nothing is placed.
+        Name this number of sensors of each component as the best anchors to measure; nothing is
+        placed.
 
     Examples
     --------

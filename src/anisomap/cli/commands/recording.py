@@ -31,7 +31,7 @@ def info(
 ) -> None:
     """Summarise a recording: sensors, faults of the read-out, touches.
 
-    The content of a file that holds several recordings is listed, too.
+    If a file holds several recordings, its content is listed, too.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ def repair(
 ) -> None:
     """Mend the faults of a recording that can be mended, and write it.
 
-    These are copies of sensors, which are left out, inverted sensors, hum, noise of boards, gaps,
-    and frozen frames. Other faults are named only.
+    Inverted sensors, hum, noise of boards and gaps are mended; copies of sensors and frozen frames
+    are left out. Other faults are only named.
 
     Parameters
     ----------
@@ -124,19 +124,18 @@ class VerdictOptions:
     ----------
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
-        This takes about as long as the map, which is written before; Ctrl-C ends it.
+        This takes one to three times as long as the map, which is written first; Ctrl-C ends it.
     contacts
-        Shape of all contacts: compact or elongated. Those of a fingertip, a palm or a ball are
-        compact, those of an edge or a roller elongated. Only a map of unevenly spaced sensors
-        depends on it; without it, such a map is usable for neighbours at best. Default: what the
-        file states, as files of simulate do.
+        Shape of all contacts: compact or elongated. Contacts of a fingertip, a palm or a ball are
+        compact; contacts of an edge or a roller are elongated. Only the verdict on an unevenly
+        spaced map depends on it: with --contacts compact and --uneven, such a map can be usable,
+        else it is usable for neighbours at best. Default: the shape that the file states, as files
+        of simulate do.
     uneven
-        The sensors are not evenly spaced on the skin. Without it, a map on which they are not is
-        usable for neighbours at best.
+        State that the sensors are unevenly spaced on the skin; see --contacts.
     min_quality
-        Exit with code 1 if the verdict is worse than this, or "cannot tell". All files are written.
-    seed
-        Seed of what is drawn at random: the same seed gives the same result.
+        Exit with code 1 if the verdict is worse than this level, or "cannot tell". All files are
+        written nevertheless.
     """
 
     verdict: Annotated[bool, Parameter(negative="--no-verdict")] = True
@@ -160,15 +159,15 @@ class MappingOptions:
     Parameters
     ----------
     dimensions
-        2 for flat skins, 3 for bodies, or auto. Auto chooses 3 if the third coordinate improves the
-        fit clearly, else 2.
+        2 for flat skins, 3 for bodies, or auto. Auto chooses 3 if the third coordinate clearly
+        improves the fit, else 2.
     repair
-        Mend faults of the recording first. These are copies, inverted sensors, hum, noise of
-        boards, gaps, and frozen frames; `anisomap info` lists those that it finds.
+        Mend the faults of the recording first. `anisomap info` lists the faults, and `anisomap
+        repair` writes the mended recording.
     method
         Reconstruction method: see `anisomap list methods`.
     memory
-        Size of the readings in MiB, of 4 bytes each, above which frames are sampled.
+        Size of the readings in MiB (4 bytes each) above which frames are subsampled evenly.
     """
 
     dimensions: options.MapDimensions = "auto"
@@ -203,8 +202,8 @@ def map_recording(
 ) -> int:
     """Make a map of a skin from one or several recordings.
 
-    Sensors of several recordings are matched by name; recordings may lack some sensors. Recordings
-    above 512 MiB are subsampled evenly, and a note says so.
+    Sensors of several recordings are matched by name; a recording may lack some sensors. Recordings
+    above 512 MiB (see --memory) are subsampled evenly, and a note says so.
 
     Parameters
     ----------

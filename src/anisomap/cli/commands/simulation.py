@@ -39,20 +39,18 @@ def simulate_body(
     Parameters
     ----------
     body
-        Name from `anisomap list bodies`, or a file of the positions of sensors.
+        Name from `anisomap list bodies`, or a file of sensor positions.
     scenario
         Scenario: see `anisomap list scenarios`.
     output
         .npz or .txt file to write [BODY-SCENARIO.npz].
     frames
-        Number of frames to record.
+        Number of frames to record, at 20 Hz.
     sensors
-        Number of sensors of a named body.
+        Number of sensors on a named body. Default: that of `anisomap list bodies`.
     parameter
         Parameter of the scenario, as NAME=VALUE. May be repeated; `anisomap list
-        scenarios SCENARIO` explains all.
-    picture
-        Figure of body, sensors, contacts and readings: .png, .svg or .pdf.
+        scenarios SCENARIO` explains all parameters.
 
     Examples
     --------
@@ -146,7 +144,7 @@ def demo(
     Parameters
     ----------
     output_dir
-        Folder for recording, map, figure and report [demo]. It is created if necessary.
+        Folder for recording, map, figure and report. It is created if necessary.
     frames
         Number of frames to simulate, at 20 Hz.
 
@@ -212,25 +210,25 @@ def paper(
 ) -> None:
     """Reproduce the figures, tables and claims of the paper.
 
-    Experiments run in one process per core. Those that are already finished in the folder are not
-    repeated, so an interrupted run can be continued.
+    Experiments run in one process per core. Experiments whose results are already in the folder are
+    not repeated, so an interrupted run can be continued.
 
     Parameters
     ----------
     output_dir
         Folder for the results: open its index.html. It is created if absent.
     quick
-        Fewer frames, seeds and permutations, for a preview.
+        Use fewer frames, seeds and permutations, for a preview.
     first_seed
         First seed of each scenario; the same seed gives the same results.
     recordings
-        Folder of recordings of real skin, if there is one. It holds icub_hexagon.npz; the page
-        explains how to get it.
+        Folder of icub_hexagon.npz, a recording of real skin. The page of results explains how to
+        get it.
     set_
-        NAME=NUMBER of what the paper leaves open. May be repeated; an example is
+        Parameter that the paper leaves open, as NAME=NUMBER. May be repeated; an example is
         locomotion.detection_radius=.25.
     only
-        Experiment to run, and what it needs. May be repeated. All by default.
+        Experiment to run, with those that it needs. May be repeated. Default: all experiments.
 
     Examples
     --------
