@@ -43,7 +43,7 @@ class FileError(InputError):
 
 
 class DamagedError(FileError):
-    """A file that is damaged behind its first bytes; what is before the damage may be read."""
+    """A file is damaged after its first bytes; the data before the damage may be readable."""
 
 
 class MissingExtraError(AnisomapError, ImportError):

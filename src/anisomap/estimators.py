@@ -1,4 +1,4 @@
-"""Estimators with scikit-learn's interface: of sensors, which are columns, and of objects, rows."""
+"""Estimators with scikit-learn's interface: for columns (sensors), and for rows (objects)."""
 
 from __future__ import annotations
 
@@ -134,9 +134,9 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
         Notes
         -----
-        Memory does not grow with the number of frames: of more than 16,384, or fewer of more than
-        512 sensors, those are mapped that are evenly spread over all; until then the map is that of
-        `fit`. Missing readings are handled within each part.
+        Memory does not grow with the number of frames: from more than 16,384 frames (fewer for more
+        than 512 sensors), an even sample is mapped; until then, the map is that of `fit`. Missing
+        readings are handled within each part.
         """
         recording = self._added(X, first=not hasattr(self, "n_samples_seen_"))
         return self._map(Recording(self._sample.readings, names=recording.names))
@@ -165,7 +165,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         return np.asarray(np.divide(centre, total, out=nowhere, where=total > 0))
 
     def score(self, X: ArrayLike, y: object = None) -> float:
-        """Score the map on other frames: sensors that agree in them should be close together.
+        """Score the map on other frames: sensors with similar readings should be close together.
 
         Parameters
         ----------
@@ -177,9 +177,9 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Returns
         -------
         float
-            Rank correlation of Pearson's r in these frames with the nearness of sensors on the
-            map, at most 1; pairs of the largest component whose sensors vary in them. NaN if all r
-            or all distances are equal.
+            Rank correlation, in [-1, 1], of Pearson's r in these frames with the negative distance
+            on the map, over pairs of sensors of the largest component that vary in these frames.
+            NaN if all r or all distances are equal.
         """
         check_is_fitted(self)
         recording = self._validated(X, reset=False)
@@ -273,10 +273,10 @@ class Anisomap(BaseEstimator):
         What distances approximate: the lengths of shortest paths, the dissimilarities themselves,
         or their order (non-metric scaling).
     n_init : int, default=1
-        Number of initial configurations, of which the one with the least stress is kept. The first
+        Number of initial configurations; the result with the least stress is kept. The first one
         is Torgerson's classical scaling or `init`; further ones are random.
     random_state : int, RandomState or None, default=None
-        Random numbers of the further initial configurations.
+        Generator, or its seed, of the further initial configurations.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
 

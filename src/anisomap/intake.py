@@ -32,7 +32,7 @@ _EDGE_DECIMALS = 6  # in widths of a bin: decimal times on its edge are not exac
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """Readings, (T, N), and what the object tells of them: names, times in seconds, a rate."""
+    """Readings, (T, N), and what the object has beside them: names, times in seconds, a rate."""
 
     readings: NDArray[np.floating]
     names: tuple[str, ...] = ()
@@ -42,7 +42,7 @@ class Taken:
 
 
 def take(values: Any) -> Taken:
-    """Take what an object tells of a recording; other objects are converted to arrays."""
+    """Take a recording from an object of another library; others are converted to arrays."""
     if hasattr(values, "positions"):  # its coordinates would be read as three sensors
         raise InputError(f"a recording is required here, got a map ({type(values).__name__})")
     if hasattr(values, "get_data") and hasattr(values, "ch_names"):

@@ -46,7 +46,7 @@ class Verdict(Value):
 
     Errors are RMS errors of positions after the best similarity transform, in spacings: medians of
     the distances between nearest neighbours. Each number has an interval that holds the true one
-    for nine of ten maps. Numbers are of the largest component, and NaN if unknown.
+    for nine of ten maps. Numbers describe the largest component; NaN if unknown.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Verdict(Value):
         return f"{self.level}: positions are {off} about {error} {unit} ({interval})"
 
     def told(self, spacing: float = 1.0, unit: str = "spacings") -> tuple[str, ...]:
-        """Say how far the map can be used, what that means, its accuracy, and the reasons.
+        """Return sentences: what the map can be used for, its accuracy, and the reasons.
 
         The parameters are those of `headline`.
         """

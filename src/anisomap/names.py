@@ -38,7 +38,7 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
 def find_sensors(
     names: Sequence[str], sensors: Iterable[str | int], kind: str = "sensor"
 ) -> NDArray[np.intp]:
-    """Look sensors up: the indices of those in `sensor_mask`."""
+    """Return the indices of the sensors that `sensor_mask` marks."""
     return np.flatnonzero(sensor_mask(names, sensors, kind))
 
 
@@ -96,7 +96,7 @@ def match_sensors(
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Match sensors by name, by channel, or by order if a side has no names; return indices.
 
-    Also a note unless by name. A side without names has the default ones, or numbers.
+    Also return a note, unless matched by name. A side without names has default ones, or numbers.
     """
     found = match_names(names, among)
     if (found >= 0).any():

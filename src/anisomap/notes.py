@@ -1,4 +1,4 @@
-"""What is said of a map: notes are kinds with values, and are worded here alone.
+"""Notes on a map: kinds with values, which are put into words here alone.
 
 Decisions test the kind of a note, never its text.
 """

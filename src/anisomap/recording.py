@@ -64,8 +64,8 @@ class Recording(Immutable):
     metadata : mapping of str to str, int, float or bool
         Licence, scenario, seed and the like.
     starts : tuple of int
-        First frames of the recordings that were joined with others, if some lack sensors, which are
-        NaN there: see `join_runs`.
+        First frame of each joined recording but the first, if some of them lack sensors, whose
+        readings are NaN there: see `join_runs`.
 
     Raises
     ------
@@ -179,7 +179,7 @@ class Recording(Immutable):
 
     @property
     def touched(self) -> bool:
-        """Whether sensors are touched: electrodes, whose potentials mne reads, are not."""
+        """Whether sensors are touched; electrodes, whose potentials MNE reads, are not."""
         return self.metadata.get("format") != "mne"
 
     @property
@@ -399,15 +399,15 @@ def join_runs(
     recording : Recording, array_like of shape (T, N), or sequence of Recording
         Order and number of sensors may differ between recordings.
     missing : {"error", "drop-frames", "interpolate"}, optional
-        What to do with missing readings first: see `Recording.complete`.
+        How missing readings are handled before joining: see `Recording.complete`.
 
     Returns
     -------
     Recording
-        All sensors, in order of appearance. Readings of sensors that a recording lacks are NaN; its
-        `parts` are the recordings then. It has no times, and a rate and metadata only where all
-        agree on them. Recordings, and parts of one, that rest at other levels than the first are
-        shifted to its level, with a warning. What results is returned as it is.
+        All sensors, in order of appearance, without times, and with a rate and metadata only where
+        all recordings agree. If some recordings lack sensors, their readings are NaN there, and
+        `parts` are the recordings. Recordings, and parts of one, whose level at rest differs from
+        that of the first are shifted to it, with a warning. Joined recordings are not changed.
 
     Raises
     ------

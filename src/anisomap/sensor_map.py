@@ -86,7 +86,8 @@ class SensorMap(Immutable):
     anchored : bool
         Whether positions are in the frame `frame` of the robot, up to `errors`.
     errors : array_like of shape (N,), optional
-        Distance within which a sensor is with a probability of 90 %, in `units`; NaN if unknown.
+        Distance from the true position, in `units`, that holds with a probability of 90 %; NaN if
+        unknown.
     covariances : array_like of shape (N, k, k), optional
         Covariance of each position, of chance and systematic errors, in squared `units`, up to a
         similarity transform of its component; symmetric, NaN if unknown. None if all are unknown.
@@ -375,7 +376,7 @@ def ellipses(
     covariances : array_like of shape (n, k, k)
         Symmetric; NaN for unknown ones.
     level : float
-        Probability that each contains, for a normal distribution.
+        Probability within each ellipse, in (0, 1), for a normal distribution.
 
     Returns
     -------

@@ -42,7 +42,7 @@ def channel_name(index: int) -> str:
 
 
 def channel_numbers(names: Sequence[str]) -> tuple[int | None, ...]:
-    """Return the indices that names as of `channel_name` give; else numbers at their ends."""
+    """Return the indices in names of the form of `channel_name`; else the numbers at their ends."""
     found = [_CHANNEL.fullmatch(name) for name in names]
     parts = [tuple(map(int, match.groups())) for match in found if match]
     if len(parts) < len(names):
@@ -57,10 +57,10 @@ def channels_of(names: Sequence[str]) -> NDArray[np.intp] | None:
 
 
 def match_by_number(names: Sequence[str], among: Sequence[str]) -> NDArray[np.intp] | None:
-    """Match names as of `channel_name` with others that count the values from another start.
+    """Match names of the form of `channel_name` with others that are numbered from another start.
 
-    Returns indices among the others, -1 for those that are not there; None unless one difference
-    matches nearly all of either.
+    Returns indices among the others, -1 for missing ones; None unless a constant difference of the
+    numbers matches nearly all names of both.
     """
     own, others = channels_of(names), channels_of(among)
     if own is None or others is None or not any(map(_CHANNEL.fullmatch, (names[0], among[0]))):

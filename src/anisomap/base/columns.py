@@ -32,7 +32,7 @@ class Frames:
 
     time: Its axis of time, the first or the last.
     shape: Shape of a frame.
-    names: Of the readings of a frame, in order; empty if a frame is a list.
+    names: Names of the readings of a frame, in order; empty if a frame is a list.
     """
 
     time: int
@@ -250,7 +250,7 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
 
 
 def _what_is_named(name: str) -> str:
-    """Return what the words and the unit of a name say that is no sensor; empty for a sensor."""
+    """Return the quantity that a name denotes by its words or unit; empty for a sensor."""
     plain, words = re.sub(r"[\s_]+", " ", name.lower()), words_of(name)
     phrases = (what for what, pattern in _PHRASES.items() if pattern.search(plain))
     motion = ("an inertial unit" for word in words if _MOTION.fullmatch(word))
@@ -305,7 +305,7 @@ def _what_counts(values: NDArray[Any]) -> str:
 
 
 def _kind(values: NDArray[Any]) -> str:
-    """Return what a column of whole numbers is that counts, or changes between few levels."""
+    """Return the kind of a column of whole numbers: a counter or a label, else empty."""
     if not (values == np.floor(values)).all():
         return ""
     steps = np.diff(values)

@@ -61,7 +61,7 @@ class Value:
 
 
 def _with_nan(value: object) -> object:
-    """Replace NaN by what equals itself, in tuples, too."""
+    """Replace NaN by a value that equals itself, also within tuples."""
     if isinstance(value, tuple):
         return tuple(map(_with_nan, value))
     return _NAN if isinstance(value, float) and math.isnan(value) else value

@@ -239,7 +239,7 @@ def _sentence(text: str) -> str:
 
 
 def _meaning(argument: Argument) -> str:
-    """Return the first sentence on an option, and its default."""
+    """Return the first sentence of the help of an option, and its default."""
     default = _shown(argument.field_info.default)
     return _sentence(argument.parameter.help or "") + (f" [{default}]" if default else "")
 
@@ -256,7 +256,7 @@ def _names(argument: Argument) -> str:
 
 
 def _long_name(argument: Argument) -> str:
-    """Return the long name of an option, of a switch that is on by default the one that ends it."""
+    """Return the long name of an option, or that which turns off a switch that is on by default."""
     negative = [name for name in argument.names if name.startswith("--no-")]
     return negative[0] if argument.field_info.default is True else argument.name
 

@@ -54,7 +54,7 @@ class _Terminal(Console):
     arguments: Sequence[str] = ()
 
     def __exit__(self, *raised: Any) -> None:
-        """Write what was printed; what cannot be, as on a full disk, is dropped."""
+        """Write what was printed, or drop it if that fails, as on a full disk."""
         try:
             super().__exit__(*raised)
         except OSError as error:
@@ -250,7 +250,7 @@ class Printer:
             raise self.failure
 
     def _emit(self, output: Callable[..., None], *arguments: Any, **settings: Any) -> None:
-        """Print; after a failure, such as a full disk, print no more but let the command go on."""
+        """Print; after a failure, such as a full disk, the command goes on without printing."""
         if self.failure is not None:
             return
         try:

@@ -183,7 +183,7 @@ class ModuleOptions:
 
     @property
     def given(self) -> bool:
-        """Whether anything is known of modules."""
+        """Whether an option of modules is given."""
         return bool(self.module_layout or self.divided)
 
     @property
@@ -321,5 +321,5 @@ Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)
 
 
 def beside(path: Path, suffix: str) -> Path:
-    """Return the default name of an output, in the current folder: that of a file, and a suffix."""
+    """Return the default path of an output: the name of a file with a suffix, in this folder."""
     return Path(path.name.split(".")[0] + suffix)

@@ -108,10 +108,10 @@ class Panel:
     sensors: Their indices in the map; those that were compared with the truth come first.
     truth (m, k), errors (m,): True positions of the first m sensors, and distances from there;
         empty if the truth is unknown.
-    number: Of the component, from 1 for the largest.
+    number: Number of the component, from 1 for the largest.
     labels: Names written beside points.
     unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
-    limits (k, 2): Of the axes; around all that is drawn by default.
+    limits (k, 2): Limits of the axes; by default around all that is drawn.
     """
 
     points: Points
@@ -239,7 +239,7 @@ def axis_title(axis: str, units: str) -> str:
 
 
 def ellipses_differ(covariances: ArrayLike) -> bool:
-    """Whether ellipses tell some sensors from others: else drawing them says nothing.
+    """Return whether ellipses differ in size, so that they are worth drawing.
 
     covariances (N, k, k).
     """

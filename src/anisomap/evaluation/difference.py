@@ -80,7 +80,7 @@ class Difference(Immutable):
 
 
 def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
-    """Find the sensors of which the position, or the presence, differs between two maps.
+    """Find the sensors whose position or presence differs between two maps.
 
     Each component is aligned robustly, so that sensors that moved do not bend the others. Since
     maps of one skin differ by a smooth distortion as well, the displacement of a sensor is compared
@@ -92,9 +92,8 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     Parameters
     ----------
     before, after : SensorMap
-        Two maps of one skin. Sensors are matched by name, by the number of the
-        channel if names of an iCub are of two kinds, or by order if one map has no names.
-        Their units, frames and handedness may differ.
+        Two maps of one skin. Sensors are matched by name, else by the number in their names, or by
+        order if one map has no names. Units, frames and handedness may differ.
 
     Returns
     -------

@@ -59,7 +59,7 @@ class Mantel(Immutable):
         )
 
     def quantiles(self) -> dict[float, float]:
-        """Minimum, quartiles, 95 % quantile and maximum of the null; empty without a null."""
+        """Return minimum, quartiles, 95 % quantile and maximum of the null; empty without one."""
         if not self.null.size:
             return {}
         return dict(

@@ -100,8 +100,8 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
 
     Notes
     -----
-    Schoenemann & Carroll (1970), Psychometrika 35: 245-255. A flat configuration in space equals
-    its mirror image and is never reported as reflected.
+    Schoenemann & Carroll (1970), Psychometrika 35: 245-255, doi:10.1007/BF02291266. A flat
+    configuration in space equals its mirror image and is never reported as reflected.
     """
     x, y = np.array(positions, dtype=np.float64), np.array(truth, dtype=np.float64)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
@@ -134,7 +134,7 @@ _SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked
 
 
 def median_spacing(positions: ArrayLike) -> float:
-    """Median distance from a sensor to its nearest neighbour, in the units of `positions`."""
+    """Compute the median distance to the nearest neighbour, in the units of `positions`."""
     return float(np.median(nearest_distances(np.asarray(positions, dtype=np.float64))))
 
 
@@ -158,7 +158,7 @@ def check_distances(positions: NDArray[np.float64], what: str) -> None:
 def neighbour_agreement(
     positions: ArrayLike, truth: ArrayLike, *, n_neighbours: int = NEIGHBOURS
 ) -> float:
-    """Share of the nearest neighbours on the map that are nearest neighbours in the truth.
+    """Compute the share of nearest neighbours on the map that are nearest neighbours in the truth.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _near(
     reach: NDArray[np.float64],
     rows: NDArray[np.bool_] | slice = slice(None),
 ) -> NDArray[np.bool_]:
-    """Tell which of the listed neighbours of each point lie within its reach."""
+    """Mark the listed neighbours of each point that lie within its reach."""
     apart = np.linalg.norm(points[rows, None] - points[neighbours], axis=2)
     return np.asarray(apart <= reach[rows, None])
 
@@ -285,7 +285,7 @@ class Score:
         return float(np.median(self.alignment.errors))
 
     def worst(self, count: int = 5) -> NDArray[np.intp]:
-        """Return the positions in `sensors` of those with the largest errors, the worst first."""
+        """Return the indices in `sensors` of those with the largest errors, the worst first."""
         return np.argsort(-self.alignment.errors, kind="stable")[:count]
 
     @property

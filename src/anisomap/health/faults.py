@@ -78,26 +78,26 @@ class Repair:
 
 
 def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
-    """Find the faults of a recording, and mend those of which the inverse is known.
+    """Find the faults of a recording, and mend those that can be undone.
 
     Parameters
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
-        Columns in the order in which channels are read, for leaks. Missing readings are estimated
-        from similar sensors where they are many and that is better than lines, and else
-        interpolated. Several recordings that lack sensors are mended one by one.
+        Columns in the order in which channels are read, on which leaks depend. Several recordings
+        that lack sensors are mended one by one.
 
     Returns
     -------
     Repair
-        The recording itself, if nothing was mended. Copies are left out, so it may have fewer
-        sensors, and, after spans of equal frames, fewer frames.
+        If nothing was mended, its recording is the given one; else it lacks sensors that were
+        copies, and frames that repeat the one before.
 
     Notes
     -----
-    Copies, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. Leaks,
-    steps, limited ranges, spikes and noise of all sensors are named only: to subtract or replace
-    what is estimated of them harms more maps than it mends.
+    Copies, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. In a gap,
+    readings of similar sensors replace interpolation where they predict known readings better.
+    Leaks, steps, limited ranges, spikes and noise of all sensors are only reported: subtracting
+    estimates of them harmed more maps than it improved.
 
     Examples
     --------

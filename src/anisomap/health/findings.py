@@ -57,7 +57,7 @@ class Finding(Value):
 
     @property
     def record(self) -> dict[str, Any]:
-        """All of this as plain values."""
+        """All properties as plain values."""
         names = ("kind", "sensors", "size", "unit", "what", "consequence", "mendable", "mended")
         return {name: getattr(self, name) for name in names}
 

@@ -235,13 +235,13 @@ def assess(recording: Recording | Sequence[Recording]) -> tuple[SensorHealth, ..
 
     Notes
     -----
-    Sensors that are constant at rest are ``"silent"``: dead sensors and sensors that were never
-    touched have the same readings. Sensors with fewer than 5 contacts have ``"few contacts"``, too
-    few for other tests. The other statuses are faults: a sensor has far more white noise than the
-    others, or resembles none of them. Each test flags 0.05 healthy sensors of a recording on
-    average, and at most one in 1,000: see `anisomap.numerics.reliability.sampling_noise`. The paper
-    leaves out sensors that never vary, and keeps one that saturates intermittently (section
-    "Prototyping Issues").
+    Sensors that are constant at rest are ``"silent"``: readings of dead sensors and of sensors that
+    were never touched are the same. ``"few contacts"`` means fewer than 5, too few for other tests.
+    The other statuses are faults: a sensor has far more white noise than the others, for example,
+    or resembles none of them. Each test flags 0.05 healthy sensors of a recording on average, and
+    at most one in 1,000: see `anisomap.numerics.reliability.sampling_noise`. The paper leaves out
+    sensors that never vary, and keeps one that saturates intermittently (section "Prototyping
+    Issues").
     """
     parts = join_runs(recording).parts
     with limited_blas(parts[0].n_sensors):

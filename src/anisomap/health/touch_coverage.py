@@ -213,8 +213,8 @@ def next_places(
 
     Notes
     -----
-    Greedy: the sensor with most `need` within two spacings is the first place; what lies there
-    counts as touched when the next is chosen.
+    Places are chosen one after the other: first the sensor with most `need` within two spacings;
+    the sensors there count as touched when the next place is chosen.
     """
     points = np.asarray(positions, dtype=np.float64)
     lacking = np.array(need, dtype=np.float64)

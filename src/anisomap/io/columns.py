@@ -22,7 +22,7 @@ _FEW = 3
 
 
 def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
-    """Leave out the columns that are no sensors, and take an axis of taxels with three, both said.
+    """Leave out columns that are no sensors, and take an axis of taxels with three; warn of both.
 
     Only `options.keep` decides which columns are sensors if it is given.
     """

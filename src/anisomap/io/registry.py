@@ -165,8 +165,8 @@ def read(
     options : ReadOptions, optional
         Information that the file lacks.
     max_readings : float
-        Only every k-th frame of a recording of more readings, frames times sensors, is kept, with k
-        the power of 2 that leaves between a half and all of so many. The others never take memory.
+        Most readings (frames times sensors) that are kept. From a longer recording, every k-th
+        frame is kept, where k is the least power of 2 that suffices; other frames take no memory.
     progress : callable, optional
         Called repeatedly with the fraction of the file read so far, from 0 to 1.
 

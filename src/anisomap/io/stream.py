@@ -158,11 +158,11 @@ class ReadOptions:
         File of true positions of the sensors, in any format of maps. Sensors match by name, or by
         the numbers at the ends of the names.
     axis : {"z", "norm", "x", "y", "all"}
-        What is read of taxels with three axes: one of them, the length of the vector from rest, or
-        each axis as a sensor.
+        What is read from taxels with three axes: one axis, the distance of the reading from its
+        value at rest (``"norm"``), or each axis as a sensor.
     keep : tuple of str
         Columns that are sensors: names, indices, ranges (``c0-c35``) or patterns (``*_z``). By
-        default, all that are not recognised as something else.
+        default, all columns that are not recognised as something else.
 
     Raises
     ------
@@ -195,9 +195,9 @@ class ReadOptions:
 class Block:
     """Consecutive frames of a recording: readings (t, N) of any real type, and times (t,).
 
-    fraction: Of the file read so far, from 0 to 1.
+    fraction: Fraction of the file read so far, from 0 to 1.
     times: In seconds, as stored in the file.
-    receive_times: Of the receiver's clock; used if `times` do not increase.
+    receive_times: Times of the receiver's clock, used if `times` do not increase.
     """
 
     readings: NDArray[Any]

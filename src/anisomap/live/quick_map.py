@@ -131,7 +131,7 @@ class QuickMapper:
 
     dimensions: Number of coordinates; may change between maps.
     drop: Sensors to leave out.
-    sample: Of the frames so far.
+    sample: An even sample of the frames so far.
     """
 
     names: Sequence[str]

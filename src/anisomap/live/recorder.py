@@ -273,7 +273,7 @@ class Recorder:
 
 
 class Arrivals:
-    """When frames arrived, to tell the age of a map from its number of frames."""
+    """When frames arrived: gives the age of a map by its number of frames."""
 
     def __init__(self) -> None:
         self._counts: deque[tuple[int, float]] = deque(maxlen=20_000)

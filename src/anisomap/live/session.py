@@ -124,7 +124,7 @@ class SessionMaps:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """What the user wants to leave out, and is no sensor."""
+        """Names that the user wants to leave out, but that are no sensors."""
         return find_dropped(self.options.drop, self.names)[1]
 
     @property
@@ -149,7 +149,7 @@ class SessionMaps:
 
     @property
     def made(self) -> SensorMap:
-        """The checked map, which there must be."""
+        """The checked map, which must exist."""
         if self.checked is None or self.checked.sensor_map is None:
             reason = "" if self.checked is None else f": {self.checked.verdict.reasons[0]}"
             raise InputError(f"there is no checked map yet{reason}")

@@ -61,14 +61,14 @@ class Examination:
 
 @dataclass(frozen=True)
 class ExaminationOptions:
-    """What a checked map is made with.
+    """Options of a checked map.
 
     dimensions: Number of coordinates; "auto" chooses it for each checked map.
     preset: See `ReadOptions`.
     drop: Sensors to leave out, as `map --drop` takes them; what names no sensor is ignored.
     truth: Positions to compare with.
     spacing_mm: Distance between neighbouring sensors; 0 if it is not known.
-    contacts: What is known of them: see `diagnose`. The page asks for a fingertip.
+    contacts: Shape of all contacts: see `diagnose`. The page asks for a fingertip.
     """
 
     dimensions: Dimensions = AUTO
@@ -132,7 +132,7 @@ _JOIN_S = 0.5  # for a process to end by itself
 class Task:
     """What a worker is to map from now on, or once.
 
-    dimensions: Of quick maps, if the options leave it open.
+    dimensions: Dimensions of quick maps, if the options leave them open.
     """
 
     segment: Segment
@@ -146,7 +146,7 @@ class Task:
 class Answer:
     """What a worker sends; the first answer, which is empty, says that it has started.
 
-    number: Of the file that was mapped.
+    number: Number of the file that was mapped.
     final: Whether no final map follows.
     """
 

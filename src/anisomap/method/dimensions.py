@@ -89,7 +89,7 @@ class DimensionChoice(Value):
         return self if agrees else replace(self, dimensions=SPATIAL, shown=0)
 
     def elbow(self, dimensions: int) -> float:
-        """Return how much more the last of some dimensions lowers the stress than the next one."""
+        """Return by how much more the last of some dimensions lowers the stress than the next."""
         if not self.stress:
             return float("nan")
         s = np.hypot((1.0, *self.stress), _FLOOR)  # in 0 dimensions, Stress-1 is 1
@@ -149,9 +149,9 @@ def choose_dimensions(
 ) -> DimensionChoice:
     """Choose between 2 and 3 dimensions by the elbow of the stress.
 
-    metric (N, N), weights (N, N). common_share: Of the signal that all sensors have in common,
-    which was subtracted; only the rest counts as evidence for the third dimension. most: Of the
-    points, of which so many are sampled.
+    metric (N, N), weights (N, N). common_share: Share of the signal that all sensors have in
+    common, which was subtracted; only the rest counts as evidence for the third dimension. most:
+    Greatest number of points; of more, an even sample is used.
 
     More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
     doi:10.1007/BF02289565). The fourth fits only errors, and the third is required if it lowers the
@@ -213,9 +213,9 @@ def check_size(
 ) -> None:
     """Check that some of all sensors can be mapped into some dimensions.
 
-    n_frames: Of the readings, if there are any: centred and scaled readings of T frames are points
-        of a sphere of T - 2 dimensions.
-    least: Minimum number of sensors. total: Of all sensors.
+    n_frames: Number of frames, if there are readings: centred and scaled readings of T frames are
+        points of a sphere of T - 2 dimensions.
+    least: Minimum number of sensors. total: Number of all sensors.
     """
     check_dimensions(dimensions)
     if n_sensors < least:

@@ -284,7 +284,7 @@ def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_ro
 def _compared(
     readings: NDArray[Any], statistic: str, bins: int, signals: Signals | None = None
 ) -> Evidence:
-    """Compare all pairs of sensors. readings (T, n). signals: Of these readings, if known."""
+    """Compare all pairs of sensors. readings (T, n). signals: Their signals, if known."""
     how = SIMILARITIES[statistic]
     slow = without_slow_changes(readings) if how.centred else readings
     values, share = without_common_signal(slow) if how.centred else (readings, 0.0)

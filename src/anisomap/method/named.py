@@ -124,7 +124,7 @@ class Method:
     refine: Refines the scaled positions of one component, see `anisomap.method.refinement.refine`.
     contact_similarity: Takes the place of `similarity` for readings that are on or off and show one
         contact at a time.
-    solver: Of the scaling of up to `MAX_MAJORIZED` sensors, if the options choose none.
+    solver: Solver for up to `MAX_MAJORIZED` sensors, if the options choose none.
     """
 
     summary: str

@@ -277,7 +277,7 @@ def estimate(runs: Runs, statistic: Callable[[Runs], Runs] | None = None) -> Est
 
 
 def holm(p_values: Sequence[float]) -> list[bool]:
-    """Tell which hypotheses Holm's step-down procedure rejects."""
+    """Mark the hypotheses that Holm's step-down procedure rejects."""
     found = [False] * len(p_values)
     for i, place in enumerate(np.argsort(p_values, kind="stable")):
         if p_values[place] > _ERROR / (len(p_values) - i):

@@ -1,4 +1,4 @@
-"""What similarities tell: of sensors of unlike response, and of pairs near and far."""
+"""What similarities show about sensors of unlike response, and about near and far pairs."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ PAIR_COLUMNS = {
 def pair_rows(
     run: str, recording: Recording, seed: int, dimensions: int, mu: float
 ) -> Iterator[Row]:
-    """Measure what similarities tell of pairs; yield rows of `PAIR_COLUMNS`."""
+    """Measure what similarities show about pairs; yield rows of `PAIR_COLUMNS`."""
     varying = recording.select(recording.varying())
     truth = true_positions(varying, dimensions)
     distances = pdist(truth)

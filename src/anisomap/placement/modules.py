@@ -280,7 +280,7 @@ class ModuleFit(NamedTuple):
         not place are placed with their module.
     evidence : float
         Log likelihood ratio of the handedness of the map against its mirror image; negative if the
-        map was reflected, 0 if modules do not tell.
+        map was reflected, 0 if modules do not determine it.
     """
 
     map: SensorMap

@@ -1,8 +1,8 @@
 """Placing a map: from arbitrary units to metres in the frame of the robot, and its errors in words.
 
-Three errors of one map are told, each as what it is: that of the map, an RMS over its sensors; that
-of regions; and that of a single sensor, a distance that it does not exceed with 90 %, whatever the
-error of the map is within its interval.
+Three errors of a map are given: that of the map, an RMS over its sensors; that of regions; and that
+of a single sensor, a distance that it exceeds with a probability of 10 %, whatever the error of the
+map is within its interval.
 """
 
 from __future__ import annotations
@@ -91,13 +91,14 @@ def place(
     ----------
     sensor_map : SensorMap
     anchors : Anchors, optional
-        Known positions: 3 and more, not in a line; 4, not in a plane, if nothing else tells the
-        handedness of a map in 3D. Each component needs its own.
+        Known positions of at least 3 sensors that are not in a line, or of 4 that are not in a
+        plane if nothing else determines the handedness of a map in 3D. Each component needs its
+        own anchors.
     modules : Modules, optional
         Rigid modules with a template: see `fit_modules`.
     mesh : Mesh, optional
-        Surface of the skin in metres, in the frame of the anchors: sensors are placed on it, with
-        its normals, and its shape may tell the handedness.
+        Surface of the skin in metres, in the frame of the anchors. Sensors are placed on it, with
+        its normals, and its shape may determine the handedness.
     spacing : (float, str), optional
         Median distance between neighbouring sensors and its unit.
     handedness : {"", "same", "mirrored"}
@@ -359,7 +360,7 @@ def headline(sensor_map: SensorMap) -> str:
 
 
 def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
-    """Say how far a map can be used, what that means, its accuracy, and the reasons."""
+    """Return sentences: what a map can be used for, its accuracy, and the reasons."""
     spacing, unit = spacing_shown(sensor_map)
     told = list(sensor_map.verdict.told(spacing, unit))
     within = errors_of_sensors(sensor_map)

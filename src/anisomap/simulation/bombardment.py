@@ -137,7 +137,7 @@ class BombardmentOptions(PhysicsOptions):
 class Flight:
     """Flight of the balls from the initial state on.
 
-    centres (T, B, 3), energies (T,): Of the balls; kinetic energy and energy stored in contacts.
+    centres (T, B, 3): Centres of the balls. energies (T,): Kinetic, and stored in contacts.
     overlaps (T,): Depth of the deepest contact; 0 without contacts.
     """
 

@@ -407,7 +407,7 @@ class RubbingOptions(StrokeOptions):
 class Palm:
     """A central soft pad surrounded by others of irregular size and position, on a skin.
 
-    centres (P, 3), radii (P,): Of the pads, with the skin at z = 0.
+    centres (P, 3), radii (P,): Balls that form the pads, with the skin at z = 0.
     """
 
     def __init__(self, skin: Skin, options: RubbingOptions, rng: np.random.Generator) -> None:

@@ -284,7 +284,7 @@ def _build_model(body: Body, terrain: Terrain, options: LocomotionOptions) -> An
 class Journey:
     """Motion of a rolling body.
 
-    centres (T, 3), rotations (T, 3, 3), speeds (T,): Of the body.
+    centres (T, 3), rotations (T, 3, 3), speeds (T,): Motion of the body.
     slips (T,): Speed of its surface at the contact, as a share of the set speed; NaN without one.
     overlaps (T,): Depth of the body in the ground.
     """

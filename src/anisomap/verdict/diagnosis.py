@@ -100,7 +100,7 @@ def diagnose(
         Whether to judge the map, and to estimate the covariance of every position, by maps of
         resampled recordings and a second map.
     contacts : str
-        What is known of all contacts: ``"compact"``, as of a fingertip, a palm or a ball, or
+        Shape of all contacts: ``"compact"``, as of a fingertip, a palm or a ball, or
         ``"elongated"``, as of an edge or a roller; by default, what the metadata of the recording
         state. Without it, a map of sensors that are not evenly spaced is usable for neighbours at
         best, since long contacts squash such maps unseen.
@@ -123,7 +123,7 @@ def diagnose(
     Raises
     ------
     InputError
-        If the sensors of the recording are not those of the map, or contacts are of no such kind.
+        If the sensors of the recording are not those of the map, or `contacts` is unknown.
 
     Warns
     -----

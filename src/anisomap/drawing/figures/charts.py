@@ -91,7 +91,7 @@ class CurvePanel:
 class CountPanel:
     """Columns of counts, (rows, columns): how many of a total; nothing is drawn for a total of 0.
 
-    labels: Of the columns.
+    labels: Labels of the columns.
     """
 
     title: str
@@ -121,7 +121,7 @@ def curves_figure(
 ) -> Figure:
     """Draw scores over a parameter: every run, and the mean over the runs.
 
-    looks: Of the curves, if they are not those of methods.
+    looks: Looks of the curves, if they are not those of methods.
     """
     if not panels:
         raise InputError("there are no curves to draw")

@@ -82,11 +82,11 @@ _OBLIQUE_VIEW: View = (38.0, -68.0)  # of flat bodies, so that bending of the ma
 def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     """Draw a map.
 
-    With a score: the true positions, the map aligned with them (same view, same limits), and the
-    distances on the map against the true ones. True neighbours are joined in both configurations,
-    so that folds and tears are visible, and a sensor has the same colour in both. Without a score:
-    the map from three sides, or in 2D, with its own neighbours joined. Every further connected
-    component has its own panel; components of a single sensor are only counted.
+    With a score, the figure shows the true positions, the map aligned with them (same view, same
+    limits), and the distances on the map against the true ones. True neighbours are joined in both
+    configurations, so that folds and tears are visible, and a sensor has the same colour in both.
+    Without a score, it shows the map from three sides, or in 2D, with its own neighbours joined.
+    Every further component has its own panel; components of a single sensor are only counted.
 
     Parameters
     ----------
@@ -148,8 +148,8 @@ def plot(
     sensor_map : SensorMap
         If there are more than three dimensions, the first three are drawn.
     truth : SensorMap, Recording, Score or array_like of shape (N, 2) or (N, 3), optional
-        True positions, as for `anisomap.score`, or the score of this map: rings, joined with the
-        sensors of the map, which is aligned with them. Lines join true neighbours.
+        True positions, as for `anisomap.score`, or the score of this map. They are drawn as rings,
+        and the map is aligned with them. Lines join true neighbours.
     ax : matplotlib Axes, optional
         Axes to draw into, with ``projection="3d"`` for data in 3D; those of a new figure by
         default.
@@ -232,7 +232,7 @@ def gallery_figure(
     """Draw panels in rows; of a score, the distances that it compares.
 
     note: Its lines are wrapped.
-    size: Of a panel, in inches.
+    size: Size of a panel, in inches.
     legend: Whether to explain the marks of faulty sensors and of those that were not compared.
     """
     if not panels:

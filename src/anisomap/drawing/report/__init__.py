@@ -95,7 +95,7 @@ _Cell: TypeAlias = tuple[str, float | str]
 
 
 def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
-    """Tell the verdict and what is known of the errors; the first sentence is the headline.
+    """Describe the verdict and the errors that are known; the first sentence is the headline.
 
     Maps of objects get no verdict, since no recording says how far their pairs can be trusted.
     """

@@ -317,7 +317,7 @@ def _closer_than_chance(
 ) -> NDArray[np.bool_]:
     """Mark pairs that are closer than the closest pairs of different sensors are by chance, (P,).
 
-    distances (P,), apart (Q,): Of possible copies, and of different sensors.
+    distances (P,), apart (Q,): Distances of possible copies, and of different sensors.
 
     Small distances follow a power law: of sensors at random places on a surface, d^2 pairs are
     closer than d, on regular ones fewer. Its exponent is that of the closer half of the pairs (Hill

@@ -85,7 +85,7 @@ def _channel(raised: NDArray[Any], rest: float, threshold: float) -> _Channel | 
 def _gains(
     channels: Sequence[_Channel | None], offset: int, quantile: float
 ) -> NDArray[np.float64]:
-    """Return what channels `offset` apart have forward more than backward, (P,)."""
+    """Return the forward minus the backward gain of channels `offset` apart, (P,)."""
     pairs = zip(channels, channels[offset:], strict=False)
     found = [
         later.lowest(earlier, quantile) - earlier.lowest(later, quantile)

@@ -129,7 +129,7 @@ def _clear_correlations(
 ) -> NDArray[np.float32]:
     """Correlate sensors, (n, n); 0 where the sign may be chance.
 
-    readings, values (t, n): Of the sensors in some frames; standardised.
+    readings, values (t, n): Readings in some frames, and the same standardised.
 
     Noise gives correlations of either sign. Few contacts that never meet those of another sensor
     give negative ones, of not less than - m_i m_j, where m is the mean distance from rest in

@@ -108,7 +108,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _TIMEOUT_S
 
     def log_message(self, *_: object) -> None:
-        """Say nothing: requests are no results."""
+        """Log nothing: requests are no results."""
 
     def do_GET(self) -> None:
         """Answer a request for a file, an event stream or a download."""

@@ -17,10 +17,10 @@ _EXTENT = 0.9  # quantile of lengths: the longest are outliers themselves
 
 
 def with_bounded_stems(lengths: Reals, hidden: NDArray[np.intp]) -> Reals:
-    """Bring nodes whose links noise hides to where the others end. lengths (N, N), hidden (H,).
+    """Bound the lengths to nodes whose links are hidden by noise. lengths (N, N), hidden (H,).
 
-    Their links are long, but do not say how long. By as much as the shortest way from such a node
-    to any other one exceeds the extent of the others, all ways from it are shortened. Nothing
+    Their links are long, but their lengths are unknown. If the shortest path from such a node to
+    another one exceeds the extent of the others, all its paths are shortened by the excess. Nothing
     changes where the others are a minority, whose extent is not that of the skin.
     """
     n_nodes = len(lengths)
