@@ -17,7 +17,6 @@ from anisomap.errors import InputError
 from anisomap.evaluation.scoring import check_distances
 from anisomap.health.recording_faults.copies import copied_groups
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.layout.arranging import Change
 from anisomap.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.layout.explanation import explain, explain_modules, motion, span
 from anisomap.layout.findings import (
@@ -35,6 +34,7 @@ from anisomap.layout.findings import (
     at_positions,
 )
 from anisomap.layout.judging import Judge, agreement, own_agreement
+from anisomap.layout.module_changes import Change
 from anisomap.layout.modules import Mounting, find_modules, orientation
 from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
 from anisomap.layout.search import Search

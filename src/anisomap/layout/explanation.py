@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anisomap.base.wording import join_items
-from anisomap.layout.arranging import Change, alike
 from anisomap.layout.evidence import Proposal
+from anisomap.layout.module_changes import Change, alike
 from anisomap.layout.modules import Mounting
 from anisomap.layout.sensors import MAX_STEP, chains
 from anisomap.numerics.procrustes import fit_similarity
@@ -133,8 +133,8 @@ def _causes(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
             found.append((*motion(change.stated, change.move.places), [change]))
         elif change.slots != change.modules:
             closed = set(change.slots) == set(change.modules)
-            found.append(("exchanged" if closed else "moved", 0.0, [change]))
-    found = _with_runs(found)
+            kind = "reversed" if change.row else "exchanged" if closed else "moved"
+            found.append((kind, 0.0, [change]))
     for group in alike(changes, mounting):
         way, those = mounting.orientations[changes[group[0]].turns[0]], [changes[i] for i in group]
         if way.backwards:
@@ -142,27 +142,6 @@ def _causes(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
         else:
             found.append(("mirrored" if way.reflected else "turned", abs(way.angle), those))
     return found
-
-
-def _with_runs(found: list[_Explained]) -> list[_Explained]:
-    """Join exchanges of modules that together reverse a row of modules."""
-    by_sum: dict[int, dict[int, Change]] = {}
-    for kind, _, group in found:
-        pair = sorted(group[0].modules)
-        if kind == "exchanged" and len(pair) == 2:
-            by_sum.setdefault(sum(pair), {})[pair[0]] = group[0]
-    joined: list[_Explained] = []
-    for total, pairs in by_sum.items():
-        row: list[int] = []
-        for low in sorted(pairs, reverse=True):
-            if row and low != row[-1] - 1:
-                break
-            row.append(low)
-        # All between the innermost two are in the row, but for a module in the middle.
-        if len(row) > 1 and total - 2 * row[0] <= 2:
-            joined.append(("reversed", 0.0, [pairs[low] for low in row]))
-    known = {id(change) for _, _, group in joined for change in group}
-    return [one for one in found if id(one[2][0]) not in known] + joined
 
 
 def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence[str]) -> str:

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from anisomap.layout.arranging import Arrangement, Change
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
 from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
+from anisomap.layout.module_changes import Arrangement, Change
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import free_moves
 from anisomap.layout.sensors import cable_shifts, reassigned

@@ -12,9 +12,9 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import MIN_DISPLACEMENT, MIN_GAIN, Evidence, Move
+from anisomap.layout.flips import Orientations
 from anisomap.layout.judging import MIN_GROUP_GAIN, MIN_Z, Judge, Verdict
 from anisomap.layout.modules import Mounting
-from anisomap.layout.orienting import Orientations
 from anisomap.layout.sensors import chains
 from anisomap.layout.together import AGREEING, bonds, border
 from anisomap.numerics.neighbours import linked_labels
@@ -49,6 +49,11 @@ class Change:
     second: Move
     verdict: Verdict
     together: bool = False
+
+    @property
+    def row(self) -> bool:
+        """Whether a row of modules is in reverse order."""
+        return len(self.modules) >= MIN_RUN and self.slots == self.modules[::-1]
 
 
 class Arrangement:
@@ -238,8 +243,8 @@ class Arrangement:
             apart, both = own.T @ one[:, inside] @ own, own.T @ two @ own
             total = own.T @ one.sum(axis=1)
             for skipped in range((high - low + 1 - MIN_RUN) // 2 + 1):
-                if 2 * (high - low + 1 - 2 * skipped) > n_modules:
-                    continue  # the smaller part is wrong
+                if middle == n_modules - 1 and 2 * (high - low + 1 - 2 * skipped) > n_modules:
+                    continue  # a symmetric layout is its own image in reverse order
                 run = slice(skipped, high - low + 1 - skipped)
                 gain = total[run].sum() - apart[run, run].sum() + both[run, run].sum() / 2
                 if gain > best:
@@ -278,13 +283,15 @@ class Arrangement:
             groups = [tuple(chain) for chain in _chains(changed, own)]
             groups += [(m,) for m in np.flatnonzero(self._turn != 0).tolist() if m not in changed]
             found = self._as_groups(evidence, [self._weighed(evidence, one) for one in groups])
+            found = self._as_rows(evidence, found)
             # Modules that agree with none around them are elsewhere, however they lie.
             there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
             wrong = []
             for one in found:
                 some = list(one.modules)
                 beside = there[some].sum() >= _BESIDE * expected[some].sum()
-                if not (one.verdict.holds and beside and self._tested[some].all()):
+                tested = one.row or self._tested[some].all()
+                if not (one.verdict.holds and beside and tested):
                     wrong.append(one)
             if not wrong:
                 return evidence, found
@@ -328,6 +335,30 @@ class Arrangement:
             for i in group if gain >= MIN_GROUP_GAIN and z >= MIN_Z else []:
                 better = replace(changes[i].verdict, z=max(z, changes[i].verdict.z))
                 found[i] = replace(changes[i], verdict=better)
+        return found
+
+    def _as_rows(self, evidence: Evidence, changes: list[Change]) -> list[Change]:
+        """Join the exchanges that reverse a row of modules, one fault, each of which is told.
+
+        Modules at the end of a row may agree with none beside it, and some may be silent.
+        """
+        pairs = {
+            (min(one.modules), max(one.modules)): one
+            for one in changes
+            if len(one.modules) == 2 and one.slots == one.modules[::-1] and one.verdict.told
+        }
+        rows: dict[tuple[int, int], tuple[int, ...]] = {}
+        for a, b in sorted(pairs, key=lambda pair: pair[1] - pair[0]):
+            inner = rows.get((a + 1, b - 1), ())
+            if len(inner) == (b - a - 1) // 2 * 2:  # up to the middle
+                rows.pop((a + 1, b - 1), None)
+                rows[a, b] = (a, *inner, b)
+        found = list(changes)
+        for row in rows.values():
+            if len(row) >= MIN_RUN:
+                one = self._weighed(evidence, row)
+                found = [other for other in found if not set(other.modules) <= set(row)]
+                found.append(replace(one, verdict=replace(one.verdict, agrees=True)))
         return found
 
 
