@@ -1,8 +1,7 @@
 """Map a retina: a square of pixels that moves over photographs.
 
-Run ``python examples/retina.py``; it writes ``retina.png``. Requires anisomap[report].
-The default method is not suitable: it expects the sparse contacts of a skin, and here separates the
-pixels into many components.
+Run ``python examples/retina.py``; it writes ``retina.png``. Requires anisomap[report]. The paper's
+methods are compared; the default method maps these recordings, too.
 """
 
 import argparse

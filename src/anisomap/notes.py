@@ -194,9 +194,9 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             + (": contacts may differ in size from place to place" if much else "")
         ),
         "if-compact": lambda size, unit="spacings": (
-            "the sensors are not evenly spaced on the map, so long contacts may have compressed "
-            "it, or a fold crowded it, unnoticed: if they are not on the skin either, and all "
-            "contacts were compact, as of a fingertip or a ball, positions are off by "
+            "the sensors are unevenly spaced on the map, and a fold or long contacts may have "
+            "caused this unnoticed: if they are unevenly spaced on the skin, too, and all contacts "
+            "were compact, such as those of a fingertip or a ball, positions are off by "
             f"{size:.2f} {unit} (--uneven --contacts compact)"
         ),
         "compact": lambda size, unit="spacings": (

@@ -19,14 +19,7 @@ from numpy.typing import NDArray
 from anisomap import io
 from anisomap.base.wording import as_text, printable
 from anisomap.errors import AnisomapWarning, FileError, InputError
-from anisomap.health import (
-    Finding,
-    RecordingSummary,
-    SensorHealth,
-    assess,
-    find_faults,
-    summarise,
-)
+from anisomap.health import Finding, RecordingSummary, SensorHealth, assess, find_faults, summarise
 from anisomap.method.dimensions import Dimensions
 from anisomap.method.pipeline import Stages, reconstruct_with_stages
 from anisomap.names import find_sensors
@@ -214,12 +207,7 @@ def make_map(examined: Examined, method: str, dimensions: Dimensions) -> tuple[S
 
 
 def judge(
-    examined: Examined,
-    sensor_map: SensorMap,
-    stages: Stages,
-    *,
-    seed: int = 0,
-    **how: Any,
+    examined: Examined, sensor_map: SensorMap, stages: Stages, *, seed: int = 0, **how: Any
 ) -> SensorMap:
     """Add a verdict to a map from `make_map`, by maps of resampled recordings. how: `diagnose`."""
     return _diagnosed(examined, sensor_map, stages=stages, rng=seed, **how)

@@ -145,11 +145,7 @@ class SensorMap(Immutable):
         errors = np.array(self.errors, dtype=np.float64)
         if not errors.size:
             errors = np.full(n_sensors, np.nan)
-        sizes = (
-            ("component", component.size),
-            ("health", len(health)),
-            ("errors", errors.size),
-        )
+        sizes = (("component", component.size), ("health", len(health)), ("errors", errors.size))
         for name, size in sizes:
             if size != n_sensors:
                 raise InputError(

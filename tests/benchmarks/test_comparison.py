@@ -5,12 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from benchmarks.accuracy.compare import (
-    compare_methods,
-    spanned_dimensions,
-    to_csv,
-    to_markdown,
-)
+from benchmarks.accuracy.compare import compare_methods, spanned_dimensions, to_csv, to_markdown
 from benchmarks.accuracy.rivals import RIVALS, map_by_rival
 from scipy.spatial.distance import pdist
 

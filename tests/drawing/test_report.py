@@ -13,13 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.base.wording import UNKNOWN, number, printable
-from anisomap.drawing.report import (
-    MAX_DOTS,
-    MAX_ROWS,
-    Touches,
-    render_report,
-    write_report,
-)
+from anisomap.drawing.report import MAX_DOTS, MAX_ROWS, Touches, render_report, write_report
 from anisomap.evaluation import score
 from anisomap.health import STATUSES, SensorHealth, touch_coverage
 from anisomap.map_verdict import Verdict
@@ -105,10 +99,7 @@ def test_ellipses_are_offered_only_where_they_differ():
     checked = [name for tag, name, _ in page.attributes if tag == "input" and name == "checked"]
     assert len(checked) == 1, "only neighbours are shown at first"
     metres = replace(
-        unlike,
-        positions=unlike.positions / 1000,
-        covariances=unlike.covariances / 1e6,
-        units="m",
+        unlike, positions=unlike.positions / 1000, covariances=unlike.covariances / 1e6, units="m"
     )
     again = page_of(metres, score(metres, scored.truth, units="mm", permutations=0))
     assert again.sensor_rows == page.sensor_rows, "in the unit of the errors beside them"

@@ -10,13 +10,7 @@ from scipy.stats import ortho_group, pearsonr
 
 from anisomap import Recording, SensorMap
 from anisomap.errors import AnisomapWarning, InputError
-from anisomap.evaluation import (
-    align,
-    compare_maps,
-    mantel,
-    neighbour_agreement,
-    score,
-)
+from anisomap.evaluation import align, compare_maps, mantel, neighbour_agreement, score
 from skins import lattice, moved_freely
 
 seeds = st.integers(0, 10_000)

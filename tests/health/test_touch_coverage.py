@@ -11,11 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from anisomap import InputError, Recording, SensorMap
 from anisomap.health import next_places, touch_coverage
-from anisomap.health.touch_coverage import (
-    ENOUGH_CONTACTS,
-    needed_evidence,
-    neighbouring_sensors,
-)
+from anisomap.health.touch_coverage import ENOUGH_CONTACTS, needed_evidence, neighbouring_sensors
 from anisomap.numerics.signals import count_contacts, count_joint_contacts
 
 

@@ -12,10 +12,7 @@ from scipy.spatial.distance import cdist, pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import load_loops
-from anisomap.numerics.covariogram.covariogram_fit import (
-    fit_covariogram,
-    minimise,
-)
+from anisomap.numerics.covariogram.covariogram_fit import fit_covariogram, minimise
 from anisomap.numerics.covariogram.objective import (
     CompiledPairs,
     CovariogramOptions,

@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from anisomap import Recording, reconstruct
 from anisomap.paper import Settings
 from anisomap.paper.cases import METHODS
-from anisomap.paper.map_scores import (
-    SCORE_COLUMNS,
-    SMACOF,
-    map_and_score,
-    null_box,
-    score_rows,
-)
+from anisomap.paper.map_scores import SCORE_COLUMNS, SMACOF, map_and_score, null_box, score_rows
 from anisomap.paper.reach import reach_of, touch
 from anisomap.paper.shapes import cylinder_shape, isolation, sphericity
 from anisomap.paper.similarities import PAIR_COLUMNS, pair_rows, radial_basis

@@ -11,14 +11,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.simulation import Body, body_from_points, find_body, simulate, solids
-from anisomap.simulation.bodies import (
-    BODIES,
-    covered,
-    cylinder,
-    great_circles,
-    hand,
-    sphere,
-)
+from anisomap.simulation.bodies import BODIES, covered, cylinder, great_circles, hand, sphere
 from anisomap.simulation.solids import sample_surface, spread
 
 

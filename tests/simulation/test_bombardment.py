@@ -13,11 +13,7 @@ from scipy.spatial.distance import pdist
 from anisomap.errors import AnisomapWarning
 from anisomap.simulation import Body, solids
 from anisomap.simulation.bodies import sphere
-from anisomap.simulation.bombardment import (
-    BombardmentOptions,
-    bombardment,
-    simulate_flight,
-)
+from anisomap.simulation.bombardment import BombardmentOptions, bombardment, simulate_flight
 from anisomap.simulation.kinematic import read_balls
 from anisomap.simulation.options import options_for
 from anisomap.simulation.physics import add_geom, add_solid, new_model

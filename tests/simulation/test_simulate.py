@@ -10,13 +10,7 @@ import pytest
 import anisomap
 from anisomap._version import __version__
 from anisomap.errors import AnisomapWarning, InputError, install_command
-from anisomap.simulation import (
-    BODIES,
-    SCENARIOS,
-    BombardmentOptions,
-    find_body,
-    simulate,
-)
+from anisomap.simulation import BODIES, SCENARIOS, BombardmentOptions, find_body, simulate
 from anisomap.simulation.bodies import sphere
 
 pytest.importorskip("mujoco", reason="needs the extra 'simulation'")

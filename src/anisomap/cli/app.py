@@ -11,7 +11,7 @@ import threading
 import time
 import warnings
 from _thread import start_new_thread
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from inspect import getdoc
 from types import MappingProxyType
@@ -163,7 +163,8 @@ def _run(given: list[str]) -> int:
         if not given or given[0] in app.help_flags:
             load_commands()
         if not given or _BRIEF.intersection(given):
-            console.out(_help(given))
+            name = next((word for word in given if word in COMMANDS), "")
+            console.out(_command_page(name) if name else _commands_page())
             return 0
         command, bound, _ = app.parse_args(given, exit_on_error=False, print_error=False)
         printer = None
@@ -175,16 +176,9 @@ def _run(given: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _help(given: Sequence[str]) -> str:
-    name = next((word for word in given if word in COMMANDS), "")
-    return (
-        command_page(app[name], f"{app.name[0]} {name}") if name else commands_page(app, COMMANDS)
-    )
-
-
-def commands_page(app: App, names: Iterable[str]) -> str:
+def _commands_page() -> str:
     """Return the list of the commands, and how they are used."""
-    rows = [(name, _sentence(_doc(app[name]))) for name in names]
+    rows = [(name, _sentence(_doc(app[name]))) for name in COMMANDS]
     return "\n".join(
         [
             f"Usage: {app.name[0]} COMMAND",
@@ -200,10 +194,10 @@ def commands_page(app: App, names: Iterable[str]) -> str:
     )
 
 
-def command_page(command: App, title: str) -> str:
+def _command_page(name: str) -> str:
     """Return the help of a command: options of the group for experts are named only."""
     given, shown, others = [], [], []
-    for one in command.assemble_argument_collection(parse_docstring=True):
+    for one in app[name].assemble_argument_collection(parse_docstring=True):
         if not one.show:
             continue
         if not one.name.startswith("-"):
@@ -213,10 +207,10 @@ def command_page(command: App, title: str) -> str:
         else:
             shown.append(one)
     words = " ".join(_positional(one) for one in given)
-    doc = _doc(command)
-    lines = [f"Usage: {title} {words} [OPTIONS]".replace("  ", " "), "", f"{_sentence(doc)}.", ""]
+    doc, usage = _doc(app[name]), f"Usage: {app.name[0]} {name} {words} [OPTIONS]"
+    lines = [usage.replace("  ", " "), "", f"{_sentence(doc)}.", ""]
     lines += _aligned([(_names(one), _meaning(one)) for one in shown])
-    lines += ["Examples:", *_examples(doc)]
+    lines += ["Examples:", *(f"  {line}" for line in doc.partition(_HEADING)[2].splitlines())]
     if others:
         more = f"More ({HELP_ALL} describes them): {', '.join(others)}"
         lines += textwrap.wrap(more, _WIDTH, break_on_hyphens=False)
@@ -226,10 +220,6 @@ def command_page(command: App, title: str) -> str:
 def _doc(command: App) -> str:
     function: Callable[..., Any] | None = command.default_command
     return getdoc(function) or ""
-
-
-def _examples(doc: str) -> list[str]:
-    return [f"  {line}" for line in doc.partition(_HEADING)[2].splitlines()]
 
 
 def _sentence(text: str) -> str:
@@ -245,7 +235,8 @@ def _meaning(argument: Argument) -> str:
 
 
 def _positional(argument: Argument) -> str:
-    name = f"{argument.name} ..." if _is_list(argument) else argument.name
+    is_list = str(argument.hint).startswith("list")
+    name = f"{argument.name} ..." if is_list else argument.name
     return name if argument.required else f"[{name}]"
 
 
@@ -265,10 +256,6 @@ def _value(hint: str) -> str:
     """Say what an option of a type takes; nothing for a switch."""
     kinds = {"bool": "", "Path": "FILE", "Literal": "CHOICE", "int": "N", "float": "X"}
     return next((shown for kind, shown in kinds.items() if kind in hint), "TEXT")
-
-
-def _is_list(argument: Argument) -> bool:
-    return str(argument.hint).startswith("list")
 
 
 def _aligned(rows: Sequence[tuple[str, str]]) -> list[str]:

@@ -353,7 +353,9 @@ def score(
             "compare arrays"
         )
     if isinstance(truth, Recording):
-        truth = _as_map(truth)
+        if truth.positions is None:
+            raise InputError("the recording has no true positions to score against")
+        truth = SensorMap(truth.positions, names=truth.names, units=truth.units)
     if isinstance(truth, SensorMap):
         units = truth.units
         rows, notes = match_sensors(sensor_map.names, truth.names, "map and truth")
@@ -419,12 +421,6 @@ def _unit_in(unit: str, other: str) -> float:
     if unit in METRES and other in METRES:
         return METRES[unit] / METRES[other]
     return 1.0 if unit not in UNSCALED and unit == other else math.nan
-
-
-def _as_map(recording: Recording) -> SensorMap:
-    if recording.positions is None:
-        raise InputError("the recording has no true positions to score against")
-    return SensorMap(recording.positions, names=recording.names, units=recording.units)
 
 
 def _compared(

@@ -105,8 +105,7 @@ class TouchCoverage:
 
 
 def touch_coverage(
-    sensor_map: SensorMap,
-    recording: Recording | ArrayLike | Sequence[Recording],
+    sensor_map: SensorMap, recording: Recording | ArrayLike | Sequence[Recording]
 ) -> TouchCoverage:
     """Count the contacts of sensors and of neighbours on a map, and find where they are lacking.
 
@@ -167,10 +166,7 @@ def neighbouring_sensors(
 
 
 def needed_evidence(
-    contacts: ArrayLike,
-    pairs: ArrayLike,
-    together: ArrayLike,
-    component: ArrayLike | None = None,
+    contacts: ArrayLike, pairs: ArrayLike, together: ArrayLike, component: ArrayLike | None = None
 ) -> NDArray[np.float64]:
     """Compute the share of the evidence on each sensor's place that is lacking. Returns (N,)."""
     number = np.asarray(contacts, dtype=np.float64)

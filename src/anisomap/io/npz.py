@@ -29,14 +29,7 @@ from anisomap.io.parsing.facts import properties_of, read_properties, to_python_
 from anisomap.io.parsing.names import distinct_names
 from anisomap.io.parsing.refusals import FROM_EVENTS
 from anisomap.io.parsing.source import warn
-from anisomap.io.stream import (
-    Block,
-    ReadOptions,
-    Stream,
-    increasing_times,
-    read_in_blocks,
-    salvage,
-)
+from anisomap.io.stream import Block, ReadOptions, Stream, increasing_times, read_in_blocks, salvage
 from anisomap.map_verdict import ACCURACY, UNKNOWN
 from anisomap.recording import Recording, Scalar
 from anisomap.sensor_map import SensorMap

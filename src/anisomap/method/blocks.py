@@ -81,7 +81,7 @@ def _frames_of(readings: Any) -> list[Any]:
     array = import_extra("dask.array", "a Dask array", "cluster")
     if not isinstance(readings, array.Array):
         raise InputError(
-            f"of Dask, only arrays can be mapped, got a {type(readings).__name__}; use "
+            f"Dask objects must be arrays, got a {type(readings).__name__}; use "
             "frame.to_dask_array(), or array.data of xarray"
         )
     if readings.ndim != 2 or readings.dtype.kind not in "biuf" or not readings.shape[1] > 0:

@@ -37,13 +37,7 @@ from anisomap.method.dimensions import (
     plan_dimensions,
 )
 from anisomap.method.evidence import Evidence, check_unlike
-from anisomap.method.named import (
-    DEFAULT_OPTIONS,
-    METHODS,
-    Method,
-    MethodOptions,
-    find_method,
-)
+from anisomap.method.named import DEFAULT_OPTIONS, METHODS, Method, MethodOptions, find_method
 from anisomap.names import check_names, column_names, default_names, sensor_mask
 from anisomap.notes import Note
 from anisomap.numerics.compiled.parallel import limited_blas

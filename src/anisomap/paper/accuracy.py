@@ -54,12 +54,7 @@ from anisomap.paper.map_scores import (
     stopped,
 )
 from anisomap.paper.shapes import isolation
-from anisomap.paper.similarities import (
-    PAIR_COLUMNS,
-    RESPONSE_COLUMNS,
-    pair_rows,
-    response_rows,
-)
+from anisomap.paper.similarities import PAIR_COLUMNS, RESPONSE_COLUMNS, pair_rows, response_rows
 from anisomap.recording import Recording
 
 ALL_PAIRS, SMALLEST, DIRECT = "all pairs", "smallest connected graph", "no shortest paths"

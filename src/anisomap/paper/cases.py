@@ -18,13 +18,7 @@ from anisomap.method.named import PAPER_METHODS
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.paper.experiment import Settings
 from anisomap.recording import Recording
-from anisomap.simulation import (
-    LocomotionOptions,
-    find_body,
-    find_scenario,
-    simulate,
-    solids,
-)
+from anisomap.simulation import LocomotionOptions, find_body, find_scenario, simulate, solids
 from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS
 from anisomap.simulation.body import Body
 
@@ -194,11 +188,7 @@ def saturating(
 
 
 def patch_run(
-    settings: Settings,
-    number: int,
-    *,
-    failing: str = FAILING,
-    fails: bool | None = None,
+    settings: Settings, number: int, *, failing: str = FAILING, fails: bool | None = None
 ) -> Recording:
     """Simulate a run of the hardware patch.
 

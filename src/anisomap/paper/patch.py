@@ -19,10 +19,7 @@ from anisomap.paper.cases import (
     true_positions,
 )
 from anisomap.paper.experiment import Picture, Settings, Table, Tables, experiment
-from anisomap.paper.map_scores import (
-    SCORE_COLUMNS,
-    draw_run,
-)
+from anisomap.paper.map_scores import SCORE_COLUMNS, draw_run
 
 _LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
 _NOTE = (

@@ -23,12 +23,7 @@ from anisomap.base.immutable import Immutable
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
-from anisomap.numerics.procrustes import (
-    extent,
-    fit_similarity,
-    rotations,
-    similarity_freedom,
-)
+from anisomap.numerics.procrustes import extent, fit_similarity, rotations, similarity_freedom
 from anisomap.numerics.surfaces import Points
 from anisomap.placement.frames import mirrored
 from anisomap.sensor_map import UNPLACED, SensorMap

@@ -300,11 +300,7 @@ def _anchored(
         handed=handed,
         anchored=True,
         mirrored=mirror[0],
-        provenance={
-            **sensor_map.provenance,
-            "anchors": len(where),
-            "placed_by": methods[0],
-        },
+        provenance={**sensor_map.provenance, "anchors": len(where), "placed_by": methods[0]},
     )
     found = Placement(result, anchors.names, residuals, left_out, tuple(methods))
     return _with_missing(found, sensor_map)

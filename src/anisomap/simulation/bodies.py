@@ -208,12 +208,7 @@ def hand(n_sensors: int = 160) -> Body:
     return covered("hand", [palm, *fingers, thumb], n_sensors)
 
 
-def covered(
-    name: str,
-    parts: Sequence[Solid],
-    n_sensors: int,
-    on: Chosen | None = None,
-) -> Body:
+def covered(name: str, parts: Sequence[Solid], n_sensors: int, on: Chosen | None = None) -> Body:
     """Make a body from solids and spread sensors over it, where a function says so."""
     COUNT.check("n_sensors", n_sensors)
     positions, normals = spread(parts, n_sensors, np.random.default_rng(_SEED), on)

@@ -174,11 +174,7 @@ class Driver:
     """
 
     def __init__(
-        self,
-        body: Body,
-        terrain: Terrain,
-        options: LocomotionOptions,
-        rng: np.random.Generator,
+        self, body: Body, terrain: Terrain, options: LocomotionOptions, rng: np.random.Generator
     ) -> None:
         self._mujoco, self._options, self._rng = load_mujoco(), options, rng
         solid = body.solids[0]

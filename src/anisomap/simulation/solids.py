@@ -60,14 +60,10 @@ class Solid:
 
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact signed distance of points from the surface. points (n, 3) -> (n,)."""
-        local = self.to_local(points)
+        local = (np.asarray(points, dtype=np.float64) - self.centre) @ self.rotation
         if self.kind == "mesh":
             return self._search.signed_distance(local)
         return _DISTANCES[self.kind](local, self.size)
-
-    def to_local(self, points: ArrayLike) -> Points:
-        """Transform points (n, 3) to local coordinates."""
-        return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) @ self.rotation)
 
     def scaled(self, factor: float) -> Solid:
         """Scale the solid by `factor` about the origin."""

@@ -15,11 +15,7 @@ from anisomap.numerics.similarity.binning import (
     maximum_entropy_bins,
     maximum_entropy_codes,
 )
-from anisomap.numerics.similarity.rest import (
-    estimate_rest,
-    quantile_from_counts,
-    rest_from_counts,
-)
+from anisomap.numerics.similarity.rest import estimate_rest, quantile_from_counts, rest_from_counts
 
 counts = st.lists(st.integers(1, 1000), min_size=1, max_size=40)
 bins = st.integers(2, 9)
@@ -87,10 +83,7 @@ def test_a_frequent_rest_value_leaves_the_other_bins_equal():
     assert sorted(np.bincount(codes)) == [33, 33, 34, 900]
 
 
-@given(
-    arrays(np.float64, (50, 2), elements=st.integers(-20, 20).map(float)),
-    bins,
-)
+@given(arrays(np.float64, (50, 2), elements=st.integers(-20, 20).map(float)), bins)
 def test_codes_depend_only_on_order_and_ties(readings, bins):
     stretched = 3 * np.sign(readings) * readings**2 + 7
     np.testing.assert_array_equal(

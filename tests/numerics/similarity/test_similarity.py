@@ -88,10 +88,7 @@ def test_relabelling_the_sensors_only_relabels_the_similarity(similarity, readin
 
 
 @pytest.mark.parametrize("similarity", SIMILARITIES)
-@given(
-    gain=st.sampled_from([0.25, 0.5, 2.0, 64.0]),
-    offset=st.sampled_from([0.0, -8.0, 240.0]),
-)
+@given(gain=st.sampled_from([0.25, 0.5, 2.0, 64.0]), offset=st.sampled_from([0.0, -8.0, 240.0]))
 @settings(max_examples=12)
 def test_units_and_offsets_of_a_sensor_do_not_matter(similarity, gain, offset):
     readings = skin_like(9)
@@ -162,10 +159,7 @@ def test_noise_at_rest_is_not_contact():
     assert active.sum() == 300
 
 
-@given(
-    arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6)),
-    st.integers(1, 11),
-)
+@given(arrays(np.float64, (12, 3), elements=st.floats(-1e6, 1e6)), st.integers(1, 11))
 def test_sums_of_parts_merge_to_those_of_the_whole(readings, cut):
     whole = PairSums.of(readings)
     merged = PairSums.of(readings[:cut]).merged(PairSums.of(readings[cut:]))
@@ -212,12 +206,7 @@ def test_extreme_magnitudes_do_not_matter(unit, readings):
 
 @pytest.mark.parametrize(
     ("dtype", "unit"),
-    [
-        (np.float32, 1e-25),
-        (np.float32, 1e25),
-        (np.float64, 1e-200),
-        (np.float64, 1e25),
-    ],
+    [(np.float32, 1e-25), (np.float32, 1e25), (np.float64, 1e-200), (np.float64, 1e25)],
 )
 def test_units_do_not_change_resampled_correlations(dtype, unit):
     rng = np.random.default_rng(0)

@@ -92,7 +92,8 @@ def _bodies(printer: Printer) -> None:
     for name, make in anisomap.simulation.BODIES.items():
         body = make()
         size = (f"{number(length, 3)} {body.units}" for length in (body.reach, body.spacing))
-        rows.append((name, str(body.n_sensors), *size, _first_line(make).removeprefix("Make ")))
+        summary = (inspect.getdoc(make) or "").splitlines()[0].removesuffix(".")
+        rows.append((name, str(body.n_sensors), *size, summary.removeprefix("Make ")))
     _print_rows(printer, "Bodies", "name sensors reach spacing summary", rows)
     printer.line("A file of the positions of sensors works, too:")
     printer.line("  anisomap simulate sensors.csv")
@@ -124,10 +125,6 @@ def _print_rows(printer: Printer, title: str, columns: str, rows: Sequence[Seque
     printer.table(title, names, rows)
     key = title.split(",", maxsplit=1)[0].lower().replace(" ", "_")
     printer.values[key] = [dict(zip(names, row, strict=True)) for row in rows]
-
-
-def _first_line(thing: object) -> str:
-    return (inspect.getdoc(thing) or "").splitlines()[0].removesuffix(".")
 
 
 def _abilities(read: object, write: object) -> str:

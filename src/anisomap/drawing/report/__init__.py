@@ -15,14 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import (
-    UNKNOWN,
-    join_items,
-    number,
-    percent,
-    printable,
-    shortened,
-)
+from anisomap.base.wording import UNKNOWN, join_items, number, percent, printable, shortened
 from anisomap.drawing.view import (
     MAX_JOINED,
     MAX_UNITS,
@@ -445,10 +438,7 @@ _DIGITS = 4  # of a coordinate, relative to the extent of the map: less than a p
 
 
 def _view(
-    sensor_map: SensorMap,
-    component: Panel,
-    statuses: Sequence[str],
-    coverage: TouchCoverage | None,
+    sensor_map: SensorMap, component: Panel, statuses: Sequence[str], coverage: TouchCoverage | None
 ) -> dict[str, Any]:
     n_sensors, kind = len(component.points), sensor_map.kind
     part = component

@@ -16,11 +16,7 @@ from scipy.special import pdtrc
 
 from anisomap.health.recording_faults import Found, has_contacts, turns_like_noise
 from anisomap.health.sensors import MIN_CONTACTS
-from anisomap.numerics.graph.neighbour_graphs import (
-    MAX_WHOLE,
-    all_products,
-    most_similar,
-)
+from anisomap.numerics.graph.neighbour_graphs import MAX_WHOLE, all_products, most_similar
 from anisomap.numerics.signals import (
     MAX_FRAMES,
     excerpt_frames,
@@ -291,10 +287,7 @@ def _identical(
 
 
 def _noisy(
-    readings: NDArray[Any],
-    varying: NDArray[np.intp],
-    excerpt: _Excerpt,
-    pairs: NDArray[np.intp],
+    readings: NDArray[Any], varying: NDArray[np.intp], excerpt: _Excerpt, pairs: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
     """Mark pairs of which one is the other times a gain, plus white noise."""
     misfits = excerpt.misfits(pairs)

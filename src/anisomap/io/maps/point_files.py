@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -107,11 +107,7 @@ def read_ply(path: Path) -> SensorMap:
 
 
 def _read_vertices(
-    path: Path,
-    columns: Sequence[str],
-    lines: Iterable[tuple[int, str]],
-    remarks: Sequence[str],
-    count: int,
+    path: Path, columns: list[str], lines: Iterable[tuple[int, str]], remarks: list[str], count: int
 ) -> SensorMap:
     """Read the vertices that a header announces; comments restore what was written."""
     if not count or not set(_AXES) <= set(columns):

@@ -47,12 +47,8 @@ _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 def has_root(name: str) -> Callable[[Path, bytes], bool]:
     """Return the function that recognises files by their root element."""
-    return lambda path, head: _root(head) == name.encode()
-
-
-def _root(head: bytes) -> bytes:
-    found = _ROOT.match(head)
-    return found[1] if found else b""
+    wanted = name.encode()
+    return lambda path, head: (found := _ROOT.match(head)) is not None and found[1] == wanted
 
 
 def write_urdf(sensor_map: SensorMap, path: Path) -> None:

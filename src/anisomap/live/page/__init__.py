@@ -89,13 +89,7 @@ def _end(session: LiveSession, _: Mapping[str, Any]) -> Done:
 
 
 ACTIONS: Mapping[str, Callable[[LiveSession, Mapping[str, Any]], Done]] = MappingProxyType(
-    {
-        "pause": _pause,
-        "restart": _restart,
-        "drop": _drop,
-        "save": _save,
-        "end": _end,
-    }
+    {"pause": _pause, "restart": _restart, "drop": _drop, "save": _save, "end": _end}
 )
 """Actions by name."""
 

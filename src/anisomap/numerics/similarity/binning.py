@@ -238,7 +238,8 @@ def _round_to(
     """Round values by `n_bits` or more bits, until at most `max_values` are distinct."""
     order = np.argsort(values, kind="stable")
     sorted_values, weights = values[order].astype(np.float64) + 0.0, counts[order]
-    keys = _ordered_integers(sorted_values) >> n_bits
+    bits = sorted_values.view(np.int64)
+    keys = np.where(bits < 0, bits ^ _MAGNITUDE, bits) >> n_bits  # in the order of the values
     begins = _run_starts(keys)
     while begins.size > max_values:
         n_bits += 1
@@ -249,9 +250,3 @@ def _round_to(
 
 def _run_starts(keys: NDArray[np.int64]) -> NDArray[np.intp]:
     return np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-
-
-def _ordered_integers(values: Floats) -> NDArray[np.int64]:
-    """Reinterpret the bits of floats as integers in the same order."""
-    bits = values.view(np.int64)
-    return np.asarray(np.where(bits < 0, bits ^ _MAGNITUDE, bits))
