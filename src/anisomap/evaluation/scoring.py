@@ -134,7 +134,18 @@ _SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked
 
 
 def median_spacing(positions: ArrayLike) -> float:
-    """Compute the median distance to the nearest neighbour, in the units of `positions`."""
+    """Compute the median distance from a sensor to its nearest neighbour.
+
+    Parameters
+    ----------
+    positions : array_like of shape (N, k)
+        Finite positions of at least two sensors.
+
+    Returns
+    -------
+    float
+        In the units of `positions`.
+    """
     return float(np.median(nearest_distances(np.asarray(positions, dtype=np.float64))))
 
 

@@ -92,6 +92,11 @@ def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
         If nothing was mended, its recording is the given one; else it lacks sensors that were
         copies, and frames that repeat the one before.
 
+    Raises
+    ------
+    InputError
+        If the recordings do not match: see `anisomap.join_runs`.
+
     Notes
     -----
     Copies, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. In a gap,
@@ -135,6 +140,11 @@ def find_faults(
     -------
     tuple of Finding
         In the order of `CHECKS`; empty if there are none.
+
+    Raises
+    ------
+    InputError
+        If the recordings do not match: see `anisomap.join_runs`.
     """
     found: dict[tuple[str, tuple[str, ...]], Finding] = {}
     for part in join_runs(recording).parts:

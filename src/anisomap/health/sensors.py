@@ -233,6 +233,11 @@ def assess(recording: Recording | Sequence[Recording]) -> tuple[SensorHealth, ..
     tuple of SensorHealth
         In the order of the sensors.
 
+    Raises
+    ------
+    InputError
+        If the recordings do not match: see `anisomap.join_runs`.
+
     Notes
     -----
     Sensors that are constant at rest are ``"silent"``: readings of dead sensors and of sensors that

@@ -74,6 +74,15 @@ class Anchors(Immutable):
 def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
     """Parse an anchor such as ``s17=0.012,0.040,0.003``, in metres.
 
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    (str, tuple of float)
+        Name of the sensor, and its two or three coordinates in metres.
+
     Raises
     ------
     InputError
@@ -125,7 +134,19 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
 
 
 def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
-    """Choose sensors worth measuring: far apart, and inside the skin, where maps are accurate."""
+    """Choose sensors worth measuring: far apart, and inside the skin, where maps are accurate.
+
+    Parameters
+    ----------
+    sensor_map : SensorMap
+    count : int
+        Number of sensors of each component; at least 1.
+
+    Returns
+    -------
+    tuple of str
+        Names of the sensors; none of components of a single sensor.
+    """
     found: list[str] = []
     for part in sensor_map.split():
         positions, n_sensors = part.positions, part.n_sensors

@@ -171,7 +171,23 @@ _METADATA = {
 
 
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """Render a figure; the same figure gives the same bytes."""
+    """Render a figure; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    kind : {"png", "svg", "pdf"}
+
+    Returns
+    -------
+    bytes
+        Content of the picture file.
+
+    Raises
+    ------
+    InputError
+        If the format is unknown.
+    """
     if kind not in KINDS:
         raise InputError(f"unknown picture format {kind!r}; use {', '.join(KINDS)}")
     buffer = io.BytesIO()

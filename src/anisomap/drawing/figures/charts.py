@@ -269,7 +269,25 @@ def draw_distances(axes: Axes, score: Score) -> None:
 
 
 def series_figure(recording: Recording, doubted: Sequence[SensorHealth]) -> Figure:
-    """Draw the readings of sensors over time, as thumbnails."""
+    """Draw the readings of sensors over time, as thumbnails.
+
+    Parameters
+    ----------
+    recording : Recording
+    doubted : sequence of SensorHealth
+        Sensors to draw, from `anisomap.assess`; the first 12 are drawn.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    InputError
+        If there is no sensor to draw.
+    MissingExtraError
+        If matplotlib is not installed.
+    """
     if not doubted:
         raise InputError("there is no sensor to draw")
     shown = list(doubted)[:_MAX_SERIES]
