@@ -92,8 +92,9 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     Parameters
     ----------
     before, after : SensorMap
-        Two maps of one skin. Sensors are matched by name, else by the number in their names, or by
-        order if one map has no names. Units, frames and handedness may differ.
+        Two maps of one skin. Sensors are matched by name, taxels of an iCub by number if no name is
+        shared, and sensors by order if one map has no names. Units, frames and handedness may
+        differ.
 
     Returns
     -------

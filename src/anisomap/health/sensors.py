@@ -43,7 +43,7 @@ STATUSES = (
 _MAX_COMPARED = 4096  # sensors with which others are compared after shifts
 _N_SHIFTS = 19  # circular shifts that a related sensor exceeds
 _FRAMES_AT_ONCE = 256  # whose differences stay in the cache
-_ROWS_AT_ONCE = 64  # of a product; single rows would be as slow as some
+_ROWS_AT_ONCE = 64  # of a product; a single row would take as long
 _HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
 _MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
 _LEAST_R = 1e-3
@@ -56,10 +56,10 @@ _MIN_AT_REST = 20  # of them; chosen by hand
 _N_PARTNERS = 8  # most similar sensors that explain readings: the neighbours on a square lattice
 # Share of the readings of the typical sensor that repeat the one before: in more, noise is hidden.
 _MAX_STILL = 1 / 3
-_N_NEAR, _MIN_SPELLS = 4, 5  # sensors that tell whether there is contact; spells; by hand
+_N_NEAR, _MIN_SPELLS = 4, 5  # sensors that show whether there is contact; spells; by hand
 _MIN_HELD, _MIN_STAY = 0.05, 0.8  # share of the frames; chance that a spell lasts a frame more
-# Of spells that contact has no part in: of their frames without contact over those of others, and
-# of the jump at either end over the distance of other readings at rest. By hand.
+# Least ratios for spells without a part of contact: of their frames without contact to those of
+# others, and of the jump at either end to the distance of other readings at rest. By hand.
 _MIN_INDEPENDENT, _MIN_JUMP = 0.5, 0.7
 
 

@@ -164,8 +164,8 @@ def score_map(
 ) -> None:
     """Score a map against known positions, and name the worst sensors.
 
-    Sensors are matched by name. If no name is shared, they are matched by the numbers in their
-    names, or by order.
+    Sensors are matched by name. If no name is shared, taxels of an iCub are matched by number, and
+    sensors by order if one file has no names.
 
     Examples
     --------

@@ -69,7 +69,7 @@ def agree_more(before: NDArray[Any], after: NDArray[Any], group: NDArray[np.intp
     return True
 
 
-# Of contact, as a surface needs: place in two dimensions, and height.
+# Patterns of contact that a surface needs: place in two dimensions, and height.
 _MIN_PATTERNS = 3
 _N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
 _MIN_ALONE = 3  # frames in which a sensor is touched and another rests; fewer may be noise

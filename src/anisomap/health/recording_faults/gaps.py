@@ -23,8 +23,8 @@ _MIN_SPAN = 8  # frames of which all repeat the one before; chosen by hand
 _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
 _MAX_FITTED = 20_000  # of a fit
 _MIN_PRESENT = 0.5  # share of the weight of similar sensors that have readings
-# Share of the other readings that repeat: of more, contacts are still, and no noise tells. Also of
-# those of the typical sensor, if all must repeat. By hand.
+# Largest share of the other readings that repeat, since noise shows nothing of still contacts; also
+# of those of the typical sensor, if all must repeat. By hand.
 _MAX_STILL, _MAX_STILL_EACH = 0.05, 1 / 3
 _MAX_FROZEN = 0.5  # of the frames; more are a rest
 

@@ -79,7 +79,7 @@ def find_regions(recording: Recording) -> Iterator[Found]:
 _MIN_SENSORS = 0.8  # share of the sensors that have one period; chosen by hand
 _MIN_CYCLES = 3  # of a recording that is one sine
 _HALF_LINE = 2  # frequencies on each side that belong to a line
-# Of a sine. At a lower frequency, or among fewer ones, a line is as wide as the spectrum of
+# At a lower frequency of a sine, or among fewer ones, a line is as wide as the spectrum of
 # contacts, and must hold all variance: of 720 clean recordings of 50 frames, 11 had .7, 2 had .95.
 _MIN_NARROW, _MIN_FREQUENCIES = 4 * _HALF_LINE, 10 * (2 * _HALF_LINE + 1)
 _ALL_OF_IT = 0.95

@@ -121,7 +121,7 @@ def resampled_correlation(
     at_once = max(8, _STACKED_BYTES // (4 * n_blocks * n_sensors))
     workspace = np.empty(n_blocks * min(at_once, n_sensors) * n_sensors, np.float32)
     for begin in range(0, n_sensors, at_once):
-        # Of each sensor with itself and all later ones.
+        # Products of each sensor with itself and all later ones.
         rows, columns = slice(begin, begin + at_once), slice(begin, None)
         shape = found[0, rows, columns].shape
         products = workspace[: n_blocks * math.prod(shape)].reshape(n_blocks, *shape)

@@ -202,7 +202,7 @@ def ranks_of_depths(
         differs[before[n_active > 0]] = True
         first = np.flatnonzero(differs)
         counts = np.diff(first, append=order.size)
-        # Of sensors whose readings contact lowers, those at rest have the highest ranks.
+        # Where contact lowers the readings of a sensor, those at rest have the highest ranks.
         below = np.where(raised, n_resting, 0) - before
         mean = first + (counts + 1) / 2 + below[sensor[first]]
         ranks[some].ravel()[place[order]] = np.repeat(mean, counts)
