@@ -419,6 +419,7 @@ def test_every_error_is_in_millimetres_once_the_scale_is_known(judged, tmp_path)
     assert told[0] == "Usable: positions are right to about 1.3 mm (0.65 to 3.9)."
     assert "Maps of resampled recordings differ by 1.56 mm." in told
     assert "Touched once." in told
+    assert "assume a median distance of 6.5 mm" in told[-1]
     assert not any("spacings" in one.replace("radius of 5 spacings", "") for one in told)
     assert judgement(scaled_to_spacing(judged, 0.0065, "m")) == told
     anisomap.write(scaled, tmp_path / "map.json")

@@ -370,7 +370,8 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
         )
     if unit == "mm" and "spacing" in sensor_map.provenance and not sensor_map.anchored:
         told.append(
-            f"Millimetres assume a median distance of {spacing:.3g} mm to the nearest sensor."
+            f"Millimetres assume a median distance of {spacing:.3g} mm to the nearest sensor. "
+            "Errors shorten this distance on a map: lengths are usually up to 30% too long."
         )
     return tuple(told)
 
