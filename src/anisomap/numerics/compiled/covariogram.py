@@ -99,23 +99,32 @@ def slope(
     decayed: tuple[Singles, Singles, Singles, Singles],
     whitened_shape: Singles,
     data: tuple[Singles, Singles, Singles, Singles, Singles],
-    weights: tuple[float, float, float, float, float],
+    weights: tuple[float, float, float, float, float, float],
     force: Singles,
 ) -> tuple[float, float]:
     """Return the value and the derivative by the log exponent, and write the force."""
     n_pairs = len(force)
-    ratios = 0.0
+    value = by_exponent = deviations = log_distances = ratios = squared = size = 0.0
     for start in range(0, n_pairs, WIDTH):
         stop = min(start + WIDTH, n_pairs)
         squares, inverse_metric = decayed[2][start:stop], data[4][start:stop]
-        part = np.float32(0)
+        part = part_squared = part_size = np.float32(0)
         for p in range(len(squares)):
-            part += np.sqrt(squares[p]) * inverse_metric[p]
+            ratio = np.sqrt(squares[p]) * inverse_metric[p]
+            part += ratio
+            part_squared += ratio * ratio
+            part_size += squares[p]
         ratios += float(part)
-    mean, prior = np.float32(ratios / n_pairs), np.float32(weights[3])
+        squared += float(part_squared)
+        size += float(part_size)
+    mean, free = ratios / n_pairs, 1 - weights[5]
+    variance = np.float32(free * (squared / n_pairs / mean**2 - 1))
+    prior_weight = weights[3] * mean ** (2 * weights[5])
+    size /= n_pairs
+    inverse_size, prior = np.float32(free / size), np.float32(prior_weight / mean)
+    inverse_mean = np.float32(1 / mean)
     amplitude, offset = np.float32(weights[0]), np.float32(weights[2])
     steeper, half_repulsion = np.float32(-weights[0] * weights[1]), np.float32(weights[4] / 2)
-    value = by_exponent = deviations = log_distances = 0.0
     for start in range(0, n_pairs, WIDTH):
         stop = min(start + WIDTH, n_pairs)
         shape, steepness = decayed[0][start:stop], decayed[1][start:stop]
@@ -133,15 +142,16 @@ def slope(
             part_by_exponent += slope * logarithms[p]
             part_logarithm += logarithms[p]
             distance, inverse_square = np.sqrt(squares[p]), _ONE / squares[p]
-            deviation = distance * inverse_metric[p] - mean
+            deviation = distance * inverse_metric[p] * inverse_mean - _ONE
             part_deviation += deviation * deviation
-            slope += prior * deviation * inverse_metric[p] * distance - half_repulsion
-            forces[p] = slope * inverse_square
+            slope += prior * (deviation - variance) * inverse_metric[p] * distance
+            forces[p] = slope * inverse_square - half_repulsion * (inverse_square - inverse_size)
         value += float(part)
         by_exponent += float(part_by_exponent)
         deviations += float(part_deviation)
         log_distances += float(part_logarithm)
-    value += weights[3] * deviations - weights[4] * log_distances
+    log_distances -= free * n_pairs / 2 * np.log(size)
+    value += prior_weight * deviations - weights[4] * log_distances
     return value, 2 * by_exponent
 
 
@@ -161,30 +171,3 @@ def pull(force: Singles, points: Reals, pulled: Reals) -> None:
                 target[j] -= share
             pulled[axis, i] += summed
         first += len(forces)
-
-
-@loop(fastmath=REORDERED, error_model="numpy")
-def product_of(first: Singles, second: Singles) -> float:
-    """Sum the products of two symmetric matrices without diagonal, given by their pairs."""
-    total = 0.0
-    for start in range(0, len(first), WIDTH):
-        one, other = first[start : start + WIDTH], second[start : start + WIDTH]
-        part = np.float32(0)
-        for p in range(len(one)):
-            part += one[p] * other[p]
-        total += float(part)
-    return 2 * total
-
-
-@loop()
-def unpack(values: Singles, matrix: Singles) -> None:
-    """Write values of pairs to both triangles of a matrix, shape (n, n)."""
-    n_points = len(matrix)
-    first = 0
-    for i in range(n_points):
-        matrix[i, i] = 0
-        for j in range(i + 1, n_points):
-            value = values[first + j - i - 1]
-            matrix[i, j] = value
-            matrix[j, i] = value
-        first += n_points - 1 - i

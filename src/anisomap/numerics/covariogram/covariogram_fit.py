@@ -98,10 +98,13 @@ def fit_covariogram(
 
     Minimises over positions x and the covariogram's amplitude a, exponent b and offset c ::
 
-        1/2 tr(R W R W) + s^2 sum_{i<j} (lambda (d_ij / D_ij - g)^2 - alpha log d_ij)
-        R_ij = a exp(-d_ij^b) + c - S_ij,  R_ii = 0,  g = mean of d_ij / D_ij
+        1/2 tr(R W R W) + s^2 sum_{i<j} (lambda g^(2h) (d_ij / (g D_ij) - 1)^2
+                                         - alpha log (d_ij / u^(1-h)))
+        R_ij = a exp(-d_ij^b) + c - S_ij,  R_ii = 0,  g = mean of d_ij / D_ij,  u^2 = mean of d_ij^2
 
-    with lambda the `prior_weight` and alpha the `repulsion` of `CovariogramOptions`.
+    with lambda the `prior_weight` and alpha the `repulsion` of `CovariogramOptions`. Up to 200
+    sensors, h = 1; with N of them, it is ``(200 / N)^2``: the scale of a map is one number, which
+    the priors of all its pairs must not determine.
 
     Errors of correlations are correlated: to second order, the log-likelihood of a covariance S
     under the model C is ``-T/4 tr(R C^-1 R C^-1)`` (Wishart). W replaces C^-1; it is

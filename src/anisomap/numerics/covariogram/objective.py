@@ -40,13 +40,17 @@ class Decay(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Covariogram, and weights of squared deviations of ratios and of logarithms of distances."""
+    """Covariogram, and weights of squared deviations of ratios and of logarithms of distances.
+
+    by_scale: Share of the change of both by the scale of the map that counts.
+    """
 
     amplitude: float
     exponent: float
     offset: float
     prior: float
     repulsion: float
+    by_scale: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +66,6 @@ class Pairs:
     whitened_known: Reals
     whitened_similarity: Reals
     inverse_metric: Reals
-    n_sensors: int
 
     def decay(self, points: Reals, log_exponent: float) -> Decay:
         """Evaluate the shape of the covariogram at the distances of points, shape (n, k)."""
@@ -97,36 +100,40 @@ class Pairs:
         force += term
         force -= self.whitened_similarity
         # The sum over residuals cancels less than that over the products of their terms.
-        value = _sum(np.multiply(residual, force, out=term))
+        value = self.product(residual, force) / 2
         force *= -weights.amplitude * weights.exponent
         force *= decayed.steepness
-        by_exponent = 2 * _sum(np.multiply(force, decayed.logarithms, out=term))
+        by_exponent = self.product(force, decayed.logarithms)
         # Divided by the distance twice: in the derivatives of the distance and of its power.
         force /= decayed.squares
-        distances = np.sqrt(decayed.squares, out=residual)
+        distances, count = np.sqrt(decayed.squares, out=residual), len(force)
         deviations = np.multiply(distances, self.inverse_metric, out=term)
-        deviations -= _sum(deviations) / len(deviations)
-        value -= weights.repulsion * _sum(decayed.logarithms)
-        pull = deviations * self.inverse_metric
-        pull *= weights.prior
-        pull /= distances
+        mean, free = _sum(deviations) / count, 1 - weights.by_scale
+        deviations /= mean
+        deviations -= 1
+        prior = weights.prior * mean ** (2 * weights.by_scale)
+        pull = np.divide(self.inverse_metric, distances, out=distances)
+        pull *= prior / mean
+        variance = self.product(deviations, deviations) / 2 / count
+        value += prior * count * variance
+        deviations -= free * variance
+        pull *= deviations
         force += pull
-        value += weights.prior * _sum(np.multiply(deviations, deviations, out=term))
+        size = _sum(decayed.squares) / count
+        value -= weights.repulsion * (_sum(decayed.logarithms) - free * count / 2 * np.log(size))
         force -= np.divide(weights.repulsion / 2, decayed.squares, out=term)
+        force += weights.repulsion / 2 * free / size
         return value, by_exponent, force
 
     def gradient(self, force: Reals, points: Reals) -> Reals:
         """Return the gradient by positions, shape (n, k), of the force of `slope`."""
-        forces = self.unpack(force.astype(np.float64, copy=False))
+        forces = squareform(force.astype(np.float64, copy=False))
         return np.asarray(2 * (forces.sum(axis=1)[:, None] * points - forces @ points))
 
     def product(self, first: Reals, second: Reals) -> float:
         """Sum the products of two symmetric matrices without diagonal, given by their pairs."""
-        return 2 * _sum(first * second)
-
-    def unpack(self, values: Reals) -> Reals:
-        """Return the symmetric matrix, shape (n, n), of values of pairs; its diagonal is 0."""
-        return np.asarray(squareform(values, checks=False))
+        parts = np.einsum("ij,ij->i", _rows(first), _rows(second))
+        return 2 * float(parts.sum(dtype=np.float64))
 
 
 class CompiledPairs(Pairs):
@@ -164,22 +171,16 @@ class CompiledPairs(Pairs):
         load_loops("covariogram").pull(force, np.ascontiguousarray(points.T), gradient)
         return gradient.T
 
-    def product(self, first: Reals, second: Reals) -> float:
-        """See `Pairs.product`."""
-        return float(load_loops("covariogram").product_of(first, second))
-
-    def unpack(self, values: Reals) -> Reals:
-        """See `Pairs.unpack`."""
-        matrix = np.empty((self.n_sensors, self.n_sensors), values.dtype)
-        load_loops("covariogram").unpack(values, matrix)
-        return matrix
-
 
 def _sum(values: Reals) -> float:
     """Sum values of pairs: parts in their own precision, which numpy adds pairwise."""
+    return float(_rows(values).sum(axis=1).sum(dtype=np.float64))
+
+
+def _rows(values: Reals) -> Reals:
+    """Arrange values of pairs in rows of equal length."""
     n_points = round((1 + np.sqrt(1 + 8 * len(values))) / 2)
-    rows = values.reshape(n_points - 1 + n_points % 2, -1)
-    return float(rows.sum(axis=1).sum(dtype=np.float64))
+    return values.reshape(n_points - 1 + n_points % 2, -1)
 
 
 _AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pairs exceed its range
@@ -189,6 +190,10 @@ _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are
 # Weight of residuals that are not whitened, relative to that of whitened residuals of unrelated
 # sensors: those of the correlations of eight skins had .43 to .71.
 _NOT_WHITENED = 0.5
+# Sensors above which both priors change by the scale of a map as if they had the pairs of so many:
+# the scale is one number, and the covariogram gave way to the priors of all pairs, with exponents
+# of .8 in place of 2 on spheres of 400 to 2,000. Skins of up to 250 lose .004 of r with 0 to 100.
+_MAX_SCALED = 200
 _ROUNDING = 1e-15  # relative, of an eigenvalue that is 0, as in numpy.linalg.pinv
 
 
@@ -280,6 +285,7 @@ class Objective:
         self._repulsion = problem.noise * problem.options.repulsion
         similarity = np.where(problem.known, problem.similarity, 0.0).astype(np.float64)
         self._scale = _NOT_WHITENED / (1 + problem.options.ridge)
+        self._by_scale = min(1.0, (_MAX_SCALED / len(similarity)) ** 2)
         self._weights: Reals | None = None
         if len(similarity) <= problem.options.max_whitened:
             # Inverted in float64; all other matrices take half the time in float32.
@@ -295,7 +301,6 @@ class Objective:
             whitened_known=self._whitened(offset),
             whitened_similarity=self._whitened(similarity),
             inverse_metric=inverse_metric.astype(problem.precision),
-            n_sensors=len(similarity),
         )
         self._fixed_products = (
             pairs.product(pairs.known, pairs.whitened_known),
@@ -313,7 +318,7 @@ class Objective:
                 return terms
         pairs = self._pairs
         decayed = pairs.decay(positions, log_exponent)
-        whitened = self._whitened(pairs.unpack(decayed.shape))
+        whitened = self._whitened(squareform(decayed.shape))
         others = (whitened, pairs.whitened_known, pairs.whitened_similarity)
         products = [pairs.product(decayed.shape, other) for other in others]
         terms = Terms(np.array([*products, *self._fixed_products]), decayed, whitened)
@@ -325,7 +330,7 @@ class Objective:
         terms = self.terms(positions, log_exponent)
         amplitude, offset = solve_amplitude_and_offset(terms.products)
         exponent = float(np.exp(log_exponent))
-        weights = Weights(amplitude, exponent, offset, self._prior, self._repulsion)
+        weights = Weights(amplitude, exponent, offset, self._prior, self._repulsion, self._by_scale)
         value, by_exponent, force = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
         by_positions = self._pairs.gradient(force, positions)
         return value, np.append(by_positions.ravel(), by_exponent)
@@ -344,9 +349,9 @@ class Objective:
         n_sensors, n_axes = positions.shape
         terms, pairs = self.terms(positions, log_exponent), self._pairs
         amplitude, _ = solve_amplitude_and_offset(terms.products)
-        decayed, unpack = terms.decay, pairs.unpack
+        decayed = terms.decay
         steep = -amplitude * float(np.exp(log_exponent)) * decayed.steepness
-        slopes = unpack(steep / decayed.squares)
+        slopes = squareform(steep / decayed.squares)
         apart = [np.subtract.outer(axis, axis).astype(slopes.dtype) for axis in positions.T]
         derivatives = [slopes * axis for axis in apart]
         if self._weights is None:
@@ -357,7 +362,7 @@ class Objective:
         # The second derivative of the repulsion is taken along the line between two sensors only,
         # where it is positive; likewise the mean ratio of distances is taken as constant.
         bend = 2 * self._prior * pairs.inverse_metric**2 + self._repulsion / decayed.squares
-        radial = unpack(bend / decayed.squares)
+        radial = squareform(bend / decayed.squares)
         matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
         for p in range(n_axes):
             for q in range(p, n_axes):
@@ -368,9 +373,9 @@ class Objective:
                 rows, columns = (slice(i * n_sensors, (i + 1) * n_sensors) for i in (p, q))
                 matrix[rows, columns] = found
         linear_terms = (decayed.shape, pairs.known, steep * decayed.logarithms)
-        by_exponent = self._whitened(unpack(linear_terms[2]))
+        by_exponent = self._whitened(squareform(linear_terms[2]))
         whitened = (terms.whitened_shape, pairs.whitened_known, by_exponent)
-        cross = [[2 * (d * w).sum(axis=1) for d in derivatives] for w in map(unpack, whitened)]
+        cross = [[2 * (d * w).sum(axis=1) for d in derivatives] for w in map(squareform, whitened)]
         flat = np.array(cross, dtype=np.float64).reshape(3, positions.size)
         linear = np.array([[pairs.product(a, b) for b in whitened] for a in linear_terms])
         matrix[:-1, -1] = flat[2]
