@@ -126,9 +126,7 @@ def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
     return Repair(join_runs([one.recording for one in found]), findings)
 
 
-def find_faults(
-    recording: Recording | ArrayLike | Sequence[Recording],
-) -> tuple[Finding, ...]:
+def find_faults(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Finding, ...]:
     """Find the faults of a recording that spoil a map of it.
 
     Parameters

@@ -67,9 +67,7 @@ def confirmed_faults(
 
 
 def advise(
-    positions: NDArray[np.float64],
-    touched: NDArray[np.bool_],
-    drop: Collection[int] = (),
+    positions: NDArray[np.float64], touched: NDArray[np.bool_], drop: Collection[int] = ()
 ) -> Advice:
     """Advise where to touch next. positions (N, k); touched (T, N)."""
     contacts = count_contacts(touched)

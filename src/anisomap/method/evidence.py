@@ -85,11 +85,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
             lambda x, _: pearson(x),
             of_signals=lambda signals: signals.pearson,
         ),
-        "spearman": Similarity(
-            "rank correlation",
-            lambda x, _: spearman(x),
-            correlated=ranked,
-        ),
+        "spearman": Similarity("rank correlation", lambda x, _: spearman(x), correlated=ranked),
         "co-activation": Similarity(
             "correlation of binary contact (phi)",
             lambda x, _: co_activation(x),

@@ -70,9 +70,7 @@ def check_pair_memory(n_sensors: int, *, refined: bool) -> None:
     matrices = MATRICES_OF_REFINED if refined else MATRICES
     needed = matrices * n_sensors**2 * np.dtype(float_type(n_sensors)).itemsize
     check_memory(
-        needed,
-        f"a map of all pairs of {n_sensors} sensors",
-        "map fewer sensors at a time",
+        needed, f"a map of all pairs of {n_sensors} sensors", "map fewer sensors at a time"
     )
 
 

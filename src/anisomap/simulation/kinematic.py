@@ -456,10 +456,7 @@ class GuidedHand:
         self._palm = Palm(sample_skin(body, rng), options, rng)
 
     def rub(
-        self,
-        n_frames: int,
-        sensors: Collection[int] = (),
-        contacts: NDArray[np.intp] | None = None,
+        self, n_frames: int, sensors: Collection[int] = (), contacts: NDArray[np.intp] | None = None
     ) -> NDArray[np.float32]:
         """Rub for some frames. Returns (n_frames, N)."""
         visits = np.zeros(self._body.n_sensors)

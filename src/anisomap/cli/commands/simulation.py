@@ -241,10 +241,7 @@ def paper(
     from anisomap.paper.results import PAGE
 
     settings = Settings(
-        seed=first_seed,
-        quick=quick,
-        recordings=recordings,
-        changes=parse_changes(set_ or ()),
+        seed=first_seed, quick=quick, recordings=recordings, changes=parse_changes(set_ or ())
     )
     with progress("reproducing the paper") as show:
 

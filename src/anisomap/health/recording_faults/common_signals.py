@@ -234,9 +234,7 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
             yield free[group]
 
 
-def _noise_of(
-    readings: NDArray[Any],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def _noise_of(readings: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return the course of the noise of a group, (T,), and its gains, (n,); None without any."""
     values = readings.astype(np.float64)
     gains, course = _common_course(values)
@@ -257,9 +255,7 @@ def _noise_of(
     return course, gains
 
 
-def _common_course(
-    values: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _common_course(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit one course with gains to sensors, without those in contact.
 
     The course starts as a low quantile over sensors, which is at rest even if contacts cover half

@@ -231,11 +231,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(f"{text}\n".encode(), "text/plain; charset=utf-8", status)
 
     def _send(
-        self,
-        content: bytes,
-        kind: str,
-        status: HTTPStatus = HTTPStatus.OK,
-        disposition: str = "",
+        self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, disposition: str = ""
     ) -> None:
         self._start(status, kind)
         if disposition:

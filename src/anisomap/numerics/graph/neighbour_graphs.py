@@ -46,9 +46,7 @@ def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[n
     return np.asarray(chosen)
 
 
-def smallest_connected_neighbour_graph(
-    similarity: ArrayLike,
-) -> tuple[NDArray[np.bool_], int]:
+def smallest_connected_neighbour_graph(similarity: ArrayLike) -> tuple[NDArray[np.bool_], int]:
     """Find the connected neighbour graph with the fewest neighbours. similarity (N, N).
 
     McGregor et al. (2011), section "ISOMAP". Edges are only added as k grows, so k is bisected.

@@ -97,9 +97,7 @@ def thinning(readings: ArrayLike) -> int:
     return next((step for step in steps if step * float(squares[::step].sum()) <= of_all), 1)
 
 
-def _fading(
-    readings: NDArray[np.generic],
-) -> tuple[int, NDArray[np.intp], NDArray[np.float32]]:
+def _fading(readings: NDArray[np.generic]) -> tuple[int, NDArray[np.intp], NDArray[np.float32]]:
     """Find the lag at which the median autocorrelation of sampled sensors fades.
 
     readings (T, N) -> lag, the sampled sensors (n,), their autocorrelations (L, n).

@@ -44,9 +44,7 @@ def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
     return _contacts_and_frames(np.asarray(readings))[0]
 
 
-def _contacts_and_frames(
-    values: NDArray[np.generic],
-) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+def _contacts_and_frames(values: NDArray[np.generic]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """Return distinct contacts, and the first frame of each."""
     # All sensors rest while nothing touches the skin. Only without such frames does the majority
     # decide: contacts may cover most of the skin.
