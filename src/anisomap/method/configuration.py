@@ -43,6 +43,7 @@ class Configuration:
     converged: Whether the scaling of every component converged.
     n_iterations: Number of SMACOF iterations, the maximum over components.
     refinements: How each component was refined, before it was rescaled; empty if none was.
+    scaled (n, k): Positions from the metric alone, if they were refined.
     """
 
     positions: Floats
@@ -51,6 +52,7 @@ class Configuration:
     converged: bool
     n_iterations: int
     refinements: tuple[Refinement | None, ...] = ()
+    scaled: Floats | None = None
 
     @property
     def largest(self) -> Refinement | None:
@@ -155,7 +157,8 @@ def _refined(task: Task, evidence: Evidence, scaled: Configuration) -> Configura
         raw += missed
         spread += factor**2 * size
     stress = float(np.sqrt(raw / spread)) if spread > 0 else 0.0
-    return replace(scaled, positions=positions, stress=stress, refinements=tuple(refinements))
+    made = replace(scaled, positions=positions, stress=stress, refinements=tuple(refinements))
+    return replace(made, scaled=scaled.positions)
 
 
 def among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:

@@ -48,20 +48,25 @@ _N_POOLED = 8  # nearest sensors over which covariances are pooled; 20 hold equa
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A component of n sensors of a map, with what it was made from."""
+    """A component of n sensors of a map, with what it was made from.
+
+    scaled (n, k): Positions from the metric alone.
+    """
 
     evidence: Evidence
     refined: Refinement
+    scaled: NDArray[np.float64]
 
     @classmethod
     def of(cls, stages: Stages, label: int) -> Part | None:
         """Return a component of the map of some stages; None if it was not refined."""
         made = stages.configuration
         refined = made.refinements[label] if label < len(made.refinements) else None
-        if refined is None:
+        if refined is None or made.scaled is None:
             return None
         inside = made.component == label
-        return cls(replace(stages.evidence.select(inside), related=True), refined)
+        related = replace(stages.evidence.select(inside), related=True)
+        return cls(related, refined, made.scaled[inside])
 
 
 def deviations_by_chance(

@@ -46,6 +46,7 @@ from anisomap.verdict.judge import Measurements, expected_error, judge
 from anisomap.verdict.second_map import (
     agreement_of_halves,
     differences_from_second_map,
+    is_crowded,
     is_uneven,
     sensors_pair_off,
 )
@@ -156,6 +157,7 @@ def diagnose(
         )
         if stated := _stated(contacts, joined):
             facts["contacts"] = stated
+        facts |= {"uneven": True} if uneven else {}
         verdict = judge(replace(measured, contacts=stated, known_uneven=uneven))
         if not joined.touched:
             verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
@@ -223,6 +225,7 @@ def examine(
         chance = covariances(deviations, positions)
         repeatability = error_in_spacings(chance, positions)
         difference = rms_in_spacings(differences, positions)
+        by_metric = rms_in_spacings(align(part.scaled, positions).aligned - positions, positions)
         if label == 0:
             groups = np.bincount(stages.evidence.groups.linked[stages.configuration.component == 0])
             measured = replace(
@@ -230,8 +233,10 @@ def examine(
                 linked=int(groups.max()),
                 repeatability=repeatability,
                 difference=difference,
+                metric=by_metric,
                 regional=regional_difference(differences, positions),
                 uneven=uneven,
+                crowded=is_crowded(positions),
                 extent=extent_in_spacings(positions),
                 paired=sensors_pair_off(part.evidence.similarity),
                 agreement=agreement_of_halves(part.evidence, generator),
@@ -241,7 +246,7 @@ def examine(
                 gain = _gain_of_third(part.evidence, stages.configuration, stages.other)
                 measured = replace(measured, between=apart, regions_between=regions, gain=gain)
         kind = {"spatial": measured.spatial, "uneven": uneven}
-        error = expected_error(repeatability, difference, **kind).value
+        error = expected_error(repeatability, difference, by_metric, **kind).value
         if math.isfinite(error):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
