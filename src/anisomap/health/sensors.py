@@ -47,6 +47,9 @@ _ROWS_AT_ONCE = 64  # of a product; a single row would take as long
 _HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
 _MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
 _LEAST_R = 1e-3
+# Levels of a sensor that noise may move a step from rest, and share of the sensors with more than
+# two levels, below which the skin is on or off; by hand.
+_FEW_LEVELS, _SEVERAL = 8, 0.05
 _HARMFUL_NOISE = 0.15  # share of the variance: r is 8 % lower
 _NEGLIGIBLE = 0.01  # noise, in standard deviations of the typical sensor
 _OF_WHITE_NOISE = 0.6745 * 6**0.5  # median of the second differences of white noise
@@ -123,9 +126,25 @@ class Behaviour:
         return float(1 - left * free / max(1, free - len(partners)))
 
     @cached_property
+    def _dithers(self) -> NDArray[np.bool_]:
+        """Sensors of few levels that are mostly one step from rest where they are not at rest.
+
+        Noise moves them there where their rest lies between two levels, as contact does others.
+        """
+        readings, rest = self.signals.readings, self.signals.rest
+        found = rest.distinct <= _FEW_LEVELS
+        if np.mean(rest.distinct > 2) < _SEVERAL:  # on or off
+            return np.zeros_like(found)
+        for i in np.flatnonzero(found).tolist():
+            levels, counts = np.unique(readings[:, i], return_counts=True)
+            step = np.abs(np.arange(levels.size) - counts.argmax())
+            found[i] = counts[step == 1].sum() > counts[step > 1].sum()
+        return np.asarray(found)
+
+    @cached_property
     def unlike(self) -> NDArray[np.bool_]:
         """Sensors with contacts that resemble no other sensor as similar ones with contacts do."""
-        found = self.contacts >= MIN_CONTACTS
+        found = (self.contacts >= MIN_CONTACTS) & ~self._dithers
         if found.any():
             best = np.nan_to_num(self.best_match[found])
             typical = np.full(best.size, np.median(best))
