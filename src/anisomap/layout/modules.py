@@ -30,6 +30,7 @@ _MIN_MAPPED = 0.8  # of the pads that a turned module has in common; thermal pad
 _MAX_MISFIT = 0.5  # of the spacing of pads: modules of another shape than the found one
 # Shares of the extent of a module, and of the pads that agree with most others; by hand.
 _SAME_LENGTH, _SAME_PLACE, _AGREEING = 0.15, 0.1, 0.75
+_EXACT = 0.02  # of the extent: pads in unbent places, by which most of them fit a module
 _CLEARLY = 0.5  # of the misfit in order, at most, that of pads in reverse order
 _MAX_PULL = 1.5  # spacings by which bending displaces pads; pads beyond are on no module
 # Of the distance of modules side by side, flat and in space: there, layouts of the iCub that are
@@ -581,16 +582,24 @@ def _fit(
 
     Pads at other places do not count: their distances to most others are not as on the module.
     """
-    k = places.shape[1]
-    source, between = padded(pads, k), cdist(pads, pads)
+    source, between = padded(pads, places.shape[1]), cdist(pads, pads)
     size = float(between.max())
-    agree = np.count_nonzero(np.abs(between - cdist(places, places)) < _SAME_LENGTH * size, axis=1)
-    kept = agree >= _AGREEING * agree.max()
-    for _ in range(2):
-        found = fit_similarity(source[kept], places[kept], scaling=False, reflection=None)
-        off = np.linalg.norm(found.apply(source) - places, axis=1)
-        rms = float(np.sqrt(np.mean(off[kept] ** 2)))
-        kept = off <= max(_SAME_PLACE * size, float(np.median(off)))
+    change = np.abs(between - cdist(places, places))
+    agree = np.count_nonzero(change < _SAME_LENGTH * size, axis=1)
+    exact = change <= _EXACT * size
+    exact = np.unique(exact[2 * exact.sum(axis=1) > len(pads)], axis=0)
+    fits = []
+    for kept in [agree >= _AGREEING * agree.max(), *exact]:
+        near = kept
+        for _ in range(2):
+            found = fit_similarity(source[near], places[near], scaling=False, reflection=None)
+            off = np.linalg.norm(found.apply(source) - places, axis=1)
+            rms = float(np.sqrt(np.mean(off[near] ** 2)))
+            near = off <= max(_SAME_PLACE * size, float(np.median(off)))
+        fits.append((np.count_nonzero(off <= _EXACT * size), found, rms))
+    count, found, rms = max(fits, key=lambda fit: fit[0])
+    if 2 * count <= len(pads):  # bent
+        _, found, rms = fits[0]
     return found.rotation.T, found.translation, rms
 
 

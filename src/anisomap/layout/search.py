@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
-from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
+from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict, around
 from anisomap.layout.module_changes import Arrangement, Change
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import free_moves
 from anisomap.layout.sensors import cable_shifts, reassigned
-from anisomap.layout.together import AGREEING, MovedPatch, border, moved_patches
+from anisomap.layout.together import AGREEING, border, moved_patches
 
 _MAX_ROUNDS = 12
 _PRICE_OF_PATCH = 100.0  # nats; by hand
@@ -52,28 +52,29 @@ class Search:
         self.evidence, self.changes = joint.run()
         moved: list[Change] = []
         for _ in range(_MAX_ROUNDS if patches else 0):
+            held = []
             for patch in moved_patches(start, self.mounting, self.evidence):
-                turned = start.moved(patch.move)
-                if not border(turned, self.mounting.members, patch.modules) > 0:
+                turned, modules = start.moved(patch.move), patch.modules
+                if not border(turned, self.mounting.members, modules) > 0:
                     continue
-                mounting = self.mounting.moved(patch.modules, turned.positions)
+                mounting = self.mounting.moved(modules, turned.positions)
                 other = Arrangement(turned, mounting, self.judge)
                 evidence, changes = other.run()
-                move, modules = patch.move, patch.modules
-                stated = start.positions[move.sensors]
-                before = evidence.moved(Move(move.sensors, stated))
-                verdict = self.judge.weigh(before, move, group=True, free=True)
+                stated = start.positions[patch.move.sensors]
+                before = evidence.moved(Move(patch.move.sensors, stated))
+                verdict = self.judge.weigh(before, patch.move, group=True, free=True)
                 # Few pads are at the border: their agreement with others tells less than all pads.
-                beside = border(evidence, mounting.members, patch.modules) > AGREEING
-                if verdict.told and beside and self._better(evidence, changes, patch):
-                    moved.append(
-                        Change(modules, modules, (), stated, move, patch.second, verdict, True)
-                    )
-                    start, joint, self.mounting = turned, other, mounting
-                    self.evidence, self.changes = evidence, changes
-                    break
-            else:
+                beside = border(evidence, mounting.members, modules) > AGREEING
+                one = Change(modules, modules, (), stated, patch.move, patch.second, verdict, True)
+                worth = self._worth(evidence, one, changes)
+                if verdict.told and beside and worth > -np.inf:
+                    held.append((worth, one, turned, other, mounting, evidence, changes))
+            if not held:
                 break
+            _, one, start, joint, self.mounting, self.evidence, self.changes = max(
+                held, key=lambda each: each[0]
+            )
+            moved.append(one)
         self.changes = moved + self.changes
         self.unsure = joint.unsure()
         for change in self.changes:
@@ -81,16 +82,20 @@ class Search:
         self.arranged = self.evidence
         return self.evidence
 
-    def _better(self, evidence: Evidence, changes: Sequence[Change], patch: MovedPatch) -> bool:
-        """Return whether a further patch explains the readings better, or as well by less."""
+    def _worth(self, evidence: Evidence, patch: Change, changes: Sequence[Change]) -> float:
+        """Return what a further patch gains at its price, if it explains more, or as well by less.
+
+        Of two parts of a patch that moved against each other, the smaller one is worth more.
+        """
         changed = np.flatnonzero((evidence.positions != self.evidence.positions).any(axis=1))
         move = Move(changed, evidence.positions[changed])
-        price = sum(map(_price, changes)) + _PRICE_OF_PATCH
-        if price < sum(map(_price, self.changes)) and self.evidence.gain(move) > -MIN_GROUP_GAIN:
-            return True
+        price, before = sum(map(_price, changes)), sum(map(_price, self.changes))
+        fewer = price + _PRICE_OF_PATCH < before and self.evidence.gain(move) > -MIN_GROUP_GAIN
         # Else modules one by one must leave the border contradicted.
         left = border(self.evidence, self.mounting.members, patch.modules) < 0
-        return left and self.judge.certainly_gains(self.evidence, move)
+        if not (fewer or (left and self.judge.certainly_gains(self.evidence, move))):
+            return -np.inf
+        return around(self.evidence, move).gain(move) - price - _price(patch)
 
     def run_sensors(self) -> None:
         """Move patches, runs of channels, and single sensors that no module explains.

@@ -28,6 +28,8 @@ _N_GROUPS = 8  # the smallest groups that are contradicted
 _N_BEST = 3  # patches that are tried
 _LEAST = 2.0  # spacings by which the median sensor moves
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
+_PULL = 1.0  # the same, on flat layouts: contacts of unequal reach pull patches
+_NEARLY = 0.9  # of its gain: a patch on places of modules is nearly as good as at the best place
 _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are hardly told
 
 
@@ -64,8 +66,11 @@ def moved_patches(evidence: Evidence, mounting: Mounting, arranged: Evidence) ->
         # Layouts in space are bent: there, patches gain by any small motion.
         moves = motions(evidence, sensors, _LEAST, shifted=flat)
         if moves and evidence.gain(moves[0]) >= MIN_GROUP_GAIN:
-            gain = around(evidence, moves[0]).gain(moves[0]) - MIN_GROUP_GAIN * len(group)
-            found.append((gain, group, moves))
+            # On bodies that are cut open, a patch fits beside others across the cut, too.
+            gains = np.array([around(evidence, move).gain(move) for move in moves])
+            kept = gains >= _NEARLY * gains.max()
+            moves = [moves[i] for i in np.argsort(~kept, kind="stable").tolist()]
+            found.append((gains.max() - MIN_GROUP_GAIN * len(group), group, moves))
     # The one of two groups that explains more at their border is wrong: both gain across a cut.
     found.sort(key=lambda one: -one[0])
     found = found[:_N_BEST]
@@ -159,7 +164,7 @@ def _beside(
     found = []
     for m, there in zip(modules, np.split(move.places, ends), strict=True):
         for at in shapes[:, ways][:, :, mounting.pads[m]].reshape(-1, *there.shape):
-            if _apart(at, there) <= _SAME * mounting.pitch:
+            if _apart(at, there) <= _PULL * mounting.pitch:
                 fit = fit_similarity(there, at, scaling=False, reflection=False)
                 found.append(Move(move.sensors, fit.apply(move.places)))
     return found
@@ -184,7 +189,7 @@ def _on_places(
         for shapes in (mounting.shapes[modules], others.shapes[others.n_modules :]):
             exact = _beside(mounting, modules, moves[0], shapes)
             best = max(exact, key=evidence.gain, default=moves[0])
-            if exact and evidence.gain(best) > evidence.gain(moves[0]) - MIN_GROUP_GAIN:
+            if exact and evidence.gain(best) > _NEARLY * evidence.gain(moves[0]):
                 moves = [best, *moves]
                 break
     least = _FAR * evidence.falloff.spacing
