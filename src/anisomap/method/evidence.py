@@ -199,12 +199,16 @@ class Evidence:
 
         A block that occurs n times in a resample has the weight ``1 + step (n - 1)``.
         """
-        edges = block_edges(np.asarray(self.readings))
-        weights = 1 + step * (balanced_weights(len(edges) - 1, count, rng) - 1)
-        for similarity in self.scores.resampled(edges, weights) if self.scores else ():
+        weights = 1 + step * (balanced_weights(len(self.edges) - 1, count, rng) - 1)
+        for similarity in self.scores.resampled(self.edges, weights) if self.scores else ():
             yield Evidence(
                 similarity, self.variance, self.known, self.statistic, related=self.related
             )
+
+    @cached_property
+    def edges(self) -> NDArray[np.intp]:
+        """Edges of blocks of frames that are long against their autocorrelation, (B + 1,)."""
+        return block_edges(np.asarray(self.readings))
 
     @cached_property
     def noise(self) -> float:

@@ -27,8 +27,8 @@ from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.reliability.sampling_noise import block_edges
 from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
+from anisomap.numerics.signals import some_sensors
 
 _MIN_SIMILARITY = 1e-3  # before -log S, chosen by hand: smaller values are indistinguishable from 0
 _RIDGE = 0.1  # of the partial correlations; .03 to 1 give similar maps
@@ -144,7 +144,7 @@ def differences_from_second_map(
 
 
 _N_SPLITS = 4
-_MAX_HALVED = 100  # sampled evenly; their 4,950 pairs determine a correlation
+_MAX_HALVED, _N_REGIONS = 100, 5  # sensors and their regions; 4,950 pairs determine a correlation
 
 
 def agreement_of_halves(evidence: Evidence, rng: np.random.Generator) -> float:
@@ -156,15 +156,19 @@ def agreement_of_halves(evidence: Evidence, rng: np.random.Generator) -> float:
     Blocks of frames are ordered by energy, the sum of squared standardised readings, and one of
     each pair of successive blocks goes to either half. What a sensor has in common with all others
     is subtracted: an amplitude, a contact or a drift that all sensors share says nothing of places.
-    The result is the mean over several splits.
+    The result is the mean over several splits. Of many sensors, five and those most similar to each
+    are compared: distant ones have nothing in common.
     """
     if evidence.readings is None or evidence.scores is None:
         return math.nan
     n_sensors = len(evidence.similarity)
-    chosen = np.arange(n_sensors) % -(-n_sensors // _MAX_HALVED) == 0
-    readings = evidence.readings[:, chosen]
-    edges = block_edges(readings)
-    weights = _equal_halves(_energies(readings, edges), rng)
+    chosen = np.ones(n_sensors, dtype=bool)
+    if n_sensors > _MAX_HALVED:
+        similarity = evidence.similarity[some_sensors(n_sensors, _N_REGIONS)]
+        nearest = np.argsort(-similarity, axis=1, kind="stable")[:, : _MAX_HALVED // _N_REGIONS]
+        chosen = np.isin(np.arange(n_sensors), nearest)
+    edges = evidence.edges
+    weights = _equal_halves(_energies(evidence.readings[:, chosen], edges), rng)
     halves = [_own(one) for one in evidence.scores.select(chosen).resampled(edges, weights)]
     return float(np.mean([_cosine(*halves[i : i + 2]) for i in range(0, len(halves), 2)]))
 

@@ -17,7 +17,7 @@ from anisomap.numerics.similarity.rest import estimate_rest
 CHUNK_FRAMES = 8192
 """Frames multiplied at a time, which bounds the memory of their copy in float64."""
 
-_MIN_SINGLE = 500  # sensors; rounding of products in float32 is far below the sampling noise
+_MIN_SINGLE = 200  # sensors; rounding of products in float32 is far below the sampling noise
 
 
 @dataclass(frozen=True, eq=False)
