@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from benchmarks.skins.independent import Case as SkinCase
 from benchmarks.skins.independent import damaged, make
+from benchmarks.verdicts.suite import DAMAGES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
@@ -645,3 +646,23 @@ def test_wires_that_are_exchanged_between_days_are_named_and_veto():
     missing = [one, other.select(np.arange(55))]
     judged = anisomap.diagnose(anisomap.reconstruct(missing, dimensions=2), missing).verdict
     assert judged.level == "usable"
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
+@given(
+    touch=st.sampled_from(["poke", "sway", "rain"]),
+    damage=st.sampled_from(["", *DAMAGES]),
+    seed=st.integers(0, 99),
+    blips=st.integers(0, 2),
+)
+@settings(max_examples=12)
+def test_no_sensor_lies_far_outside_of_the_map_of_a_damaged_recording(touch, damage, seed, blips):
+    """At most 100 median radii, also if the only reading of a sensor is lost by thinning."""
+    skin = make(SkinCase("plate:n=36", touch, "linear", damage, 900, seed)).complete("interpolate")
+    readings = np.pad(skin.readings, ((0, 0), (0, blips)))
+    readings[451, skin.n_sensors :] = 3 * skin.readings.std()
+    made = anisomap.reconstruct(readings, dimensions=2)
+    for label, size in enumerate(made.component_sizes):
+        places = made.positions[made.component == label]
+        radii = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+        assert size < 3 or radii.max() <= 100 * np.median(radii)
