@@ -87,23 +87,30 @@ def limits_of(path: Path) -> list[Limits]:
     largest = made.component == 0
     part, places = recording.select(active[largest]), truth[active[largest]]
     similarity, from_truth = _map_from(part, places)
-    default, started = _r(made.positions[largest], places), _r(from_truth, places)
+    default = _r(made.positions[largest], places)
+    started = math.nan if from_truth is None else _r(from_truth, places)
     function = _isotonic(similarity, places)
     size = len(places), recording.n_frames, k
     return [Limits(path.stem, *size, default, started, function, *_halves(part, places, k))]
 
 
-def _map_from(part: Recording, places: Array) -> tuple[Array, Array]:
-    """Return the similarity, and the default map if its refinement starts from given places."""
+def _map_from(part: Recording, places: Array) -> tuple[Array, Array | None]:
+    """Return the similarity, and the default map if its refinement starts from given places.
+
+    There is no such map if the links of the part alone do not connect all its sensors.
+    """
     recipe, options = METHODS[DEFAULT_METHOD], MethodOptions()
     evidence = Evidence.of(
         part, recipe.similarity_of(part), bins=options.entropy_bins, with_variance=True
     )
     metric = np.asarray(recipe.lengths_of(evidence, options))
+    similarity: Array = np.asarray(evidence.similarity)
+    if not np.isfinite(metric).all():
+        return similarity, None
     start = places * best_scale(places, metric)[0]
     refined = refine(evidence, metric, start, options.covariogram)
-    found = start if refined is None else refined.positions
-    return np.asarray(evidence.similarity), np.asarray(found)
+    found: Array = start if refined is None else np.asarray(refined.positions)
+    return similarity, found
 
 
 def _isotonic(similarity: Array, places: Array) -> float:
