@@ -1,6 +1,5 @@
 """Contacts and spikes: the recording that they make, and files of them, which are refused."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 
 from anisomap import InputError, Recording, io
 from anisomap.errors import FileError
-from anisomap.io.recordings.robot_logs import CONTACTS_TO_READINGS
 
 DOCS = Path(__file__).parents[1] / "docs"
 EVENTS = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 3)), min_size=1, max_size=40)
@@ -128,8 +126,3 @@ def test_spikes_in_arrays_name_the_line_that_reads_them(layout: str, tmp_path: P
 def test_readings_beside_spikes_are_read(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "x.mat", {"readings": np.eye(4), "spikes": TIMES[:, None]})
     assert io.read(tmp_path / "x.mat").n_sensors == 4
-
-
-def test_the_page_of_the_robot_shows_the_program_of_the_refusal() -> None:
-    page = (DOCS / "robots" / "icub.md").read_text(encoding="utf-8")
-    assert CONTACTS_TO_READINGS in re.sub(r"\n+", "\n", page)

@@ -9,6 +9,9 @@ import pytest
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning
+from anisomap.live.batches import Batch, Names
+from anisomap.live.sources.lines import LineParser
+from anisomap.names import default_names
 
 READINGS = np.where(np.random.default_rng(4).random((30, 4)) < 0.5, 0, 12.25)
 READINGS[:3] = [[0.5, 0, 1, 0], [0, 2.75, 0, 0], [0, 0, 0, 3]]
@@ -62,3 +65,30 @@ def compare(found: Any, facts: dict[str, Any]) -> None:
             np.testing.assert_array_equal(value, expected)
         else:
             assert value == (pytest.approx(expected) if fact == "rate_hz" else expected)
+
+
+def sent(text: bytes, grid: Any = None) -> tuple[Any, Any, Any]:
+    """Return names, readings and times of a text that is sent to a live session in parts."""
+    parser = LineParser(grid)
+    parts = [text[i : i + 999] for i in range(0, len(text), 999)]
+    items = [item for part in parts for item in parser.feed(part)]
+    items += [*parser.feed(b"", complete=True), *parser.end()]
+    batches = [item for item in items if isinstance(item, Batch)]
+    readings = np.concatenate([np.empty((0, 0)), *[b.readings for b in batches]][bool(batches) :])
+    names = [item.names for item in items if isinstance(item, Names)] or [
+        default_names(readings.shape[1])
+    ]
+    clocks = [batch.times for batch in batches]
+    timed = bool(clocks) and all(clock is not None for clock in clocks)
+    return names[0], readings, np.concatenate(clocks) if timed else None
+
+
+def read_alike(path: Any, grid: Any = None) -> Any:
+    """Read a text as a file; a live session must find the same names, frames and steps of time."""
+    found = io.read(path, options=io.ReadOptions(grid=grid))
+    names, readings, times = sent(path.read_bytes(), grid)
+    np.testing.assert_array_equal(readings, found.readings)
+    assert names == found.names
+    if found.times is not None:
+        np.testing.assert_allclose(np.diff(times), np.diff(found.times), atol=1e-5)
+    return found

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
+from texts import read_alike, sent
 
 ROWS, COLUMNS = 3, 4
 READINGS = np.random.default_rng(3).integers(0, 400, (40, ROWS * COLUMNS))
@@ -73,7 +74,7 @@ LINES: dict[str, tuple[Callable[[int, list[int]], str], float | None, str]] = {
 def test_lines_of_programs(put, kind: str) -> None:
     write, rate, first = LINES[kind]
     text = "".join(write(i, row) + "\n" for i, row in enumerate(READINGS.tolist()))
-    found = io.read(put("log.txt", text))
+    found = read_alike(put("log.txt", text))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.names[0] == first
     assert found.rate_hz == (rate and pytest.approx(rate, rel=1e-4))
@@ -98,7 +99,7 @@ TABLES = {
 def test_tables_of_programs(put, kind: str) -> None:
     header, write = TABLES[kind]
     text = header + "".join(write(i, row) + "\n" for i, row in enumerate(READINGS.tolist()))
-    found = io.read(put("table.csv", text))
+    found = read_alike(put("table.csv", text))
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.names == tuple(NAMES)
 
@@ -114,12 +115,14 @@ def test_tables_of_programs(put, kind: str) -> None:
         ("when", "10:00:{:06.3f}"),
         ("Datum,Zeit", "01.03.2026,10:00:{:06.3f}"),
         ("t", "3/1/2026 10:00:{:06.3f} PM"),
+        ("t", "Sun Mar  1 10:00:{:06.3f} 2026"),
+        ("t", "01-Mar-2026 10:00:{:06.3f}"),
     ],
 )
 def test_dates_and_clocks(put, header: str, stamp: str) -> None:
     stamps = [stamp.format(i / 50, i % 2, 1 - i % 2) for i in range(40)]
     rows = "".join(f"{s},{joined(r)}\n" for s, r in zip(stamps, READINGS.tolist(), strict=True))
-    found = io.read(put("run.csv", f"{header},{HEADER}\n{rows}"))
+    found = read_alike(put("run.csv", f"{header},{HEADER}\n{rows}"))
     assert found.names == tuple(NAMES)
     np.testing.assert_allclose(found.times, np.arange(40) / 50, atol=1e-6)
 
@@ -134,7 +137,7 @@ def test_words_for_missing_values(put, mark: str) -> None:
         [next(words) if k == i % 12 else v for k, v in enumerate(r)]
         for i, r in enumerate(READINGS.tolist())
     ]
-    found = io.read(put("gaps.csv", "".join(joined(row, mark) + "\n" for row in [NAMES, *rows])))
+    found = read_alike(put("gaps.csv", "".join(joined(row, mark) + "\n" for row in [NAMES, *rows])))
     expected = np.where(np.arange(12) == np.arange(40)[:, None] % 12, np.nan, READINGS)
     np.testing.assert_array_equal(found.readings, expected)
 
@@ -177,7 +180,7 @@ def test_up_to_one_line_in_a_hundred_is_left_out(put, n_bad: int) -> None:
 def test_labels_with_two_numbers(put, mark: str, label: str) -> None:
     names = [label.format(i // 4, i % 4) for i in range(12)]
     lines = [mark.join(map("{}{}".format, names, map(int, row))) for row in READINGS.tolist()]
-    found = io.read(put("log.txt", "\n".join(lines) + "\n"))
+    found = read_alike(put("log.txt", "\n".join(lines) + "\n"))
     assert found.names == tuple(name.rstrip(":= ") for name in names)
     np.testing.assert_array_equal(found.readings, READINGS.astype(int))
 
@@ -197,7 +200,7 @@ def test_rows_of_a_matrix_are_joined(put, head: str, first: int) -> None:
         for i, row in enumerate(frame)
     ]
     del lines[0]  # the log begins in a frame
-    found = io.read(put("log.csv", head + "\n".join(lines) + "\n"))
+    found = read_alike(put("log.csv", head + "\n".join(lines) + "\n"))
     np.testing.assert_array_equal(found.readings, frames[1:].reshape(39, 12))
     assert found.names[4] == "r1c0"
     assert (found.rate_hz or 50) == pytest.approx(50)
@@ -222,9 +225,46 @@ def test_no_sensor_is_lost_or_moved(tmp_path_factory, prefix, mark, suffix, valu
     assert (found[:, :-4] == found[:1, :-4]).all(), "others are numbers in the text around them"
 
 
-def test_lines_that_are_a_frame_together(put) -> None:
-    rows = "".join(
-        f"{joined(r[:3])}\n{joined(r[3:8])}\n{joined(r[8:])}\n" for r in READINGS.tolist()
-    )
-    with pytest.raises(FileError, match="3 lines seem to be a frame: write them in one line"):
-        io.read(put("hand.txt", rows))
+SLOW = np.random.default_rng(6).normal(0, 9, (200, ROWS * COLUMNS)).cumsum(axis=0).round(3)
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("numbered", [False, True])
+def test_rows_without_a_name_are_told_by_their_changes(put, numbered: bool) -> None:
+    """A first column numbers rows if lines resemble those of the same number, else frames."""
+    rows = SLOW.reshape(-1, COLUMNS).tolist()
+    text = "".join(f"{i % ROWS}," * numbered + f"{joined(row)}\n" for i, row in enumerate(rows))
+    path = put("log.csv", text)
+    if not numbered:
+        with pytest.raises(FileError, match=r"resembles the one 3 lines before .* --grid 3x4"):
+            io.read(path)
+        assert not len(sent(text.encode())[1])
+    found = read_alike(path, None if numbered else (ROWS, COLUMNS))
+    np.testing.assert_array_equal(found.readings, SLOW)
+    frames = "".join(f"{i % 7},{joined(row)}\n" for i, row in enumerate(SLOW.tolist()))
+    np.testing.assert_array_equal(read_alike(put("frames.csv", frames)).readings, SLOW)
+
+
+@pytest.mark.parametrize("name", ["ms", "millis", "micros"])
+@pytest.mark.parametrize(("start", "size"), [(65000, 2**16), (2**31 - 900, 2**32), (0, 2**32)])
+def test_clocks_go_on_when_their_counter_is_full(put, name: str, start: int, size: int) -> None:
+    ticks = (start + 20 * np.arange(200) + size // 2) % size - size // 2 * (start == 2**31 - 900)
+    rows = "".join(f"{t},{joined(row)}\n" for t, row in zip(ticks, SLOW.tolist(), strict=True))
+    found = read_alike(put("run.csv", f"{name},{HEADER}\n{rows}"))
+    per_second = 1e6 if name == "micros" else 1e3
+    np.testing.assert_allclose(np.diff(found.times), 20 / per_second, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "rate"),
+    [
+        ("fs = 50 Hz", 50),
+        ("Sampling rate [kHz]: 0.1", 100),
+        ("rate: 50", 50),
+        ("baud rate 9600", None),
+    ],
+)
+@pytest.mark.parametrize("header", ["", f"# {HEADER}\n", f"{HEADER}\n"])
+def test_a_comment_states_the_rate(put, line: str, rate: float | None, header: str) -> None:
+    rows = "".join(f"{joined(row)}\n" for row in SLOW.tolist())
+    assert io.read(put("run.csv", f"# skin\n# {line}\n{header}{rows}")).rate_hz == rate

@@ -8,6 +8,7 @@ import pytest
 from anisomap import io
 from anisomap.errors import FileError, InputError
 from anisomap.io import ReadOptions
+from texts import read_alike, sent
 
 N, T = 12, 300
 RNG = np.random.default_rng(5)
@@ -61,6 +62,12 @@ READ = {
     + table(PRESSED[:9], names=None)
     + "Booting\n"
     + table(PRESSED[9:], names=None),
+    "a clock of CoolTerm": lines(lambda t, row: f"2026-03-01 10:00:{t / 50:06.3f} {joined(row)}"),
+    "stamps of JSON, with text": lines(
+        lambda t, row: json.dumps({"ts": t / 50, "data": joined(row)})
+    ),
+    "a second header": joined(["S"] * N) + "\n" + table(PRESSED, names=range(N)),
+    "a list with its length": lines(lambda t, row: f"taxels,{N},{N},0,{joined(row)}"),
     "a counter of 4 bits": table([[t % 16, *row] for t, row in FRAMES], names=None),
     "labels and limits": lines(
         lambda t, row: "Min:0,Max:4095," + ",".join(f"c{i}:{v}" for i, v in enumerate(row))
@@ -71,7 +78,7 @@ READ = {
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
 @pytest.mark.parametrize("kind", READ)
 def test_logs_are_read(put, kind: str) -> None:
-    found = io.read(put("log.jsonl" if "JSON" in kind else "log.txt", READ[kind]))
+    found = read_alike(put("log.jsonl" if "JSON" in kind else "log.txt", READ[kind]))
     np.testing.assert_array_equal(found.readings, PRESSED)
     named = READ[kind].startswith(tuple("ceM{%/#")) and "stamps" not in kind
     assert found.names[:2] == ("c0", "c1") or not named
@@ -100,6 +107,10 @@ REFUSED = {
     ),
     "candump": (
         lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v:04X}" for v in row[:4])),
+        "CAN bus .*decode them",
+    ),
+    "candump without letters": (
+        lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v % 99:02d}" for v in row)),
         "CAN bus .*decode them",
     ),
     "candump in lower case": (
@@ -153,6 +164,7 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_logs_are_refused_with_what_would_be_right(put, kind: str) -> None:
     text, said = REFUSED[kind]
+    assert kind == "two tables" or not len(sent(text.encode())[1])
     with pytest.raises(FileError, match=said):
         io.read(put("log.csv", text))
 

@@ -72,6 +72,8 @@ BESIDE = {
     "seq": (np.arange(N_FRAMES) % 256, "a counter"),
     "n": (np.arange(N_FRAMES) % 256, "a counter"),
     "phase": (np.arange(N_FRAMES) // 150, "a label"),
+    "\u00b0C": (24 + RNG.normal(size=N_FRAMES), "a quantity in \u00b0C"),
+    "Event": (np.full(N_FRAMES, ""), "empty"),
     "F": (PRESSED.sum(axis=1), "the sum of all others"),
 }
 
@@ -174,7 +176,9 @@ def test_rows_of_a_grid(put) -> None:
 def test_frames_that_are_numbered_by_row(put) -> None:
     rows = [[k // 3, *row] for k, row in enumerate(PRESSED.reshape(-1, 4).tolist())]
     path = put("mat.csv", "".join(",".join(map(str, row)) + "\n" for row in rows))
-    with pytest.raises(FileError, match=r"numbers frames of 3 rows and 4 columns; give --grid 3x4"):
+    with pytest.raises(
+        FileError, match=r"numbers frames of 3 rows and 4 columns: .* give --grid 3x4"
+    ):
         io.read(path)
     found = io.read(path, options=ReadOptions(grid=(3, 4)))
     np.testing.assert_array_equal(found.readings, PRESSED)

@@ -107,7 +107,6 @@ TABLES = [
             beside(COUNT**2),  # rises, but not steadily
             beside(np.minimum(COUNT, 20)),  # saturates
             beside(np.where(COUNT % 10 == 9, 0, COUNT)),  # falls back
-            beside(np.where(COUNT == 0, NAN, COUNT)),
             np.arange(120.0).reshape(30, 4),
             beside(COUNT / 10)[:5],
         )

@@ -1,11 +1,10 @@
 """Lines of text as frames: every format, and anything else."""
 
 import itertools
-import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.live.batches import Batch, Names, Notice
@@ -24,28 +23,6 @@ def parsed(*parts: bytes, complete=False):
 
 def readings(items):
     return [row for item in items if isinstance(item, Batch) for row in item.readings.tolist()]
-
-
-FORMATS = {
-    "commas": lambda row: ",".join(map(repr, row)),
-    "comma at the end": lambda row: "".join(f"{value!r}," for value in row),
-    "semicolons": lambda row: "; ".join(map(repr, row)),
-    "blanks": lambda row: "  ".join(map(repr, row)),
-    "json": lambda row: json.dumps([None if np.isnan(x) else x for x in row]),
-    "object": lambda row: json.dumps({"data": [None if np.isnan(x) else x for x in row]}),
-    "named": lambda row: json.dumps({f"n{i}": x for i, x in enumerate(row)}),
-}
-
-
-@given(seed=st.integers(0, 99), n_frames=st.integers(3, 50), width=st.integers(2, 6))
-@settings(max_examples=20)
-def test_every_format_gives_the_readings_back(seed, n_frames, width):
-    rng = np.random.default_rng(seed)
-    rows = rng.random((n_frames, width)).round(3)
-    rows[2:][rng.random((n_frames - 2, width)) < 0.1] = np.nan
-    for write in FORMATS.values():
-        text = "".join(write(row) + "\n" for row in rows.tolist())
-        np.testing.assert_array_equal(readings(parsed(text.encode())), rows)
 
 
 @given(content=CONTENT, cuts=st.lists(st.integers(0, 400), max_size=4))
@@ -94,20 +71,7 @@ def test_an_object_gives_the_time_and_the_order_of_its_first_names():
     items = parsed("".join(lines).encode(), b'{"t": 20, "b": 4, "a": 3}\n')
     assert items[0] == Names(("a", "b"))
     assert readings(items)[-1] == [3, 4]
-    np.testing.assert_array_equal(items[-1].times, [20])
-
-
-def test_rows_of_a_matrix_are_joined_to_frames():
-    frames = np.random.default_rng(0).integers(0, 9, (20, 8, 4))
-    lines = [
-        f"\x1b[0;32mRow {i}: {' '.join(map(str, row))}\x1b[0m\n"
-        for frame in frames
-        for i, row in enumerate(frame)
-    ]
-    text = "".join(lines)
-    np.testing.assert_array_equal(readings(parsed(text.encode())), frames.reshape(20, 32))
-    (*_, notice) = parsed(text.replace("Row", "Board").encode())  # of which kind, nobody knows
-    assert "repeats 0, 1, 2, ..., so that 8 lines seem to be a frame" in notice.text
+    assert items[-1].times[-1] == 20
 
 
 @pytest.mark.parametrize("start", ["", "\ufeff", "n,a0,a1,a2\n"])
@@ -125,7 +89,7 @@ def test_what_is_no_sensor_is_left_out_as_of_files():
         *(f"{i},1,2,3,{i},5\n" for i in range(60)),
     ]
     notice, names, *batches = parsed("".join(lines).encode())
-    assert notice.text.endswith("load [kg], acc_x")
+    assert notice.text.endswith("(load: not in N; acc_x: an inertial unit)")
     assert names == Names(("p0", "p1", "p2"))
     assert readings(batches) == [[1, 2, 3]] * 60
 

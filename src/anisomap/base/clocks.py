@@ -15,23 +15,21 @@ from datetime import date
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_TIME_WORDS = {
-    *("time", "t", "timestamp", "ts", "stamp", "elapsed", "datetime", "date"),
-    *("zeit", "zeitstempel", "uhrzeit", "laufzeit"),
-    *("temps", "horodatage", "tiempo", "tempo", "tijd", "tijdstempel", "czas", "aika"),
-    *("\u010das", "id\u0151", "zaman", "waktu", "\u0432\u0440\u0435\u043c\u044f"),
-    *("\u65f6\u95f4", "\u6642\u9593", "\u6642\u523b", "\uc2dc\uac04"),
+_NAMES = (
+    "time t timestamp ts stamp times timestamps stamps elapsed datetime date zeit zeitstempel "
+    "uhrzeit laufzeit temps horodatage tiempo tempo tijd tijdstempel czas aika \u010das id\u0151 "
+    "zaman waktu \u0432\u0440\u0435\u043c\u044f \u65f6\u95f4 \u6642\u9593 \u6642\u523b \uc2dc\uac04"
+)
+_TIME_WORDS = {*_NAMES.split()}
+_UNIT_WORDS = {
+    1.0: "s sec secs second seconds sek sekunden secondes segundos secondi seconden",
+    1e3: "ms msec millis millisecond milliseconds millisekunden millisecondes milisegundos",
+    1e6: "us usec \u00b5s \u03bcs micros microseconds",
+    1e9: "ns nsec nsecs nanosec nanos nanoseconds",
+    1 / 60: "min minutes minuten",
+    1 / 3600: "h hours stunden",
 }
-_PER_SECOND = {
-    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunden"), 1.0),
-    **dict.fromkeys(("secondes", "segundos", "secondi", "seconden"), 1.0),
-    **dict.fromkeys(("ms", "msec", "millis", "millisecond", "milliseconds"), 1e3),
-    **dict.fromkeys(("millisekunden", "millisecondes", "milisegundos"), 1e3),
-    **dict.fromkeys(("us", "usec", "\u00b5s", "\u03bcs", "micros", "microseconds"), 1e6),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanos", "nanoseconds"), 1e9),
-    **dict.fromkeys(("min", "minutes", "minuten"), 1 / 60),
-    **dict.fromkeys(("h", "hours", "stunden"), 1 / 3600),
-}
+_PER_SECOND = {word: unit for unit, words in _UNIT_WORDS.items() for word in words.split()}
 NAMING_TIME = _TIME_WORDS - {"t", "ts", "date"}
 """Words that name a time wherever they stand in a name."""
 # Units that can be a whole column name; the other units may also name sensors.
@@ -44,10 +42,22 @@ SINCE_1970_S = 1e9
 _LONGEST_S, _MOST_SINCE_1970_S = 1.5, 100.0  # between frames, without a unit
 _SLOWEST_HZ, _FASTEST_HZ = 0.01, 50_000.0  # no skin or electrodes are read slower or faster
 _DAY_S = 86400.0
+# Counters of bits, of microseconds in ms, and of signed bits: their sizes, and least values.
+_COUNTERS = [(2.0**bits / unit, 0.0) for bits in (16, 24, 32) for unit in (1, 1e3)]
+_COUNTERS += [(2.0**bits, -(2.0 ** (bits - 1))) for bits in (16, 32)]
+_NEAR, _MOST_FALLS = 10, 0.05  # usual steps to the ends of a range; share of the frames
 _DAY_ZERO = date(1970, 1, 1).toordinal()
 
 _OF_DAY = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?\s?([AaPp][Mm])?"
 _OF_YEAR = r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})"
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_IN_WORDS = rf"(\d{{1,2}})[- ]({'|'.join(_MONTHS)})[a-z]*[- ](\d{{4}})"
+_MONTH = re.compile(rf"{_IN_WORDS}(.*)", re.IGNORECASE)
+# As ctime prints it: Tue Nov  3 14:22:01 2026.
+_OF_C = rf"(?:[a-z]{{3}} )?({'|'.join(_MONTHS)}) +(\d{{1,2}}) ([\d:.]+) (\d{{4}})"
+_CTIME = re.compile(_OF_C, re.IGNORECASE)
+WITH_MONTH = re.sub(r"\((?!\?)", "(?:", rf"{_OF_C}|{_IN_WORDS}(?:[T ,]+[\d:.]+)?")
+"""Pattern of dates with the name of a month, in any case."""
 _ZONE = r"\s?(?:Z|UTC|([-+])(\d{2}):?(\d{2}))?"
 _CLOCK = re.compile(
     rf"(?:(?:{_OF_YEAR})(?:(?:T|,?\s+){_OF_DAY}{_ZONE})?|(?=\d+:\d+:){_OF_DAY}{_ZONE})"
@@ -73,6 +83,10 @@ def parse_clock(text: str) -> float | None:
     whole, _, rest = text.strip().rpartition(" days ")
     if whole.isdecimal() and len(whole) < 7 and (at := parse_clock(rest)) is not None:
         return int(whole) * _DAY_S + at  # as pandas prints durations
+    if match := _CTIME.fullmatch(text.strip()):
+        text = f"{match[2]} {match[1]} {match[4]} {match[3]}"
+    if match := _MONTH.fullmatch(text.strip()):
+        text = f"{match[3]}-{_MONTHS.index(match[2].lower()) + 1}-{match[1]}{match[4]}"
     match = _CLOCK.fullmatch(text.strip())
     if not match:
         return None
@@ -101,12 +115,43 @@ def is_date(seconds: float) -> bool:
     return seconds >= _DAY_S and seconds % _DAY_S == 0
 
 
-def continued(times: NDArray[np.float64], before: float = -math.inf) -> NDArray[np.float64]:
-    """Return times of the day that go on after midnight; `before` is the last one before them."""
-    steps = np.diff(times, prepend=times[:1] if math.isinf(before) else before)
-    with np.errstate(invalid="ignore"):
-        midnights = np.round(-steps / _DAY_S).clip(0) * (steps < -_DAY_S / 2)
-    return times + _DAY_S * np.cumsum(np.nan_to_num(midnights))
+@dataclass
+class Continued:
+    """Makes times, given in parts, go on where their clock starts again.
+
+    per_second: Units of a counter per second: it starts again when its bits or digits are full; 0
+        for a time of the day, after midnight.
+    """
+
+    per_second: float = 0.0
+    _last: float = math.nan
+    _usual: float = 0.0
+    _ahead: float = 0.0
+
+    def __call__(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the next times, (t,), in seconds."""
+        steps, ahead = np.diff(times, prepend=self._last), np.zeros(len(times))
+        with np.errstate(invalid="ignore"):
+            falls = np.flatnonzero(steps < 0)
+        if len(falls) < len(steps) and len(rising := steps[steps > 0]):
+            self._usual = float(np.median(rising))
+        for i in falls.tolist() if len(falls) <= max(1, _MOST_FALLS * len(times)) else ():
+            ahead[i] = self._period(times[i] - steps[i], times[i])
+        total = self._ahead + np.cumsum(ahead)
+        if len(known := np.flatnonzero(np.isfinite(times))):
+            self._last, self._ahead = float(times[known[-1]]), float(total[-1])
+        return times + total
+
+    def _period(self, before: float, after: float) -> float:
+        """Return what is added where times fall: the size of a counter that was full, or 0."""
+        if not self.per_second:
+            return _DAY_S * round((before - after) / _DAY_S)
+        near = _NEAR * self._usual
+        for size, low in _COUNTERS:
+            full, empty = (size + low) / self.per_second, low / self.per_second
+            if 0 < full - before <= near and 0 <= after - empty <= near:
+                return size / self.per_second
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -161,7 +206,7 @@ def seconds(times: ArrayLike, name: str = "") -> tuple[NDArray[np.float64], str]
         if isinstance(values[0], str):
             parsed = [parse_clock(str(value)) for value in values]
             if None not in parsed:
-                found = continued(np.array(parsed, dtype=np.float64))
+                found = Continued()(np.array(parsed, dtype=np.float64))
                 return found - found[0], ""
         elif hasattr(values[0], "timestamp"):
             stamps = np.array([value.timestamp() for value in values])
@@ -177,4 +222,4 @@ def seconds(times: ArrayLike, name: str = "") -> tuple[NDArray[np.float64], str]
     if found.ndim != 1 or not name:
         return found, ""
     clock = clock_of(name, found)
-    return found / clock.per_second, clock.doubt
+    return Continued(clock.per_second)(found / clock.per_second), clock.doubt

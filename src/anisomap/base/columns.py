@@ -186,7 +186,7 @@ def _stem_of(name: str, stems: Collection[str]) -> str:
 
 _UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\d\[\]()][^\[\]()]{0,15})\s*[\])]")
 _UNITS = re.compile(
-    r"(?:[kMGmunp\u00b5\u03bc]?(?:Pa|N|V|A|F|T|g|bar|Ohm|\u03a9|Hz)|psi|mmHg|%|\u00b0?[CF]|LSB|G)"
+    r"(?:[kMGmunp\u00b5\u03bc]?(?:Pa|N|V|A|F|T|g|bar|Ohm|\u03a9|Hz)|psi|mmHg|%(?:RH)?|\u00b0?[CF]|LSB|G)"
     r"(?:/\w+[\d\u00b2]?)?|a\.?u\.?|counts?|raw|adc|digits?|bits?|units?|norm\w*|deg\w*|k?Pa.*",
     re.IGNORECASE,
 )
@@ -226,9 +226,11 @@ _PHRASES = {
     "a centre of pressure": re.compile(r"cent(?:er|re) of (?:pressure|force|mass)"),
     "an inertial unit": re.compile(r"[\[(](?:dps|(?:deg|rad|\u00b0)/s|m/s(?:\^?2|\u00b2))[\])]"),
     "a temperature or humidity": re.compile(r"[\[(](?:\u00b0c|deg ?c)[\])]"),
+    "a layout of the message": re.compile(r"\blayout\b|\bdata offset$"),
 }
-_MAX_SHARE, _MIN_SENSORS = 0.5, 3
+_MAX_SHARE, _MIN_SENSORS, _MAX_HEAD = 0.5, 3, 6
 _MIN_ROWS, _MAX_LEVELS, _MAX_SWITCHES = 20, 10, 0.1
+_MIN_LABELS = 500  # rows: in fewer, a sensor may not have been touched
 
 
 def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, str]:
@@ -239,12 +241,17 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
     named = {i: what for i, name in enumerate(names) if (what := _what_is_named(name))}
     kinds = Counter(named.values())  # mag0 ... mag35 are sensors
     found = {i: what for i, what in named.items() if kinds[what] <= _MAX_SHARE * len(names)}
-    units = [match[2] if (match := _UNIT.fullmatch(name)) else "" for name in names]
-    for usual, count in Counter(units).most_common(1):
-        if usual and count > _MAX_SHARE * len(units):
-            others = {i: f"not in {usual}" for i, u in enumerate(units) if u not in ("", usual)}
+    marked = [match[2] if (match := _UNIT.fullmatch(name)) else "" for name in names]
+    for usual, count in Counter(marked).most_common(1):
+        if usual and count > _MAX_SHARE * len(marked):
+            others = {i: f"not in {usual}" for i, u in enumerate(marked) if u not in ("", usual)}
             found = others | found
-    found |= _by_values(names, table, found)
+    odd = odd_names(names)
+    units = [i for i in odd if len(names[i]) > 1 and _UNITS.fullmatch(names[i].strip())]
+    found |= {i: f"a quantity in {names[i]}" for i in units}
+    if len(table) >= _MIN_ROWS:
+        found |= {i: "empty" for i in odd if np.isnan(table[:, i]).all()}
+        found |= _by_values(names, table, found, odd)
     n_sensors = table.shape[1] - len(found)
     return found if n_sensors >= _MIN_SENSORS else {}
 
@@ -258,12 +265,13 @@ def _what_is_named(name: str) -> str:
 
 
 def _by_values(
-    names: Sequence[str], table: NDArray[np.floating], known: dict[int, str]
+    names: Sequence[str], table: NDArray[np.floating], known: dict[int, str], odd: Collection[int]
 ) -> dict[int, str]:
     """Find sums of all others, and columns of an odd name that are counters or few levels."""
     rest = [i for i in range(table.shape[1]) if i not in known]
     values = table[:, rest].astype(np.float64)
-    if len(values) < _MIN_ROWS or len(rest) <= _MIN_SENSORS or not np.isfinite(values).all():
+    values = values[np.isfinite(values).all(axis=1)]
+    if len(values) < _MIN_ROWS or len(rest) <= _MIN_SENSORS:
         return {}
     found = {}
     with np.errstate(over="ignore", invalid="ignore"):
@@ -271,6 +279,7 @@ def _by_values(
         whole = bool((values == np.floor(values)).all())
         sums = np.abs(total - 2 * values) <= (0 if whole else 1e-6) * np.abs(total)
         varying = values.max(axis=0) > values.min(axis=0)
+        varying &= np.count_nonzero(varying) > _MIN_SENSORS  # two may have been touched together
         means = np.abs(total - len(rest) * values) <= 1e-6 * np.abs(total)
         for what, fits in (("sum", sums), ("mean", means)):
             for k in np.flatnonzero(fits.all(axis=0) & varying).tolist():
@@ -278,21 +287,33 @@ def _by_values(
         if whole and not found and values.max() < 256 and values.min() >= 0:
             modulo = ((total - 2 * values) % 256 == 0).all(axis=0) & varying
             found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}
+    n_sizes = 0 if names else _count_sizes(values)
+    found |= dict.fromkeys(rest[:n_sizes], "a number of values")
     for k in () if names else (0, len(rest) - 1):
         what = _what_counts(values[:, k])
         if what and rest[k] not in found:
             found[rest[k]] = what
     for k, i in enumerate(rest):
-        if i not in found and names and _is_odd(names, i) and (what := _kind(values[:, k])):
+        if i not in found and i in odd and (what := _kind(values[:, k])):
             found[i] = what
     return found if len(found) <= _MAX_SHARE * len(rest) else {}
 
 
-def _is_odd(names: Sequence[str], i: int) -> bool:
-    """Return whether most names are numbered alike, and this one is not."""
+def _count_sizes(values: NDArray[np.float64]) -> int:
+    """Count first columns that say how many follow, as lists of ROS and YARP begin with them."""
+    head = values[:, :_MAX_HEAD]
+    constant = int(np.cumprod((head == head[:1]).all(axis=0)).sum())
+    n_after = values.shape[1] - 1 - np.arange(constant)
+    ends = [k + 1 for k in range(constant) if (head[0, : k + 1] == n_after[k]).any()]
+    return max(ends, default=0)
+
+
+def odd_names(names: Sequence[str]) -> list[int]:
+    """Return the names that are unlike most, by index, if most are numbered alike."""
     forms = [re.sub(r"\d+", "#", name) for name in names]
-    usual, count = Counter(forms).most_common(1)[0]
-    return "#" in usual and count > _MAX_SHARE * len(forms) and forms[i] != usual
+    usual, count = Counter(forms).most_common(1)[0] if forms else ("", 0)
+    few = "#" not in usual or count <= _MAX_SHARE * len(forms)
+    return [] if few else [i for i, form in enumerate(forms) if form != usual]
 
 
 def _what_counts(values: NDArray[Any]) -> str:
@@ -308,8 +329,9 @@ def _kind(values: NDArray[Any]) -> str:
     """Return the kind of a column of whole numbers: a counter or a label, else empty."""
     if not (values == np.floor(values)).all():
         return ""
-    steps = np.diff(values)
-    if np.mean(steps == 1) > 1 - _MAX_SWITCHES:
+    steps, levels = np.diff(values), np.unique(values)
+    again = (steps == 1) | (steps == levels[0] - levels[-1])  # of a counter of few levels
+    if np.mean(steps == 1) > 1 - _MAX_SWITCHES or (again.all() and len(levels) > 2):
         return COUNTER
-    few = len(np.unique(values)) <= _MAX_LEVELS
+    few = len(levels) <= _MAX_LEVELS and len(values) >= _MIN_LABELS
     return "a label" if few and np.mean(steps != 0) < _MAX_SWITCHES else ""

@@ -117,8 +117,7 @@ def _report(error: Exception) -> int:
         case CycloptsError():
             return _failed(_misuse(error), BAD_INPUT)
         case AnisomapError():
-            print_error(str(error), BAD_INPUT, getattr(error, "__notes__", ()))
-            return BAD_INPUT
+            return _failed(str(error), BAD_INPUT)
         case MemoryError():
             return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
         case BrokenPipeError():

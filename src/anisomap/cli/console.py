@@ -77,15 +77,13 @@ console = _Terminal(highlight=False, soft_wrap=False)
 errors = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
-def print_error(message: str, code: int, notes: Sequence[str] = ()) -> None:
-    """Print an error, and programs that help, on stderr; with --json, an object on stdout."""
+def print_error(message: str, code: int) -> None:
+    """Print an error on stderr; with --json, an object on stdout."""
     text = shortened(_one_line(message), MAX_CHARACTERS)  # escapes are longer than what they show
     if errors.as_json:
         console.out(json.dumps({"error": text, "exit_code": code}))
         return
     _complain(Text.assemble(("error:", "bold red"), " ", text))
-    for note in notes:
-        _complain(Text(note))
 
 
 def print_warning(message: str) -> None:

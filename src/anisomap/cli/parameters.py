@@ -79,7 +79,7 @@ class ReadingOptions:
 
     def checked(self) -> io.ReadOptions:
         """Convert to the options of the library."""
-        grid = _rows_and_columns(self.grid) if self.grid else None
+        grid = rows_and_columns(self.grid) if self.grid else None
         return io.ReadOptions(
             self.select,
             grid,
@@ -218,7 +218,8 @@ def doubt_spacing(text: str) -> None:
         )
 
 
-def _rows_and_columns(text: str) -> tuple[int, int]:
+def rows_and_columns(text: str) -> tuple[int, int]:
+    """Return the numbers of ``"32x64"``."""
     match = _GRID.fullmatch(text)
     if not match:
         raise InputError(f"--grid must give rows and columns, as in 32x64, got {text}")

@@ -56,6 +56,8 @@ def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
     """Return the first rows, and the stream of all."""
     held, wanted = list[Block](), max(_LEAST_ROWS, min(_ROWS, _CELLS // stream.n_sensors))
     for block in stream.blocks:
+        if not len(block.readings):
+            break  # lines that are still arriving
         held.append(block)
         if sum(len(each.readings) for each in held) >= wanted:
             break

@@ -19,7 +19,7 @@ from anisomap.base.channels import TACTILE, channel_name
 from anisomap.errors import FileError, InputError
 from anisomap.io.parsing.names import cells_of, numbers_of
 from anisomap.io.parsing.source import warn
-from anisomap.io.stream import BLOCK_FRAMES, Block, Stream, rechunk
+from anisomap.io.stream import Block, Stream, join_blocks
 from anisomap.names import default_names
 from anisomap.recording import Recording
 
@@ -71,20 +71,24 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
         return stream  # the names of the columns give cells, or none
 
     def blocks() -> Iterator[Block]:
-        for block in rechunk(stream.blocks, rows * max(1, BLOCK_FRAMES // rows)):
-            n_frames, left = divmod(len(block.readings), rows)
-            if left:
-                raise FileError(
-                    f"{stream.path}: its rows are not a multiple of the {rows} rows of a frame"
-                )
+        held: Block | None = None
+        for block in stream.blocks:
+            whole = join_blocks([held, block]) if held else block
+            n_frames = len(whole.readings) // rows
+            held = whole.part(n_frames * rows, None)
+            whole = whole.part(0, n_frames * rows)
             yield replace(
-                block.part(0, None),
-                readings=block.readings.reshape(n_frames, rows * columns),
+                whole,
+                readings=whole.readings.reshape(n_frames, rows * columns),
                 **{
                     name: clock[::rows]
                     for name in ("times", "receive_times")
-                    if (clock := getattr(block, name)) is not None
+                    if (clock := getattr(whole, name)) is not None
                 },
+            )
+        if held and len(held.readings):
+            raise FileError(
+                f"{stream.path}: its rows are not a multiple of the {rows} rows of a frame"
             )
 
     rate = None if stream.rate_hz is None else stream.rate_hz / rows

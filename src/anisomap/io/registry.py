@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.wording import as_text, join_items
-from anisomap.errors import AnisomapWarning, FileError, InputError
+from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget, bytes_kept
 from anisomap.files.paths import atomic_write, check_target
 from anisomap.io import npz
@@ -27,7 +26,7 @@ from anisomap.io.maps.edits import LineEdit, edited
 from anisomap.io.parsing.facts import check_encodable, texts_of
 from anisomap.io.parsing.names import distinct_names, match_names, natural_key
 from anisomap.io.parsing.refusals import refuse_foreign, remedy_of
-from anisomap.io.parsing.source import file_errors, read_head
+from anisomap.io.parsing.source import file_errors, read_head, said_here, warn
 from anisomap.io.presets import apply_preset, in_grid, with_grid
 from anisomap.io.recordings import (
     bags,
@@ -207,16 +206,14 @@ def read(
 @contextmanager
 def _said_once() -> Iterator[None]:
     """Give the same warning about several files once, with the first of them."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with said_here() as caught:
         yield
     said: dict[str, list[str]] = {}
-    for each in caught:
-        file, _, text = str(each.message).partition(": ")
+    for file, text in caught:
         said.setdefault(text, []).append(file)
     for text, files in said.items():
         others = f" (also of other files: {len(files) - 1})" if len(files) > 1 else ""
-        warnings.warn(f"{files[0]}: {text}{others}", AnisomapWarning, stacklevel=4)
+        warn(files[0], f"{text}{others}")
 
 
 @contextmanager

@@ -71,6 +71,7 @@ def to_float32_if_exact(readings: NDArray[Any]) -> NDArray[Any]:
 
 
 _MAX_LISTED = 12
+_MIN_TURNED = 8  # frames
 
 
 class ChoiceError(FileError):
@@ -286,6 +287,10 @@ def assemble(
         progress(1.0)
     if not sample.n_frames:
         raise FileError(f"{stream.path} holds no frame")
+    named_by_us = stream.raw_columns and not stream.names
+    if _MIN_TURNED <= sample.n_frames < stream.n_sensors / 4 and named_by_us:
+        size = f"{sample.n_frames} frames of {stream.n_sensors} sensors without names"
+        warn(stream.path, f"{size}: if rows are sensors, transpose the table")
     every = sample.every
     return Recording(
         sample.take(),
@@ -322,13 +327,13 @@ def rechunk(blocks: Iterator[Block], n_frames: int) -> Iterator[Block]:
         held.append(block)
         if sum(len(part.readings) for part in held) < n_frames:
             continue
-        joined = _joined(held)
+        joined = join_blocks(held)
         whole = len(joined.readings) // n_frames * n_frames
         for start in range(0, whole, n_frames):
             yield joined.part(start, start + n_frames)
         held = [joined.part(whole)] if whole < len(joined.readings) else []
     if held:
-        yield _joined(held)
+        yield join_blocks(held)
 
 
 def read_in_blocks(
@@ -377,7 +382,8 @@ def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
         yield Block(to_float32_if_exact(np.array(readings)), fractions[-1], *times)
 
 
-def _joined(blocks: list[Block]) -> Block:
+def join_blocks(blocks: list[Block]) -> Block:
+    """Join consecutive blocks."""
     if len(blocks) == 1:
         return blocks[0]
     parts = [block.arrays for block in blocks]

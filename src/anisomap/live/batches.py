@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from itertools import groupby
 from threading import Event
 from typing import Any, TypeAlias
 from urllib.parse import SplitResult, parse_qs, unquote
@@ -58,11 +57,6 @@ class Notice:
 
 Item: TypeAlias = Batch | Names | Notice
 
-Frame: TypeAlias = tuple[float | None, Sequence[float]]
-"""A time in seconds of the clock of the source, if it is known, and readings."""
-
-Found: TypeAlias = Frame | Item
-
 
 @dataclass(frozen=True)
 class Address:
@@ -105,6 +99,7 @@ class Source(ABC):
     description: Origin, for the recording and the page.
     greeting: Said when it is open, with its description.
     names, truth: Names and true positions of the sensors, if they are known before the first frame.
+    grid: Rows and columns of the sensors, if they are given.
     ends: Whether the session ends with it, instead of waiting for another connection.
     can_wait: Whether nothing is lost if it begins later, as in a replay: it begins when the
         processes that make maps have started.
@@ -116,6 +111,7 @@ class Source(ABC):
     greeting = "connected to {}"
     names: tuple[str, ...] = ()
     truth: SensorMap | None = None
+    grid: tuple[int, int] | None = None
     ends = can_wait = is_open = False
     lost: tuple[type[Exception], ...] = (OSError, EOFError)
 
@@ -128,8 +124,12 @@ class Source(ABC):
         """Wait for `WAIT_S` at most: a TimeoutError says that nothing came, an EOFError the end."""
 
     @abstractmethod
-    def parse(self, content: Any) -> Iterable[Found]:
+    def parse(self, content: Any) -> Iterable[Item]:
         """Find the frames in what was received."""
+
+    def wait(self) -> Iterable[Item]:
+        """Find frames in what is held, when nothing has come."""
+        return ()
 
     def items(self, stop: Event) -> Iterator[Item]:
         """Iterate over what arrives, until the source ends or an event is set."""
@@ -144,8 +144,9 @@ class Source(ABC):
                         try:
                             content = self.receive()
                         except TimeoutError:
-                            continue
-                        yield from batched(self.parse(content))
+                            yield from self.wait()
+                        else:
+                            yield from self.parse(content)
             except self.lost as error:
                 was_open, self.is_open = self.is_open, False
                 if self.ends:
@@ -158,18 +159,3 @@ class Source(ABC):
                     yield Notice(f"cannot connect to {self.description} ({reason}); still trying")
                     told = True
                 stop.wait(WAIT_S if was_open else RETRY_S)
-
-
-def batched(found: Iterable[Found]) -> Iterator[Item]:
-    """Join consecutive frames of one width, with times or without, to batches."""
-    for kind, alike in groupby(found, _kind):
-        if kind is None:
-            yield from (one for one in alike if not isinstance(one, tuple))
-        else:
-            times, rows = zip(*(one for one in alike if isinstance(one, tuple)), strict=True)
-            known = None if times[0] is None else np.array(times)
-            yield Batch(np.array(rows, dtype=np.float64), known)
-
-
-def _kind(one: Found) -> tuple[bool, int] | None:
-    return (one[0] is None, len(one[1])) if isinstance(one, tuple) else None

@@ -84,6 +84,7 @@ def live(
     speed: Annotated[float, Parameter(group=_source, validator=Number(gte=0))] = 1.0,
     seed: options.Seed = 0,
     preset: Annotated[str, options.expert] = "",
+    grid: Annotated[str, options.expert] = "",
     recording: Annotated[Path | None, Parameter(group=options.outputs_group)] = None,
     output: options.Output = None,
     report: options.Report = None,
@@ -112,6 +113,8 @@ def live(
         Multiple of the replay rate, or 0 for no pauses. It applies to simulations, too.
     preset
         Robot whose numbering of sensors is known: icub or icub-hand.
+    grid
+        Rows and columns of a matrix in row-major order, as in 32x64; a line is a row or a frame.
     recording
         New file for the recording [live-DATE-TIME.csv].
     output
@@ -154,7 +157,7 @@ def live(
         truth=None if truth is None else read_reference(truth),
         spacing_mm=_millimetres(spacing),
     )
-    opened = _opened(source, simulate, speed, seed, coached)
+    opened = _opened(source, simulate, speed, seed, coached=coached, grid=grid)
     if opened.names and not preset:  # else the names of the sensors follow
         find_sensors(opened.names, route.split_names(drop, opened.names))
     session = anisomap.live.LiveSession(opened, target, chosen)
@@ -204,7 +207,7 @@ def _millimetres(spacing: str) -> float:
 
 
 def _opened(
-    source: str | None, simulate: str | None, speed: float, seed: int, coached: bool
+    source: str | None, simulate: str | None, speed: float, seed: int, *, coached: bool, grid: str
 ) -> Source:
     if (source is None) == (simulate is None):
         raise InputError("give either a source or --simulate BODY")
@@ -215,7 +218,8 @@ def _opened(
         from anisomap.live.sources import SimulatedHand
 
         return SimulatedHand(read_body(simulate), seed, speed)
-    return anisomap.live.open_source(str(source), speed=speed)
+    size = options.rows_and_columns(grid) if grid else None
+    return anisomap.live.open_source(str(source), speed=speed, grid=size)
 
 
 def _advised(session: LiveSession) -> Advised:

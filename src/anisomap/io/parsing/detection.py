@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import itertools
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,13 +18,13 @@ from numpy.typing import NDArray
 
 from anisomap.base.clocks import parse_clock
 from anisomap.base.wording import join_items
-from anisomap.errors import FileError
 from anisomap.io.parsing.lines import Template, as_objects, find_template
 from anisomap.io.parsing.source import quote
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     SAMPLE_RECORDS,
     Numbered,
+    RefusedError,
     Table,
     all_records,
     depth_of,
@@ -50,6 +51,7 @@ _MAX_UNIT = 12  # characters
 # frames follow each other and .5 where they do not; recordings of presses .25 (simulated).
 _CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
+_RULE = re.compile(r"[+|\s]*(?:=[=+|\s]+|-{2}[-+|\s]+)")
 _MAX_REMARK = 8  # words
 _COMMENT, _MARKED = re.compile(r"\s*(?:#|%|//)+\s*"), re.compile(r"\s*(?:%|//)")
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
@@ -100,13 +102,13 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
     found = _find_objects(path, sample) or _find_nested(path, sample) or _find_blocks(path, sample)
     if found:
         return found
-    sample = _with_header(sample)
+    sample = _with_header(["" if _RULE.fullmatch(line) else line for line in sample])
     preamble = count_preamble(sample) or count_preamble(sample, padded=True)
     table = _find_columns(path, sample[preamble:], preamble, None)
     above = {line.strip() for line in sample[: table.first_line - 1] if not is_apart(line)}
     header = _split(sample[preamble - 1], table.delimiter) if preamble else []
     if 2 < 2 * len(header) == table.n_columns and table.delimiter == ",":
-        raise FileError(
+        raise RefusedError(
             f"{path}: the header names {len(header)}, and the lines below have twice as many "
             "fields: commas are decimal and separate fields, too; save it with semicolons"
         )
@@ -145,7 +147,8 @@ def _find_columns(
     framed = delimiter == "|" and sum(s.lstrip()[:1] == "|" for s in sample) > len(sample) / 2
     if framed:
         sample = list(map(_unframed, sample))
-    found = list(itertools.islice(records(sample, delimiter), SAMPLE_RECORDS))
+    found = list(itertools.islice(all_records(sample, delimiter), SAMPLE_RECORDS))
+    found = found or list(itertools.islice(records(sample, delimiter), 1))  # or its error
     rows = [fields for _, fields in found]
     every = rows if own_delimiter else [fields for _, fields in all_records(sample, delimiter)]
     clocks = () if own_delimiter else _columns_of(rows, every, _is_clock)
@@ -159,7 +162,12 @@ def _find_columns(
     if header and body and not header[0].strip() and all(is_missing(row[0]) for row in body if row):
         text = (0, *text)  # a column without a name and cells
     n_units = bool(header and len(body) > 1 and _are_units(body[0], body[1], delimiter))
-    body = body[n_units:]
+    n_headers = bool(header and len(body) > 1 and _are_numbers_of(header, body[0]))
+    if n_headers:
+        header = [
+            f"{name}.{number}" if name else "" for name, number in zip(header, body[0], strict=True)
+        ]
+    body = body[n_units + n_headers :]
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
     if header:
         named = header[: len(header) - empty_columns([header])]
@@ -169,11 +177,10 @@ def _find_columns(
         header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
         n_columns = len(header) if body else 0
         because = f"the header names {n_columns}"
-        first_line = found[1 + n_units][0] if body else len(sample) + 1
+        first_line = found[1 + n_units + n_headers][0] if body else len(sample) + 1
     else:
         n_columns, trailing, first_line = width - empty, empty, 1
         because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
-        because += _cycle(list(map(len, rows)))
     changed = delimiter != "," or trailing
     return Table(
         path,
@@ -203,15 +210,6 @@ def _clean(delimiter: str | None, n_trailing: int, line: str, *, framed: bool = 
     for _ in range(n_trailing):
         line = line.rstrip(" \r\n").removesuffix(delimiter or "")
     return line
-
-
-def _cycle(widths: Sequence[int]) -> str:
-    """Say how to join the lines of a frame, if their widths repeat; empty if they do not."""
-    for n in range(2, len(widths) // 2 + 1):
-        if len(set(widths)) > 1 and all(a == b for a, b in zip(widths, widths[n:], strict=False)):
-            command = f"paste -d ' ' {' '.join('-' * n)} < OLD > NEW"
-            return f"; {n} lines seem to be a frame: write them in one line, as {command!r} does"
-    return ""
 
 
 def _columns_of(
@@ -256,8 +254,14 @@ def _holds_text(
     others = [cell for cell in cells if not (is_number(cell, delimiter) or _is_clock(cell))]
     if any(not is_label(cell) and (delimiter is None or not is_list(cell)) for cell in others):
         return True
-    alike = [i for i in skipped if len({_DIGITS.sub("0", row[i]) for row in rows[:2]}) == 1]
-    alike = [i for i in alike if _DIGITS.search(rows[0][i])]  # also in the first row
+    alike = [
+        i
+        for i in skipped
+        if len({_DIGITS.sub("0", row[i]) for row in rows[:2] if i < len(row)}) == 1
+    ]
+    alike = [
+        i for i in alike if i < len(rows[0]) and _DIGITS.search(rows[0][i])
+    ]  # also in the first row
     vary = any(len({row[i] for row in rows if i < len(row)}) > 1 for i in alike)
     return vary or len(alike) > 1 or len(others) == len(cells)
 
@@ -362,6 +366,16 @@ def _are_units(row: Sequence[str], following: Sequence[str], delimiter: str | No
     ]
     below = [i for i in text if i < len(following) and is_number(following[i], delimiter)]
     return bool(cells) and len(text) == len(cells) and len(row) == len(following) and bool(below)
+
+
+def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
+    """Return whether a row numbers columns of the same name, as a second header of pandas does."""
+    counts = Counter(name for name in header if name.strip())
+    numbers = [number for name, number in zip(header, row, strict=False) if name.strip()]
+    if len(header) != len(row) or not counts or min(counts.values()) < 2:
+        return False
+    expected = ([str(i + k) for n in counts.values() for i in range(n)] for k in (0, 1))
+    return sorted(numbers) in map(sorted, expected)
 
 
 def _find_nested(path: Path, sample: Sequence[str]) -> Table | None:

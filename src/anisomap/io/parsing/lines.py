@@ -14,10 +14,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
-from anisomap.base.clocks import parse_clock
+from anisomap.base.clocks import WITH_MONTH, parse_clock
 from anisomap.errors import InputError
 from anisomap.io.parsing.source import quote
 
@@ -27,7 +26,6 @@ _TIME = (
 )
 _DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
 _WORDS = r"[-+]?(?:nan|inf|infinity|null|none|n/a|na)(?![\w/])"
-_NUMBER, _CLOCK = r"([-+]?+\d++(?:\.\d*+)?+(?:[eE][-+]?\d++)?+)", r"([\d:./TZ+-]++)"
 _START = r"(?<![\w.:/])"
 # A number that is followed by the rest of the word, as the first one of T0_1 in "T0_1: 12".
 _IN_LABEL = r"\w*[A-Za-z_]\w*(?:[\])}\"']*\s*(?::|=|->|>)|\s+[-+]?\.?\d)"
@@ -35,7 +33,7 @@ _IN_LABEL = r"\w*[A-Za-z_]\w*(?:[\])}\"']*\s*(?::|=|->|>)|\s+[-+]?\.?\d)"
 
 def _tokens(number: str) -> re.Pattern[str]:
     return re.compile(
-        rf"{_START}(?:{_DATE}(?:[T\s]+{_TIME})?|{_TIME})(?![\w:])"
+        rf"{_START}(?:{WITH_MONTH}|{_DATE}(?:[T\s]+{_TIME})?|{_TIME})(?![\w:])"
         rf"|(?<![\w.])(?:[-+]?{number}(?:[eE][-+]?\d+)?|{_WORDS})"
         rf"|(?<=[A-Za-z_])\d+(?:\.\d+)?(?!{_IN_LABEL})",
         re.IGNORECASE,
@@ -52,6 +50,7 @@ _APART = re.compile(r"[\s,;|:=>\[\](){}\"']")
 _ENDS_LABEL = re.compile(r"[\])}\"']*\s*(?::|=|->|=>|>)")
 _BRACKETS = re.compile(r"[\[\](){}]")
 _NAME_ENDS, _NAME_STARTS = " \t\r\n\"'([{", " \t\r\n\"')]}{"
+_LISTED = re.compile(r"[\s,;]+")
 _COMMA = re.compile(r"\d,\d")
 _LOOKED_AT = 400  # lines
 _MIN_VALUES, _MIN_SHARE = 2, 0.5  # of the lines looked at, that fit
@@ -82,20 +81,6 @@ class Template:
     clocks: frozenset[int]
     example: str
 
-    @cached_property
-    def _fast(self) -> re.Pattern[str]:
-        """Match a line of numbers with points; other lines take several times as long."""
-        pattern, n_values = r"\s*+[\[(]*+", 0
-        for i, text in enumerate(self.texts):
-            marks = r"\s*+".join(map(re.escape, "".join(text.split())))
-            pattern += rf"\s*+{marks}\s*+" if marks else r"\s++" if text else r"\s*+"
-            if i in self.fixed:
-                pattern += re.escape(self.fixed[i])
-            elif i < len(self.texts) - 1:
-                pattern += _CLOCK if n_values in self.clocks else _NUMBER
-                n_values += 1
-        return re.compile(pattern + r"[\]),;\s]*+")
-
     @property
     def n_values(self) -> int:
         """Number of values in a line."""
@@ -103,11 +88,6 @@ class Template:
 
     def __call__(self, line: str) -> str:
         """Return the values of a line, separated by commas."""
-        if match := self._fast.fullmatch(line):
-            values = list(match.groups())
-            for i in self.clocks:
-                values[i] = _seconds(values[i])
-            return ",".join(values)
         texts, tokens = _split(line, self.decimal)
         fits = texts == self.texts and all(tokens[i] == word for i, word in self.fixed.items())
         if not fits:
@@ -184,9 +164,10 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
     raw, _ = _raw_split(example, decimal)
     if len(texts) <= _MIN_VALUES or not all(_APART.search(text) for text in raw[1:-1]):
         return None
-    if not "".join(raw).strip(" ,;|\t"):  # a table, of which some cells are wrong
-        return None
     columns = list(zip(*alike, strict=True))
+    stamped = parse_clock(columns[0][0]) is not None and raw[1].isspace() and raw[1] not in raw[2:]
+    if not stamped and not "".join(raw).strip(" ,;|\t"):  # a table, of which some cells are wrong
+        return None
     clocks = frozenset(
         i
         for i, tokens in enumerate(columns)
@@ -303,3 +284,6 @@ def _leaves(name: str, value: Any) -> Iterable[tuple[str, str]]:
         yield name, "nan" if value is None else repr(float(value))
     elif isinstance(value, str) and (at := parse_clock(value)) is not None:
         yield name, repr(at)
+    elif isinstance(value, str) and len(parts := _LISTED.split(value.strip("[] \r\n"))) > 2:
+        with suppress(ValueError):  # a message of a board
+            yield from _leaves(name, list(map(float, parts)))

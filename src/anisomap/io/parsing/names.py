@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import NAMING_TIME, SINCE_1970_S, Clock, clock_of, is_time, words_of
+from anisomap.base.columns import odd_names
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.io.parsing.source import quote_if_needed, warn
@@ -30,6 +31,7 @@ COUNTER_NAMES = {
 _MIN_FRAMES = 8
 _MIN_STEADY_FRACTION = 0.95
 _MIN_RISING_FRACTION = 0.99
+_LEAST_NANOSECONDS = 1e5  # in the first frames; readings are smaller
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,8 @@ def _find_stamps(header: Sequence[str], table: NDArray[np.float64]) -> list[tupl
 
 def _is_stamp(pair: NDArray[np.float64]) -> bool:
     """Return whether two columns are whole seconds and nanoseconds below 1e9."""
-    return _is_whole(pair) and bool(((pair[:, 1] >= 0) & (pair[:, 1] < 1e9)).all())
+    below = bool(((pair[:, 1] >= 0) & (pair[:, 1] < 1e9)).all())
+    return _is_whole(pair) and below and bool(pair[:, 1].max() >= _LEAST_NANOSECONDS)
 
 
 def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
@@ -148,8 +151,9 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
         times += guessed
         known = {*times, *counters}
         first = next((i for i in range(len(header)) if i not in known), len(header))
+        odd = odd_names(header)
         for i in {first, len(header) - 1} - {*known, len(header)}:
-            if _has_odd_name(header, i) and _rises(table[:, i]) and _is_steady(table[:, i]):
+            if i in odd and _rises(table[:, i]) and _is_steady(table[:, i]):
                 guessed.append(i)
                 (counters if _counts_by_one(table[:, i]) else times).append(i)
     clock = clock_of(header[times[0]], table[:, times[0]]) if times else Clock()
@@ -204,13 +208,6 @@ def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
         taken = f"({header[column]}) increases steadily and is taken as {role}"
         remedy = "if it is a sensor, name it like the other sensors"
         warn(path, f"column {column + 1} {taken}; {remedy}")
-
-
-def _has_odd_name(header: Sequence[str], column: int) -> bool:
-    """Return whether other columns are numbered alike (``s0``, ``s1``), and this one is not."""
-    alike = [re.sub(r"\d+", "#", name) for name in header]
-    own, others = alike[column], alike[column + 1 :] or alike[1:column]
-    return len(others) > 1 and len(set(others)) == 1 and "#" in others[0] and own != others[0]
 
 
 def _is_counter(column: NDArray[np.float64]) -> bool:

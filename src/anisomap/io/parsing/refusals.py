@@ -15,12 +15,15 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from anisomap.base.clocks import is_time, words_of
 from anisomap.errors import FileError
 from anisomap.io.parsing.detection import is_list
 from anisomap.io.parsing.names import COUNTER_NAMES
 from anisomap.io.parsing.source import quote, quote_if_needed
-from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
+from anisomap.io.parsing.tables import RefusedError, Table, all_records, is_number, is_skipped
 
 FROM_EVENTS = (
     "in Python, anisomap.Recording.from_events(times, sensors, bin_width=..., names=...) makes a "
@@ -31,6 +34,7 @@ FROM_EVENTS = (
 _MOMENTS = {"event", "frame", "touch", "sample"}
 _ACTIVE = {"taxel", "sensor", "channel", "electrode", "unit", "neuron", "id", "contact", "active"}
 _VALUES = {"value", "val", "raw", "adc", "reading", "pressure", "force", "amplitude", "weight"}
+_NUMBERED = re.compile(r"#\s*\d.*\d")
 _KEY, _LIST = re.compile(r'"([^"\\]{1,40})"\s*+:'), re.compile(r"\[([^\[\]]*+)\]")
 _ROWS_LOOKED_AT, _MIN_LENGTHS = 50, 3
 
@@ -48,6 +52,7 @@ _IN_PYTHON = "in Python it is anisomap.Recording({}), which anisomap.write saves
 # fmt: off
 _FOREIGN = (
     _Foreign("Parquet", _IN_PYTHON.format("pandas.read_parquet(path)"), (".parquet",), b"PAR1"),
+    _Foreign("an archive", "unpack it; only .gz is read as it is", (".zip", ".tar", ".7z", ".rar")),
     _Foreign("Arrow", _IN_PYTHON.format("pandas.read_feather(path)"), (".arrow", ".feather"),
              b"ARROW1"),
     _Foreign("a recording of electrodes", _IN_PYTHON.format("mne.io.read_raw(path).pick('eeg')"),
@@ -83,11 +88,15 @@ _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
 _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
-_CAN = re.compile(r"(?i)\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)")
+_CAN = re.compile(
+    r"(?i)\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
+    r"|\sd\s+\d(?:\s+[0-9A-F]{2})+\b"
+)
 _DOCUMENT = re.compile(r"\s*+\[\s*+\[")
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
 _MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps
 _COLUMNS_LOOKED_AT = 3
+_LEAST_CHANGING, _MOST_COLUMNS, _RESEMBLING = 3, 64, 0.75  # to find lines that resemble each other
 _GROUPED, _WHOLE = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+"), re.compile(r"[1-9]\d{0,2}")
 _MIN_GROUPED = 3
 _SENSOR_WORDS = {"sensor", "taxel", "channel", "electrode", "unit", "neuron", "pixel", "cell"}
@@ -110,50 +119,53 @@ def remedy_of(name: str) -> str:
 
 
 def refuse_text(path: Path, sample: Sequence[str]) -> None:
-    """Raise FileError for lines of a kind that no table has."""
+    """Raise RefusedError for lines of a kind that no table has."""
     lines = [line for line in sample if not is_skipped(line)]
+    if not lines and any(map(_NUMBERED.match, sample)):
+        raise RefusedError(f"{path}: all lines begin with #, which marks comments: remove it")
     if lines:
         _refuse_events(path, lines[:_ROWS_LOOKED_AT])
     if len(lines) == 1 and _DOCUMENT.match(lines[0]):
-        raise FileError(f"{path} is a single line of JSON", _IN_PYTHON.format("json.load(file)"))
+        raise RefusedError(f"{path} is a single line of JSON", _IN_PYTHON.format("json.load(file)"))
     numeric = [any(map(str.isdigit, line)) for line in lines]
     cut = [i for i, line in enumerate(lines) if numeric[i] and _LEFT_OUT.search(line)]
     inside = (i for i in range(1, len(lines)) if numeric[i - 1])
     rows = [i for i in inside if _ROWS_LEFT_OUT.fullmatch(lines[i])]
     if len(cut) > _MIN_SHARE * len(lines) or rows:
-        raise FileError(
+        raise RefusedError(
             f"{path} leaves out numbers, as in {quote(lines[(cut + rows)[0]].strip())}: save them "
             "all, as numpy.savetxt does, or print them after "
             "numpy.set_printoptions(threshold=sys.maxsize)"
         )
-    if sum(bool(_CAN.search(line.rstrip())) for line in lines) > len(lines) / 2:
-        raise FileError(
-            f"{path} holds frames of a CAN bus in hexadecimal, as in {quote(lines[0].strip())}: "
+    can = [line for line in lines if _CAN.search(line.rstrip())]
+    if len(can) > len(lines) / 2:
+        raise RefusedError(
+            f"{path} holds frames of a CAN bus in hexadecimal, as in {quote(can[0].strip())}: "
             "decode them to one line of numbers per frame first"
         )
     keys = sum(bool(_ECHO_KEY.match(line)) for line in lines)
     if keys > 1 and sum(bool(_ECHO.fullmatch(line)) for line in lines) > 1:
-        raise FileError(
+        raise RefusedError(
             f"{path} holds messages as ros2 topic echo prints them: record a bag, or print them "
             "with --csv (rostopic: -p)"
         )
 
 
 def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
-    """Raise FileError if some numbers of a column have commas as in 1,234, and others none."""
+    """Raise RefusedError if some numbers of a column have commas as in 1,234, and others none."""
     for cells in zip(*_rows(table, sample), strict=False):
         grouped = [cell for cell in map(str.strip, cells) if _GROUPED.fullmatch(cell)]
         others = [cell for cell in map(str.strip, cells) if cell and not _GROUPED.fullmatch(cell)]
         whole = any(map(_WHOLE.fullmatch, others)) and all(map(str.isdecimal, others))
         if whole and len(set(grouped)) >= _MIN_GROUPED:
-            raise FileError(
+            raise RefusedError(
                 f"{table.path}: commas separate thousands in {quote(grouped[0])}, beside numbers "
                 "without; remove them from the file"
             )
 
 
 def refuse_lists(table: Table, sample: Sequence[str]) -> None:
-    """Raise FileError for a column with a list of readings in each cell, as mats export."""
+    """Raise RefusedError for a column with a list of readings in each cell, as mats export."""
     rows = [] if table.numeric or table.block else _rows(table, sample)[:_ROWS_LOOKED_AT]
     for i, cells in enumerate(zip(*rows, strict=False)):
         if len(cells) > 1 and all(map(is_list, cells)):
@@ -161,14 +173,35 @@ def refuse_lists(table: Table, sample: Sequence[str]) -> None:
             mark = "',', " if "," in cells[0] else ""
             header = "" if table.names else ", header=None"
             read = f"pandas.read_csv(path{header}){named}.str.strip('[]').str.split({mark}"
-            raise FileError(
+            raise RefusedError(
                 f"{table.path}: column {i + 1} holds lists of readings",
                 _IN_PYTHON.format(f"{read}expand=True).astype(float)"),
             )
 
 
+def lines_per_frame(rows: NDArray[np.float64]) -> int:
+    """Return after how many lines rows, (t, n), resemble earlier ones; 0 if it is the next line.
+
+    Changes are compared with those from line to line. The rule fires in none of 1,670 parts of real
+    recordings, and in most matrices of which each line is a row, where contacts are slow.
+    """
+    rows = np.nan_to_num(rows[:, :: 1 + rows.shape[1] // _MOST_COLUMNS], posinf=0, neginf=0)
+    last = np.abs(np.diff(rows, axis=0))
+    changing, n_changed = last.any(axis=0), np.count_nonzero(last.any(axis=1))
+    if np.count_nonzero(changing) < _LEAST_CHANGING or n_changed < _LEAST_ROWS:
+        return 0
+    rows, usual = rows[:, changing], np.mean(last[:, changing], axis=0)
+    heights = range(2, min(_MOST_LINES, len(rows) // 3) + 1)
+    changes = [np.mean(np.abs(rows[height:] - rows[:-height]), axis=0) for height in heights]
+    ratios = [1.0, *(float(np.median(change / usual)) for change in changes), 1.0]
+    least = int(np.argmin(ratios[:-1]))
+    beside, twice = min(ratios[least - 1], ratios[least + 1]), ratios[2 * least + 1 :][:1] or [0.0]
+    fits = ratios[least] < _RESEMBLING * min(beside, 1) and twice[0] < 1
+    return least + 1 if least and fits else 0
+
+
 def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -> None:
-    """Raise FileError for a table of which several lines are a frame, or one line a sensor.
+    """Raise RefusedError for a table of which several lines are a frame, or one line a sensor.
 
     known: Columns that are a time or a counter.
     """
@@ -180,10 +213,12 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
         cells = [row[i] for row in rows]
         label = f"column {i + 1}" + (f" ({quote_if_needed(named)})" if named else "")
         words = {word.removesuffix("s") for word in words_of(named)}
-        whole = i == 0 and words & _SENSOR_WORDS and len(sample) == len(rows) + 1
-        if whole and len(set(cells)) == len(cells) < table.n_columns - 1:
+        whole = i == 0 and i not in known and len(sample) <= len(rows) + 1
+        text = not any(map(is_number, cells)) and 4 * len(cells) < table.n_columns
+        named_so = whole and (words & _SENSOR_WORDS or text)
+        if named_so and len(set(cells)) == len(cells) < table.n_columns - 1:
             problem = f"{label} names a sensor in each line; write a line for each frame"
-            raise FileError(f"{table.path}: {problem}, that is, transpose the table")
+            raise RefusedError(f"{table.path}: {problem}, that is, transpose the table")
         counts = i in known or (named and named.lower() in COUNTER_NAMES)
         levels = [] if counts else _cycle(cells)
         text = bool(levels) and not is_number(levels[0])
@@ -191,7 +226,7 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
         if levels and (evident or _number_frames(rows, len(levels))):
             long = f"; {_pivot(*table.names)}" if len(table.names) == 3 and i == 1 else ""
             shown = ", ".join([*map(quote_if_needed, levels[:3]), "..."][: len(levels) + 1])
-            raise FileError(
+            raise RefusedError(
                 f"{table.path}: {label} repeats {shown}, so that {len(levels)} lines seem to be a "
                 f"frame: write them in one line; give --keep if it is a sensor{long}"
             )
@@ -216,10 +251,9 @@ def _cells(table: Table, line: str) -> list[str]:
 
 def _number_frames(rows: Sequence[Sequence[str]], height: int) -> bool:
     """Return whether a column has one value in all lines of a frame, and another in the next."""
-    whole = len(rows) // height * height
-    for cells in zip(*rows[:whole], strict=False):
-        frames = [set(cells[i : i + height]) for i in range(0, whole, height)]
-        if {*map(len, frames)} == {1} and all(a != b for a, b in itertools.pairwise(frames)):
+    for cells in zip(*rows, strict=False):
+        runs = [len([*run]) for _, run in itertools.groupby(cells)]
+        if {*runs[1:-1]} == {height} and max(runs) == height:  # the ends may be cut
             return True
     return False
 
@@ -238,7 +272,7 @@ def _cycle(cells: Sequence[str]) -> list[str]:
 
 
 def _refuse_events(path: Path, lines: Sequence[str]) -> None:
-    """Raise FileError for lines of a moment and a sensor, or all sensors that were active.
+    """Raise RefusedError for lines of a moment and a sensor, or all sensors that were active.
 
     The header, or the keys of JSON, name both; without a header, rows of whole numbers, each once,
     have several lengths.
@@ -254,7 +288,7 @@ def _refuse_events(path: Path, lines: Sequence[str]) -> None:
         ids = [row[1:] for row in (header, *rows)]
         whole = all(len(set(row)) == len(row) and all(map(str.isdecimal, row)) for row in ids)
         if whole and len(set(map(len, ids))) >= _MIN_LENGTHS:
-            raise FileError(f"{path} lists events", FROM_EVENTS)
+            raise RefusedError(f"{path} lists events", FROM_EVENTS)
         return
     words = [{word.removesuffix("s") for word in words_of(name)} for name in header]
     moments = [i for i, name in enumerate(header) if is_time(name, i) or _is_of(words[i], _MOMENTS)]
@@ -268,8 +302,8 @@ def _refuse_events(path: Path, lines: Sequence[str]) -> None:
     if all(not cell or cell.isdecimal() or not is_number(cell) for cell in sensors):
         if values and not keys:
             by = _pivot(*(header[i] for i in (*moments, *active, *values)))
-            raise FileError(f"{path} has a line for each reading", by)
-        raise FileError(f"{path} lists events", FROM_EVENTS)
+            raise RefusedError(f"{path} has a line for each reading", by)
+        raise RefusedError(f"{path} lists events", FROM_EVENTS)
 
 
 def _pivot(index: str, columns: str, values: str) -> str:

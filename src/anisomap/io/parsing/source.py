@@ -12,6 +12,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,8 +28,25 @@ _MIN_REPORTED_LOSS = 0.005
 COLOURS = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]")  # of terminals
 
 
+_SAID: ContextVar[list[tuple[str, str]] | None] = ContextVar("said", default=None)
+
+
+@contextmanager
+def said_here() -> Iterator[list[tuple[str, str]]]:
+    """Collect files and what `warn` says of them in this thread, instead of warning."""
+    said = list[tuple[str, str]]()
+    token = _SAID.set(said)
+    try:
+        yield said
+    finally:
+        _SAID.reset(token)
+
+
 def warn(path: Path | str, problem: str) -> None:
     """Warn about a file, of which the map or recording is used all the same."""
+    if (said := _SAID.get()) is not None:
+        said.append((str(path), printable(problem)))
+        return
     warnings.warn(f"{path}: {printable(problem)}", AnisomapWarning, stacklevel=3)
 
 

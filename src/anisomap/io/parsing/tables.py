@@ -41,7 +41,7 @@ _BLOCK_CHARACTERS, _LEAST_PER_LINE = 1 << 22, 1 << 13  # so that blocks have at 
 
 
 _NUMPY = "nan -nan +nan nat"
-_PROGRAMS = "- -- . ? na n/a #n/a <na> null none nil missing"
+_PROGRAMS = "- -- . ? na n/a #n/a <na> null none nil missing ovf ovl overflow"
 MISSING = frozenset(["", *_NUMPY.split(), *_PROGRAMS.split()])
 """Words for a missing value, in lower case, in recordings, layouts, maps and dissimilarities."""
 
@@ -124,6 +124,10 @@ class LineError(FileError):
     def __init__(self, path: Path, line: int, problem: str, *, surplus: bool = False) -> None:
         super().__init__(f"{path}, line {line}{problem}")
         self.line, self.surplus, self.reason = line, surplus, f"line {line}{problem}"
+
+
+class RefusedError(FileError):
+    """Lines that can be read, but not as they are meant: without some, they are meant no better."""
 
 
 class HeaderError(LineError):
@@ -273,9 +277,15 @@ def _single_lines(
         warn(table.path, f"skipped: {problem} above the first frame; the recorder restarted")
 
 
-def _frame_lines(lines: Iterable[str], table: Table, *, quietly: bool) -> Iterator[Numbered]:
+def numbered_from(lines: Iterable[str], table: Table) -> Iterator[Numbered]:
+    """Yield the lines from the first of numbers on, with their numbers from 1."""
+    return itertools.islice(enumerate(lines, start=1), table.first_line - 1, None)
+
+
+def frame_lines(
+    numbered: Iterable[Numbered], table: Table, *, quietly: bool = True
+) -> Iterator[Numbered]:
     """Yield the lines of frames: a line, a block of lines, or all lines inside brackets."""
-    numbered = itertools.islice(enumerate(lines, start=1), table.first_line - 1, None)
     if table.block is None and not table.nested:
         yield from _single_lines(numbered, table, quietly=quietly)
         return
@@ -326,7 +336,8 @@ def read_blocks(
     """
 
     def parse(text: TextLines) -> Iterator[tuple[NDArray[np.float64], float]]:
-        lines, left = _frame_lines(text, table, quietly=quietly), LeftOut(repeats)
+        left = LeftOut(repeats)
+        lines = frame_lines(numbered_from(text, table), table, quietly=quietly)
         for some in batches(lines, lambda line: len(line[1]) + _LEAST_PER_LINE, _BLOCK_CHARACTERS):
             is_cut = some[-1][0] == text.number and not text.last.endswith(("\n", "\r"))
             for rows in parsed(some, table, left, is_cut=is_cut):
@@ -356,7 +367,7 @@ def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
 def line_of(table: Table, row: int) -> str:
     """Return the line of a row of `read_blocks`: ``"line 12"``."""
     with open_text(table.path) as stream:
-        lines = _frame_lines(stream, table, quietly=True)
+        lines = frame_lines(numbered_from(stream, table), table)
         filled = (number for number, line in lines if _holds_frame(line, table, number))
         return f"line {next(itertools.islice(filled, row, None))}"
 

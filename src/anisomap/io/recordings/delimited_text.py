@@ -12,17 +12,17 @@ import functools
 import io
 import itertools
 import logging
-import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.clocks import continued, is_date, words_of
+from anisomap.base.clocks import Continued, is_date, words_of
 from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
@@ -37,13 +37,20 @@ from anisomap.io.parsing.names import (
     warn_of_guesses,
     with_kept,
 )
-from anisomap.io.parsing.refusals import refuse_lists, refuse_text, refuse_thousands, refuse_turned
+from anisomap.io.parsing.refusals import (
+    lines_per_frame,
+    refuse_lists,
+    refuse_text,
+    refuse_thousands,
+    refuse_turned,
+)
 from anisomap.io.parsing.source import (
     lines_of,
     quote_if_needed,
     warn,
 )
 from anisomap.io.parsing.tables import (
+    RefusedError,
     Table,
     first_rows,
     guard_formula,
@@ -80,6 +87,11 @@ _WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
 _ROW, _CYCLIC = {"row", "line", "zeile"}, 0.9  # words; share of steps to the next row
 _MIN_NUMBERED, _FRAMES = 3, {"", "frame", "frames", "sample", "index"}  # of several rows
+_RATE = re.compile(
+    r"(?i)\b(fs|(?:sampl\w*|scan\w*|frame|acquisition|update)?[ _-]*(?:rate|freq\w*))\b\W*"
+    r"(?:k?Hz|fps)?[\W]*(\d+(?:\.\d+)?)\s*(?:[\]\s,;]|k?hz|fps|$)"
+)
+_OTHER_RATE, _FASTEST_HZ = re.compile(r"(?i)baud|bit|heart|cut|filter|pass"), 1e5
 _logger = logging.getLogger(__name__)
 
 
@@ -98,6 +110,17 @@ def is_json_lines(path: Path, head: bytes) -> bool:
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording in delimited text; its metadata names the columns that are no sensors."""
     sample, known, metadata = _read_start(path)
+    refuse_selection(f"{path} (delimited text)", options.select)
+    table = layout_of(path, sample, known, options)
+    start = first_rows(table, ROWS_LOOKED_AT)
+    read = functools.partial(read_blocks, table)
+    yield stream_of(table, sample, start, read, options, known=known, metadata=metadata)
+
+
+def layout_of(
+    path: Path, sample: Sequence[str], known: Mapping[str, Scalar], options: ReadOptions
+) -> Table:
+    """Find the layout of lines; raise FileError for those that are no table of frames."""
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
     if not known:
         refuse_text(path, sample)
@@ -106,7 +129,6 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
     if not known:
         refuse_lists(table, sample)
-    refuse_selection(f"{path} (delimited text)", options.select)
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
@@ -114,21 +136,29 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
         raise FileError(f"{path}: {table.doubt}")
     if not known:
         _say(table, sample)
-    yield _stream_table(table, sample, known, metadata, options)
+    return table
 
 
-def _stream_table(
+def stream_of(
     table: Table,
     sample: Sequence[str],
-    known: Mapping[str, Scalar],
-    metadata: Mapping[str, Scalar],
+    start: NDArray[np.float64],
+    read: Callable[..., Iterator[tuple[NDArray[np.float64], float]]],
     options: ReadOptions,
+    *,
+    known: Mapping[str, Scalar] = MappingProxyType({}),
+    metadata: Mapping[str, Scalar] = MappingProxyType({}),
 ) -> Stream:
-    """Create a stream of the sensors of a table; `known` are entries of a file of anisomap."""
+    """Create a stream of the sensors of a table, of a file or of lines that are still arriving.
+
+    start: The first rows, (t, n_columns).
+    read: Yields rows, and the fraction of the file read so far.
+    known: Entries of a file of anisomap.
+    """
     path = table.path
     parse_name = unguard_formula if known else str.strip
     names, matrix = tuple(map(parse_name, table.names)), None
-    roles = Roles() if known else detected_roles(table, names, first_rows(table, ROWS_LOOKED_AT))
+    roles = Roles() if known else detected_roles(table, names, start)
     if known.get("times") == _IN_FIRST_COLUMN:
         roles = Roles(time=0, non_sensors=(0,))
     if not known:
@@ -136,16 +166,15 @@ def _stream_table(
         names, roles = with_kept(names, roles, options.keep, table.n_columns, text)
         warn_of_guesses(path, names, roles)
         if not options.keep:
-            matrix = find_matrix(table, names, roles, first_rows(table, ROWS_LOOKED_AT))
+            matrix = find_matrix(table, names, roles, start)
         if matrix:
             numbers = _column_label(table, matrix.columns[0])
             warn(path, f"{numbers} numbers the {matrix.height} rows of a frame")
             non_sensors = (*roles.non_sensors, *matrix.columns)
             roles = dataclasses.replace(roles, non_sensors=non_sensors)
-        else:
-            if not options.keep:
-                refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
-            roles = _without_frame_numbers(table, roles, options.grid)
+        elif not options.keep:
+            refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
+            roles = _without_frame_numbers(table, roles, options.grid, start)
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -155,12 +184,16 @@ def _stream_table(
     if matrix or size[0] * size[1] == n_sensors:
         n_sensors = size[0] * size[1]
         facts = {"names": grid_names(*size), "positions": grid_positions(*size), "units": UNITS}
+    in_rows = options.grid is not None and options.grid[0] > 1 and options.grid[1] == n_sensors
     facts |= _known_points(path, known, n_sensors)
     rate_hz = known.get("rate_hz")
+    if not known and roles.time is None:
+        n_above = next((i for i, line in enumerate(sample) if not table.is_skipped(line)), 0)
+        rate_hz = _rate_above(sample[: max(n_above, table.first_line - 1)])
     return Stream(
         path,
         n_sensors,
-        _blocks(table, roles, matrix),
+        _blocks(table, roles, matrix, in_rows, read),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
@@ -171,7 +204,7 @@ def _stream_table(
     )
 
 
-def _say(table: Table, sample: list[str]) -> None:
+def _say(table: Table, sample: Sequence[str]) -> None:
     """Warn of what is skipped, and of how a file is read that may be meant in another way."""
     if table.text_columns:
         columns = join_items([_column_label(table, column) for column in table.text_columns])
@@ -303,24 +336,43 @@ def detected_roles(table: Table, names: tuple[str, ...], start: NDArray[np.float
     return roles
 
 
-def _without_frame_numbers(table: Table, roles: Roles, grid: tuple[int, int] | None) -> Roles:
-    """Take a first column that numbers frames of several rows as a counter, or ask for a grid."""
-    first = first_rows(table, ROWS_LOOKED_AT)[:, 0]
-    starts = np.flatnonzero(np.diff(first) != 0) + 1
+def _rate_above(lines: Sequence[str]) -> float | None:
+    """Return the rate in Hz that lines above the first frame state, if they do."""
+    stated = (_RATE.search(line) for line in lines if not _OTHER_RATE.search(line))
+    rates = (float(m[2]) * (1e3 if "khz" in m[0].lower() else 1) for m in stated if m)
+    return next((rate for rate in rates if 0 < rate < _FASTEST_HZ), None)
+
+
+def _without_frame_numbers(
+    table: Table, roles: Roles, grid: tuple[int, int] | None, start: NDArray[np.float64]
+) -> Roles:
+    """Take a first column that numbers frames of several rows as a counter, or ask for a grid.
+
+    Raises RefusedError, too, if lines resemble earlier ones more than the line before.
+    """
+    if table.block or table.nested:
+        return roles
+    starts = np.flatnonzero(np.diff(start[:, 0]) != 0) + 1
     heights = np.diff(starts, prepend=0)
     named = table.names and _FRAMES.isdisjoint(words_of(table.names[0]))
-    if named or 0 in roles.non_sensors or len(starts) < _MIN_NUMBERED or heights[0] < 2:
+    numbered = not named and 0 not in roles.non_sensors and len(starts) >= _MIN_NUMBERED
+    numbered = numbered and heights[0] > 1 and bool((heights == heights[0]).all())
+    if numbered and (np.diff(start[:, 0])[starts - 1] == 1).all():
+        height, problem = int(heights[0]), "column 1 numbers frames of {} rows and {} columns"
+        roles = dataclasses.replace(roles, non_sensors=tuple(sorted({0, *roles.non_sensors})))
+    else:
+        height = lines_per_frame(np.delete(start, roles.non_sensors, axis=1))
+        problem = "each line resembles the one {} lines before it, not the line before"
+    n_columns = table.n_columns - len(roles.non_sensors)
+    if not height or grid in ((1, n_columns), (height, n_columns)):
         return roles
-    if (heights != heights[0]).any() or (np.diff(first)[starts - 1] != 1).any():
-        return roles
-    size = int(heights[0]), table.n_columns - len(roles.non_sensors) - 1
-    if grid == size:
-        return dataclasses.replace(roles, non_sensors=tuple(sorted({0, *roles.non_sensors})))
-    problem = f"column 1 numbers frames of {size[0]} rows and {size[1]} columns"
-    raise FileError(f"{table.path}: {problem}; give --grid {size[0]}x{size[1]}")
+    raise RefusedError(
+        f"{table.path}: {problem.format(height, n_columns)}: if {height} lines are a frame, give "
+        f"--grid {height}x{n_columns}, and --grid 1x{n_columns} if each line is a frame"
+    )
 
 
-def _warn_of_commas(path: Path, sample: list[str]) -> None:
+def _warn_of_commas(path: Path, sample: Sequence[str]) -> None:
     """Warn if all numbers with a comma could also have thousands separators."""
     points = [match for line in sample for match in _WITH_POINT.findall(line)]
     whole = any(_WHOLE.search(line) for line in sample[1:])
@@ -341,19 +393,22 @@ def _column_label(table: Table, column: int) -> str:
     return f"column {column + 1} ({name})"
 
 
-def _blocks(table: Table, roles: Roles, matrix: MatrixRows | None = None) -> Iterator[Block]:
-    before = -math.inf
-    repeats = roles.time is None and table.block is None and matrix is None
-    for values, fraction in read_blocks(table, repeats=repeats):
+def _blocks(
+    table: Table,
+    roles: Roles,
+    matrix: MatrixRows | None,
+    in_rows: bool,
+    read: Callable[..., Iterator[tuple[NDArray[np.float64], float]]],
+) -> Iterator[Block]:
+    unrolled = Continued(0.0 if roles.time in table.clocks else roles.per_second)
+    repeats = (roles.time is None or in_rows) and table.block is None and matrix is None
+    for values, fraction in read(repeats=repeats):
         times = roles.times_in(values)
-        if times is not None and roles.time in table.clocks:
-            times = continued(times, before)
-            before = float(times[-1])
+        times = None if times is None else unrolled(times)
         readings = np.delete(values, roles.non_sensors, axis=1)
         if matrix:
             readings, times = matrix.join(values[:, matrix.columns[0]], readings, times)
-        if len(readings):
-            yield Block(to_float32_if_exact(readings), fraction, times)
+        yield Block(to_float32_if_exact(readings), fraction, times)
 
 
 @dataclasses.dataclass
@@ -381,6 +436,8 @@ class MatrixRows:
         lines = np.column_stack([lines, readings])
         if self._held is not None:
             lines = np.concatenate([self._held, lines])
+        if not len(lines):
+            return readings.reshape(0, self.height * readings.shape[1]), times
         starts = np.flatnonzero(np.diff(lines[:, 0]) <= 0) + 1
         if lines[-1, 0] == self.height - 1:
             starts = np.append(starts, len(lines))
@@ -405,8 +462,9 @@ def find_matrix(
     table: Table, names: Sequence[str], roles: Roles, start: NDArray[np.float64]
 ) -> MatrixRows | None:
     """Find a column that numbers the rows of a matrix: named row, and 0, 1, ... or 1, 2, ..."""
-    named = (i for i, name in enumerate(names) if _ROW & {*words_of(name)})
-    column = next((i for i in named if i not in roles.non_sensors), None)
+    named = [i for i, name in enumerate(names) if _ROW & {*words_of(name)}]
+    rest = (i for i in range(table.n_columns) if i not in roles.non_sensors)
+    column = next((i for i in rest if i in named or not (named or names)), None)
     if column is None or table.block or table.nested:
         return None
     rows = start[:, column]
@@ -417,6 +475,9 @@ def find_matrix(
         return None
     steps = (np.diff(rows) - 1) % len(levels)
     if np.mean(steps == 0) < _CYCLIC:
+        return None
+    height = 0 if named else lines_per_frame(np.delete(start, [column, *roles.non_sensors], axis=1))
+    if not named and height != len(levels):
         return None
     frames = (i for i, name in enumerate(names) if _FRAMES & {*words_of(name)})
     frames = (i for i in frames if i != column and (np.diff(start[:, i]) >= 0).all())

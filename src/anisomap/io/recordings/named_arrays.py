@@ -53,7 +53,7 @@ _WIDE = 10  # columns per row of a matrix that may hold channels first
 
 _NUMBERS, _REAL, _TEXT = "biuf", "iuf", "SUO"
 _POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", "epos"}
-_RATES = {"rate_hz", "fs", "fsamp", "sample_rate", "sampling_rate"}
+_RATES = {"rate_hz", "rate", "fs", "fsamp", "srate", "sample_rate", "sampling_rate"}
 
 
 @dataclass(frozen=True)
@@ -337,7 +337,7 @@ def _fields_of(name: str, value: NDArray[Any]) -> Iterator[Dataset]:
         return
     for field in value.dtype.names:
         array = value.ravel()[0][field]
-        if isinstance(array, np.ndarray) and array.dtype.kind in _REAL and array.size > 1:
+        if isinstance(array, np.ndarray) and array.dtype.kind in _REAL and array.size:
             read = functools.partial(_part, array)
             kind = str(array.dtype)
             yield Dataset(f"{name}/{field}", array.shape, kind, array.dtype.kind, read)

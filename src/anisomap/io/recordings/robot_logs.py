@@ -3,8 +3,7 @@
 YARP writes ``sequence stamp value value ...`` to ``data.log`` in a folder per port, which
 ``info.log`` names; there may be two stamps, the sender's and the receiver's, and brackets.
 
-The port ``skin_events`` of the iCub gives contacts instead of values, and is refused with the lines
-of Python that make readings of them.
+The port ``skin_events`` of the iCub gives contacts instead of values, and is refused.
 
 CySkin's recorder writes a version, the number of taxels, and per frame its number, its time and the
 addresses beside the responses; its acquisition program writes the addresses once::
@@ -54,19 +53,6 @@ _START = re.compile(r"\s*+(\d++)((?:\s++\d[\d.eE+-]*+){1,2})\s*+\(\(")
 _STAMPED_ONLY = re.compile(r"[\d.eE+\-\s]*+(?:\(\s*+\)\s*+)?")
 _MAX_STAMPED = 3
 _BY_PYTHON = "ten lines of Python make readings of them, which docs/robots/icub.md explains"
-
-CONTACTS_TO_READINGS = r"""import re
-from pathlib import Path
-import anisomap
-contacts = re.compile(r"\(\d+ \d+ \d+ (\d+)\)(?: \([^()]*\)){5} \(([\d ]*)\)").findall
-lines = Path("data.log").read_text().splitlines()
-touched = [{f"part{p}.taxel{i}" for p, ids in contacts(x) for i in ids.split()} for x in lines]
-names = sorted(set().union(*touched))
-readings = [[name in taxels for name in names] for taxels in touched]
-times = [float(line.split()[1]) for line in lines]
-anisomap.write(anisomap.Recording(readings, names, times), "touches.npz")
-"""
-"""A program that makes readings of a log of contacts: 1 for the taxels that a line lists."""
 
 
 def _is_contact_log(path: Path) -> bool:
@@ -165,9 +151,7 @@ def _port(log: Path) -> str:
 def _stream(log: Path) -> Stream:
     """Create a stream of a log."""
     if _is_contact_log(log):
-        refused = FileError(f"{log} lists contacts (skin_events) instead of readings", _BY_PYTHON)
-        refused.add_note(CONTACTS_TO_READINGS)
-        raise refused
+        raise FileError(f"{log} lists contacts (skin_events) instead of readings", _BY_PYTHON)
     table = _table(log)
     n_stamps = 2 if _has_two_stamps(first_rows(table, _ROWS_LOOKED_AT)) else 1
     n_sensors = table.n_columns - 1 - n_stamps

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from anisomap import io
 from anisomap.errors import InputError
+from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Block
 from anisomap.live.batches import WAIT_S, Address, Batch, Source
 from anisomap.live.sources import connections
@@ -50,18 +51,22 @@ SOURCES: Mapping[str, Entry] = MappingProxyType(
 """Kinds of sources by the scheme of their addresses."""
 
 
-def open_source(text: str, *, speed: float = 1.0) -> Source:
-    """Open a source."""
+def open_source(text: str, *, speed: float = 1.0, grid: tuple[int, int] | None = None) -> Source:
+    """Open a source; `grid` gives rows and columns of the sensors of lines, or of a recording."""
     scheme, colon, _ = text.partition("://")
     if text == "-" or (colon and scheme in SOURCES):
         try:
-            return SOURCES[scheme].open(Address(urlsplit(text)))
+            source = SOURCES[scheme].open(Address(urlsplit(text)))
         except InputError:
             raise
         except ValueError as error:
             raise InputError(f"{text} is not an address: {error}") from error
+        if grid:
+            names, places = grid_names(*grid), grid_positions(*grid)
+            source.grid, source.truth = grid, SensorMap(places, names=names, units=UNITS)
+        return source
     if Path(text).exists():
-        return Replay(Path(text), speed)
+        return Replay(Path(text), speed, io.ReadOptions(grid=grid))
     known = ", ".join(entry.example for entry in SOURCES.values())
     raise InputError(f"there is no file {text}, and it is no address: {known}")
 
@@ -119,10 +124,12 @@ class _Paced(Source):
 class Replay(_Paced):
     """A recording that is replayed at its rate, or faster; it is read in blocks."""
 
-    def __init__(self, path: Path, speed: float = 1.0) -> None:
+    def __init__(
+        self, path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
+    ) -> None:
         super().__init__(speed)
-        self._path, self.description = path, f"replay of {path.name}"
-        with io.open_stream(path, frames=1) as stream:
+        self._path, self._options, self.description = path, options, f"replay of {path.name}"
+        with io.open_stream(path, frames=1, options=options) as stream:
             self.names = tuple(stream.names or default_names(stream.n_sensors))
             if stream.positions is not None:
                 self.truth = SensorMap(stream.positions, names=self.names, units=stream.units)
@@ -130,7 +137,7 @@ class Replay(_Paced):
 
     def batches(self) -> Iterator[Batch]:
         clock = 0.0
-        with io.open_stream(self._path, frames=_MAX_BATCH) as stream:
+        with io.open_stream(self._path, frames=_MAX_BATCH, options=self._options) as stream:
             step = 1 / stream.rate_hz if stream.rate_hz else self._step
             for block in stream.blocks:
                 times = _times(block, clock, step)

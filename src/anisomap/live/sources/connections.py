@@ -11,8 +11,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import numpy as np
+
 from anisomap.errors import InputError, import_extra
-from anisomap.live.batches import RETRY_S, WAIT_S, Address, Found, Names, Source
+from anisomap.live.batches import RETRY_S, WAIT_S, Address, Batch, Item, Names, Source
 from anisomap.live.sources.lines import LineParser
 
 READ_BYTES = 1 << 16
@@ -34,10 +36,13 @@ class _Lines(Source):
     whole = False
     _parser: LineParser
 
-    def parse(self, content: bytes) -> Iterable[Found]:
+    def parse(self, content: bytes) -> Iterable[Item]:
         yield from self._parser.feed(content, complete=self.whole or (not content and self.ends))
         if not content:
             yield from self._parser.end()
+
+    def wait(self) -> Iterable[Item]:
+        yield from self._parser.wait()
 
 
 class StandardInput(_Lines):
@@ -53,7 +58,7 @@ class StandardInput(_Lines):
     def open(self) -> Iterator[None]:
         # The thread ends with the process: not all systems can wait for standard input.
         threading.Thread(target=self._read, daemon=True).start()
-        self._parser = LineParser()
+        self._parser = LineParser(self.grid)
         yield
 
     def _read(self) -> None:
@@ -84,7 +89,7 @@ class Tcp(_Lines):
     def open(self) -> Iterator[None]:
         with socket.create_connection(self._place, RETRY_S) as self._connection:
             self._connection.settimeout(WAIT_S)
-            self._parser, self._is_closed = LineParser(), False
+            self._parser, self._is_closed = LineParser(self.grid), False
             yield
 
     def receive(self) -> bytes:
@@ -120,7 +125,7 @@ class Udp(_Lines):
         with self._socket:
             with suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            self._parser = LineParser()
+            self._parser = LineParser(self.grid)
             yield
 
     def receive(self) -> bytes:
@@ -158,7 +163,7 @@ class SerialPort(_Lines):
         if not self._port.is_open:
             self._port = self._opened()
         with self._port:
-            self._parser = LineParser()
+            self._parser = LineParser(self.grid)
             yield
 
     def receive(self) -> bytes:
@@ -199,12 +204,12 @@ class Lsl(Source):
         samples, stamps = self._inlet.pull_chunk(timeout=WAIT_S)
         return samples, stamps
 
-    def parse(self, content: tuple[list[list[float]], list[float]]) -> Iterable[Found]:
+    def parse(self, content: tuple[list[list[float]], list[float]]) -> Iterable[Item]:
         samples, stamps = content
         if self._labels:
             yield Names(tuple(self._labels))
             self._labels = []
         known = bool(stamps) and stamps[0] > self._last
-        for stamp, sample in zip(stamps, samples, strict=True):
-            self._last = stamp
-            yield (stamp if known else None, sample)
+        if stamps:
+            self._last = stamps[-1]
+            yield Batch(np.array(samples, dtype=np.float64), np.array(stamps) if known else None)

@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-import math
+import csv
+import re
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.clocks import continued
-from anisomap.base.columns import find_others, without_units
-from anisomap.base.wording import join_items
-from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.detection import find_table
-from anisomap.io.parsing.refusals import refuse_turned
-from anisomap.io.parsing.source import COLOURS, quote
-from anisomap.io.parsing.tables import LeftOut, LineError, is_apart, parsed
-from anisomap.io.recordings.delimited_text import detected_roles, find_matrix
+from anisomap.errors import InputError
+from anisomap.io.columns import sensors_of
+from anisomap.io.parsing.names import ROWS_LOOKED_AT
+from anisomap.io.parsing.refusals import lines_per_frame
+from anisomap.io.parsing.source import COLOURS, quote, said_here
+from anisomap.io.parsing.tables import (
+    HeaderError,
+    LeftOut,
+    Numbered,
+    RefusedError,
+    Table,
+    depth_of,
+    frame_lines,
+    is_apart,
+    numbered_from,
+    parsed,
+)
+from anisomap.io.presets import grid_names, in_grid
+from anisomap.io.recordings.delimited_text import layout_of, stream_of
+from anisomap.io.stream import ReadOptions
 from anisomap.live.batches import Batch, Item, Names, Notice
 
 MAX_LINE = 1 << 22
@@ -28,35 +39,42 @@ MAX_LINE = 1 << 22
 MIN_SENSORS = 2
 """Fewer numbers are no frame."""
 
-_LOOKED_AT, _LOOKED_AT_S = 20, 2.0  # lines, or time, from which the layout is found
-_MAX_ROWS = 100  # lines that show which are a frame
+_LOOKED_AT, LOOKED_AT_S = 100, 2.0  # lines, or time, from which the layout is found
 _MAX_HELD = 1000  # lines without a frame
-_WHERE = Path("lines")  # in errors of readers of files
+_MAX_BAD = 0.1  # of the lines from which the layout is found
+_WHERE = Path("the stream")  # in errors of readers of files
+_OPTIONS_OF_FILES = re.compile(r"[;,] (?:give|choose with) --(?:keep|axis)[^;]*")
 
 
 class LineParser:
-    """Splits bytes into lines, and reads those by `anisomap.io.parsing`.
+    """Splits bytes into lines, and reads those as `anisomap.io` reads files.
 
     Some lines are held until their layout is known: a header, a time, text around the numbers.
+    grid: Rows and columns of a frame, if each line holds a row, or all of it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, grid: tuple[int, int] | None = None) -> None:
+        self._options = ReadOptions(grid=grid)
         self._rest = bytearray()
-        self._overlong = False
+        self._overlong = self._after_return = False
         self._held: list[str] = []
-        self._since, self._sample = 0.0, 0
-        self._layout: _Layout | None = None
+        self._n_filled, self._since = 0, 0.0
+        self._reader: _Reader | None = None
 
     def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
         """Parse the whole lines of the next bytes, and keep the rest."""
+        if self._after_return:
+            content = content.removeprefix(b"\n")
+        self._after_return = content.endswith(b"\r")
         # The rest is only added to while no line ends: a line may come byte by byte.
-        ended, end, rest = content.replace(b"\r", b"\n").rpartition(b"\n")
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        ended, end, rest = content.rpartition(b"\n")
         lines: list[bytes] = []
         if end:
             lines = bytes(self._rest + ended).split(b"\n")
             self._rest.clear()
         self._rest += rest
-        if complete:
+        if complete and self._rest:
             lines.append(bytes(self._rest))
             self._rest.clear()
         elif len(self._rest) > MAX_LINE:
@@ -66,133 +84,141 @@ class LineParser:
             self._overlong = False
             del lines[0]
             yield Notice(f"ignored a line that holds no frame: it has more than {MAX_LINE} bytes")
-        texts = [COLOURS.sub("", line.decode("utf-8-sig", "replace")).strip() for line in lines]
-        yield from self._read([f"{text}\n" for text in texts if not is_apart(text)])
+        texts = [f"{COLOURS.sub('', line.decode('utf-8-sig', 'replace'))}\n" for line in lines]
+        yield from self._read(texts)
+
+    def wait(self) -> Iterator[Item]:
+        """Parse the lines that are held, if nothing has followed them for long."""
+        yield from self._read([])
 
     def end(self) -> Iterator[Item]:
         """Parse the lines that are held."""
         yield from self._read([], ended=True)
 
     def _read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
-        n_read = 0
-        while self._layout is None and n_read < len(lines):
-            self._since = self._since if self._held else time.monotonic()
-            self._held.append(lines[n_read])
-            n_read += 1
-            if len(self._held) % _LOOKED_AT == 0 or time.monotonic() - self._since > _LOOKED_AT_S:
-                yield from self._found()
-        if ended and self._held:
-            yield from self._found(_MAX_ROWS)
-        if self._layout is not None and n_read < len(lines):
-            yield from self._layout.read(lines[n_read:])
+        if self._reader:
+            yield from self._reader.read(lines, ended=ended)
+            return
+        self._since = self._since if self._n_filled else time.monotonic()
+        self._held += lines
+        self._n_filled += sum(not is_apart(line) for line in lines)
+        waited = time.monotonic() - self._since
+        if self._held and (ended or self._n_filled >= _LOOKED_AT or waited > LOOKED_AT_S):
+            yield from self._found(waited)
 
-    def _found(self, n_enough: int = 0) -> Iterator[Item]:
+    def _found(self, waited: float) -> Iterator[Item]:
         """Find the layout of the lines that are held, and parse them."""
-        layouts, problem, held = list[_Layout](), "", self._held
-        self._since, sample = time.monotonic(), self._sample or len(held)
-        for start in (1, 0):  # the first line may be cut: a port is opened while a board sends
+        problem, held = "", self._held
+        # The first lines may be of another kind: cut, or of a board that starts.
+        for start in dict.fromkeys((0, 1, len(held) // 2)):
             try:
-                layouts.insert(0, _Layout(held[start:], sample - start))
-            except (InputError, ValueError) as error:
-                problem = str(error).partition(";")[0]
-        if any(each.is_sawtooth for each in layouts) and len(held) + n_enough < _MAX_ROWS:
-            self._sample = sample
+                with said_here() as said:
+                    self._reader = _Reader(held[start:], self._options)
+            except (InputError, ValueError, csv.Error) as error:
+                problem = problem or str(error)
+                if isinstance(error, RefusedError):
+                    break
+                continue
+            for _, problem in said:
+                yield Notice(_OPTIONS_OF_FILES.sub("", problem))
+            self._held = []
+            yield from self._reader.begin(waited)
             return
-        layout = min(layouts, key=lambda layout: layout.n_left) if layouts else None
-        try:
-            if layout:
-                layout.refuse(held)
-        except FileError as error:
-            layout, problem = None, str(error).partition(";")[0]
-            del held[_MAX_ROWS:]
-        if not layout:
-            del held[: max(0, len(held) - _MAX_HELD)]
-            yield Notice(f"no frame yet: {problem}")
-            return
-        self._layout, self._held = layout, []
-        yield from layout.begin(held)
+        del held[: max(0, len(held) - _MAX_HELD)]
+        self._n_filled = 0
+        yield Notice(f"no frame yet: {_OPTIONS_OF_FILES.sub('', problem)}")
 
 
-class _Layout:
-    """How lines are read, by the first `n_sample` of them.
+class _Reader:
+    """Reads lines that follow each other in the layout of the first ones."""
 
-    n_left: How many of those do not fit.
-    is_sawtooth: Whether a column may number the lines of a frame.
-    """
-
-    def __init__(self, lines: Sequence[str], n_sample: int) -> None:
-        self._table = table = find_table(_WHERE, lines[:n_sample])
-        self._body, left = lines[table.first_line - 1 :], LeftOut()
-        if table.n_columns < MIN_SENSORS or table.block or table.nested:
-            raise InputError("no line of two numbers or more")
-        rows = list(parsed([*enumerate(lines[table.first_line - 1 : n_sample], 1)], table, left))
-        left.check()
-        names, start = tuple(map(str.strip, table.names)), np.concatenate(rows)
-        roles = detected_roles(table, names, start)
-        steps, again = np.diff(start, axis=0) == 1, start[1:] == start.min(axis=0)
-        saws = (steps | again).all(axis=0) & steps.any(axis=0) & again.any(axis=0)
-        self.is_sawtooth = bool(saws.any())
-        if self.is_sawtooth:
-            start = np.concatenate([*parsed([*enumerate(self._body, 1)], table, LeftOut())])
-        self._matrix = find_matrix(table, names, roles, start)
-        if self._matrix:
-            others = [*self._matrix.columns]
-        else:
-            rest = [i for i in range(table.n_columns) if i not in roles.non_sensors]
-            shown = start[:, rest] if self.is_sawtooth else start[:0, rest]
-            others = [rest[i] for i in find_others([names[i] for i in rest if names], shown)]
-        self._others = others
-        roles = replace(roles, non_sensors=(*roles.non_sensors, *others))
-        self._roles, self.n_left, self._before = roles, left.n_left, -math.inf
-        self._n_ignored = 0
-        kept = tuple(name for i, name in enumerate(names) if i not in roles.non_sensors)
-        self._names = without_units(kept) if all(kept) and not self._matrix else ()
-        if table.n_columns - len(roles.non_sensors) < MIN_SENSORS:
+    def __init__(self, lines: Sequence[str], options: ReadOptions) -> None:
+        self._table = table = layout_of(_WHERE, lines, {}, options)
+        self._pending = [*numbered_from(lines, table)]
+        self._left = left = LeftOut()
+        start = _parsed([*frame_lines(self._pending, table)], table, left)
+        if not len(start) or left.n_left > max(1, _MAX_BAD * left.n_lines):
+            raise left.first or InputError("no line of numbers")
+        self._left, self._n_told, self._bad = LeftOut(), 0, ""
+        self._seen, self._n_seen = list[NDArray[np.floating]](), 0
+        self._ended, self._has_grid = False, options.grid is not None
+        stream = stream_of(table, lines, start, self._rows, options)
+        stream = in_grid(sensors_of(stream, options), options.grid)
+        self._blocks, self._names = stream.blocks, stream.names
+        if options.grid:
+            self._names = grid_names(*options.grid)
+            if len(self._names) != stream.n_sensors:
+                size = f"{options.grid[0]} x {options.grid[1]}"
+                raise InputError(f"lines of {stream.n_sensors} readings are no {size} grid")
+        if stream.n_sensors < MIN_SENSORS:
             raise InputError("no line of two readings or more")
 
-    def refuse(self, lines: Sequence[str]) -> None:
-        """Raise FileError if several lines are a frame, and nothing tells how they are joined."""
-        if not self._matrix:
-            known = {*self._roles.non_sensors} - {*self._table.text_columns, *self._others}
-            refuse_turned(self._table, lines, known)
-
-    def begin(self, lines: Sequence[str]) -> Iterator[Item]:
-        """Say what is skipped above the first frame, and parse the rest."""
-        n_skipped = len(lines) - len(self._body) - bool(self._names)
-        if n_skipped > 0:
-            first = join_items([quote(line.strip()) for line in lines[:n_skipped]], 1)
-            yield Notice(f"skipped lines at the start: {first}")
-        if self._others:
-            own = self._table.names
-            labels = [own[i].strip() if own else f"column {i + 1}" for i in self._others]
-            yield Notice(f"left out, since they are not sensors: {join_items(labels, 3)}")
+    def begin(self, waited: float) -> Iterator[Item]:
+        """Parse the first lines, which have arrived in some seconds."""
         if self._names:
             yield Names(self._names)
-        yield from self.read(self._body)
+        for item in self.read([]):
+            if isinstance(item, Batch) and item.times is None and waited > 0:
+                yield Batch(item.readings, np.linspace(0, waited, len(item.readings)))
+            else:
+                yield item
 
-    def read(self, lines: Sequence[str]) -> Iterator[Item]:
+    def read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
         """Parse lines; those that do not fit are left out with a notice."""
-        table, left = self._table, LeftOut()
-        fresh = [line for line in lines if line.strip() not in table.above]
-        try:
-            for rows in parsed([*enumerate(fresh)], table, left):
-                if len(rows):
-                    yield from self._batch(rows)
-        except LineError as error:
-            left.first = left.first or error
-        if left.first is not None:
-            self._n_ignored += max(left.n_left, 1)
-            shown = quote(fresh[left.first.line].strip())
-            yield Notice(f"ignored lines that hold no frame: {self._n_ignored}, such as {shown}")
-
-    def _batch(self, rows: NDArray[np.float64]) -> Iterator[Batch]:
-        readings = np.delete(rows, self._roles.non_sensors, axis=1)
-        times = self._roles.times_in(rows)
-        if times is not None and self._roles.time in self._table.clocks:
-            times = continued(times, self._before)
-            self._before = float(times[-1])
-        if self._matrix:
-            readings, times = self._matrix.join(rows[:, self._matrix.columns[0]], readings, times)
-        if len(readings):
+        self._ended = ended
+        self._pending += enumerate(lines, start=1)
+        block = next(self._blocks)
+        if len(block.readings):
+            times = block.times
             is_known = times is not None and bool(np.isfinite(times).all())
-            yield Batch(readings, times if is_known else None)
+            yield Batch(block.readings.astype(np.float64), times if is_known else None)
+            yield from self._look_again(block.readings)
+        if self._left.n_left > self._n_told:
+            self._n_told = self._left.n_left
+            yield Notice(f"ignored lines that hold no frame: {self._n_told}, such as {self._bad}")
+
+    def _look_again(self, readings: NDArray[np.floating]) -> Iterator[Notice]:
+        """Say that lines may be rows of frames, once more have come: at first, skins rest."""
+        if self._n_seen < ROWS_LOOKED_AT:
+            self._seen, self._n_seen = [*self._seen, readings], self._n_seen + len(readings)
+            if self._n_seen >= ROWS_LOOKED_AT:
+                height = lines_per_frame(np.concatenate(self._seen))
+                self._seen = []
+                if height:
+                    size = f"--grid {height}x{readings.shape[1]}"
+                    yield Notice(f"{height} lines seem to be a frame: end the session, give {size}")
+
+    def _rows(self, *, repeats: bool = False) -> Iterator[tuple[NDArray[np.float64], float]]:
+        """Yield the rows of the lines that have arrived, perhaps none, without an end."""
+        table, left = self._table, self._left
+        left.repeats = repeats and self._has_grid  # of rows; others may be missing
+        while True:
+            lines = self._whole_frames()
+            rows = _parsed(lines, table, left)
+            if left.first:
+                self._bad = quote(dict(lines)[left.first.line].strip())
+                left.first = None
+            yield rows, 0.0
+
+    def _whole_frames(self) -> list[Numbered]:
+        """Take the lines of the frames that are whole, each as one line."""
+        lines, table, n_whole, depth = self._pending, self._table, 0, 0
+        for i, (_, line) in enumerate(lines):
+            depth += depth_of(line) if table.nested else 0
+            if self._ended or (is_apart(line) if table.block and not table.nested else depth <= 0):
+                n_whole = i + 1
+        self._pending = lines[n_whole:]
+        return [*frame_lines(lines[:n_whole], table)]
+
+
+def _parsed(lines: list[Numbered], table: Table, left: LeftOut) -> NDArray[np.float64]:
+    """Return the rows, (t, n_columns), of lines, without those that do not fit."""
+    held = [np.empty((0, table.n_columns))]
+    while lines:
+        try:
+            held += parsed(lines, table, left)
+            break
+        except HeaderError as error:  # of a board that started again with other names
+            left.n_left, left.first = left.n_left + 1, left.first or error
+            lines = [each for each in lines if each[0] > error.line]
+    return np.concatenate(held)
