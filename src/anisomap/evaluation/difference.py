@@ -33,7 +33,7 @@ _UPPER_QUARTILE = float(ndtri(0.75))
 # Rayleigh's distribution, of the length of a normal vector in the plane, has this spread of its
 # logarithm between the median and the upper quartile. A smaller estimate comes from few sensors.
 _MIN_SPREAD: float = 0.5 * np.log(np.log(4) / np.log(2)) / _UPPER_QUARTILE
-_ROUNDING = 1e-9  # of the spacing: what equal maps differ by
+_ROUNDING = 2e-4  # of the spacing: files state coordinates of equal maps about as exactly
 
 
 @dataclass(frozen=True, eq=False)

@@ -486,7 +486,7 @@ class _Checked:
             status[self.rows[column]] = OK
         order = list(KINDS)
         findings = sorted(self.findings, key=lambda f: (order.index(f.kind), int(f.sensors.min())))
-        for finding in findings:
+        for finding in reversed(findings):  # a dead sensor may have another's place
             for column in finding.sensors:
                 status[self.rows[column]] = finding.kind
         untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]

@@ -209,17 +209,6 @@ class Evidence:
         """Log-likelihood ratio of each pair at current positions; 0 for pairs not `known`."""
         return np.where(self.known, self.falloff.ratio(self.codes, self.bins), np.float32(0))
 
-    def ratios_at(
-        self, sensors: NDArray[np.intp], places: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """Return the log-likelihood ratios with all sensors, if some were elsewhere.
-
-        places (m, k) -> (m, n).
-        """
-        bins = self.falloff.bins(cdist(places, self.positions))
-        ratios = self.falloff.ratio(self.codes[sensors], bins)
-        return np.where(self.known[sensors], ratios, np.float32(0))
-
     def gain(self, move: Move) -> float:
         """Return the increase of the log-likelihood by a move of some sensors together."""
         return self.gains(move, self.codes[None])[0]

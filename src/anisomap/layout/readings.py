@@ -98,7 +98,9 @@ def reading_statistics(
     every = max(1, n_frames // _MAX_SHIFTED)
     thinned = unit_rows(ranks[::every]).T
     strength = _strength(similarity)
-    chance = [_strength(_shifted_product(thinned, int(lag) // every)) for lag in lags]
+    # Each sensor is shifted circularly against all others.
+    shifted = (np.roll(thinned, -(int(lag) // every), axis=0) for lag in lags)
+    chance = [_strength(thinned.T @ one) for one in shifted]
     tested = (strength > np.max(chance, axis=0)) & (strength > 0)
     return ReadingStatistics(similarity, parts, tested)
 
@@ -129,11 +131,6 @@ def _without(
 def _symmetric(product: NDArray[np.float32]) -> NDArray[np.float32]:
     mean = (product + product.T) / 2
     return np.clip(mean, -1, 1)
-
-
-def _shifted_product(values: NDArray[np.float32], lag: int) -> NDArray[np.float32]:
-    """Correlate each sensor, shifted circularly by `lag` frames, with all others."""
-    return np.asarray(values[:-lag].T @ values[lag:] + values[-lag:].T @ values[:lag])
 
 
 def _strength(similarity: Reals) -> NDArray[np.float32]:

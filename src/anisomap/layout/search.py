@@ -53,19 +53,19 @@ class Search:
         moved: list[Change] = []
         for _ in range(_MAX_ROUNDS if patches else 0):
             held = []
-            for patch in moved_patches(start, self.mounting, self.evidence):
-                turned, modules = start.moved(patch.move), patch.modules
+            for modules, (move, second) in moved_patches(start, self.mounting, self.evidence):
+                turned, own = start.moved(move), tuple(modules)
                 if not border(turned, self.mounting.members, modules) > 0:
                     continue
                 mounting = self.mounting.moved(modules, turned.positions)
                 other = Arrangement(turned, mounting, self.judge)
                 evidence, changes = other.run()
-                stated = start.positions[patch.move.sensors]
-                before = evidence.moved(Move(patch.move.sensors, stated))
-                verdict = self.judge.weigh(before, patch.move, group=True, free=True)
+                stated = start.positions[move.sensors]
+                before = evidence.moved(Move(move.sensors, stated))
+                verdict = self.judge.weigh(before, move, group=True, free=True)
                 # Few pads are at the border: their agreement with others tells less than all pads.
                 beside = border(evidence, mounting.members, modules) > AGREEING
-                one = Change(modules, modules, (), stated, patch.move, patch.second, verdict, True)
+                one = Change(own, own, (), stated, move, second, verdict, True)
                 worth = self._worth(evidence, one, changes)
                 if verdict.told and beside and worth > -np.inf:
                     held.append((worth, one, turned, other, mounting, evidence, changes))

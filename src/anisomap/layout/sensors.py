@@ -104,7 +104,9 @@ def cable_shifts(evidence: Evidence) -> list[Proposal]:
         if n_sensors < _MIN_RUN + abs(step):
             continue
         places = np.roll(evidence.positions, -step, axis=0)
-        outside = evidence.ratios_at(everyone, places) - evidence.ratios
+        bins = evidence.falloff.bins(cdist(places, evidence.positions))
+        alone = np.where(evidence.known, evidence.falloff.ratio(evidence.codes, bins), 0)
+        outside = alone - evidence.ratios
         inside = evidence.moved(Move(everyone, places)).ratios - evidence.ratios
         # Of the run a to b: gains to all sensors, less those inside, which move, too.
         single = np.concatenate([[0.0], outside.sum(axis=1, dtype=float).cumsum()])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,20 +32,12 @@ _NEARLY = 0.9  # of its gain: a patch on places of modules is nearly as good as 
 _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are hardly told
 
 
-@dataclass(frozen=True, eq=False)
-class MovedPatch:
-    """A patch at the place that explains the readings best.
-
-    second: The best of the moves that differ from it by more than readings hardly tell.
-    """
-
-    modules: tuple[int, ...]
-    move: Move
-    second: Move
-
-
-def moved_patches(evidence: Evidence, mounting: Mounting, arranged: Evidence) -> list[MovedPatch]:
+def moved_patches(
+    evidence: Evidence, mounting: Mounting, arranged: Evidence
+) -> list[tuple[list[int], list[Move]]]:
     """Propose patches that fit better turned, mirrored or shifted, the best first.
+
+    Each is its modules and two moves: the best, and the best of those that differ from it clearly.
 
     arranged: With modules moved one by one, of which those that are contradicted are patches, too;
         groups that then agree with those around them, unchanged, are right.
@@ -74,8 +65,8 @@ def moved_patches(evidence: Evidence, mounting: Mounting, arranged: Evidence) ->
     # The one of two groups that explains more at their border is wrong: both gain across a cut.
     found.sort(key=lambda one: -one[0])
     found = found[:_N_BEST]
-    best = [_on_places(evidence, mounting, group, moves) for _, group, moves in found]
-    return [patch for patch in best if patch is not None]
+    best = [(group, _on_places(evidence, mounting, group, moves)) for _, group, moves in found]
+    return [(group, moves) for group, moves in best if moves]
 
 
 def bonds(
@@ -172,10 +163,10 @@ def _beside(
 
 def _on_places(
     evidence: Evidence, mounting: Mounting, modules: list[int], moves: list[Move]
-) -> MovedPatch | None:
-    """Return the best move, on flat layouts with a module on one of their places, or beside others.
+) -> list[Move]:
+    """Return the best two moves, on flat layouts with a module on a place of one, or beside others.
 
-    None if all modules stay at their own places: then each is turned by itself.
+    None of them if all modules stay at their own places: then each is turned by itself.
     """
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
     off = [
@@ -183,7 +174,7 @@ def _on_places(
         for m, at in zip(modules, np.split(moves[0].places, ends), strict=True)
     ]
     if max(off) <= _SAME * mounting.pitch:
-        return None
+        return []
     if evidence.positions.shape[1] == 2:
         others = mounting.without(modules, evidence.positions)
         for shapes in (mounting.shapes[modules], others.shapes[others.n_modules :]):
@@ -194,7 +185,7 @@ def _on_places(
                 break
     least = _FAR * evidence.falloff.spacing
     far = [move for move in moves if _farthest(move.places, moves[0].places) > least]
-    return MovedPatch(tuple(modules), moves[0], (far or moves[-1:])[0])
+    return [moves[0], (far or moves[-1:])[0]]
 
 
 def _apart(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
