@@ -71,8 +71,10 @@ class Search:
                     held.append((worth, one, turned, other, mounting, evidence, changes))
             if not held:
                 break
+            first = held[0][1].modules
+            rivals = [each for each in held[1:] if not set(first) & set(each[1].modules)]
             _, one, start, joint, self.mounting, self.evidence, self.changes = max(
-                held, key=lambda each: each[0]
+                [held[0], *rivals], key=lambda each: each[0]
             )
             moved.append(one)
         self.changes = moved + self.changes
