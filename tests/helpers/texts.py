@@ -74,13 +74,13 @@ def sent(text: bytes, grid: Any = None) -> tuple[Any, Any, Any]:
     items = [item for part in parts for item in parser.feed(part)]
     items += [*parser.feed(b"", complete=True), *parser.end()]
     batches = [item for item in items if isinstance(item, Batch)]
-    readings = np.concatenate([np.empty((0, 0)), *[b.readings for b in batches]][bool(batches) :])
-    names = [item.names for item in items if isinstance(item, Names)] or [
-        default_names(readings.shape[1])
-    ]
+    if not batches:
+        return (), [], None
+    readings = np.concatenate([batch.readings for batch in batches])
+    names = [item.names for item in items if isinstance(item, Names)]
     clocks = [batch.times for batch in batches]
-    timed = bool(clocks) and all(clock is not None for clock in clocks)
-    return names[0], readings, np.concatenate(clocks) if timed else None
+    times = None if clocks[-1] is None else np.concatenate(clocks)
+    return (*names, default_names(readings.shape[1]))[0], readings, times
 
 
 def read_alike(path: Any, grid: Any = None) -> Any:

@@ -83,7 +83,6 @@ def test_a_map_is_a_montage_of_mne(tmp_path: Path) -> None:
     ("name", "content", "said"),
     [
         ("x.json", '{"specification": "probeinterface", "probes": []}', "read_probeinterface"),
-        ("x.bin", "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\n", "pcl_pcd2ply"),
         ("x.bdf", "a,b\n1,2\n", "mne.io.read_raw"),
         ("x.xlsx", "a,b\n1,2\n", "save its table as CSV"),
     ],

@@ -1,4 +1,4 @@
-"""Lines of text as frames: every format, and anything else."""
+"""Lines of text as frames."""
 
 import itertools
 

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from anisomap.base.clocks import parse_clock
 from anisomap.base.wording import join_items
 from anisomap.io.parsing.lines import Template, as_objects, find_template
-from anisomap.io.parsing.source import quote
+from anisomap.io.parsing.source import RefusedError, quote
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     SAMPLE_RECORDS,
     Numbered,
-    RefusedError,
     Table,
     all_records,
     depth_of,

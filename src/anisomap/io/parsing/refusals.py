@@ -22,8 +22,8 @@ from anisomap.base.clocks import is_time, words_of
 from anisomap.errors import FileError
 from anisomap.io.parsing.detection import is_list
 from anisomap.io.parsing.names import COUNTER_NAMES
-from anisomap.io.parsing.source import quote, quote_if_needed
-from anisomap.io.parsing.tables import RefusedError, Table, all_records, is_number, is_skipped
+from anisomap.io.parsing.source import RefusedError, quote, quote_if_needed
+from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
 
 FROM_EVENTS = (
     "in Python, anisomap.Recording.from_events(times, sensors, bin_width=..., names=...) makes a "
@@ -74,8 +74,6 @@ _FOREIGN = (
     _Foreign("a file of electrodes",
              "from a map in metres, mne.channels.make_dig_montage(dict(zip(sensor_map.names, "
              "sensor_map.positions))) is a montage of mne", (".elc", ".sfp", ".hpts")),
-    _Foreign("a point cloud (PCD)", "pcl_pcd2ply and pcl_ply2pcd convert it to PLY and back",
-             (".pcd",), rb"(?:#[^\n]*+\n)*+VERSION [.\d]++\s++FIELDS "),
     _Foreign("a launch file", "robot_state_publisher publishes a .urdf", (".launch.xml",)),
     _Foreign("a spreadsheet", "save its table as CSV", (".xlsx", ".xlsm", ".xls", ".ods")),
     _Foreign("a mesh, as anisomap place --mesh takes it",

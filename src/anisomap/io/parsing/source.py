@@ -28,6 +28,10 @@ _MIN_REPORTED_LOSS = 0.005
 COLOURS = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]")  # of terminals
 
 
+class RefusedError(FileError):
+    """Lines that can be read, but not as they are meant: without some, they are meant no better."""
+
+
 _SAID: ContextVar[list[tuple[str, str]] | None] = ContextVar("said", default=None)
 
 

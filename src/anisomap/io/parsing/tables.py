@@ -126,10 +126,6 @@ class LineError(FileError):
         self.line, self.surplus, self.reason = line, surplus, f"line {line}{problem}"
 
 
-class RefusedError(FileError):
-    """Lines that can be read, but not as they are meant: without some, they are meant no better."""
-
-
 class HeaderError(LineError):
     """A line of names below the first frame, as of a second recording."""
 

@@ -45,12 +45,12 @@ from anisomap.io.parsing.refusals import (
     refuse_turned,
 )
 from anisomap.io.parsing.source import (
+    RefusedError,
     lines_of,
     quote_if_needed,
     warn,
 )
 from anisomap.io.parsing.tables import (
-    RefusedError,
     Table,
     first_rows,
     guard_formula,

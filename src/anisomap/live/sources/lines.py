@@ -15,12 +15,11 @@ from anisomap.errors import InputError
 from anisomap.io.columns import sensors_of
 from anisomap.io.parsing.names import ROWS_LOOKED_AT
 from anisomap.io.parsing.refusals import lines_per_frame
-from anisomap.io.parsing.source import COLOURS, quote, said_here
+from anisomap.io.parsing.source import COLOURS, RefusedError, quote, said_here
 from anisomap.io.parsing.tables import (
     HeaderError,
     LeftOut,
     Numbered,
-    RefusedError,
     Table,
     depth_of,
     frame_lines,
