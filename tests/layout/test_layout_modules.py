@@ -139,6 +139,14 @@ def test_a_consistent_layout_names_what_was_not_tested(statistics):
     assert "less than two to three spacings (1.73 and 2.6 mm)" in " ".join(found.notes)
 
 
+def test_patches_are_moved_from_ten_contacts_on():
+    few = Recording(np.asarray(RECORDING.readings)[:300], names=NAMES)
+    for recording, told in ((few, True), (RECORDING, False)):
+        found = check_layout(RIGHT, recording, modules=MODULES)
+        assert found.consistent
+        assert ("moved patches" in " ".join(found.notes)) == told
+
+
 def test_a_mirrored_patch_is_one_finding(statistics):
     turns = dict.fromkeys(range(4), MIRRORED[0])
     found = check_layout(
