@@ -649,17 +649,13 @@ def test_wires_that_are_exchanged_between_days_are_named_and_veto():
 
 
 @pytest.mark.filterwarnings("ignore::anisomap.AnisomapWarning")
-@given(
-    touch=st.sampled_from(["poke", "sway", "rain"]),
-    damage=st.sampled_from(["", *DAMAGES]),
-    seed=st.integers(0, 99),
-    blips=st.integers(0, 2),
-)
+@given(st.sampled_from(["", *DAMAGES]), st.integers(0, 99))
 @settings(max_examples=12)
-def test_no_sensor_lies_far_outside_of_the_map_of_a_damaged_recording(touch, damage, seed, blips):
+def test_no_sensor_lies_far_outside_of_the_map_of_a_damaged_recording(damage, seed):
     """At most 100 median radii, also if the only reading of a sensor is lost by thinning."""
+    touch = ("poke", "sway", "rain")[seed % 3]
     skin = make(SkinCase("plate:n=36", touch, "linear", damage, 900, seed)).complete("interpolate")
-    readings = np.pad(skin.readings, ((0, 0), (0, blips)))
+    readings = np.pad(skin.readings, ((0, 0), (0, seed // 3 % 3)))
     readings[451, skin.n_sensors :] = 3 * skin.readings.std()
     made = anisomap.reconstruct(readings, dimensions=2)
     for label, size in enumerate(made.component_sizes):
