@@ -243,8 +243,7 @@ Quality: TypeAlias = Literal["usable", "usable-for-neighbours"]
 
 Output: TypeAlias = Annotated[list[Path] | None, Parameter(alias="-o", group=outputs_group)]
 Picture: TypeAlias = Annotated[
-    Path | None,
-    Parameter(group=outputs_group, help="Figure to write: .png, .svg or .pdf."),
+    Path | None, Parameter(group=outputs_group, help="Figure to write: .png, .svg or .pdf.")
 ]
 Report: TypeAlias = Annotated[
     Path | None,
@@ -272,7 +271,7 @@ Exclude: TypeAlias = Annotated[
     list[str] | None,
     Parameter(
         help="Sensors to leave out of the score, such as s3,c0-c35. Give names, indices, ranges or "
-        "patterns, separated by commas; may be repeated.",
+        "patterns, separated by commas; may be repeated."
     ),
 ]
 
@@ -303,8 +302,7 @@ Drop: TypeAlias = Annotated[
     ),
 ]
 MapDimensions: TypeAlias = Annotated[
-    int | Literal["auto"],
-    Parameter(alias="-d", group=method_group, converter=_read_dimensions),
+    int | Literal["auto"], Parameter(alias="-d", group=method_group, converter=_read_dimensions)
 ]
 Missing: TypeAlias = Annotated[
     Literal["error", "drop-frames", "interpolate"],

@@ -28,13 +28,7 @@ from anisomap.io.parsing.names import distinct_names, match_names, natural_key
 from anisomap.io.parsing.refusals import refuse_foreign, remedy_of
 from anisomap.io.parsing.source import file_errors, read_head, said_here, warn
 from anisomap.io.presets import apply_preset, in_grid, with_grid
-from anisomap.io.recordings import (
-    bags,
-    delimited_text,
-    grids,
-    named_arrays,
-    robot_logs,
-)
+from anisomap.io.recordings import bags, delimited_text, grids, named_arrays, robot_logs
 from anisomap.io.stream import (
     BLOCK_FRAMES,
     Block,

@@ -263,9 +263,7 @@ def _sampled(metadata: Mapping[str, Scalar], step: int) -> Mapping[str, Scalar]:
 
 
 def assemble(
-    stream: Stream,
-    progress: Callable[[float], None] | None = None,
-    max_readings: float = math.inf,
+    stream: Stream, progress: Callable[[float], None] | None = None, max_readings: float = math.inf
 ) -> Recording:
     """Collect a stream into a recording, without copying the readings.
 
@@ -480,10 +478,7 @@ def contents_isolated(
 
 def _sent(function: Callable[..., Any], options: ReadOptions) -> tuple[Any, ...]:
     definitions = [os.fspath(each) for each in options.definitions]
-    return (
-        *(function.__module__, function.__name__),
-        *(options.select, definitions, options.keep),
-    )
+    return (*(function.__module__, function.__name__), *(options.select, definitions, options.keep))
 
 
 def _called(path: Path, *sent: Any) -> Any:

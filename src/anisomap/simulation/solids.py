@@ -310,10 +310,7 @@ def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tupl
 
 
 def spread(
-    solids: Sequence[Solid],
-    n_sensors: int,
-    rng: np.random.Generator,
-    on: Chosen | None = None,
+    solids: Sequence[Solid], n_sensors: int, rng: np.random.Generator, on: Chosen | None = None
 ) -> tuple[Points, Points]:
     """Spread sensors evenly over the surface of solids, where a function says so.
 

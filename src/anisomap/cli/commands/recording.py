@@ -175,8 +175,7 @@ class MappingOptions:
     missing: options.Missing = "error"
     repair: bool = False
     method: Annotated[
-        str | None,
-        Parameter(alias="-m", group=options.expert_group, show_default=DEFAULT_METHOD),
+        str | None, Parameter(alias="-m", group=options.expert_group, show_default=DEFAULT_METHOD)
     ] = None
     memory: Annotated[options.Count, options.expert] = 512
 

@@ -40,10 +40,7 @@ def _tokens(number: str) -> re.Pattern[str]:
     )
 
 
-_TOKENS = {
-    ".": _tokens(r"(?:\d+(?:\.\d*)?|\.\d+)"),
-    ",": _tokens(r"\d+(?:[.,]\d+)?"),
-}
+_TOKENS = {".": _tokens(r"(?:\d+(?:\.\d*)?|\.\d+)"), ",": _tokens(r"\d+(?:[.,]\d+)?")}
 """Numbers and clocks in a line, by the decimal mark."""
 
 _APART = re.compile(r"[\s,;|:=>\[\](){}\"']")

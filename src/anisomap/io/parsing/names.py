@@ -191,11 +191,7 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     counter = 0 if len(rising) == 2 else None
     clock = clock_of("", last)
     return Roles(
-        rising[-1],
-        clock.per_second,
-        clock.doubt,
-        counter=counter,
-        non_sensors=tuple(rising),
+        rising[-1], clock.per_second, clock.doubt, counter=counter, non_sensors=tuple(rising)
     )
 
 

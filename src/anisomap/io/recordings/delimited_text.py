@@ -44,12 +44,7 @@ from anisomap.io.parsing.refusals import (
     refuse_thousands,
     refuse_turned,
 )
-from anisomap.io.parsing.source import (
-    RefusedError,
-    lines_of,
-    quote_if_needed,
-    warn,
-)
+from anisomap.io.parsing.source import RefusedError, lines_of, quote_if_needed, warn
 from anisomap.io.parsing.tables import (
     Table,
     first_rows,
@@ -60,13 +55,7 @@ from anisomap.io.parsing.tables import (
     unguard_formula,
 )
 from anisomap.io.presets import UNITS, grid_names, grid_positions
-from anisomap.io.stream import (
-    Block,
-    ReadOptions,
-    Stream,
-    refuse_selection,
-    to_float32_if_exact,
-)
+from anisomap.io.stream import Block, ReadOptions, Stream, refuse_selection, to_float32_if_exact
 from anisomap.recording import Recording, Scalar
 
 _POINTS, _UNITS = ("positions", "normals"), "units"

@@ -289,11 +289,7 @@ _MIN_PAIRS = 30  # fewer significant pairs determine no share; chosen by hand
 
 
 def unexplained_share(
-    similarity: ArrayLike,
-    positions: ArrayLike,
-    noise: float,
-    *,
-    known: ArrayLike | None = None,
+    similarity: ArrayLike, positions: ArrayLike, noise: float, *, known: ArrayLike | None = None
 ) -> float:
     """Estimate the share of the variance of correlations that distances do not explain.
 
