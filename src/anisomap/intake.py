@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.clocks import is_time, seconds
-from anisomap.base.columns import find_others, find_taxels, frames_of, without_units
+from anisomap.base.columns import (
+    find_others,
+    find_taxels,
+    frames_of,
+    names_of_frame,
+    without_units,
+)
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 
@@ -51,8 +57,7 @@ def take(values: Any) -> Taken:
         return _of_xarray(values)
     if hasattr(values, "columns") and hasattr(values, "iloc"):
         return _of_frame(values)
-    array = as_array(values)
-    return Taken(_floats(array)) if array.ndim == 2 else _of_array(array)
+    return _of_array(as_array(values))
 
 
 def take_events(
@@ -72,9 +77,7 @@ def take_events(
     listed = tuple(f"s{each}" if indexed else str(each) for each in found.tolist())
     if names is not None:
         listed = tuple(map(str, names))
-        place = (
-            dict(enumerate(range(len(listed)))) if indexed else {n: i for i, n in enumerate(listed)}
-        )
+        place = {each: i for i, each in enumerate(range(len(listed)) if indexed else listed)}
         unknown = [each for each in found.tolist() if each not in place]
         if unknown:
             raise InputError(f"there is no sensor {unknown[0]!r} among the {len(listed)} names")
@@ -117,7 +120,7 @@ def _of_array(array: NDArray[Any]) -> Taken:
     """Take frames from an array; of more than two axes, the longest is time."""
     if array.ndim == 2:
         return Taken(_floats(array))
-    frames = frames_of(array.shape) if array.ndim > 2 else None
+    frames = frames_of(array.shape)
     if frames is None:
         expected = "(T, N) (frames x sensors), or have time, its longest axis, first or last"
         raise InputError(f"readings must be of shape {expected}; got shape {array.shape}")
@@ -152,9 +155,7 @@ def _of_frame(frame: Any) -> Taken:
     index = np.asarray(frame.index)
     if clock is not None:
         times, doubt = seconds(frame.iloc[:, clock], names[clock])
-    elif index.dtype.kind in "mM":
-        times, doubt = seconds(index)
-    elif is_time(str(getattr(frame.index, "name", None) or "")):
+    elif index.dtype.kind in "mM" or is_time(str(getattr(frame.index, "name", None) or "")):
         times, doubt = seconds(index, str(frame.index.name))
     if doubt:
         _say(f"{'index' if clock is None else 'column ' + names[clock]}: {doubt}")
@@ -187,15 +188,12 @@ def _of_xarray(array: Any) -> Taken:
     if doubt:
         _say(doubt)
     values = as_array(array.values)
-    labels = [
-        [str(label) for label in np.asarray(array.coords[dim])] if dim in array.coords else None
-        for dim in dims[1:]
-    ]
     if len(dims) == 2:
-        taken = _sensors(values, labels[0] or ())
+        labels = array.coords.get(dims[1], ())
+        names: Sequence[str] = [str(label) for label in np.asarray(labels)]
     else:
-        frames = frames_of((max(values.shape) + 1, *values.shape[1:]))
-        taken = _sensors(values.reshape(len(values), -1), frames.names if frames else ())
+        names = names_of_frame(values.shape[1:])
+    taken = _sensors(values.reshape(len(values), -1), names)
     return Taken(taken.readings, taken.names, times)
 
 

@@ -287,8 +287,6 @@ def write_map(sensor_map: SensorMap, path: Path) -> None:
         "errors": None if np.isnan(sensor_map.errors).all() else sensor_map.errors,
         "covariances": sensor_map.covariances,
         "normals": sensor_map.normals,
-        "units": sensor_map.units,
-        **sensor_map.reference,
         **known,
         "provenance": to_json(known["provenance"]),
     }

@@ -77,15 +77,9 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
             n_frames = len(whole.readings) // rows
             held = whole.part(n_frames * rows, None)
             whole = whole.part(0, n_frames * rows)
-            yield replace(
-                whole,
-                readings=whole.readings.reshape(n_frames, rows * columns),
-                **{
-                    name: clock[::rows]
-                    for name in ("times", "receive_times")
-                    if (clock := getattr(whole, name)) is not None
-                },
-            )
+            arrays = {name: each[::rows] for name, each in whole.arrays.items()}
+            arrays["readings"] = whole.readings.reshape(n_frames, rows * columns)
+            yield replace(whole, **arrays)
         if held and len(held.readings):
             raise FileError(
                 f"{stream.path}: its rows are not a multiple of the {rows} rows of a frame"

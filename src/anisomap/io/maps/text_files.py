@@ -286,8 +286,7 @@ def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
         assigned: dict[str, tuple[str, int | None]] = {}
         for line, fields in rows[1:]:
             if len(fields) != len(header):
-                problem = f" has {len(fields)} instead of {len(header)} fields"
-                raise LineError(file, line, problem)
+                raise LineError(file, line, f" has {len(fields)} instead of {len(header)} fields")
             row = dict(zip(header, map(str.strip, fields), strict=True))
             name, pad = row[sensor], row.get("pad")
             if name in assigned:
@@ -298,8 +297,7 @@ def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
         return modules_by_name(names, assigned)
 
 
-_MARK = "anisomap map"
-SIGNATURE = f'{{\n "format": "{_MARK}"'.encode()
+SIGNATURE = f'{{\n "format": "{MAP_TITLE}"'.encode()
 # Strict JSON has no infinities; {"float": "inf"} differs from the string "inf".
 _INFINITE = "float"
 
@@ -328,7 +326,7 @@ def write_json(sensor_map: SensorMap, path: Path) -> None:
         if values is not None:
             columns[key] = values.tolist()
     document = {
-        "format": _MARK,
+        "format": MAP_TITLE,
         "known_up_to": sensor_map.known_up_to,
         **known,
         "dimensions": sensor_map.dimensions,

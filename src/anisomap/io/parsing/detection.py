@@ -120,9 +120,7 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
 
 def _with_header(sample: Sequence[str]) -> Sequence[str]:
     """Uncover a header in a comment: the last line with a mark above the first without one."""
-    marked = list(
-        itertools.takewhile(lambda line: _COMMENT.match(line) or not line.strip(), sample)
-    )
+    marked = [*itertools.takewhile(lambda line: _COMMENT.match(line) or not line.strip(), sample)]
     if not 0 < len(marked) < len(sample):
         return sample
     header = _COMMENT.sub("", marked[-1], count=1)
@@ -253,14 +251,9 @@ def _holds_text(
     others = [cell for cell in cells if not (is_number(cell, delimiter) or _is_clock(cell))]
     if any(not is_label(cell) and (delimiter is None or not is_list(cell)) for cell in others):
         return True
-    alike = [
-        i
-        for i in skipped
-        if len({_DIGITS.sub("0", row[i]) for row in rows[:2] if i < len(row)}) == 1
-    ]
-    alike = [
-        i for i in alike if i < len(rows[0]) and _DIGITS.search(rows[0][i])
-    ]  # also in the first row
+    numbered = [i for i in skipped if i < len(rows[0]) and _DIGITS.search(rows[0][i])]
+    forms = ([_DIGITS.sub("0", row[i]) for row in rows[:2] if i < len(row)] for i in numbered)
+    alike = [i for i, held in zip(numbered, forms, strict=True) if len({*held}) == 1]
     vary = any(len({row[i] for row in rows if i < len(row)}) > 1 for i in alike)
     return vary or len(alike) > 1 or len(others) == len(cells)
 
@@ -312,11 +305,8 @@ def _of_lines(
     n_headers: int = 0,
 ) -> Table:
     """Return the layout of the lines from `start` on, of those that are not skipped."""
-    number, above = (
-        filled[start][0],
-        [quote(line.strip()) for _, line in filled[: start - n_headers]],
-    )
-    first = join_items(above, 1)
+    number = filled[start][0]
+    above = [quote(line.strip()) for _, line in filled[: start - n_headers]]
     return Table(
         path,
         None,
@@ -326,7 +316,7 @@ def _of_lines(
         names,
         _filled(convert),
         numeric=",",
-        skipped=f"lines at the start: {first}" if above else "",
+        skipped=f"lines at the start: {join_items(above, 1)}" if above else "",
     )
 
 
@@ -421,13 +411,7 @@ def _inner_rows(frame: str) -> int:
 
 def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
     """Find frames of several lines, between empty lines or comments, perhaps below a title each."""
-    groups = [
-        [line for _, line in lines]
-        for apart, lines in itertools.groupby(
-            enumerate(sample, start=1), lambda numbered: is_apart(numbered[1])
-        )
-        if not apart
-    ]
+    groups = [[*lines] for apart, lines in itertools.groupby(sample, is_apart) if not apart]
     whole = groups[:-1] if len(groups) > _MIN_BLOCKS else groups  # the last one may be cut short
     heights = set(map(len, whole))
     if len(whole) < _MIN_BLOCKS or len(heights) != 1 or (height := heights.pop()) < 2:

@@ -122,7 +122,8 @@ def _parse_value(text: str) -> Scalar:
 
 
 _FLAGS = ("distorted", "mirrored", "handed", "anchored")
-_FIELDS = (*_FLAGS, "frame", "kind")
+_TEXTS = {"frame": DEFAULT_FRAME, "kind": DEFAULT_KIND}
+_FIELDS = (*_FLAGS, *_TEXTS)
 
 _ESCAPE = "~"
 """Precedes a key of the provenance that is also the name of a field."""
@@ -131,10 +132,8 @@ _ESCAPE = "~"
 def properties_of(sensor_map: SensorMap) -> dict[str, Any]:
     """Return what a file states about a map; the frame and flags are part of the provenance."""
     flags: dict[str, Scalar] = {name: True for name in _FLAGS if getattr(sensor_map, name)}
-    if sensor_map.frame != DEFAULT_FRAME:
-        flags["frame"] = sensor_map.frame
-    if sensor_map.kind != DEFAULT_KIND:
-        flags["kind"] = sensor_map.kind
+    texts = {name: getattr(sensor_map, name) for name in _TEXTS}
+    flags |= {name: text for name, text in texts.items() if text != _TEXTS[name]}
     provenance = {
         f"{_ESCAPE}{key}" if key.lstrip(_ESCAPE) in _FIELDS else key: to_python_scalar(value)
         for key, value in sensor_map.provenance.items()
@@ -159,10 +158,7 @@ def read_properties(stored: Mapping[str, Any]) -> dict[str, Any]:
     facts: dict[str, Any] = {
         name: provenance[name] is True for name in _FLAGS if name in provenance
     }
-    if "frame" in provenance:
-        facts["frame"] = str(provenance["frame"])
-    if "kind" in provenance:
-        facts["kind"] = str(provenance["kind"])
+    facts |= {name: str(provenance[name]) for name in _TEXTS if name in provenance}
     if "precomputed" not in provenance:
         facts["similarity"] = str(provenance.get("similarity", ""))
     iterations = provenance.get("iterations")

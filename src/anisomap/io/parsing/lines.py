@@ -48,7 +48,7 @@ _ENDS_LABEL = re.compile(r"[\])}\"']*\s*(?::|=|->|=>|>)")
 _BRACKETS = re.compile(r"[\[\](){}]")
 _NAME_ENDS, _NAME_STARTS = " \t\r\n\"'([{", " \t\r\n\"')]}{"
 _LISTED = re.compile(r"[\s,;]+")
-_COMMA = re.compile(r"\d,\d")
+_COMMA, _NUMBER = re.compile(r"\d,\d"), re.compile(r"(?<!\w)\d")
 _LOOKED_AT = 400  # lines
 _MIN_VALUES, _MIN_SHARE = 2, 0.5  # of the lines looked at, that fit
 PREFIX = "prefix"
@@ -132,18 +132,14 @@ def _raw_split(line: str, decimal: str) -> tuple[list[str], list[str]]:
 def find_template(lines: Sequence[str]) -> Template | None:
     """Find the template of lines with text between the numbers; None if most have another one."""
     lines = lines[:_LOOKED_AT]
-    found = (_template(lines, decimal) for decimal in _decimals(lines))
+    marks = ".," if any(map(_COMMA.search, lines)) else "."  # decimal marks to try
+    found = (_template(lines, decimal) for decimal in marks)
     plain, comma = ((each or (0.0, set(), None)) for each in [*found, None][:2])
     # Decimal commas leave a single separator where commas and others alternate.
     commas = comma[0] >= plain[0] and len(comma[1]) < len(plain[1])
     if commas and not any(_BRACKETS.search(text) for text in comma[1]):
         return comma[2]
     return plain[2]
-
-
-def _decimals(lines: Sequence[str]) -> str:
-    """Return the decimal marks to try."""
-    return ".," if any(map(_COMMA.search, lines)) else "."
 
 
 def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Template] | None:
@@ -153,8 +149,7 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
     if not counts:
         return None
     texts, count = counts.most_common(1)[0]
-    inside = texts[1:-1]
-    if count < _MIN_SHARE * len(lines) or any(map(_has_digit, texts)):
+    if count < _MIN_SHARE * len(lines) or any(map(_NUMBER.search, texts)):
         return None
     alike = [tokens for each, tokens in split if each == texts]
     example = next(line for line, (each, _) in zip(lines, split, strict=True) if each == texts)
@@ -188,11 +183,7 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
         return None
     kept = [i for i in range(len(columns)) if i not in fixed]
     at = frozenset(kept.index(i) for i in clocks)
-    return count / len(lines), {*inside}, Template(texts, fixed, names, decimal, at, example)
-
-
-def _has_digit(text: str) -> bool:
-    return re.search(r"(?<!\w)\d", text) is not None
+    return count / len(lines), {*texts[1:-1]}, Template(texts, fixed, names, decimal, at, example)
 
 
 def _labels(raw: Sequence[str], i: int) -> bool:
@@ -227,7 +218,8 @@ def _names(
     known = [name for name in names if name]
     if len(set(known)) < len(known):  # units
         names = [""] * len(names)
-    marked = _marked(raw, fixed)
+    # Whether a colon or an arrow follows each value.
+    marked = [bool(_ENDS_LABEL.match(raw[i + 1])) for i in range(len(raw) - 1) if i not in fixed]
     if marked[0] and not any(marked[1:]) and not names[0] and 0 not in clocks:
         names[0] = PREFIX
     heads = [i for i, name in enumerate(names) if name]
@@ -238,12 +230,6 @@ def _names(
             names[i] = f"{names[head]}.{i - head}" if i > head else names[i]
         names[head] = f"{names[head]}.0" if len(lists) > 1 else ""
     return tuple(names)
-
-
-def _marked(raw: Sequence[str], fixed: dict[int, str]) -> list[bool]:
-    """Return for each value whether a colon or an arrow follows it."""
-    values = (i for i in range(len(raw) - 1) if i not in fixed)
-    return [bool(_ENDS_LABEL.match(raw[i + 1])) for i in values]
 
 
 def as_objects(lines: Sequence[str]) -> tuple[tuple[str, ...], Callable[[str], str]] | None:

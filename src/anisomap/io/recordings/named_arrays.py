@@ -41,13 +41,8 @@ MAT_EXTRA = "mat"
 MAT_MAGICS = (b"MATLAB 5.0 MAT-file", _MAGIC_73 := b"MATLAB 7.3 MAT-file")
 """First bytes of versions 5 and 7.3; version 4 has only its suffix."""
 
-_KINDS = {
-    "double": "f",
-    "single": "f",
-    "logical": "u",
-    **{f"int{bits}": "i" for bits in (8, 16, 32, 64)},
-    **{f"uint{bits}": "u" for bits in (8, 16, 32, 64)},
-}
+_KINDS = {"double": "f", "single": "f", "logical": "u"}
+_KINDS |= {f"{sign}int{bits}": sign or "i" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _MAX_DEPTH = 64  # of groups
 _WIDE = 10  # columns per row of a matrix that may hold channels first
 
@@ -175,12 +170,8 @@ def _usable(dataset: Dataset) -> bool:
     shape = dataset.shape
     if dataset.kind not in _NUMBERS or len(shape) < 2 or shape[0] == 1 or 0 in shape:
         return False
-    if frames_of(shape) is None:
-        return False
-    # MATLAB stores a vector as a matrix.
-    if len(shape) == 2 and 1 in shape:
-        return False
-    return dataset.key not in _POSITIONS
+    vector = len(shape) == 2 and 1 in shape  # MATLAB stores a vector as a matrix
+    return not vector and frames_of(shape) is not None and dataset.key not in _POSITIONS
 
 
 def _times(path: Path, near: Sequence[Dataset], n_frames: int) -> NDArray[np.float64] | None:

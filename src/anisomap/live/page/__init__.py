@@ -144,10 +144,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
     has_truth = math.isfinite(error)
     spacing, unit = maps.spacing
     from_truth = [f"{number(error * spacing, 2)} {unit} from the truth"] if has_truth else []
-    if checked is None:
-        told = "checking the first map" if maps.examining else "no map yet"
-    else:
-        told = verdict.level
+    waits = "checking the first map" if maps.examining else "no map yet"
     advice, enough = session.guidance
     return {
         "state": session.state,
@@ -160,7 +157,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
         "map_age": round(session.map_age, _DIGITS),
         "lags": session.lags,
         "level": verdict.level,
-        "told": told,
+        "told": waits if checked is None else verdict.level,
         "error": "; ".join(filter(None, [maps.error_told, *from_truth])),
         "reason": maps.reason,
         "has_truth": has_truth,

@@ -35,9 +35,8 @@ _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}  #
 _BYTES = {"errors": "surrogateescape"}  # of file names
 _STATUS_S = 0.5  # between two states of what changes slowly
 _KEEP_S = 2.0  # for browsers to take the page at the end
-_HOST = re.compile(
-    r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?"
-)  # address or name, port
+# Address or name, port.
+_HOST = re.compile(r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?")
 _TIMEOUT_S = 20.0  # of a connection that takes nothing
 _MAX_BODY = 1 << 23
 _MAX_DIGITS = 20  # of a length; those of numbers of 64 bits
