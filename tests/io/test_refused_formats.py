@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import anisomap
-from anisomap import SensorMap, io
+from anisomap import io
 from anisomap.errors import FileError
 
 READINGS = np.random.default_rng(3).integers(0, 99, (40, 6)).astype(np.float32)
@@ -58,7 +58,7 @@ def test_the_line_that_a_refusal_names_makes_the_recording(tmp_path: Path, name:
         with pytest.raises(FileError, match=r"anisomap\.Recording\(") as refused:
             io.read(file)
     line = re.search(r"anisomap\.Recording\(.*(?=, which)", str(refused.value))[0]
-    known: dict[str, Any] = {"anisomap": anisomap, "path": path}
+    known: dict[str, Any] = {"anisomap": anisomap, "path": path, "paths": [path]}
     known |= {
         n: pytest.importorskip(m.partition(".")[0]) for n, m in LIBRARIES.items() if n in line
     }
@@ -67,16 +67,6 @@ def test_the_line_that_a_refusal_names_makes_the_recording(tmp_path: Path, name:
         found = eval(line, known)  # noqa: S307
     np.testing.assert_array_equal(found.readings, READINGS)
     assert found.names == (NAMES if name != "film.tif" else tuple(f"s{i}" for i in range(6)))
-
-
-def test_a_map_is_a_montage_of_mne(tmp_path: Path) -> None:
-    mne = pytest.importorskip("mne")
-    sensor_map = SensorMap(READINGS[:6, :3] / 1000, names=NAMES, units="m")
-    with pytest.raises(FileError, match="is a montage of mne") as refused:
-        io.write(sensor_map, tmp_path / "cap.sfp")
-    line = re.search(r"mne\.channels\..*(?= is a)", str(refused.value))[0]
-    made = eval(line, {"mne": mne, "sensor_map": sensor_map})  # noqa: S307
-    np.testing.assert_array_equal(made.get_positions()["ch_pos"]["pad2"], sensor_map["pad2"])
 
 
 @pytest.mark.parametrize(

@@ -162,16 +162,6 @@ class Clock:
     doubt: str = ""
 
 
-def units_per_second(name: str, times: NDArray[np.floating]) -> float:
-    """Return the units per second of moments, by the column name or the magnitude of the first."""
-    units = [word for word in words_of(name) if word in _PER_SECOND]
-    if units:
-        return _PER_SECOND[units[-1]]
-    finite = times[np.isfinite(times)]
-    start = float(finite[0]) if finite.size else 0.0
-    return next((per_second for threshold, per_second in _EPOCHS if start > threshold), 1.0)
-
-
 def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
     """Return how to read times, (T,), by the name of their column, their size and their steps."""
     finite = times[np.isfinite(times)]
@@ -179,21 +169,19 @@ def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else math.nan
     units = [word for word in words_of(name) if word in _PER_SECOND]
     start = float(finite[0]) if finite.size else 0.0
-    per_second, guessed = units_per_second(name, times), False
+    by_size = (per_second for threshold, per_second in _EPOCHS if start > threshold)
+    per_second, doubt = _PER_SECOND[units[-1]] if units else next(by_size, 1.0), ""
     since_1970 = start > SINCE_1970_S and step < _MOST_SINCE_1970_S
     if not (units or since_1970) and per_second == 1 and step > _LONGEST_S:
         per_second = next(unit for unit in (1e3, 1e6, 1e9) if step / unit <= 1 or unit == 1e9)
-        guessed = True
-    rate = per_second / step
-    if guessed:
-        return Clock(
-            per_second,
-            f"its times are taken as {_SYMBOLS[per_second]} ({rate:.4g} frames per second), since "
-            f"{step:g} s from frame to frame is implausible; name the unit, as in time [s]",
+        doubt = (
+            f"its times are taken as {_SYMBOLS[per_second]} ({per_second / step:.4g} frames per "
+            f"second), since {step:g} s from frame to frame is implausible; name the unit, as in "
+            "time [s]"
         )
-    if math.isfinite(rate) and not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
-        return Clock(per_second, f"its times give {rate:.4g} frames per second, which is doubtful")
-    return Clock(per_second)
+    elif math.isfinite(rate := per_second / step) and not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
+        doubt = f"its times give {rate:.4g} frames per second, which is doubtful"
+    return Clock(per_second, doubt)
 
 
 def seconds(times: ArrayLike, name: str = "") -> tuple[NDArray[np.float64], str]:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anisomap.base.wording import as_text, join_items
 from anisomap.errors import FileError, InputError
@@ -319,21 +318,12 @@ def attach_positions(recording: Recording, positions: Path | None) -> Recording:
     """
     if positions is None:
         return recording
-    truth = read_map(positions)
-    found = _match(recording.names, truth, Path(recording.source), positions)
-    return replace(recording, positions=found, units=truth.units)
+    return replace(recording, **_places(recording.names, recording.source, positions))
 
 
-def _with_positions(stream: Stream, file: Path) -> Stream:
-    """Give sensors their true positions, or NaN."""
+def _places(names: Sequence[str], path: object, file: Path) -> dict[str, Any]:
+    """Return the position in a map for each name of a recording, or NaN, and their units."""
     truth = read_map(file)
-    names = stream.names or default_names(stream.n_sensors)
-    positions = _match(names, truth, stream.path, file)
-    return replace(stream, positions=positions, units=truth.units)
-
-
-def _match(names: Sequence[str], truth: SensorMap, path: Path, file: Path) -> NDArray[np.float64]:
-    """Return the position in a map for each name."""
     rows = match_names(names, truth.names)
     if all(row is None or not truth.placed[row] for row in rows):
         raise FileError(
@@ -341,7 +331,8 @@ def _match(names: Sequence[str], truth: SensorMap, path: Path, file: Path) -> ND
             f"{truth.names[-1]}, and the recording {names[0]} ... {names[-1]}"
         )
     unknown = np.full(truth.dimensions, np.nan)
-    return np.array([unknown if row is None else truth.positions[row] for row in rows])
+    places = np.array([unknown if row is None else truth.positions[row] for row in rows])
+    return {"positions": places, "units": truth.units}
 
 
 @contextmanager
@@ -360,7 +351,8 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
             stream = replace(stream, names=distinct_names(file, stream.names))
             stream = in_grid(sensors_of(stream, options), options.grid)
             if options.positions is not None and not options.preset:
-                stream = _with_positions(stream, options.positions)
+                names = stream.names or default_names(stream.n_sensors)
+                stream = replace(stream, **_places(names, stream.path, options.positions))
 
         def blocks() -> Iterator[Block]:
             with file_errors(file):  # not those of the caller's loop body

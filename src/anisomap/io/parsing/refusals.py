@@ -53,27 +53,18 @@ _IN_PYTHON = "in Python it is anisomap.Recording({}), which anisomap.write saves
 _FOREIGN = (
     _Foreign("Parquet", _IN_PYTHON.format("pandas.read_parquet(path)"), (".parquet",), b"PAR1"),
     _Foreign("an archive", "unpack it; only .gz is read as it is", (".zip", ".tar", ".7z", ".rar")),
-    _Foreign("Arrow", _IN_PYTHON.format("pandas.read_feather(path)"), (".arrow", ".feather"),
-             b"ARROW1"),
+    _Foreign("Arrow", _IN_PYTHON.format("pandas.read_feather(path)"), (".feather",), b"ARROW1"),
     _Foreign("a recording of electrodes", _IN_PYTHON.format("mne.io.read_raw(path).pick('eeg')"),
-             (".edf", ".bdf", ".fif", ".vhdr"),
-             rb"\0\0\0d\0\0\0\x1f|\xffBIOSEMI|Brain ?Vision Data Exchange H"
-             rb"|0 {7}[ -~]{160}\d\d\."),
-    _Foreign("a film",
-             _IN_PYTHON.format("[numpy.ravel(page.convert('F')) for page in "
+             (".edf", ".bdf", ".fif", ".vhdr"), rb"\0\0\0d\0\0\0\x1f|\xffBIOSEMI"),
+    _Foreign("a film, or an image that may be a frame of one",
+             _IN_PYTHON.format("[numpy.ravel(page.convert('F')) for path in paths for page in "
                                "PIL.ImageSequence.Iterator(PIL.Image.open(path))]"),
-             (".gif", ".tif", ".tiff"), rb"GIF8[79]a|II\*\0|MM\0\*"),
-    _Foreign("an image, perhaps a frame of a film",
-             _IN_PYTHON.format("[numpy.ravel(PIL.Image.open(path).convert('F')) "
-                               "for path in paths]"),
-             (".png", ".bmp", ".pgm", ".jpg", ".jpeg")),
+             (".gif", ".tif", ".tiff", ".png", ".bmp", ".pgm", ".jpg", ".jpeg"),
+             rb"GIF8[79]a|II\*\0|MM\0\*"),
     _Foreign("a file of probeinterface",
              "in Python it is probe = probeinterface.read_probeinterface(path).probes[0] and "
              "anisomap.SensorMap(probe.contact_positions, names=probe.device_channel_indices, "
              "units=probe.si_units)", (), rb'\s*+\{(?=[\s\S]*"probeinterface")'),
-    _Foreign("a file of electrodes",
-             "from a map in metres, mne.channels.make_dig_montage(dict(zip(sensor_map.names, "
-             "sensor_map.positions))) is a montage of mne", (".elc", ".sfp", ".hpts")),
     _Foreign("a launch file", "robot_state_publisher publishes a .urdf", (".launch.xml",)),
     _Foreign("a spreadsheet", "save its table as CSV", (".xlsx", ".xlsm", ".xls", ".ods")),
     _Foreign("a mesh, as anisomap place --mesh takes it",

@@ -70,8 +70,10 @@ _MAX_CLOCKS = 2  # columns that are a time or a frame counter
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
 _IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
-_WITH_COMMA = re.compile(r"(?<![\d.,])\d++,\d++(?![\d.,])")
-_WITH_POINT = re.compile(r"(?<![\d.,])\d++\.\d++(?![\d.,])")
+_MARKED = {
+    mark: re.compile(rf"(?<![\d.,])\d++{sign}\d++(?![\d.,])")
+    for mark, sign in (("commas", ","), ("points", r"\."))
+}
 _WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
 _ROW, _CYCLIC = {"row", "line", "zeile"}, 0.9  # words; share of steps to the next row
@@ -363,16 +365,13 @@ def _without_frame_numbers(
 
 def _warn_of_commas(path: Path, sample: Sequence[str]) -> None:
     """Warn if all numbers with a comma could also have thousands separators."""
-    points = [match for line in sample for match in _WITH_POINT.findall(line)]
-    whole = any(_WHOLE.search(line) for line in sample[1:])
-    if points and whole and all(_THOUSANDS.fullmatch(number) for number in points):
-        problem = f"points are read as decimal points ({points[0]})"
-        warn(path, f"{problem}; remove thousands separators from the file")
-    found = [match for line in sample for match in _WITH_COMMA.findall(line)]
-    if found and all(_THOUSANDS.fullmatch(number) for number in found):
-        shown = f"{found[0]} as {found[0].replace(',', '.')}"
-        problem = f"commas are read as decimal commas ({shown})"
-        warn(path, f"{problem}; remove thousands separators from the file")
+    marks = ["commas", "points"] if any(map(_WHOLE.search, sample[1:])) else ["commas"]
+    for mark in marks:
+        found = [number for line in sample for number in _MARKED[mark].findall(line)]
+        if found and all(map(_THOUSANDS.fullmatch, found)):
+            shown = f"{found[0]} as {found[0].replace(',', '.')}"
+            problem = f"{mark} are read as decimal {mark} ({shown})"
+            warn(path, f"{problem}; remove thousands separators from the file")
 
 
 def _column_label(table: Table, column: int) -> str:
