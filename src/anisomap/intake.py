@@ -139,13 +139,12 @@ def _sensors(readings: NDArray[Any], names: Sequence[str]) -> Taken:
         listed = join_items([f"{names[i]} ({what})" for i, what in others.items()])
         _say(f"these columns do not look like sensors and are left out: {listed}")
     kept = [i for i in range(readings.shape[1]) if i not in others]
+    own = tuple(names[i] for i in kept) if names else ()
     if taxels:
         _say(f"{len(taxels.columns)} taxels with three axes: z is taken; give one column each")
-        kept, names = [z for _, _, z in taxels.columns.values()], tuple(taxels.columns)
-    else:
-        names = tuple(names[i] for i in kept) if names else ()
+        kept, own = taxels.kept(names, others)
     whole = len(kept) == readings.shape[1]
-    return Taken(_floats(readings if whole else readings[:, kept]), names)
+    return Taken(_floats(readings if whole else readings[:, kept]), own)
 
 
 def _of_frame(frame: Any) -> Taken:

@@ -17,12 +17,7 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 from example_files import MAPS, RECORDINGS, example_map
 
-TIMELESS = {
-    "mat.asf": 50,
-    "skin.npy": None,
-    "printed.txt": None,
-    "labels.txt": None,
-}
+TIMELESS = {"mat.asf": 50, "skin.npy": None, "printed.txt": None, "labels.txt": None}
 """Files without times, and their rates."""
 
 

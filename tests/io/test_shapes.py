@@ -274,10 +274,8 @@ def test_data_frames(kind: str) -> None:
     if kind == "index":
         frame.index = pandas.DatetimeIndex(DATES)
     else:
-        name = "time" if kind == "dates" else kind
-        frame.insert(
-            0, name, DATES if kind == "dates" else TIMES if kind == "time" else 1000 * TIMES
-        )
+        clock = {"dates": DATES, "time": TIMES}.get(kind, 1000 * TIMES)
+        frame.insert(0, "time" if kind == "dates" else kind, clock)
     found = Recording(frame)
     np.testing.assert_array_equal(found.readings, PRESSED)
     assert found.names == tuple(NAMES)
@@ -293,6 +291,9 @@ def test_columns_of_a_frame_are_numbers_of_any_kind() -> None:
     np.testing.assert_array_equal(Recording(mixed).readings, expected)
     with pytest.raises(InputError, match=r"no numbers: hand; use .drop\(columns=\['hand'\]\)"):
         Recording(frame.assign(hand="left"))
+    axes = frame.assign(**{f"p{k}_{a}": PRESSED[:, k] for k in range(4) for a in "xyz"})
+    with pytest.warns(AnisomapWarning, match="4 taxels with three axes"):
+        assert Recording(axes).names == ("p0", "p1", "p2", "p3", *NAMES)
 
 
 def test_labelled_arrays() -> None:

@@ -16,10 +16,7 @@ from skins import flat_skin
 
 CHROMIUM = find_chromium()
 pytest.importorskip("websockets", reason="the browser is driven by websockets")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
 SKIN = flat_skin(n_frames=8000)
 EVIL = "<img src=x onerror=\"document.title='evil'\">"
 SIZES = ((1280, 800), (390, 844))

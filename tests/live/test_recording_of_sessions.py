@@ -99,7 +99,7 @@ def test_files_of_earlier_sessions_are_left_as_they_are(recorder, tmp_path):
     (tmp_path / "r-2.csv").write_text("mine")
     (tmp_path / "r-3.csv").symlink_to(tmp_path / "elsewhere.csv")
     recorder.put(frames(1, 3))
-    recorder.made.restart()
+    recorder.made.close()
     recorder.put(frames(4, 2))
     recorder.close()
     assert (tmp_path / "r-2.csv").read_text() == "mine"

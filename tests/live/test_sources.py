@@ -191,10 +191,7 @@ def test_an_lsl_stream():
 
 @pytest.mark.parametrize(
     ("address", "library", "extra"),
-    [
-        ("serial:///dev/ttyNONE", "serial", "serial"),
-        ("lsl://skin", "pylsl", "lsl"),
-    ],
+    [("serial:///dev/ttyNONE", "serial", "serial"), ("lsl://skin", "pylsl", "lsl")],
 )
 def test_a_missing_library_is_named_with_its_command(address, library, extra, monkeypatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == library]:

@@ -9,6 +9,7 @@ are alike.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import Counter
@@ -104,6 +105,15 @@ class Taxels:
 
     columns: dict[str, tuple[int, int, int]]
     others: dict[int, str]
+
+    def kept(
+        self, names: Sequence[str], left_out: Collection[int], axis: str = "z"
+    ) -> tuple[list[int], tuple[str, ...]]:
+        """Return an axis of each taxel, then the columns that are no taxels, and their names."""
+        used = {*left_out, *itertools.chain.from_iterable(self.columns.values())}
+        rest = [i for i in range(len(names)) if i not in used]
+        of_axis = [places[XYZ.index(axis)] for places in self.columns.values()]
+        return [*of_axis, *rest], (*self.columns, *(names[i] for i in rest))
 
 
 _Key: TypeAlias = tuple[str, str, str]

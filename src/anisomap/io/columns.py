@@ -92,12 +92,10 @@ def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
 def _one_axis(stream: Stream, axis: str, taxels: Taxels, left_out: Collection[int]) -> Stream:
     """Take an axis, or the length, of taxels with three; columns that are none of them stay."""
     places = np.array([*taxels.columns.values()])
-    used = {*places.ravel().tolist(), *left_out}
-    others = [i for i in range(stream.n_sensors) if i not in used]
     what = "the length from rest" if axis == "norm" else axis
     problem = f"{len(places)} taxels with three axes: {what} is read"
     warn(stream.path, f"{problem}; choose with --axis z, norm, x, y, or all for each by itself")
-    names = (*taxels.columns, *(stream.names[i] for i in others))
+    kept, names = taxels.kept(stream.names, left_out, "z" if axis == "norm" else axis)
     if len(set(names)) < len(names):
         raise FileError(
             f"{stream.path}: taxels with three axes have the names of other columns; give --keep"
@@ -109,10 +107,9 @@ def _one_axis(stream: Stream, axis: str, taxels: Taxels, left_out: Collection[in
 
         def length(rows: NDArray[Any]) -> NDArray[Any]:
             squares = (rows - rest)[:, places] ** 2
-            return np.hstack([np.sqrt(squares.sum(axis=2)), rows[:, others]])
+            return np.hstack([np.sqrt(squares.sum(axis=2)), rows[:, kept[len(places) :]]])
 
-        return _converted(stream, names, [*places[:, 2], *others], length)
-    kept = np.array([*places[:, "xyz".index(axis)], *others], dtype=np.intp)
+        return _converted(stream, names, kept, length)
     return _converted(stream, names, kept, lambda rows: rows[:, kept])
 
 

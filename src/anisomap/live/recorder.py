@@ -127,7 +127,7 @@ class Segment:
 
 
 class Recorder:
-    """Writes frames to a file, and to another one after `restart`.
+    """Writes frames to a file, and to another one after `close`.
 
     path: The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
         are left out: they belong to earlier sessions.
@@ -184,11 +184,6 @@ class Recorder:
             else:
                 self._notify(f"ignored a frame of {width} readings instead of {self.width}")
 
-    def restart(self) -> None:
-        """Begin a new file with the next frame."""
-        with self._lock:
-            self._close()
-
     def flush(self) -> int:
         """Hand what was recorded to the operating system; return the frames that a reader finds."""
         with self._lock:
@@ -197,9 +192,11 @@ class Recorder:
             return self.n_frames
 
     def close(self) -> None:
-        """Write everything and close the files."""
+        """Write everything and close the file; the next frame begins a new one."""
         with self._lock:
-            self._close()
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                writer.close()
 
     def recent(self) -> NDArray[np.float64] | None:
         """Return the readings that were recorded since the last call, (t, N); None without any."""
@@ -265,11 +262,6 @@ class Recorder:
             self._offset = float(times[-1] - batch.times[-1])
         self.seconds = float(times[-1])
         return times
-
-    def _close(self) -> None:
-        if self._writer is not None:
-            writer, self._writer = self._writer, None
-            writer.close()
 
 
 class Arrivals:

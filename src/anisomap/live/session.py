@@ -478,7 +478,7 @@ class LiveSession:
 
     def restart(self) -> None:
         """Begin a new recording and a new map; the recording so far is kept."""
-        self.recorder.restart()
+        self.recorder.close()
         self.notify("a new recording begins")
 
     def drop(self, names: Sequence[str]) -> None:

@@ -189,11 +189,7 @@ def test_readings_are_counted_while_they_are_read(tmp_path: Path, monkeypatch) -
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [
-        ("map.json", '{"position":[1,2,3]},'),
-        ("map.csv", "1\n"),
-        ("map.icub.txt", "\n"),
-    ],
+    [("map.json", '{"position":[1,2,3]},'), ("map.csv", "1\n"), ("map.icub.txt", "\n")],
 )
 def test_objects_of_text_are_counted(tmp_path: Path, monkeypatch, name: str, unit: str) -> None:
     """A line takes 150 times its text in memory."""

@@ -50,11 +50,7 @@ CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
 """What is refused with options of reading."""
 
 RECORDINGS = [
-    (
-        "x.csv",
-        "# comment\n\n1 2 3\n4 5 6\n7 8\n7 8\n",
-        "line 5 has 2 instead of 3 fields: line 3",
-    ),
+    ("x.csv", "# comment\n\n1 2 3\n4 5 6\n7 8\n7 8\n", "line 5 has 2 instead of 3 fields: line 3"),
     ("x.csv", "1,5;2,5\nx,5;3\ny,5;3\n", "line 2, column 1: 'x,5' is not a number"),
     ("x.csv", "a,b,c\n", "holds only a header"),
     ("x.csv", "time\n1\n2\n3\n", "no sensor"),
@@ -115,11 +111,7 @@ MAPS = [
     ("h.json", '{"skin": {"taxels": [{"id": 0, "x": [0, 0, 0]}]}}', "no taxel with an address"),
     ("s.ply", PLY.replace("ascii", "binary_x") + PLY_END, "line 2: the PLY format must be ascii"),
     ("s.ply", PLY + "0 0 0\n1 2 3\n", "line 7: '0 0 0' is not valid in a PLY header"),
-    (
-        "s.ply",
-        PLY + "end_header\n0 0\n1 2 3\n",
-        "line 8 has 2 instead of 3 numbers",
-    ),
+    ("s.ply", PLY + "end_header\n0 0\n1 2 3\n", "line 8 has 2 instead of 3 numbers"),
     ("s.ply", PLY, "ends within its PLY header"),
     ("a.urdf", joints(), "holds no fixed frames"),
     ("a.urdf", joints("b", origin="1 2"), "xyz of 'b' must be 3 finite numbers, got '1 2'"),

@@ -56,9 +56,9 @@ _FOREIGN = (
     _Foreign("Arrow", _IN_PYTHON.format("pandas.read_feather(path)"), (".feather",), b"ARROW1"),
     _Foreign("a recording of electrodes", _IN_PYTHON.format("mne.io.read_raw(path).pick('eeg')"),
              (".edf", ".bdf", ".fif", ".vhdr"), rb"\0\0\0d\0\0\0\x1f|\xffBIOSEMI"),
-    _Foreign("a film, or an image that may be a frame of one",
-             _IN_PYTHON.format("[numpy.ravel(page.convert('F')) for path in paths for page in "
-                               "PIL.ImageSequence.Iterator(PIL.Image.open(path))]"),
+    _Foreign("a film or an image",
+             _IN_PYTHON.format("[numpy.ravel(page.convert('F')) for page in "
+                               "PIL.ImageSequence.all_frames([*map(PIL.Image.open, paths)])]"),
              (".gif", ".tif", ".tiff", ".png", ".bmp", ".pgm", ".jpg", ".jpeg"),
              rb"GIF8[79]a|II\*\0|MM\0\*"),
     _Foreign("a file of probeinterface",
