@@ -380,9 +380,7 @@ def _find_nested(path: Path, sample: Sequence[str]) -> Table | None:
         if depth <= 0:
             joined.append(" ".join(held))
             held = []
-    if len(joined) < _MIN_NESTED:
-        return None
-    template = find_template(joined)
+    template = find_template(joined) if len(joined) >= _MIN_NESTED else None
     if template is None:
         return None
     number = 1 + next(i for i, line in enumerate(sample) if line == lines[first])

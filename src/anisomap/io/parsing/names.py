@@ -145,9 +145,8 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     guessed = []
     if len(table) >= _MIN_FRAMES:
         known = set(times)
-        others = (i for i in range(len(header)) if i not in known)
-        worded = (i for i in others if not NAMING_TIME.isdisjoint(words_of(header[i])))
-        guessed = [i for i in worded if _rises(table[:, i])]
+        worded = (i for i, name in enumerate(header) if NAMING_TIME & {*words_of(name)})
+        guessed = [i for i in worded if i not in known and _rises(table[:, i])]
         times += guessed
         known = {*times, *counters}
         first = next((i for i in range(len(header)) if i not in known), len(header))

@@ -457,12 +457,9 @@ def find_matrix(
         return None
     rows = start[:, column]
     levels = np.unique(rows)
-    if not (1 < len(levels) <= len(rows) / 3 and levels[0] in (0, 1)):
-        return None
-    if (np.diff(levels) != 1).any():
-        return None
-    steps = (np.diff(rows) - 1) % len(levels)
-    if np.mean(steps == 0) < _CYCLIC:
+    in_order = 1 < len(levels) <= len(rows) / 3 and (np.diff(levels) == 1).all()
+    steps = np.diff(rows) - 1
+    if not (in_order and levels[0] in (0, 1) and np.mean(steps % len(levels) == 0) >= _CYCLIC):
         return None
     height = 0 if named else lines_per_frame(np.delete(start, [column, *roles.non_sensors], axis=1))
     if not named and height != len(levels):
