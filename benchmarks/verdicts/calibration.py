@@ -8,7 +8,7 @@ of skin that were left out of the fit.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.special import expit, logit
+from scipy.special import logit
 
 from anisomap.method.dimensions import SPATIAL
 from benchmarks.harness import keyed_table
@@ -26,6 +26,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 _HUBER = 0.7  # differences of logarithms from which outcomes count linearly
 _LARGEST, _ENDS = 20.0, (0.02, 0.98)
+_START, _FACTORS = -0.7, (-5.0, 1.6)  # logarithms of factors: first ones, and their range
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -34,38 +35,47 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("results", type=Path, nargs="+")
     chosen = parser.parse_args(arguments)
     used = usable(pd.concat(map(read_outcomes, chosen.results), ignore_index=True))
+    if not len(used):
+        parser.error("no map has an error of at most a spacing and the columns metric and uneven")
     print(constants(used))
     print(table(used))
 
 
 def usable(outcomes: Any) -> Any:
     """Keep outcomes with errors of at most a spacing, unless something else excludes the map."""
-    known = np.isfinite(outcomes[["error", "r", "difference", "regional"]]).all(axis=1)
+    measured = ["repeatability", "difference", "metric", "regional"]
+    known = np.isfinite(outcomes[["error", "r", "uneven", *measured]]).all(axis=1)
     kept = outcomes[known & (outcomes.excluded == 0) & (outcomes.error <= MAX_ERROR)]
-    measured = ["repeatability", "difference", "regional"]
     return kept.assign(**{name: kept[name].clip(0.01, _LARGEST) for name in measured})
 
 
-_WHOLE, _REGIONS = ("difference", "error"), ("regional", "region")
-"""Columns of the second measurement, and of the true errors: of maps, and of regions."""
+def expected_errors(outcomes: Any, factors: Floats) -> Any:
+    """Return expected errors: factors of chance, steps, the metric in 2D and 3D, and paths."""
+    chance, steps, flat, spatial, paths = factors
+    metric = np.where(outcomes.dimensions == SPATIAL, spatial, flat) * outcomes.metric
+    even = np.hypot(steps * outcomes.difference, metric)
+    systematic = np.where(outcomes.uneven == 1, paths * outcomes.difference, even)
+    return np.hypot(chance * outcomes.repeatability, systematic)
 
 
-def expected_errors(outcomes: Any, factors: Floats, range_: tuple[str, str] = _WHOLE) -> Any:
-    """Return the expected errors, given the factors of chance, and of differences in 2D and 3D."""
-    by_difference = np.where(outcomes.dimensions == SPATIAL, factors[-1], factors[1])
-    return np.hypot(factors[0] * outcomes.repeatability, by_difference * outcomes[range_[0]])
+def expected_of_regions(outcomes: Any, factors: Floats) -> Any:
+    """Return expected errors of regions, given factors of chance and of differences of regions."""
+    return np.hypot(factors[0] * outcomes.repeatability, factors[1] * outcomes.regional)
 
 
-def fitted(outcomes: Any, range_: tuple[str, str] = _WHOLE) -> Floats:
-    """Fit the factors of the expected error, robustly, to the logarithms of errors."""
+def fitted(outcomes: Any) -> Floats:
+    """Fit the five factors of the errors of maps."""
+    return _fitted(lambda factors: outcomes.error / expected_errors(outcomes, factors), 5)
+
+
+def _fitted(ratios: Callable[[Floats], Any], count: int) -> Floats:
+    """Fit factors, robustly, to the logarithms of true errors over those expected with them."""
 
     def loss(factors: Floats) -> float:
-        expected = expected_errors(outcomes, np.exp(factors), range_)
-        apart = np.abs(np.log(expected / outcomes[range_[1]]))
+        apart = np.abs(np.log(ratios(np.exp(factors))))
         return float(np.where(apart < _HUBER, apart**2, 2 * _HUBER * apart - _HUBER**2).mean())
 
-    start = [-0.7, -0.5] if range_ is _REGIONS else [-0.7, -0.5, -0.5]
-    return np.exp(minimize(loss, start, method="Nelder-Mead").x)
+    return np.exp(minimize(loss, np.full(count, _START), bounds=[_FACTORS] * count).x)
 
 
 def constants(outcomes: Any) -> str:
@@ -73,21 +83,21 @@ def constants(outcomes: Any) -> str:
     factors = fitted(outcomes)
     missed = np.quantile(held_out(outcomes), [0.05, 0.95])
     regions = outcomes[outcomes.region > 0]
-    of_regions = fitted(regions, _REGIONS)
-    expected = expected_errors(regions, of_regions, _REGIONS)
+    of_regions = _fitted(lambda some: regions.region / expected_of_regions(regions, some), 2)
+    expected = expected_of_regions(regions, of_regions)
     apart = np.quantile(regions.region / expected, [0.05, 0.95])
     kept = logit(regions.kept.clip(*_ENDS))
     slope, odds = np.polyfit(np.log(expected), kept, 1)
     beyond = np.quantile(kept - slope * np.log(expected) - odds, [0.05, 0.95])
-    at = expit(odds + slope * np.log(0.5))
+    region = "REGION_BY_CHANCE, REGION_BY_DIFFERENCE, REGION_INTERVAL"
+    neighbours = "NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL"
     return "\n".join(
         [
-            "BY_CHANCE, BY_STEPS = {:.2f}, ({:.2f}, {:.2f})".format(*factors),
+            "BY_CHANCE, BY_STEPS, BY_METRIC, BY_PATHS = "
+            "{:.2f}, {:.2f}, ({:.2f}, {:.2f}), {:.2f}".format(*factors),
             "ERROR_INTERVAL = ({:.2f}, {:.1f})".format(*np.exp(missed)),
-            "REGION_BY_CHANCE, REGION_BY_DIFFERENCE = {:.2f}, {:.2f}".format(*of_regions),
-            "REGION_INTERVAL = ({:.2f}, {:.1f})".format(*apart),
-            f"NEIGHBOURS, NEIGHBOURS_SLOPE = {odds:.2f}, {slope:.2f}  # {at:.0%} at .5 spacings",
-            "NEIGHBOURS_INTERVAL = ({:.1f}, {:.1f})".format(*beyond),
+            "{} = {:.2f}, {:.2f}, ({:.2f}, {:.1f})".format(region, *of_regions, *apart),
+            "{} = {:.2f}, {:.2f}, ({:.1f}, {:.1f})".format(neighbours, odds, slope, *beyond),
         ]
     )
 

@@ -40,7 +40,7 @@ SEEDS = 60
 COLUMNS = (
     "source", "name", "group", "kind", "damage", "level", "expected", "r", "error", "kept",
     "reasons", "sensors", "frames", "dimensions", "cpu map", "cpu verdict",
-    "repeatability", "difference", "regional", "region", "inside", "placed",
+    "repeatability", "difference", "metric", "uneven", "regional", "region", "inside", "placed",
     "extent", "agreement", "excluded",
     *(name for name in ACCURACY if name != "repeatability"),
 )  # fmt: skip
@@ -48,7 +48,8 @@ COLUMNS = (
 
 source: Seed or file; group, kind: See `Case`; expected: Error in spacings; r, error, kept: Mantel
 r, RMS error in spacings, and share of neighbours kept; excluded: Whether something else than the
-expected error speaks against the map.
+expected error speaks against the map. Of `Measurements`: repeatability to uneven, regional, extent,
+and agreement.
 """
 
 REFUSED = "refused"
@@ -163,6 +164,8 @@ def judged(case: Case, source: str = "") -> Outcome:
         "cpu verdict": judged - mapped,
         "repeatability": evidence.repeatability,
         "difference": evidence.difference,
+        "metric": evidence.metric,
+        "uneven": int(evidence.uneven),
         "regional": evidence.regional,
         "region": region_error(made, truth),
         "inside": share_inside(made, covariances, truth),
@@ -203,9 +206,9 @@ def share_inside(
 
 
 def read_outcomes(path: Path) -> Any:
-    """Read the results of an earlier run, a data frame with `COLUMNS`."""
+    """Read the results of an earlier run, a data frame with `COLUMNS`; NaN where it lacks one."""
     texts = ["source", "name", "group", "kind", "damage", "level", "reasons"]
-    found = pd.read_csv(path, dtype=dict.fromkeys(texts, str))
+    found = pd.read_csv(path, dtype=dict.fromkeys(texts, str)).reindex(columns=list(COLUMNS))
     return found.fillna(dict.fromkeys(texts, ""))
 
 
