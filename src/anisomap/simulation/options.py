@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self, TypeAlias
@@ -114,13 +115,13 @@ def count_steps(length: float, longest: float) -> int:
 
 
 @dataclass(frozen=True)
-class PhysicsOptions(ScenarioOptions):
+class PhysicsOptions(ScenarioOptions, ABC):
     """Base class of the options of a scenario with physics."""
 
     @property
+    @abstractmethod
     def longest_step(self) -> float:
         """Longest step of the physics, in s."""
-        raise NotImplementedError
 
     @property
     def steps_per_frame(self) -> int:

@@ -113,9 +113,11 @@ beyond it on 18 of 25 wrong ones with low expected errors (seeds 63001 to 63200,
 
 def is_crowded(positions: NDArray[np.float64]) -> bool:
     """Return whether some places of a map in 3 dimensions are more crowded than others. (n, k)."""
+    if positions.shape[1] != SPATIAL:
+        return False
     radius = CROWD_RADIUS * median_spacing(positions)
     near = KDTree(positions).query_ball_point(positions, radius, return_length=True) - 1
-    return bool(positions.shape[1] == SPATIAL and near.std() > MAX_CROWDING * near.mean())
+    return bool(near.std() > MAX_CROWDING * near.mean())
 
 
 def differences_from_second_map(
