@@ -93,18 +93,18 @@ def _array(
 
 
 def _missing(archive: zipfile.ZipFile, name: str, what: str) -> InputError:
-    names = _names(archive)
-    found = f"arrays: {join_items(names)}" if names else "it has no array"
+    found = f"arrays: {join_items(names)}" if (names := _names(archive)) else "it has no array"
     return InputError(f"it holds no {what}: array {name!r} is missing ({found})")
 
 
 def _items(name: str, values: NDArray[Any]) -> list[Any]:
     """Convert an array to a list of Python strings or numbers."""
-    with _damage(f"array {name}"):  # NumPy accepts code points beyond Unicode
+    with _damage(f"array {name}"):
         if values.dtype.kind == "S":
             values = np.char.decode(values, "utf-8", "replace")
         wide = values.dtype.kind == "f"
         found: list[Any] = (values.astype(np.float64) if wide else values).ravel().tolist()
+        max("".join(map(str, found)), default="")  # NumPy accepts code points beyond Unicode
         return found
 
 
