@@ -43,15 +43,15 @@ class ReadingOptions:
     Parameters
     ----------
     select
-        Recording to read, if the file holds several. Give a topic (optionally with a field, as in
-        /skin:data), a dataset or a port; separate several topics or ports by commas.
+        Recording to read, if the file contains several. Give a topic (optionally with a field, as
+        in /skin:data), a dataset or a port; separate several topics or ports by commas.
         `anisomap info` lists them.
     positions
         File of the true positions of the sensors. Sensors are matched by name, or by the number in
         their names; maps are scored against these positions.
     grid
-        Rows and columns of an array whose sensors are numbered row by row, such as 32x64. The true
-        positions follow from them.
+        Rows and columns of an array whose sensors are numbered row by row, such as 32x64. They give
+        the true positions.
     preset
         Robot whose numbering of sensors is known: icub or icub-hand.
     keep
@@ -61,7 +61,7 @@ class ReadingOptions:
         Axis to read from taxels with three axes: z, x, y, norm (the distance of the reading from
         its value at rest), or all, which makes each axis a sensor.
     msg
-        Message definition (.msg) for a bag that holds none; may be repeated.
+        Message definition (.msg), if the bag lacks it; may be repeated.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic"))] = ""
@@ -115,7 +115,7 @@ class PlacingOptions:
         are given in millimetres. Formats of robot software are in metres and require a scale.
         If the spacing is unknown, `anisomap place --module-layout` finds the scale.
     mirror
-        Reflect the map, if its handedness is wrong. Readings do not determine it.
+        Reflect the map, if its handedness is wrong. Readings do not determine the handedness.
     frame
         Name of the coordinate frame to write in the map.
     """
@@ -161,11 +161,11 @@ class ModuleOptions:
     module_layout
         File of the pads of a module, as x [mm], y [mm].
     module_size
-        Pads per module, including missing pads. The number at the end of a sensor's name, counted
-        from 0 or 1 (whichever gives fewer modules), determines its module.
+        Pads per module, including missing pads. The number at the end of a sensor's name determines
+        the module; numbers count from 0 or 1, whichever gives fewer modules.
     module_table
-        File of each sensor's module; replaces --module-size. Its columns are sensor, module and
-        optionally pad.
+        File of the modules of sensors, instead of --module-size. The columns are sensor, module
+        and, optionally, pad.
     """
 
     module_layout: Path | None = None
@@ -314,7 +314,7 @@ Missing: TypeAlias = Annotated[
 
 
 Units: TypeAlias = Annotated[
-    str | None, Parameter(help="Unit of the positions, if their file states none.")
+    str | None, Parameter(help="Unit of the positions, if their file gives none.")
 ]
 Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)]
 

@@ -48,12 +48,12 @@ class PageOptions:
     port
         Port of the page; 0 for any free port.
     host
-        Address to listen on. By default, only this computer can open the page; with 0.0.0.0, other
-        computers can open it at the printed address, which contains a token.
+        Address to listen on. By default, only this computer can open the page. With 0.0.0.0, other
+        computers can open the page at the printed address, which contains a token.
     browser
         Open the page in a browser.
     headless
-        Show no page: print lines, or objects with --json.
+        Print lines instead of showing a page. With --json, print objects.
     until
         End when the verdicts on two checked maps in a row reach this level.
     duration
@@ -99,9 +99,9 @@ def live(
 ) -> None:
     """Map a skin while it is touched, and show where to touch next.
 
-    Readings are recorded as they arrive, in a file that `anisomap map` reads. A page in the browser
-    shows the readings, the map made so far, and how far it can be trusted. Ctrl-C ends the session;
-    the final map is then made from all frames, and the page is kept as a file beside the recording.
+    Readings are recorded in a file for `anisomap map`. A page in the browser shows the readings,
+    the current map, and how far it can be trusted. Ctrl-C ends the session: the final map is made
+    from all frames, and the page is kept as a file beside the recording.
 
     Parameters
     ----------
@@ -110,11 +110,11 @@ def live(
     coached
         Let the simulated hand follow the advice of the page.
     speed
-        Multiple of the replay rate, or 0 for no pauses. It applies to simulations, too.
+        Speed relative to real time. Use 0 for a replay or a simulation without pauses.
     preset
         Robot whose numbering of sensors is known: icub or icub-hand.
     grid
-        Rows and columns of a matrix in row-major order, as in 32x64; a line is a row or a frame.
+        Rows and columns of a matrix, such as 32x64. A line is a row or a frame, row by row.
     recording
         New file for the recording [live-DATE-TIME.csv].
     output
@@ -123,10 +123,10 @@ def live(
     spacing
         Median distance to the nearest sensor, such as 6.5mm. Written maps are scaled to it.
     dimensions
-        2 for flat skins, 3 for bodies, or auto. Auto chooses for each checked map; quick maps
-        follow when two checked maps in a row agree.
+        2 for flat skins, 3 for bodies, or auto. Auto chooses for each checked map; quick maps use
+        the number that two checked maps in a row have chosen.
     truth
-        File of true positions with which maps are compared.
+        File of true positions to compare maps with.
 
     Examples
     --------

@@ -34,7 +34,7 @@ def convert(
 ) -> None:
     """Write a map in another format: for robot software, viewers or tables.
 
-    The formats are listed by `anisomap list formats`.
+    `anisomap list formats` lists the formats.
 
     Examples
     --------
@@ -162,10 +162,10 @@ def score_map(
     permutations: options.Permutations = PERMUTATIONS,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Score a map against known positions, and name the worst sensors.
+    """Score a map against known positions, and list the worst sensors.
 
-    Sensors are matched by name. If no name is shared, taxels of an iCub are matched by number, and
-    sensors by order if one file has no names.
+    Sensors are matched by name, or by order if one file has no names. Taxels of an iCub are matched
+    by number if no name is shared.
 
     Examples
     --------
@@ -209,12 +209,11 @@ def check(
     """Check sensor positions against a recording, and correct them.
 
     The check finds turned, mirrored, exchanged and moved modules, shifted and reversed orders of
-    sensors, swapped and moved sensors, and doubled and dead ones. Sensors without evidence in the
-    recording are not tested. By default, blocks of consecutive sensors whose shape repeats are
-    taken as modules; with --module-layout, the given module is fitted at each stated place, even
-    if the pads there have another shape. The exit code is 0 if the layout is consistent, 1 if
-    sensors are flagged or the whole layout is rejected, and 2 if the recording has too little
-    evidence.
+    sensors, and swapped, moved, doubled and dead sensors. Sensors without evidence in the recording
+    are not tested. By default, modules are blocks of consecutive sensors whose shape repeats. With
+    --module-layout, the given module is fitted to the sensors of each module, even if they have
+    another shape in the layout. The exit code is 0 if the layout is consistent, 1 if sensors are
+    flagged or the whole layout is rejected, and 2 if the recording contains too little evidence.
 
     Parameters
     ----------

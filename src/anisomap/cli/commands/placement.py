@@ -34,7 +34,7 @@ class AnchorOptions:
     anchors
         File of the positions of some sensors, in any map format.
     units
-        Unit of the --anchors file, if it states none.
+        Unit of the --anchors file, if the file gives none.
     """
 
     anchor: list[str] = field(default_factory=list)
@@ -97,18 +97,18 @@ def place_map(
     frame
         Name of the frame of the anchors.
     mesh
-        Mesh of the part, in the frame of the anchors. Its format is .stl, .obj, .ply, .off or .glb;
-        sensors are placed on its surface, with its normals.
+        Mesh of the part, in the frame of the anchors. Sensors are placed on its surface, with its
+        normals. The format is .stl, .obj, .ply, .off or .glb.
     mesh_units
         Unit of the mesh.
     spacing
         Median distance to the nearest sensor, such as 6.5mm.
     handedness
-        Handedness of the map, if known: same as the skin, or mirrored. By default, it is
-        determined from anchors and modules.
+        Handedness of the map, if known: same as the skin, or mirrored. Default: determined from
+        anchors and modules.
     suggest
-        Name this number of sensors of each component as the best anchors to measure; nothing is
-        placed.
+        Number of anchors to suggest for each component. The best anchors to measure are printed,
+        and nothing is placed.
 
     Examples
     --------

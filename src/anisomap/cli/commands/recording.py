@@ -31,7 +31,7 @@ def info(
 ) -> None:
     """Summarise a recording: sensors, faults of the read-out, touches.
 
-    If a file holds several recordings, its content is listed, too.
+    If a file contains several recordings, they are listed as well.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ def repair(
     reading: options.ReadingOptions = options.DEFAULT_READING,
     printer: options.Printing = options.PRINTER,
 ) -> None:
-    """Mend the faults of a recording that can be mended, and write it.
+    """Repair the faults of a recording, and write the result.
 
-    Inverted sensors, hum, noise of boards and gaps are mended; copies of sensors and frozen frames
-    are left out. Other faults are only named.
+    Inverted sensors, hum, noise of boards and gaps are repaired; copies of sensors and frozen
+    frames are left out. Other faults are only listed.
 
     Parameters
     ----------
@@ -124,18 +124,18 @@ class VerdictOptions:
     ----------
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
-        This takes one to three times as long as the map, which is written first; Ctrl-C ends it.
+        The verdict takes one to three times as long as the map; Ctrl-C ends it and keeps the map.
     contacts
         Shape of all contacts: compact or elongated. Contacts of a fingertip, a palm or a ball are
-        compact; contacts of an edge or a roller are elongated. Only the verdict on an unevenly
-        spaced map depends on it: with --contacts compact and --uneven, such a map can be usable,
-        else it is usable for neighbours at best. Default: the shape that the file states, as files
-        of simulate do.
+        compact; contacts of an edge or a roller are elongated. Only verdicts on unevenly spaced
+        maps depend on this option: with --contacts compact and --uneven, such a map can be usable;
+        without, it is at most usable for neighbours. Default: the shape given in the file, as in
+        files of simulate.
     uneven
         State that the sensors are unevenly spaced on the skin; see --contacts.
     min_quality
         Exit with code 1 if the verdict is worse than this level, or "cannot tell". All files are
-        written nevertheless.
+        written in any case.
     """
 
     verdict: Annotated[bool, Parameter(negative="--no-verdict")] = True
@@ -162,8 +162,8 @@ class MappingOptions:
         2 for flat skins, 3 for bodies, or auto. Auto chooses 3 if the third coordinate clearly
         improves the fit, else 2.
     repair
-        Mend the faults of the recording first. `anisomap info` lists the faults, and `anisomap
-        repair` writes the mended recording.
+        Repair the faults of the recording first. `anisomap info` lists the faults, and `anisomap
+        repair` writes the repaired recording.
     method
         Reconstruction method: see `anisomap list methods`.
     memory
@@ -202,7 +202,7 @@ def map_recording(
     """Make a map of a skin from one or several recordings.
 
     Sensors of several recordings are matched by name; a recording may lack some sensors. Recordings
-    above 512 MiB (see --memory) are subsampled evenly, and a note says so.
+    above 512 MiB (see --memory) are subsampled evenly.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def simulate_body(
     frames
         Number of frames to record, at 20 Hz.
     sensors
-        Number of sensors on a named body. Default: that of `anisomap list bodies`.
+        Number of sensors on a named body. Default: see `anisomap list bodies`.
     parameter
         Parameter of the scenario, as NAME=VALUE. May be repeated; `anisomap list
         scenarios SCENARIO` explains all parameters.
@@ -228,7 +228,7 @@ def paper(
         Parameter that the paper leaves open, as NAME=NUMBER. May be repeated; an example is
         locomotion.detection_radius=.25.
     only
-        Experiment to run, with those that it needs. May be repeated. Default: all experiments.
+        Experiment to run, after the experiments that it needs. May be repeated. Default: all.
 
     Examples
     --------
