@@ -118,7 +118,7 @@ FORMATS = (
            robot_logs.open_yarp, contents=robot_logs.contents),
     Format("cyskin", (), "CySkin recording (text)", robot_logs.is_cyskin,
            robot_logs.open_cyskin),
-    Format("mat", (".mat",), "MATLAB (7.3: with the extra)", None, named_arrays.open_recording,
+    Format("mat", (".mat",), "MATLAB; the extra is for 7.3", None, named_arrays.open_recording,
            contents=named_arrays.contents, extra=named_arrays.MAT_EXTRA,
            magics=named_arrays.MAT_MAGICS),
     Format("hdf5", (".h5", ".hdf5", ".hdf"), "HDF5", named_arrays.is_hdf5,

@@ -73,8 +73,8 @@ class BombardmentOptions(PhysicsOptions):
         the sphere (means of 30 seeds), and .85, .95, .98 with 0.3 and .91, .98, .99 with 0.44 on
         the cylinder, the Y-shape and the plane (means of 3).
     one_sided : int
-        1 if sensors read only balls in front of the skin. 0: as the paper describes them, sensors
-        read all that enters their range, through a thin body, too.
+        1 if sensors read only balls in front of the skin. 0: as in the paper, sensors read all
+        balls within their range, even through a thin body.
     frame_interval : float
         Time between frames, in s. 0.05: a ball is in range of a sensor for about six frames.
     softness : float

@@ -60,8 +60,8 @@ class StrokeOptions(ScenarioOptions):
     Parameters
     ----------
     speed : float
-        Speed along the skin, in m/s. 2: once around the sphere in 3 s, as a hand that rubs a ball
-        or a patch of its own size.
+        Speed along the skin, in m/s. 2: once around the sphere in 3 s, like a hand that rubs a ball
+        or a patch of the size of the hand.
     stroke_length : float
         Mean length of a stroke, in m; lengths vary from 0.5 to 1.5 times the mean. 1.2: about
         three sensor spacings of the sphere, or most of the width of a patch.
@@ -69,8 +69,8 @@ class StrokeOptions(ScenarioOptions):
         Share of strokes that are circles, from 0 to 1. 0.4: the paper's experimenters made lines
         and circles.
     lift_share : float
-        Share of strokes after which the stimulus is set down elsewhere, from 0 to 1. 0.25: so that
-        parts of the skin that no stroke leads to are reached.
+        Share of strokes after which the stimulus is set down elsewhere, from 0 to 1. 0.25: the
+        stimulus also reaches parts of the skin to which no stroke leads.
     press_depth : float
         Largest depth to which the stimulus presses into the skin, in m. Depth varies between 0 and
         this within half a second. 0.1: as for silicone a few millimetres thick on a patch of a few
@@ -388,10 +388,10 @@ class RubbingOptions(StrokeOptions):
         smaller than the body and touches a few sensors of the sphere at once. At 0.6 it covers the
         length of the cylinder, and the map is worse (Mantel r .71 instead of .88).
     detection_radius : float
-        Detection radius of the sensors, in m. 0.3: below that of `BombardmentOptions`, since the
-        pads of a palm already touch several sensors. r-ANISOMAP reaches a Mantel r of .98 on the
-        hexagon for any value (in 2D), .95, .97, .98, .99 on the sphere for 0.15, 0.2, 0.3, 0.44,
-        and .85, .88, .88, .85 on the cylinder (means of 3 to 5 seeds).
+        Detection radius of the sensors, in m. 0.3: less than in the scenario bombardment, since the
+        pads of a palm already touch several sensors. The Mantel r of r-ANISOMAP with 0.15, 0.2, 0.3
+        and 0.44 is .95, .97, .98, .99 on the sphere, .85, .88, .88, .85 on the cylinder, and always
+        .98 on the hexagon in 2D (means of 3 to 5 seeds).
     """
 
     hand_size: float = positive(0.35, "m", REACH)

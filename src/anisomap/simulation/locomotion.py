@@ -132,8 +132,8 @@ class LocomotionOptions(PhysicsOptions):
         Coefficient of sliding friction. 1: rubber on a dry floor, so that the body rolls instead of
         sliding.
     detection_radius : float
-        Detection radius of the sensors, in m. 0.44: the sensor spacing of the sphere, with which it
-        scales.
+        Detection radius of the sensors, in m. 0.44: the sensor spacing of the sphere. It scales
+        with the body.
     frame_interval : float
         Time between frames, in s. 0.05: the body moves by a tenth of its radius.
     timestep : float
