@@ -5,7 +5,6 @@ which is printed. Then the corrected layout is spoilt by each of `FAULTS` and ch
 frame, every fourth and every sixteenth. Counted are wrong modules that are named (half of their
 displaced sensors are flagged, or more), wrong modules that are corrected (to half a spacing in the
 median), and right modules of which any sensor is flagged; for exchanged sensors, sensors.
-``--picture docs/_static/check-torso.png`` draws the check of the first layout as it is.
 
 Usage: ``python -m benchmarks.accuracy.check RECORDING=LAYOUT ... --template TRIANGLE -o
 docs/results/check.csv --table docs/development/check-table.md``. Scores of other recordings and of
@@ -30,7 +29,6 @@ from scipy.spatial.distance import cdist
 from scipy.stats import beta
 
 import anisomap
-from anisomap.drawing.figures import plot_layout
 from anisomap.layout import LayoutCheck, check_layout, find_modules, reading_statistics
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.placement import Modules
@@ -142,14 +140,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("pairs", nargs="*", help="recordings and their layouts, A.npz=B.csv")
     parser.add_argument("--thinned", type=int, nargs="+", default=THINNED, help="every n-th frame")
     parser.add_argument("--template", type=Path, help="file of the pads of a module")
-    parser.add_argument("--picture", type=Path, help="draw the check of the first pair, only")
     parser.add_argument("--table", type=Path, help="file for a summary in Markdown")
     chosen = parser.parse_args(arguments)
     pairs = [tuple(map(Path, pair.split("="))) for pair in chosen.pairs]
-    if chosen.picture:
-        recording, layout = pairs[0]
-        draw(recording, layout, anisomap.read_map(chosen.template), chosen.picture)
-        return
     renewed = {(one.stem, layout.stem, n) for one, layout in pairs for n in chosen.thinned}
     results = [
         r
@@ -167,16 +160,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.table:
         chosen.table.write_text(text + "\n", encoding="utf-8")
     print(text)
-
-
-def draw(path: Path, layout_path: Path, template: anisomap.SensorMap, picture: Path) -> None:
-    """Draw the check of a layout as it is, as ``anisomap check --picture`` does."""
-    stated = anisomap.read_map(layout_path)
-    modules = find_modules(stated, SIZE).with_template(template)
-    with quietly():
-        found = check_layout(stated, anisomap.read(path), modules=modules)
-    figure = plot_layout(found, title=f"{layout_path.stem} against {path.stem}").figure
-    figure.savefig(picture, dpi=150)
 
 
 def checks(
