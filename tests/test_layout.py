@@ -170,7 +170,7 @@ def test_two_sides_that_are_loaded_alike_are_neither_doubled_nor_copies():
 
 def test_noise_flags_nobody():
     noise = np.random.default_rng(404).normal(size=(400, len(TRUTH)))
-    with pytest.raises(InputError, match=r"0 of 120, .* record more contacts"):
+    with pytest.raises(InputError, match=r"0 of 120 .* record more contacts"):
         check_layout(LAYOUT, Recording(noise, names=NAMES))
 
 
@@ -240,7 +240,7 @@ def test_sensors_are_matched_by_name_or_by_order(check):
     assert unnamed.findings[0].sensors.tolist() == [3, 77]
 
     part = check(stated.select(np.arange(80)))
-    assert "sensors of the recording without a position: 40" in part.notes[0]
+    assert "sensors of the recording that the layout lacks: 40" in part.notes[0]
     assert [f.kind for f in part.findings] == ["swapped"]
 
 
@@ -399,4 +399,4 @@ def test_a_consistent_body_without_modules_says_that_their_orientations_were_not
     layout = SensorMap(recording.positions, names=recording.names, units="m")
     found = check_layout(layout, recording)
     assert found.consistent
-    assert any("orientations were not tested" in note for note in found.notes)
+    assert any("no orientations were tested" in note for note in found.notes)

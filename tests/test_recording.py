@@ -173,7 +173,7 @@ def test_sensors_may_be_missing_in_a_run(method):
     """The left two thirds of a skin in one run, the right two thirds in the other."""
     x = NAMED.positions[:, 0]
     runs = [frames(0, 1500, x < 4.4), frames(1500, 3000, x > 1.8)]
-    with pytest.warns(AnisomapWarning, match="pairs of sensors that were never recorded together"):
+    with pytest.warns(AnisomapWarning, match="pairs of sensors were never recorded together"):
         found = reconstruct(runs, method, 2)
     joined = join_runs(runs)
     assert joined.n_frames == 3000

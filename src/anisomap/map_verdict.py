@@ -18,7 +18,7 @@ UNKNOWN = "cannot tell"
 LEVELS: Mapping[str, str] = MappingProxyType(
     {
         "not usable": "positions and neighbours may be wrong",
-        "usable for neighbours": "most neighbours are right; lengths and shape may be wrong",
+        "usable for neighbours": "most neighbours are correct; lengths and shape may be wrong",
         "usable": "neighbours, lengths and shape can be used",
     }
 )
@@ -110,7 +110,7 @@ class Verdict(Value):
         """
         if math.isnan(self.expected_error):
             return self.level
-        off = "right to" if self.level == "usable" else "off by"
+        off = "accurate to" if self.level == "usable" else "off by"
         error = _length(self.expected_error, spacing)
         low, high = self.expected_error_low, self.expected_error_high
         if math.isnan(low):
@@ -140,7 +140,7 @@ class Verdict(Value):
                 region = ""
             told.insert(
                 2,
-                f"{region}{self.neighbours_kept:.0%} of neighbours are right "
+                f"{region}{self.neighbours_kept:.0%} of neighbours are correct "
                 f"({self.neighbours_kept_low:.0%} to {self.neighbours_kept_high:.0%})",
             )
         return tuple(f"{text[:1].upper()}{text[1:]}." for text in told)

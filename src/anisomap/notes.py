@@ -83,15 +83,15 @@ def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
 
 def _hidden_links(sensors: Sequence[str], total: int) -> str:
     return (
-        "sensors with uncertain positions, because noise hides how they are related to the others: "
-        f"{len(sensors)} of {total} ({join_items(sensors)})"
+        f"noise hides how {len(sensors)} of {total} sensors are related to other sensors, so their "
+        f"positions are uncertain ({join_items(sensors)})"
     )
 
 
 def _unknown_pairs(count: int, sensors: Sequence[str]) -> str:
     return (
-        f"pairs of sensors that were never recorded together: {count:,} (sensors: "
-        f"{join_items(sensors, 5)}); their distances follow from other pairs only"
+        f"{count:,} pairs of sensors were never recorded together (sensors: "
+        f"{join_items(sensors, 5)}); their distances are estimated from other pairs only"
     )
 
 
@@ -99,8 +99,8 @@ def _looks_flat(objects: bool = False) -> str:
     if objects:
         return "a third dimension explains no more than chance: 2 dimensions suffice (-d 2)"
     return (
-        "this looks flat: a third dimension explains no more than chance; unless the skin is bent "
-        "like a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
+        "the map looks flat: a third dimension explains no more than chance; unless the skin is "
+        "bent like a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
     )
 
 
@@ -115,11 +115,11 @@ def _unclear_dimensions(objects: bool = False) -> str:
 
 def _line(objects: bool = False) -> str:
     what = "objects" if objects else "sensors"
-    return f"the {what} appear to lie along a line: to map them along it, choose 1 dimension (-d 1)"
+    return f"the {what} appear to lie along a line: choose 1 dimension (-d 1)"
 
 
 def _two_dimensions(objects: bool = False) -> str:
-    bent = "; a skin that is bent like a sheet of paper is mapped as if rolled out"
+    bent = "; a skin that is bent like a sheet of paper is mapped as if unrolled"
     return f"a third dimension explains no more than chance{'' if objects else bent}"
 
 
@@ -135,11 +135,11 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "unknown-pairs": _unknown_pairs,
         "not-converged": lambda: "scaling stopped before it converged: allow more iterations",
         "not-refined": lambda method: (
-            f"the positions are not refined: for this, {method} needs the similarity"
+            f"the positions are not refined, because {method} needs the similarity for this"
         ),
         "different-contacts": lambda share: (
             f"contacts differ from place to place ({share:.0%} of the variance of the correlations "
-            "does not follow from distance), so lengths are less certain than neighbours"
+            "is not explained by distance), so lengths are less certain than neighbours"
         ),
         "looks-flat": _looks_flat,
         "unclear-dimensions": _unclear_dimensions,
@@ -147,38 +147,36 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "two-dimensions": _two_dimensions,
         "three-dimensions": _three_dimensions,
         "apart": lambda apart, placed, touched=True: (
-            "sensors whose positions relative to the others are unknown: "
-            f"{apart} of {placed}; "
-            + ("touch the skin where they join" if touched else "record longer")
+            f"the positions of {apart} of {placed} sensors relative to the other sensors are "
+            f"unknown; {'touch the skin between them' if touched else 'record longer'}"
         ),
         "unlinked": lambda count, total: (
-            "sensors whose correlations with the others do not exceed noise: "
-            f"{count} of {total}; record longer"
+            f"the correlations of {count} of {total} sensors do not exceed noise; record longer"
         ),
         "halves-disagree": lambda agreement, touched=True: (
-            f"similarities differ between halves of the recording (their correlation is "
-            f"{agreement:.2f}): they may be due to a few strong frames; record "
+            f"similarities differ between halves of the recording (correlation {agreement:.2f}): "
+            "a few strong frames may dominate them; record "
             + ("more contacts" if touched else "longer")
         ),
         "one-period": lambda share, period: (
             f"{share:.0%} of the variance of the readings is a sine with a period of {period:.4g} "
-            "frames: such readings do not show which sensors are near"
+            "frames: such readings do not show which sensors are adjacent"
         ),
         "paired": lambda touched=True: (
-            "sensors pair off: most resemble one other far more than the rest"
+            "sensors pair off: most have one partner to which they are far more similar than to "
+            "the other sensors"
             + (
-                ", as if two places were always touched together; touch each place by itself"
+                ", as if two places were always touched together; touch each place separately"
                 if touched
                 else ""
             )
         ),
         "rarely-touched": lambda count, total: (
-            f"sensors with too few contacts for a position: {count} of {total}; touch all of the "
-            "skin"
+            f"{count} of {total} sensors have too few contacts for a position; touch the whole skin"
         ),
         "small-body": lambda extent: (
-            f"the sensors are only {extent:.1f} spacings from their centre (RMS), so that errors "
-            "of this size change the shape"
+            f"the sensors are only {extent:.1f} spacings (RMS) from their centre, so an error of "
+            "this size changes the shape"
         ),
         "chance": lambda size, much, unit="spacings", touched=True: (
             f"maps of resampled recordings differ by {size:.2f} {unit}"
@@ -190,18 +188,18 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             + (": contacts may be elongated or differ in size from place to place" if much else "")
         ),
         "map-of-paths": lambda size, much, unit="spacings": (
-            f"a second map, of the lengths of paths, differs by {size:.2f} {unit}"
+            f"a second map, made from lengths of paths, differs by {size:.2f} {unit}"
             + (": contacts may differ in size from place to place" if much else "")
         ),
         "if-compact": lambda size, unit="spacings": (
-            "the sensors are unevenly spaced on the map, and a fold or long contacts may have "
-            "caused this unnoticed: if they are unevenly spaced on the skin, too, and all contacts "
-            "were compact, such as those of a fingertip or a ball, positions are off by "
-            f"{size:.2f} {unit} (--uneven --contacts compact)"
+            "the sensors are unevenly spaced on the map, which a fold or long contacts can also "
+            "cause: if they are unevenly spaced on the skin, and all contacts were compact "
+            f"(fingertips or balls), positions are off by {size:.2f} {unit} "
+            "(--uneven --contacts compact)"
         ),
         "compact": lambda size, unit="spacings": (
-            f"positions are off by {size:.2f} {unit} if sensors are not evenly spaced and all "
-            "contacts were compact, as stated: long contacts would compress the map unnoticed"
+            f"positions are off by {size:.2f} {unit} if, as stated, sensors are unevenly spaced "
+            "and all contacts were compact: a compression by long contacts cannot be detected"
         ),
         "if-flat": lambda size, unit="spacings": (
             "the readings do not show whether the skin is flat: if it is, positions are off by "
@@ -213,8 +211,8 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             "dimensions (-d 2 or -d 3)"
         ),
         "chosen-dimensions": lambda: (
-            "the number of dimensions was chosen from readings that do not show the shape for "
-            "certain: choose it if it is known (-d 2 or -d 3)"
+            "the number of dimensions was chosen from readings that do not determine the shape: "
+            "choose the number yourself if you know it (-d 2 or -d 3)"
         ),
         "not-examined": lambda: "the map was not examined",
         "other-readings": lambda: "a verdict needs the readings that the map was made from",
@@ -223,8 +221,8 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"the recordings have fewer than {least} sensors in common: map one of them"
         ),
         "few-sensors": lambda count, least, touched=True: (
-            f"too few sensors are related: {count}, and a verdict needs {least}: "
-            + ("touch more of the skin" if touched else "record more of them")
+            f"{count} sensors are related, but a verdict needs {least}: "
+            + ("touch more of the skin" if touched else "record more sensors")
         ),
         "many-sensors": lambda most: (
             f"resampling more than {most:,} sensors takes too much memory: map parts of the skin"
@@ -233,7 +231,7 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"a verdict needs a map in at most {most} dimensions: choose 2 or 3 (-d 2 or -d 3)"
         ),
         "few-frames": lambda count, least: (
-            f"too few frames: {count}, and a verdict needs {least}: record longer"
+            f"only {count} frames were recorded, but a verdict needs {least}: record longer"
         ),
     }
 )

@@ -257,7 +257,7 @@ def test_layouts_of_few_places(run, tmp_path):
     [
         ("map skin.npz --spacing 0.0065mm", "spacing of 0.0065mm is unlikely"),
         ("map skin.npz --spacing 6.5mm", ""),
-        ("map skin.npz -d 4", "skins need 2"),
+        ("map skin.npz -d 4", "for skins, choose 2"),
         ("map turned.csv", "rows of the file are the sensors, transpose it"),
     ],
 )

@@ -35,7 +35,7 @@ def test_every_file_holds_the_map_and_its_verdict(made):
     np.testing.assert_array_equal([sensor["covariance"] for sensor in sensors], found_in(made))
     assert (made / "map.png").read_bytes().startswith(b"\x89PNG")
     page = (made / "map.html").read_text(encoding="utf-8")
-    assert "Ellipses hold 95" in page
+    assert "Ellipses contain 95" in page
     assert "How the skin was touched" in page
 
 
@@ -68,9 +68,9 @@ def test_a_map_without_an_output_and_a_verdict(run_map, skin_csv, tmp_path):
     assert "2, chosen: a third dimension explains no more than chance" in done.out
     found = anisomap.read_map("skin.map.csv")
     assert (found.dimensions, found.provenance["chosen_dimensions"]) == (2, 2)
-    assert "Ellipses hold 95" not in (tmp_path / "map.html").read_text(encoding="utf-8")
+    assert "Ellipses contain 95" not in (tmp_path / "map.html").read_text(encoding="utf-8")
     flat = run_map(skin_csv, "-d", 3, "-m", "covariogram", "-o", "solid.csv")
-    assert "this looks flat" in flat.err
+    assert "the map looks flat" in flat.err
     assert anisomap.read_map("solid.csv").dimensions == 3
 
 
@@ -143,7 +143,7 @@ def test_a_spoilt_recording_is_named_repaired_and_mapped(run, run_map, skin_npz)
     spoilt = damaged(anisomap.read(skin_npz), "inverted:share=0.2", np.random.default_rng(0))
     anisomap.write(spoilt, "bad.npz")
     told = run("info", "bad.npz").out
-    assert "inverted: contact has the opposite sign in 8 of 42 sensors" in told
+    assert "inverted: contacts have the opposite sign in 8 of 42 sensors" in told
     assert "can be mended: anisomap map --repair" in told
     repaired = run("repair", "bad.npz", "-o", "good.npz")
     assert "mended: these sensors were mirrored" in repaired.out
@@ -167,9 +167,9 @@ def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
     readings = np.concatenate([course[:, None] * press for press in depth])
     anisomap.write(anisomap.Recording(readings), tmp_path / "short.npz")
     made = run("map", "short.npz", "-d", 2, "-o", "m.csv")
-    assert "sensors with uncertain positions, because noise" in made.err
+    assert "noise hides how" in made.err
     assert "Not usable: positions are off by about" in " ".join(made.out.split())
-    assert "correlations with the others do not exceed noise" in " ".join(made.out.split())
+    assert "sensors do not exceed noise" in " ".join(made.out.split())
 
 
 def test_commands_say_where_to_touch_next(run, run_map, tmp_path):

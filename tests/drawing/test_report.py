@@ -126,11 +126,11 @@ def test_exchanged_sensors_are_named():
     scored = score(sensor_map, lattice(6), units="mm", permutations=0)
     assert scored.exchanged == ((1, 20),)
     page = page_of(sensor_map, scored)
-    assert "Looks exchanged: run check. Pairs: s1 and s20." in page.text
+    assert "These look exchanged (run anisomap check): s1 and s20." in page.text
     reasons = {row[0]: row[-1] for row in page.sensor_rows if row[-1]}
     assert reasons == {
-        "s1": "looks exchanged with s20: run check",
-        "s20": "looks exchanged with s1: run check",
+        "s1": "looks exchanged with s20: run anisomap check",
+        "s20": "looks exchanged with s1: run anisomap check",
     }
     assert not score(SensorMap(lattice(6)), lattice(6), permutations=0).exchanged
 
@@ -180,7 +180,7 @@ def test_the_verdict_comes_first_and_nothing_is_said_twice():
     assert good.text.index("Verdict: cannot tell.") < good.text.index("Mantel r")
     for part in (
         f"{scored.mantel.r:.3f}",
-        f"{scored.mantel.quantiles()[0.95]:.3f} at most in 95% of random permutations",
+        f"at most {scored.mantel.quantiles()[0.95]:.3f} in 95% of random permutations",
         f"{number(scored.rms)} mm",
         number(scored.rms_in_spacings, 3),
         "known up to rotation, translation, scale and reflection",

@@ -139,7 +139,7 @@ def test_components_are_aligned_apart():
     assert np.isfinite(found.distance).all()
     assert not found.moved.any()
     small = [SensorMap(m.positions, component=[1] * 5 + [0] * (len(before) - 5)) for m in maps]
-    assert "fewer than 8: 5" in compare_maps(*small).notes[0]
+    assert "fewer than 8 sensors: 5" in compare_maps(*small).notes[0]
 
 
 def test_maps_that_cannot_be_compared_are_refused():

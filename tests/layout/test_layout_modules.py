@@ -129,14 +129,14 @@ def test_modules_on_each_other_are_a_finding(statistics):
         replace(RIGHT, positions=stated), Recording(silent, names=NAMES), modules=MODULES
     )
     (finding,) = (one for one in found.findings if one.kind == "overlapping")
-    assert "side by side" in finding.explanation
+    assert "adjacent modules of this shape" in finding.explanation
     assert {int(found.module[i]) for i in finding.sensors} <= {0, 7}
 
 
 def test_a_consistent_layout_names_what_was_not_tested(statistics):
     found = check_layout(RIGHT, RECORDING, modules=MODULES, statistics=statistics)
     assert found.consistent
-    assert "less than two to three spacings (1.73 and 2.6 mm)" in " ".join(found.notes)
+    assert "less than 2 to 3 spacings (1.73 and 2.6 mm)" in " ".join(found.notes)
 
 
 def test_patches_are_moved_from_ten_contacts_on():

@@ -56,7 +56,7 @@ def test_the_headline_says_what_to_do_and_repeats_no_verdict(level):
     maps.checked = Examination(None, (), None, verdict, np.nan, 80, 1.0, final=False)
     told, good = maps.guidance
     assert good == (level == "usable")
-    assert told.startswith("Good: positions are right to" if good else "Touch the whole skin")
+    assert told.startswith("Good: positions are accurate to" if good else "Touch the whole skin")
     assert ("1.8 mm" in told) == good
     assert "80" not in told
 

@@ -78,7 +78,7 @@ def test_a_skin_that_misbehaves_is_recorded_whole_and_mapped(session, server, tm
         for begin in range(300, 600, 50):
             peer.sendall(text(LINES[begin : begin + 50]))
         found = live.wait_for(lambda event: event["frames"] == 600)
-    for told in ("hold no frame", "taxel 0 sent no number", "lost the connection"):
+    for told in ("without a frame", "taxel 0 sent no number", "lost the connection"):
         assert any(told in notice for notice in found["notices"])
     code, said = live.end(signal.SIGINT)
     assert code == 0

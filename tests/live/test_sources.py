@@ -166,7 +166,7 @@ def test_a_serial_port():
             os.write(ours, text(ROWS[:3]) + b"\xff\x00garbage\n")
             os.write(ours, text(ROWS[3:]))
             found.wait_for_rows()
-        assert found.told("no frame")
+        assert found.told("without a frame")
     finally:
         os.close(ours)
         os.close(theirs)

@@ -63,7 +63,7 @@ def test_a_header_names_the_sensors_and_the_time(start, clock):
     assert (np.diff(times) > 0).all()
     if not clock:
         np.testing.assert_allclose(times, 0.02 * np.arange(60))
-    assert any("no frame" in item.text for item in items if isinstance(item, Notice))
+    assert any("without a frame" in item.text for item in items if isinstance(item, Notice))
 
 
 def test_an_object_gives_the_time_and_the_order_of_its_first_names():

@@ -19,7 +19,7 @@ from anisomap.numerics.similarity.information import mutual_information
 from anisomap.simulation import simulate
 from skins import flat_map, flat_skin, quietly
 
-LOOKS_FLAT, UNCLEAR = "this looks flat", "whether the skin is flat"
+LOOKS_FLAT, UNCLEAR = "the map looks flat", "whether the skin is flat"
 
 
 @cache

@@ -31,7 +31,7 @@ def test_a_rubbed_flat_skin_is_reconstructed(method):
     assert np.median(found) > 0.95
 
 
-@pytest.mark.filterwarnings("ignore:this looks flat")
+@pytest.mark.filterwarnings("ignore:the map looks flat")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_every_method_makes_a_map_far_above_its_null(method, dimensions):

@@ -416,7 +416,7 @@ def test_every_error_is_in_millimetres_once_the_scale_is_known(judged, tmp_path)
     assert "0.20 spacings (0.10 to 0.60)" in headline(judged)
     scaled = scaled_to_spacing(judged, 6.5, "mm")
     told = judgement(scaled)
-    assert told[0] == "Usable: positions are right to about 1.3 mm (0.65 to 3.9)."
+    assert told[0] == "Usable: positions are accurate to about 1.3 mm (0.65 to 3.9)."
     assert "Maps of resampled recordings differ by 1.56 mm." in told
     assert "Touched once." in told
     assert "assume a median distance of 6.5 mm" in told[-1]

@@ -132,7 +132,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     placed = f"{n_placed} of {sensor_map.n_sensors}, in {dimensions}D"
     components, means = str(len(sizes)), "0 is a perfect fit of the metric"
     if len(sizes) > 1:
-        placed += f", of which {sizes[0]} relative to one another"
+        placed += f", {sizes[0]} of them in the largest component"
         components += f"; {kind}s in each: {join_items(sizes, max_items=12)}"
         means = "within components; small components always fit"
     because = sensor_map.provenance.get("dimensions_because")
@@ -149,8 +149,8 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
     )
     if dimensions > 3:
         print_warning(
-            f"maps in {dimensions} dimensions fit tables only (CSV, JSON, NPZ), and "
-            "pictures show three of them: skins need 2 (-d 2) or 3 (-d 3)"
+            f"maps in {dimensions} dimensions can only be written as tables (CSV, JSON, NPZ), and "
+            "pictures show three dimensions: for skins, choose 2 (-d 2) or 3 (-d 3)"
         )
 
 
@@ -240,7 +240,7 @@ def print_score(printer: Printer, result: Score, sensor_map: SensorMap, title: s
 
 
 def _exchange(other: str | None) -> str:
-    return f"looks exchanged with {other}: run check" if other else ""
+    return f"looks exchanged with {other}: run anisomap check" if other else ""
 
 
 _QUANTILES = {0.0: "min", 0.5: "median", 1.0: "max"}
@@ -270,7 +270,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
     counts = coverage.contacts
     least = names[int(np.argmin(counts))]
     apart = len(coverage.never_together)
-    told = [f"median {np.median(counts):g} per sensor, least {counts.min()} ({least})"]
+    told = [f"median {np.median(counts):g} per sensor, minimum {counts.min()} ({least})"]
     if coverage.untouched.size:
         told.append(f"{coverage.untouched.size} of {len(counts)} untouched")
     if apart:
@@ -285,7 +285,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
     )
     return {
         "contacts": ", ".join(told),
-        "touch next": around or (f"wherever {untouched} may be" if untouched else enough),
+        "touch next": around or (f"the unknown places of {untouched}" if untouched else enough),
     }
 
 

@@ -137,8 +137,8 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     notes = list(by_order)
     if left_out := int(np.count_nonzero(placed & np.isnan(distance))):
         notes.append(
-            f"sensors not compared, since their components share fewer than {MIN_COMPARED}: "
-            f"{left_out}"
+            "sensors not compared, because their components share fewer than "
+            f"{MIN_COMPARED} sensors: {left_out}"
         )
     return Difference(
         names=names,

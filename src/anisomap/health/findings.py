@@ -90,7 +90,7 @@ def _of_all(finding: Finding) -> str:
 
 def _copies(finding: Finding) -> str:
     noise = finding.values["noise"]
-    own = f", with up to {noise:.1%} of noise of their own" if noise else ""
+    own = f", with up to {noise:.1%} of independent noise" if noise else ""
     return f"{len(finding.sensors)} sensors read one wire{own}"
 
 
@@ -98,8 +98,8 @@ def _left_out(finding: Finding) -> str:
     kept = finding.values["kept"]
     others = join_items([name for name in finding.sensors if name != kept])
     if kept is None:
-        return f"all were left out, since it is unknown which of {others} is real"
-    return f"{kept} was kept, and {others} left out, since their positions are unknown"
+        return f"all were left out, because it is unknown which of {others} is real"
+    return f"{kept} was kept; {others} were left out, because their positions are unknown"
 
 
 def _hum(finding: Finding) -> str:
@@ -121,7 +121,7 @@ def _regions(finding: Finding) -> str:
 
 
 _ALIKE = "it makes distant sensors look similar"
-_NOISE = "noise that {} makes up {:.0%} of their standard deviation"
+_NOISE = "common noise makes up {1:.0%} of the standard deviation of {0}"
 
 _WORDS: Mapping[str, _Words] = MappingProxyType(
     {
@@ -134,63 +134,63 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "frozen": _Words(
             "share of the frames",
             lambda f: (
-                f"the readings of {_of_all(f)} repeat frame after frame in spans that make up "
-                f"{f.size:.0%} of the recording"
+                f"the readings of {_of_all(f)} repeat the previous frame in {f.size:.0%} of all "
+                "frames"
             ),
-            "contacts in these spans are lost, and the ones before them count too often",
+            "contacts in these frames are lost, and the contacts before them count too often",
             lambda _: "these frames were left out",
         ),
         "hum": _Words(
             "share of the standard deviation",
             _hum,
             _ALIKE,
-            lambda _: "a sine was fitted to each of them and subtracted",
+            lambda _: "a fitted sine was subtracted from each sensor",
         ),
         "common-noise": _Words(
             "share of the standard deviation",
-            lambda f: _NOISE.format("all sensors share", f.size),
+            lambda f: _NOISE.format("all sensors", f.size),
             _ALIKE,
         ),
         "board-noise": _Words(
             "share of the standard deviation",
-            lambda f: _NOISE.format(f"a group of {len(f.sensors)} sensors shares", f.size),
+            lambda f: _NOISE.format(f"a group of {len(f.sensors)} sensors", f.size),
             _ALIKE,
             lambda _: "the common signal was estimated in each frame and subtracted",
         ),
         "spikes": _Words(
             "share of the frames",
             lambda f: (
-                f"a group of {len(f.sensors)} sensors jumps for single frames, in {f.size:.2%} of "
-                f"the frames, by {f.values['height']:.3g}"
+                f"the readings of a group of {len(f.sensors)} sensors jump by "
+                f"{f.values['height']:.3g} in single frames, {f.size:.2%} of all frames"
             ),
-            "this makes distant sensors look similar",
+            _ALIKE,
         ),
         "steps": _Words(
             "share of the sensors",
             lambda f: (
-                f"the level at rest of {_of_all(f)} steps, at frames "
+                f"the level at rest of {_of_all(f)} jumps at frames "
                 f"{join_items(f.values['frames'], 5)}"
             ),
-            "sensors that step alike look related, and contacts are hidden",
+            "sensors that jump together look related, and contacts are hidden",
         ),
         "saturation": _Words(
             "share of the frames",
             lambda f: (
-                f"readings of {_of_all(f)} are at the end of the range in {f.size:.1%} of the "
+                f"readings of {_of_all(f)} are at the limit of the range in {f.size:.1%} of the "
                 "frames (median)"
             ),
             "the heights of contacts are cut off",
         ),
         "inverted": _Words(
             "share",
-            lambda f: f"contact has the opposite sign in {_of_all(f)}",
+            lambda f: f"contacts have the opposite sign in {_of_all(f)}",
             "they look unrelated to their neighbours",
             lambda _: "these sensors were mirrored at their rest value",
         ),
         "leak": _Words(
             "share",
             lambda f: (
-                f"about {f.size:.1%} of each channel leaks into the next one "
+                f"about {f.size:.1%} of each channel leaks into the next channel "
                 f"({f.values['n_forward']} of {f.values['n_pairs']} pairs)"
             ),
             "consecutive channels look like neighbours",
@@ -198,7 +198,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "copies": _Words(
             "sensors",
             _copies,
-            "sensors at one place distort the map around them; at most one of them is right",
+            "at most one of them is real; the copies distort the map around it",
             _left_out,
         ),
         "changed": _Words(

@@ -337,7 +337,7 @@ def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, 
             rests.size and rests.min() - slack <= value <= rests.max() + slack
         )
         status, what = (
-            (SILENT, "a rest value: never touched, or dead")
+            (SILENT, "a rest value of other sensors: never touched, or dead")
             if resting
             else ("stuck", "which is not a rest value of other sensors")
         )
@@ -347,7 +347,7 @@ def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, 
 
 def _few_contacts(b: Behaviour) -> dict[int, str]:
     return {
-        i: f"{b.contacts[i]} of the {MIN_CONTACTS} contacts that a position needs"
+        i: f"number of contacts: {b.contacts[i]}; a position needs {MIN_CONTACTS}"
         for i in np.flatnonzero(b.contacts < MIN_CONTACTS).tolist()
     }
 
@@ -405,7 +405,7 @@ def _intermittent(b: Behaviour) -> dict[int, str]:
             and np.median(beside) >= _MIN_JUMP * np.median(off[free & ~held])
         ):
             reasons[i] = (
-                f"holds one value in {held.mean():.0%} of the frames, in spells unrelated to "
+                f"stays at one value in {held.mean():.0%} of the frames, for periods unrelated to "
                 "contact"
             )
     return reasons
@@ -431,7 +431,7 @@ def _saturating(b: Behaviour) -> dict[int, str]:
 def _isolated(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(np.nan_to_num(b.best_match)))
     return {
-        i: f"resembles other sensors less than most do: its highest r is {b.best_match[i]:.2f} "
+        i: f"less similar to other sensors than most sensors: highest r {b.best_match[i]:.2f} "
         f"(typical: {typical:.2f})"
         for i in np.flatnonzero(b.unlike).tolist()
     }

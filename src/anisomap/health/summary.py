@@ -22,7 +22,7 @@ _CLEAR_R = 0.6  # median of the highest correlations, above which none is due to
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
-    "sensors that never varied, and are dead or were never touched": (SILENT,),
+    "sensors that never varied (dead, or never touched)": (SILENT,),
     f"sensors with fewer than {MIN_CONTACTS} contacts, too few for reliable positions (touch them "
     "again)": (FEW_CONTACTS,),
     "stuck sensors, which carry no information": ("stuck",),

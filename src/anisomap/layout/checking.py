@@ -187,8 +187,8 @@ class _Checked:
         n_usable = int(np.count_nonzero(self.usable))
         if n_usable < MIN_SENSORS:
             raise InputError(
-                f"too few sensors are related to others beyond chance: {n_usable} of "
-                f"{len(self.rows)}, and a check needs {MIN_SENSORS}; record more contacts"
+                f"{n_usable} of {len(self.rows)} sensors are related to other sensors beyond "
+                f"chance, but a check needs {MIN_SENSORS}; record more contacts"
             )
         similarity = self.statistics.similarity
         evidence = Evidence.of(similarity, self.unbent, self.usable, self.spacing)
@@ -202,7 +202,7 @@ class _Checked:
             return self._in_another_order(rival.order)
         search = Search(evidence, self.mounting, judge)
         if paired or not self._fits(search.run_modules(patches=self.enough), _HALF_WRONG):
-            lacking = "holds contacts at pairs of places, two at a time" if paired else ""
+            lacking = "contains contacts at pairs of places, two at a time" if paired else ""
             return self._as_a_whole(lacking)
         search.run_sensors()
         logger.info("weighing the evidence")
@@ -224,8 +224,7 @@ class _Checked:
         near = " and ".join(f"{length * self.spacing:.3g}" for length in _HARDLY_TOLD)
         unit = f" {self.layout.units}" if self.layout.units else ""
         notes = [
-            f"not tested: shifts of sensors and modules by less than two to three spacings ({near}"
-            f"{unit})"
+            f"not tested: shifts of sensors and modules by less than 2 to 3 spacings ({near}{unit})"
         ]
         if not self.enough:
             notes.append(f"not tested with fewer than {_PATCH_CONTACTS} contacts: moved patches")
@@ -245,14 +244,14 @@ class _Checked:
             )
         if not members and self.positions.shape[1] == 3:
             notes.append(
-                "no modules were recognised, so their orientations were not tested: if there are "
-                "modules, state them (--module-size, and --module-layout if they are bent)"
+                "no modules were detected, so no orientations were tested: if there are modules, "
+                "define them (--module-size, and --module-layout if they are bent)"
             )
         n_images = own_images(self.positions, self.spacing)
         if n_images:
             notes.append(
-                "the layout is symmetric: images of it under rotation or reflection that fit the "
-                f"recording equally well: {n_images}"
+                "the layout is symmetric; rotations and reflections that fit the recording equally "
+                f"well: {n_images}"
             )
         self.notes += tuple(notes)
 
@@ -442,8 +441,8 @@ class _Checked:
             near = [span(self.mounting.members[other], self.names) for _, other in others]
             text = (
                 f"module {span(self.mounting.members[m], self.names)} is {others[0][0]:.3g} from "
-                f"{join_items(near, _MAX_NAMED)}, but modules of this shape are "
-                f"{self.mounting.clearance:.3g} apart side by side"
+                f"{join_items(near, _MAX_NAMED)}, but adjacent modules of this shape are "
+                f"{self.mounting.clearance:.3g} apart"
             )
             self.findings.append(LayoutFinding("overlapping", self.mounting.members[m], text))
 
@@ -532,7 +531,7 @@ def _matched(
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:
         listed = join_items([recording.names[i] for i in missing], _MAX_NAMED)
-        notes = (f"sensors of the recording without a position: {missing.size} ({listed})",)
+        notes = (f"sensors of the recording that the layout lacks: {missing.size} ({listed})",)
     rows = np.flatnonzero((columns >= 0) & layout.placed)
     if len(rows) < MIN_SENSORS:
         raise InputError(

@@ -68,7 +68,7 @@ def explain(
     for group in [*groups, *everyone[left][:, None]]:
         sensors = np.sort(group[left[group]])
         if len(sensors) > 1:
-            tell("moved", sensors, f"{len(sensors)} sensors belong to another place, all together")
+            tell("moved", sensors, f"{len(sensors)} sensors belong to another place as a group")
         elif len(sensors):
             name, there = names[sensors[0]], target[sensors[0]]
             place = f"has the place of {names[there]}" if there >= 0 else "belongs to another place"
@@ -113,7 +113,7 @@ def explain_modules(
             text = f"module {listed[0]} belongs to " + (
                 f"the place of module {span(mounting.members[slot], names)}"
                 if slot < mounting.n_modules
-                else "a place beside the others, where no module is"
+                else "an empty place beside the other modules"
             )
         else:
             text = f"modules {join_items(listed, _MAX_NAMED)} belong to other places"
@@ -157,7 +157,7 @@ def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence
             turn = f"{angle:.0f} degrees"
         return f"{modules} turned by {turn} in their places"
     if kind == "mirrored":
-        return f"module {listed[0]} is a mirror image of what is stated"
+        return f"module {listed[0]} is mirrored in its place"
     return f"module {listed[0]} is turned by {turn}"
 
 

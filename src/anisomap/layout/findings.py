@@ -22,15 +22,15 @@ DEAD = "dead"
 KINDS: Mapping[str, str] = MappingProxyType(
     {
         "turned": "a module that is rotated in its place",
-        "mirrored": "a module that is a mirror image of what the layout states",
+        "mirrored": "a module that is mirrored in its place",
         "exchanged": "modules that have each other's places",
-        "reversed": "a reverse order: of all sensors, the pads of a module, or modules in a row",
-        "shifted": "a run of consecutive sensors that each have the place of the next",
+        "reversed": "all sensors, the pads of a module, or modules in a row, in reverse order",
+        "shifted": "consecutive sensors that each have the place of the next",
         "swapped": "two sensors that have each other's places",
         "cycle": "three or more sensors that each have the place of another of them",
-        "moved": "sensors that belong to a place where the layout has none",
-        "overlapping": "a module nearer to another than their shape allows",
-        "doubled": "a sensor that repeats the readings of another",
+        "moved": "sensors that belong to a place where the layout has no sensor",
+        "overlapping": "a module closer to another module than their shape allows",
+        "doubled": "a sensor that repeats the readings of another sensor",
         "dead": "a sensor that stays constant while its neighbours are touched",
     }
 )

@@ -248,8 +248,8 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     if n_components != 1:
         raise InputError(
             f"{purpose} needs one connected component, but the map has {n_components}, and their "
-            "relative poses are unknown; write each map of SensorMap.split() to a file of its own, "
-            "or leave out the sensors of the others with --drop"
+            "relative poses are unknown; write each map of SensorMap.split() to a separate file, "
+            "or leave out the sensors of the other components with --drop"
         )
     indices = np.flatnonzero(sensor_map.placed)
     positions = pad_to_3d(sensor_map.positions[indices]) * METRES[sensor_map.units]

@@ -313,7 +313,7 @@ def _with_missing(found: Placement, before: SensorMap) -> Placement:
     if not missing:
         return found
     note = (
-        "sensors left out, since no anchors place their component: "
+        "sensors left out, because their component has too few anchors: "
         f"{len(missing)} ({join_items(missing)})"
     )
     return replace(found, map=replace(after, notes=(*before.notes, note)), left_out=missing)
@@ -365,8 +365,8 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
         factor = length_shown(sensor_map.units, "")[1]
         told.insert(
             2,
-            "These are RMS errors over all sensors; a single sensor is within "
-            f"{float(np.median(within)) * factor:.2g} mm of its place with a probability of 90%.",
+            "These are RMS errors over all sensors; a single sensor has an error below "
+            f"{float(np.median(within)) * factor:.2g} mm with a probability of 90%.",
         )
     if unit == "mm" and "spacing" in sensor_map.provenance and not sensor_map.anchored:
         told.append(

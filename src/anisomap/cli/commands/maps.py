@@ -362,4 +362,4 @@ def _modules(found: LayoutCheck) -> str:
     sizes = np.unique(np.bincount(found.module[found.module >= 0]))
     smallest, largest = int(sizes.min()), int(sizes.max())
     size = f"{largest}" if smallest == largest else f"{smallest} to {largest}"
-    return f"{found.n_modules} of {size} sensors"
+    return f"{found.n_modules}, with {size} sensors each"

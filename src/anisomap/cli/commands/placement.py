@@ -178,8 +178,8 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
     }
     if errors.size:
         facts["error of a sensor"] = (
-            f"within {number(float(np.median(errors)), 3)} mm with a probability of 90% "
-            f"(median of the sensors; {number(float(errors.max()), 3)} mm for the worst)"
+            f"below {number(float(np.median(errors)), 3)} mm with a probability of 90% "
+            f"(median of all sensors; at most {number(float(errors.max()), 3)} mm)"
         )
     if placed.verdict.level != UNKNOWN:
         facts["verdict on the map"] = f"{headline(placed)}, RMS over all sensors"

@@ -482,7 +482,7 @@ def plot_layout(
     ends = [i for finding in check.findings for i in finding.sensors[[0, -1]].tolist()]
     labels = {i: layout.names[i] for i in ends[:_MAX_LABELS]}
     arrows = np.where(changed[:, None], end, np.nan)
-    note = "Arrows lead from the stated position of a sensor to the one that its readings indicate."
+    note = "Arrows lead from stated positions to proposed positions."
     with panel(ax, span_dimensions(start), title, note, legend=3) as axes:
         _draw_displacements(axes, start, arrows, kinds, labels, units=layout.units)
     return axes

@@ -107,13 +107,15 @@ def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
             f"{names[score.sensors[i]]} ({number(score.alignment.errors[i], 3, score.units)})"
             for i in score.worst(_N_WORST)
         ]
-        sentences.append(f"Farthest from their true positions: {join_items(farthest)}.")
+        sentences.append(f"Largest errors: {join_items(farthest)}.")
         if pairs := [f"{names[i]} and {names[j]}" for i, j in score.exchanged]:
-            sentences.append(f"Looks exchanged: run check. Pairs: {join_items(pairs, _N_WORST)}.")
+            sentences.append(
+                f"These look exchanged (run anisomap check): {join_items(pairs, _N_WORST)}."
+            )
     sizes = sensor_map.component_sizes
     if len(sizes) > 1:
         sentences.append(
-            f"Only {sizes[0]} {kind}s are placed relative to one another. Components of others: "
+            f"Only {sizes[0]} {kind}s are in the largest component. Other components: "
             f"{len(sizes) - 1}."
         )
     fitted = "" if score is None else ", and was fitted to the true positions"
@@ -137,7 +139,7 @@ def _facts(sensor_map: SensorMap, score: Score | None) -> list[tuple[str, str, s
         null, mantel = score.mantel.quantiles(), score.mantel
         meaning = "correlation of the distances on the map with the true distances; at most 1"
         if null:
-            meaning += f"; {null[0.95]:.3f} at most in 95% of random permutations"
+            meaning += f"; at most {null[0.95]:.3f} in 95% of random permutations"
             meaning += f", p = {number(mantel.p_value, 2)}"
         in_spacings = (
             f"or {number(score.rms_in_spacings, 3)} spacings of "
@@ -226,7 +228,7 @@ def _sensor_table(
     reasons = {sensor.name: [sensor.reason] for sensor in health}
     for pair in () if score is None else score.exchanged:
         for i, j in (pair, pair[::-1]):
-            said = f"looks exchanged with {sensor_map.names[j]}: run check"
+            said = f"looks exchanged with {sensor_map.names[j]}: run anisomap check"
             reasons.setdefault(sensor_map.names[i], []).insert(0, said)
     rows = [
         {

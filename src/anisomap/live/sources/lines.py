@@ -82,7 +82,7 @@ class LineParser:
         if lines and self._overlong:  # the end of a line of which the beginning was discarded
             self._overlong = False
             del lines[0]
-            yield Notice(f"ignored a line that holds no frame: it has more than {MAX_LINE} bytes")
+            yield Notice(f"ignored a line without a frame: it has more than {MAX_LINE} bytes")
         texts = [f"{COLOURS.sub('', line.decode('utf-8-sig', 'replace'))}\n" for line in lines]
         yield from self._read(texts)
 
@@ -148,7 +148,7 @@ class _Reader:
             self._names = grid_names(*options.grid)
             if len(self._names) != stream.n_sensors:
                 size = f"{options.grid[0]} x {options.grid[1]}"
-                raise InputError(f"lines of {stream.n_sensors} readings are no {size} grid")
+                raise InputError(f"lines of {stream.n_sensors} readings do not fill a {size} grid")
         if stream.n_sensors < MIN_SENSORS:
             raise InputError("no line of two readings or more")
 
@@ -174,7 +174,7 @@ class _Reader:
             yield from self._look_again(block.readings)
         if self._left.n_left > self._n_told:
             self._n_told = self._left.n_left
-            yield Notice(f"ignored lines that hold no frame: {self._n_told}, such as {self._bad}")
+            yield Notice(f"ignored lines without a frame: {self._n_told}, such as {self._bad}")
 
     def _look_again(self, readings: NDArray[np.floating]) -> Iterator[Notice]:
         """Say that lines may be rows of frames, once more have come: at first, skins rest."""
