@@ -1,8 +1,8 @@
 """Similarity of all pairs of sensors over all frames of a Dask array, summed block by block.
 
 The blocks are summed where Dask runs: in threads, in processes or on a cluster. Bins, ranks and
-rest depend on the distribution of all readings, and take two passes: one to count distinct values,
-one to compare the sensors.
+rest values depend on the distribution of all readings. They require two passes over the blocks: the
+first counts distinct values, the second compares the sensors.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _SUMS_AT_ONCE = 4  # merged by one task, which holds them in memory
 
 @dataclass(frozen=True, eq=False)
 class SummedSimilarity:
-    """Similarity (N, N) over all frames, which sensors vary, (N,), and the number of frames.
+    """Similarity (N, N) over all frames, mask of the sensors that vary, (N,), and number of frames.
 
-    notes: What differs from the similarity of an array in memory.
+    notes: Differences from the similarity of an array in memory.
     """
 
     similarity: Reals
@@ -77,7 +77,7 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
 
 
 def _frames_of(readings: Any) -> list[Any]:
-    """Return the blocks of frames, with all sensors each, as delayed arrays."""
+    """Return the blocks of frames as delayed arrays; each block contains all sensors."""
     array = import_extra("dask.array", "a Dask array", "cluster")
     if not isinstance(readings, array.Array):
         raise InputError(
@@ -93,13 +93,13 @@ def _frames_of(readings: Any) -> list[Any]:
 
 
 def _total(blocks: Sequence[Any], summand: Summand) -> Any:
-    """Sum all blocks, in a tree, so that few sums are in memory at a time."""
+    """Sum all blocks in a tree, which limits the number of sums in memory."""
     dask = import_extra("dask", "a Dask array", "cluster")
     sums = [dask.delayed(_sum_of)(block, summand) for block in blocks]
     while len(sums) > 1:
         parts = range(0, len(sums), _SUMS_AT_ONCE)
         sums = [dask.delayed(_merged)(sums[i : i + _SUMS_AT_ONCE]) for i in parts]
-    with threadpool_limits(1):  # of this process: the tasks are parallel already
+    with threadpool_limits(1):  # the tasks run in parallel already
         (total,) = dask.compute(*sums)
     if total is None:
         raise InputError("the Dask array has no frames")
@@ -127,7 +127,7 @@ def _merged(sums: Sequence[Any]) -> Any:
 
 
 def _recoded(values: ValueCounts, outcomes: Sequence[NDArray[Any]], summand: Summand) -> Summand:
-    """Sum what the readings count as, given the outcome of each distinct value."""
+    """Sum recoded readings, given the code of each distinct value."""
     recode = Recoding.of(values.values, outcomes, outcomes[0].dtype.type)
     return partial(_of_recoded, recode, summand)
 
@@ -137,12 +137,12 @@ def _of_recoded(recode: Recoding, summand: Summand, block: NDArray[Any]) -> Any:
 
 
 def _ranks(values: ValueCounts, _: int) -> Summand:
-    """Sum over mean ranks, from 1 to T."""
+    """Sum over the mean ranks of readings, from 1 to T."""
     return _recoded(values, [ranks_from_counts(counts) for counts in values.counts], PairSums.of)
 
 
 def _activity(values: ValueCounts, _: int) -> Summand:
-    """Sum over 0 at rest and 1 beyond."""
+    """Sum over indicators: 0 at rest, 1 beyond rest."""
     rest = rest_from_counts(zip(values.values, values.counts, strict=True))
     active = [
         (rest.side[i] * (levels - rest.value[i]) > rest.threshold[i]).astype(np.float64)
@@ -152,7 +152,7 @@ def _activity(values: ValueCounts, _: int) -> Summand:
 
 
 def _bins(values: ValueCounts, bins: int) -> Summand:
-    """Sum over 1 in the bin of a reading and 0 in the others."""
+    """Sum over indicators of bins: 1 for the bin of a reading, 0 for other bins."""
     codes = [maximum_entropy_bins(counts, bins).astype(np.uint16) for counts in values.counts]
     check_memory(
         _BYTES_PER_COUNT * (bins * values.n_sensors) ** 2,
@@ -190,6 +190,6 @@ SUMMED: Mapping[
         "mutual-information": (_bins, _information),
     }
 )
-"""How each similarity is summed: ``prepare(values, bins)`` returns the summand, given the distinct
-values of all frames with their counts (None for the readings themselves), and
-``finish(total, n_sensors)`` the similarity (N, N)."""
+"""The two functions of each similarity. ``prepare(values, bins)`` returns the summand, given the
+distinct values of all frames and their counts; it is None if the readings themselves are summed.
+``finish(total, n_sensors)`` returns the similarity (N, N)."""

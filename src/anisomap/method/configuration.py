@@ -1,4 +1,4 @@
-"""Scaling and refinement of a metric, component by component, and the map that they make."""
+"""Scaling and refinement of each component of a metric, and the resulting map."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from anisomap.numerics.scaling.multidimensional_scaling import (
 from anisomap.recording import Scalar
 from anisomap.sensor_map import UNPLACED, SensorMap
 
-_REFINEMENT = 4  # times the time of the scaling; with 2,000 sensors
+_REFINEMENT = 4  # time of the refinement relative to the scaling; with 2,000 sensors
 _START = SmacofOptions(tolerance=1e-5)  # of a scaling that only starts the covariogram fit
 
 
@@ -37,13 +37,13 @@ _START = SmacofOptions(tolerance=1e-5)  # of a scaling that only starts the cova
 class Configuration:
     """Positions of n sensors in one or several connected components.
 
-    positions (n, k): In the unit of the metric; components share no frame of reference.
+    positions (n, k): In the unit of the metric; each component has a frame of reference of its own.
     component: The component of each sensor; 0 is the largest.
     stress: Stress-1 of all pairs within components.
     converged: Whether the scaling of every component converged.
     n_iterations: Number of SMACOF iterations, the maximum over components.
-    refinements: How each component was refined, before it was rescaled; empty if none was.
-    scaled (n, k): Positions from the metric alone, if they were refined.
+    refinements: Refinement of each component before rescaling; empty if none was refined.
+    scaled (n, k): Positions from the metric alone, if positions were refined.
     """
 
     positions: Floats
@@ -56,17 +56,17 @@ class Configuration:
 
     @property
     def largest(self) -> Refinement | None:
-        """How the largest component was refined; None if it was not."""
+        """Refinement of the largest component; None if it was not refined."""
         return self.refinements[0] if self.refinements else None
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is mapped, however it was given: n sensors among all N.
+    """The input of scaling and refinement: n sensors to be mapped, of N.
 
-    evidence: None if a metric was given, or a dissimilarity. metric, weights (n, n), start (n, k).
-    names (N,), mapped (N,): All names, and which sensors are mapped.
-    usual: Returns the evidence of the default method, if there is any.
+    evidence: None if a metric or a dissimilarity was given. metric, weights (n, n), start (n, k).
+    names (N,), mapped (N,): All names, and the mask of the sensors to be mapped.
+    usual: Returns the evidence of the default method, or None.
     """
 
     evidence: Evidence | None
@@ -134,7 +134,7 @@ def _scaled(task: Task, dimensions: int, options: SmacofOptions) -> Configuratio
 
 
 def _refined(task: Task, evidence: Evidence, scaled: Configuration) -> Configuration:
-    """Refine each connected component; those of fewer than `min_sensors` stay as they are."""
+    """Refine each connected component of at least `min_sensors` sensors."""
     recipe, options = task.recipe, task.options
     positions = scaled.positions.copy()
     raw = spread = 0.0
@@ -162,12 +162,12 @@ def _refined(task: Task, evidence: Evidence, scaled: Configuration) -> Configura
 
 
 def among(matrix: Reals, sensors: NDArray[np.bool_]) -> Reals:
-    """Select the pairs of some sensors; return the matrix itself if these are all."""
+    """Select the pairs of some sensors; return the matrix itself if all sensors are selected."""
     return matrix if sensors.all() else matrix[np.ix_(sensors, sensors)]
 
 
 def best_scale(positions: Floats, lengths: Reals) -> tuple[float, float, float]:
-    """Find the least-squares scale of positions to given distances."""
+    """Return the least-squares scale of positions, the squared residuals and squared distances."""
     size = product = missed = 0.0
     for rows in row_blocks(len(positions)):
         distances = cdist(positions[rows], positions)
@@ -225,7 +225,7 @@ def as_map(
 def caveats(
     configuration: Configuration, evidence: Evidence | None, names: Sequence[str]
 ) -> Iterator[Note]:
-    """Yield notes on what the map of the mapped sensors does not show."""
+    """Yield notes on the limitations of the map of the mapped sensors."""
     component = configuration.component
     sizes = np.bincount(component)
     if sizes.size > 1:

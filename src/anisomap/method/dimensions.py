@@ -18,56 +18,56 @@ from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, sm
 from anisomap.recording import Scalar
 
 AUTO: Literal["auto"] = "auto"
-"""Let the readings choose between 2 and 3 dimensions."""
+"""Choose between 2 and 3 dimensions from the readings."""
 
 Dimensions: TypeAlias = int | Literal["auto"]
 """Number of coordinates of a map, at least 1, or `AUTO`."""
 
 PLANE, SPATIAL = 2, 3
-"""Dimensions of flat skins, and those of space, which a map has if readings do not show them."""
+"""Dimensions of flat skins, and of space. The second is the default if the choice is not clear."""
 
 FLAT_ELBOW, SPATIAL_ELBOW = 1.17, 1.25
-"""Elbow at 3 dimensions below which 2 suffice, and from which 3 are required.
+"""Elbow at 3 dimensions below which 2 dimensions suffice, and from which 3 are required.
 
 On 300 simulated skins of 15 shapes (benchmark `dimension`), no choice was wrong and 22 were
 unclear.
 """
 
 MIN_EXPLAINED = 0.04
-"""Minimum gain of a third dimension, in shares of the variance of the correlations: a map in 3
-dimensions must explain this much more than one in 2, else the skin is taken to be flat.
+"""Minimum gain of a third dimension, as a share of the variance of the correlations: the difference
+between the shares that maps in 3 and in 2 dimensions explain. With less, the skin counts as flat.
 
 Measured on 225 recordings of `benchmarks.skins.independent`, without cylinders. With the elbow
-alone, 37 choices were wrong and 56 unclear; with this minimum, 18 were wrong and 82 unclear. Among
-the 116 recordings with a map whose error is below .7 spacings, 13 choices were wrong, and then 3.
+alone, 37 choices were wrong and 56 unclear; with this minimum, 18 were wrong and 82 unclear. Of the
+116 recordings with a map error below .7 spacings, 13 choices were wrong without it, and 3 with it.
 """
 
 PLANE_ELBOW = 1.18
 """Minimum elbow at 2 dimensions of a flat skin: 1.15 or less on points in 5 and 6 dimensions."""
 
 DISTINCT, WEAK_FLAT_ELBOW = 3.0, 1.09
-"""If the elbow at 1 or 2 dimensions is below the first, a flat skin must have an elbow at 3 below
-the second.
+"""If the elbows at 1 and 2 dimensions are below the first, a flat skin must have an elbow at 3
+below the second.
 
-Where stimuli reach far, no dimension fits well: flat skins had at most 1.08, and bodies 1.106.
-"""
+No dimension fits well if stimuli reach far. Elbows at 3 were then at most 1.08 on flat skins, and
+1.106 on bodies."""
 
-_FLOOR = 0.01  # Stress-1 that counts as perfect; bounds the elbows of exact distances
+_FLOOR = 0.01  # Stress-1 of a perfect fit; bounds the elbows of exact distances
 _MOST = 0.5
 _MIN_POINTS = 8  # fewer have hardly more distances than coordinates in 4 dimensions
 _MAX_POINTS = 1000  # regularly sampled; their 500,000 distances determine the stress
-_MAX_EXAMINED = 125  # for a note on a number that is given
+_MAX_EXAMINED = 125  # points examined for a note on a given number
 # With 1e-8, elbows differ by less than .001 (53 recordings, real and simulated).
 _SOLVER = SmacofOptions(solver="lbfgs", tolerance=1e-5)
 
 
 @dataclass(frozen=True, eq=False)
 class DimensionChoice(Value):
-    """Number of dimensions of a map, and why.
+    """Number of dimensions of a map, and the reason for it.
 
-    dimensions: The given number; else 2 or 3, and 3 if the metric does not show it.
+    dimensions: The given number; else 2 or 3, and 3 if the metric does not determine it.
     given, examined: Whether the number was given, and whether the metric was examined.
-    shown: The number that the metric shows; 0 if it is not clear.
+    shown: The number that the metric determines; 0 if it is not clear.
     line: Whether the sensors appear to lie along a line.
     stress: Stress-1 in 1 to 4 dimensions; empty if there are fewer than 8 points.
     """
@@ -80,25 +80,25 @@ class DimensionChoice(Value):
     stress: tuple[float, ...] = ()
 
     def confirmed(self, explained: float) -> DimensionChoice:
-        """Return the choice, given what a third dimension explains once both maps are made.
+        """Return the choice, given the share of the variance that only a map in 3D explains.
 
-        Two dimensions are rejected if it explains much, and three if it does not; the number is
-        then not clear.
+        Two dimensions are rejected if the share is at least `MIN_EXPLAINED`, and three if it is
+        less. The number is then not clear.
         """
         agrees = (self.shown == SPATIAL) == (explained >= MIN_EXPLAINED)
         return self if agrees else replace(self, dimensions=SPATIAL, shown=0)
 
     def elbow(self, dimensions: int) -> float:
-        """Return by how much more the last of some dimensions lowers the stress than the next."""
+        """Return the ratio of the factors by which the last and the next dimension lower stress."""
         if not self.stress:
             return float("nan")
         s = np.hypot((1.0, *self.stress), _FLOOR)  # in 0 dimensions, Stress-1 is 1
         return float(s[dimensions - 1] * s[dimensions + 1] / s[dimensions] ** 2)
 
     def notes(self, *, objects: bool = False) -> tuple[Note, ...]:
-        """Return caveats for users, after an examination; none if the number is clear.
+        """Return caveats about the number after an examination; none if it is clear.
 
-        objects: Whether it is a map of objects, from their dissimilarities.
+        objects: Whether the map shows objects, from their dissimilarities.
         """
         if self.given:
             too_many = 0 < self.shown < self.dimensions
@@ -127,7 +127,7 @@ def plan_dimensions(
     *,
     common_share: float = 0.0,
 ) -> DimensionChoice:
-    """Choose the number of dimensions of a map, or examine the given number, if it is 3.
+    """Choose the number of dimensions of a map, or examine a given number of 3.
 
     metric (n, n), weights (n, n). Nothing is examined without a metric.
     """
@@ -149,14 +149,14 @@ def choose_dimensions(
 ) -> DimensionChoice:
     """Choose between 2 and 3 dimensions by the elbow of the stress.
 
-    metric (N, N), weights (N, N). common_share: Share of the signal that all sensors have in
-    common, which was subtracted; only the rest counts as evidence for the third dimension. most:
-    Greatest number of points; of more, an even sample is used.
+    metric (N, N), weights (N, N). common_share: Share of a common signal of all sensors that was
+    subtracted; only the remainder counts as evidence for the third dimension. most: Maximum number
+    of points; an even sample of more points is used.
 
     More dimensions always lower the stress (Kruskal 1964, Psychometrika 29: 1-27,
-    doi:10.1007/BF02289565). The fourth fits only errors, and the third is required if it lowers the
-    stress by clearly more. Lengths along a surface do not change if it is bent without stretching,
-    so half a cylinder spans 2 dimensions.
+    doi:10.1007/BF02289565). The fourth fits only errors. The third is required if it lowers the
+    stress by clearly more than the fourth. Bending without stretching does not change lengths along
+    a surface, so half a cylinder spans 2 dimensions.
     """
     lengths = np.asarray(metric)
     known = lengths if weights is None else np.where(weights > 0, lengths, np.inf)
@@ -166,7 +166,7 @@ def choose_dimensions(
         return DimensionChoice()
     inside = np.ix_(largest, largest)
     if weights is not None and (components(known[inside]) > 0).any():
-        return DimensionChoice()  # the sample lost the pairs that connect it
+        return DimensionChoice()  # the sample is not connected
     one, two, *more = (
         smacof(
             lengths[inside],
@@ -191,9 +191,9 @@ def choose_dimensions(
 
 
 def _is_curve(positions: Reals, line: Reals) -> bool:
-    """Whether most near neighbours in 2 dimensions, (n, 2), are next to each other in 1, (n,).
+    """Whether most near neighbours in 2 dimensions, (n, 2), are adjacent in 1 dimension, (n,).
 
-    Among the two nearest sensors, .7 to .95 are on lines, and at most .3 on strips of two rows.
+    Of the two nearest sensors, .7 to .95 are adjacent on lines, at most .3 on strips of two rows.
     """
     rank = np.argsort(np.argsort(line, kind="stable"), kind="stable")
     nearest = np.asarray(KDTree(positions).query(positions, k=3)[1])[:, 1:]
@@ -211,11 +211,11 @@ def check_dimensions(dimensions: Dimensions) -> None:
 def check_size(
     dimensions: Dimensions, n_sensors: int, n_frames: int | None, *, least: int, total: int
 ) -> None:
-    """Check that some of all sensors can be mapped into some dimensions.
+    """Check that a number of sensors can be mapped into a number of dimensions.
 
     n_frames: Number of frames, if there are readings: centred and scaled readings of T frames are
         points of a sphere of T - 2 dimensions.
-    least: Minimum number of sensors. total: Number of all sensors.
+    least: Minimum number of sensors. total: Total number of sensors.
     """
     check_dimensions(dimensions)
     if n_sensors < least:

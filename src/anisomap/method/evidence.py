@@ -1,7 +1,7 @@
 """The evidence of a recording: the similarity of all pairs of sensors, and its sampling variance.
 
-`Evidence` is the one place where pairs are compared. The whole recording, its resamples, parts with
-different sensors and a component of the sensors are evidence alike.
+All comparisons of pairs are made by `Evidence`. It represents a whole recording, a resample, parts
+with different sensors, or one component of the sensors.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
 
-_MIN_FRAMES = 3  # two differences between frames, the fewest that correlate
-_ALIKE = 1e-5  # difference of readings in [-1, 1] by rounding, in float32
+_MIN_FRAMES = 3  # a correlation requires two differences between frames
+_ALIKE = 1e-5  # rounding error of readings in [-1, 1], in float32
 
 Scores: TypeAlias = Blend | Contacts
-"""Scores of frames, whose sums over weighted blocks give the similarity of a resample."""
+"""Scores of frames. Their sums over weighted blocks give the similarity of a resample."""
 
 
 @dataclass(frozen=True)
@@ -111,17 +111,16 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What readings show of n sensors: the similarity of all pairs, and its sampling variance.
+    """Similarity of all pairs of n sensors, and its sampling variance.
 
-    similarity, variance (n, n): Symmetric; the variance is that of each similarity.
+    similarity, variance (n, n): Symmetric; the sampling variance of each similarity.
     known (n, n): Pairs that were recorded together.
     statistic: Name of the similarity that was computed from readings; empty if it was precomputed.
     readings (T, n): In temporal order; None for a precomputed similarity, and if some pairs are
         unknown.
-    scores: What resamples are computed from.
-    common_share: Share of the mean over sensors that is a signal of all of them, which was
-        subtracted.
-    related: Whether the sensors are known to be related, as those of one component are.
+    scores: Scores of frames, from which resamples are computed.
+    common_share: Share of the mean over sensors that was subtracted as a signal of all sensors.
+    related: Whether the sensors are known to be related, such as the sensors of one component.
     """
 
     similarity: Reals
@@ -207,7 +206,7 @@ class Evidence:
 
     @cached_property
     def edges(self) -> NDArray[np.intp]:
-        """Edges of blocks of frames that are long against their autocorrelation, (B + 1,)."""
+        """Edges of blocks that are longer than the autocorrelation of the readings, (B + 1,)."""
         return block_edges(np.asarray(self.readings))
 
     @cached_property
@@ -217,21 +216,21 @@ class Evidence:
 
     @cached_property
     def groups(self) -> Groups:
-        """Groups of sensors that significant correlations show to be related, or unrelated."""
+        """Groups of related sensors, by significant correlations."""
         if self.related:
             return Groups(*np.zeros((2, len(self.similarity)), dtype=np.intp))
         return group_sensors(self.similarity, self.variance)
 
     @cached_property
     def correlation(self) -> Reals | None:
-        """Blended correlation of the readings, shape (n, n); None without them."""
+        """Blended correlation of the readings, shape (n, n); None without readings."""
         if self.statistic == "blended-correlation":
             return self.similarity
         return None if self.readings is None else blended_correlation(self.readings)
 
     @cached_property
     def rank_changes(self) -> Reals | None:
-        """Correlation of the changes of ranks between frames, shape (n, n); None without them."""
+        """Correlation of changes of ranks between frames, shape (n, n); None without readings."""
         if self.readings is None or len(self.readings) < _MIN_FRAMES:
             return None
         return all_products(unit_rows(np.diff(self.ranks, axis=0)))
@@ -249,27 +248,27 @@ class Evidence:
         return ranks_of_depths(np.asarray(self.readings))
 
     def unexplained(self, positions: Reals) -> float:
-        """Return the share of the variance of S that distances on a map, (n, k), do not explain."""
+        """Return the share of the variance of S that distances of (n, k) leave unexplained."""
         return unexplained_share(self.similarity, positions, self.noise, known=self.known)
 
 
-_MIN_TOLD = 1000  # sensors, whose maps take long
+_MIN_TOLD = 1000  # sensors of a map whose stages are logged, since it takes long
 
 
 def log_stage(stage: str, n_sensors: int, seconds: float | None = None) -> None:
-    """Log a stage of a map of many sensors, and about how long the map still takes."""
+    """Log a stage of a map of many sensors, and an estimate of the remaining time."""
     if n_sensors >= _MIN_TOLD:
         left = "" if seconds is None else f", about {max(1, math.ceil(seconds))} s left"
         logger.info("%s%s", stage, left)
 
 
 def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_rows) -> None:
-    """Check that sensors differ by more than offset, gain and sign: else all maps are alike.
+    """Check that sensors differ by more than offset, gain and sign; no map is possible otherwise.
 
-    runs: Readings, each (T, n), or other matrices that have a column for each sensor.
-    rows_of: Takes some columns, and returns what is alike in such sensors, up to its size.
+    runs: Readings, each (T, n), or other matrices with a column for each sensor.
+    rows_of: Returns a row for each column; rows of equal sensors are equal up to scale.
     """
-    for run, count in product(runs, (2, None)):  # nearly always, two sensors differ
+    for run, count in product(runs, (2, None)):  # the first two sensors nearly always differ
         rows = rows_of(run[:, :count])
         rows = rows / np.maximum(np.abs(rows).max(axis=1), np.finfo(rows.dtype).tiny)[:, None]
         signs = np.sign(rows @ rows[0])[:, None]
@@ -289,7 +288,7 @@ def _compared(
     slow = without_slow_changes(readings) if how.centred else readings
     values, share = without_common_signal(slow) if how.centred else (readings, 0.0)
     unchanged = values is readings
-    values = np.asfortranarray(values)  # most statistics go sensor by sensor
+    values = np.asfortranarray(values)  # most statistics process one sensor at a time
     scores = None
     if how.score is None:
         found, variance = how.compute(values, bins), sampling_variance(how.correlated(values))

@@ -4,7 +4,7 @@ A method is a chain of stages::
 
     readings --similarity--> S --dissimilarity--> M --metric--> D --scaling--> positions
 
-and some methods refine the positions by S. To add a method, add one line to `METHODS`; to add a
+Some methods then refine the positions by S. To add a method, add one line to `METHODS`; to add a
 similarity, add one line to `anisomap.method.evidence.SIMILARITIES`.
 """
 
@@ -49,14 +49,14 @@ logger = logging.getLogger(__name__)
 _PUBLISHED = "majorization"  # the paper's SMACOF
 
 MAX_MAJORIZED = 500
-"""Largest number of sensors that the paper's methods scale by majorization, as the paper did (up to
-169): above, it takes minutes, and L-BFGS seconds."""
+"""Maximum number of sensors that the paper's methods scale by majorization. The paper used it for
+up to 169 sensors. For more than 500, it takes minutes, and L-BFGS seconds."""
 
 _ROUNDING = 1e-6  # by which a computed correlation may exceed 1
-_MIN_KNOWN = 0.6  # share of known pairs below which partial correlations miss too much
+_MIN_KNOWN = 0.6  # minimum share of known pairs for partial correlations
 
 DEFAULT_MU = 1.0
-"""Regularisation of the reciprocal; the paper gives no value, and 0.01 makes the same maps."""
+"""Regularisation of the reciprocal; the paper gives no value, and 0.01 results in equal maps."""
 
 _RANGES = {
     "regularisation": NOT_NEGATIVE,
@@ -75,7 +75,7 @@ class MethodOptions:
     ----------
     regularisation : float
         Regularisation of the reciprocal, mu in the paper, at least 0. With 0, unrelated sensors are
-        infinitely far apart, and components come out as separate maps.
+        infinitely far apart, and each component is mapped separately.
     entropy_bins : int
         Bins per sensor for entropies, at least 2.
     n_neighbours : int, optional
@@ -122,9 +122,9 @@ class Method:
     dissimilarity: ``dissimilarity(evidence, options)`` returns M, (n, n).
     metric: ``metric(M)`` returns D.
     refine: Refines the scaled positions of one component, see `anisomap.method.refinement.refine`.
-    contact_similarity: Takes the place of `similarity` for readings that are on or off and show one
-        contact at a time.
-    solver: Solver for up to `MAX_MAJORIZED` sensors, if the options choose none.
+    contact_similarity: Replaces `similarity` for readings that are on or off and show one contact
+        at a time.
+    solver: Solver for up to `MAX_MAJORIZED` sensors, if the options do not specify one.
     """
 
     summary: str
@@ -136,7 +136,7 @@ class Method:
     solver: str = AUTO_SOLVER
 
     def lengths_of(self, evidence: Evidence, options: MethodOptions) -> Reals:
-        """Compute D, shape (n, n); unknown evidence makes no edge."""
+        """Compute D, shape (n, n); unknown pairs have no edge."""
         dissimilarity = self.dissimilarity(evidence, options)
         if not evidence.known.all():
             dissimilarity[~evidence.known] = np.inf
@@ -147,7 +147,7 @@ class Method:
         return with_bounded_stems(lengths, evidence.groups.hidden)
 
     def scaling_of(self, n_sensors: int, options: SmacofOptions) -> SmacofOptions:
-        """Return how a number of sensors is scaled."""
+        """Return the options of scaling for a number of sensors."""
         if options.solver != AUTO_SOLVER or n_sensors > MAX_MAJORIZED or self.solver == AUTO_SOLVER:
             return options
         return replace(options, solver=self.solver)
@@ -184,7 +184,7 @@ def _direct(evidence: Evidence, options: MethodOptions) -> Reals:
 
 
 def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Reals:
-    """Information distance between neighbours, infinite between all others."""
+    """Return the information distance between neighbours, infinite for other pairs."""
     similarity = evidence.similarity
     ranked = np.where(evidence.known, similarity, -np.inf)
     if options.n_neighbours is None:

@@ -1,7 +1,7 @@
-"""The method on one page: readings become evidence, a metric, positions and a map.
+"""The method on one page: from readings to evidence, a metric, positions and a map.
 
-McGregor et al. (2011), section "Methods". Readings, blocks of a Dask array and a precomputed matrix
-each make `Evidence`, or a metric; from there on, all are mapped by `_map`.
+McGregor et al. (2011), section "Methods". Readings, blocks of a Dask array and precomputed matrices
+are converted to `Evidence` or to a metric, which `_map` converts to a map.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ from anisomap.sensor_map import SensorMap
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The stages of a map of n sensors, which a verdict can use again. metric (n, n).
+    """The stages of a map of n sensors, which a verdict can reuse. metric (n, n).
 
-    other: The map in the other number of dimensions, if the readings had to show it.
+    other: The map in the other number of dimensions, if the number was chosen from the readings.
     """
 
     evidence: Evidence
@@ -78,15 +78,15 @@ def reconstruct(
     Parameters
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
-        Complete readings (see `Recording.complete`). Several recordings of one skin make one map:
-        sensors are matched by name, and each pair is compared over the runs that contain both. The
-        blocks of a Dask array are compared where Dask runs, by methods that are not refined.
+        Complete readings (see `Recording.complete`). Several recordings of one skin result in one
+        map: sensors are matched by name, and each pair is compared over the runs that contain both.
+        The blocks of a Dask array are compared where Dask runs, by methods without refinement.
     method : str
-        A key of `anisomap.METHODS`: ``"covariogram"`` (the default), a variant, or one of the
-        paper's: ``"r-anisomap"``, ``"i-anisomap"``, ``"information-distance"`` and ``"isomap"``.
+        A key of `anisomap.METHODS`: ``"covariogram"`` (the default), a variant, or a method of the
+        paper: ``"r-anisomap"``, ``"i-anisomap"``, ``"information-distance"`` or ``"isomap"``.
     dimensions : int or "auto"
-        Number of coordinates: 2 for flat skins, 3 for bodies. ``"auto"`` chooses between them: see
-        the notes; 3 if it is not clear, with a note.
+        Number of coordinates: 2 for flat skins, 3 for bodies. ``"auto"`` chooses 2 or 3, see Notes;
+        if the choice is not clear, it is 3, and the map has a note.
     options : MethodOptions, optional
         Parameters of the stages.
     drop : iterable of str or int
@@ -102,9 +102,9 @@ def reconstruct(
     Raises
     ------
     InputError
-        If a reading is missing, fewer than 3 sensors vary or are related, all read the same but for
-        offset and gain, the method or a sensor is unknown, `dimensions` is less than 1 or more than
-        the number of sensors that are mapped, or the matrices of all pairs do not fit in memory.
+        If a reading is missing, fewer than 3 sensors vary or are related, all sensors differ only
+        by offset and gain, the method or a sensor is unknown, `dimensions` is less than 1 or more
+        than the number of mapped sensors, or the matrices of all pairs do not fit in memory.
 
     Warns
     -----
@@ -115,8 +115,8 @@ def reconstruct(
     -----
     McGregor et al. (2011), section "Methods", doi:10.1371/journal.pone.0026561: the similarity S is
     converted to a dissimilarity M (step 1 of ANISOMAP), M to the metric D of shortest path lengths
-    (step 2), and D is scaled to positions (step 3). Some methods, the default included, then refine
-    the positions by S, which is not part of the paper.
+    (step 2), and D is scaled to positions (step 3). Some methods, including the default, then
+    refine the positions by S. This refinement is not part of the paper.
 
     ``"auto"`` compares how much the third and the fourth dimension improve the fit of the metric of
     the default method: see `anisomap.method.dimensions.choose_dimensions`. Readings show distances
@@ -151,7 +151,7 @@ def reconstruct_with_stages(
     recipe: Method | None = None,
     stack_level: int = 2,
 ) -> tuple[SensorMap, Stages]:
-    """Reconstruct positions, and return the stages that `anisomap.diagnose` can use again."""
+    """Reconstruct positions; also return the stages, which `anisomap.diagnose` can reuse."""
     recipe, options = recipe or find_method(method), options or DEFAULT_OPTIONS
     joined = join_runs(recording)
     mapped = joined.varying() & ~sensor_mask(joined.names, drop)
@@ -241,13 +241,13 @@ def reconstruct_from(
     Parameters
     ----------
     similarity, dissimilarity, metric : array_like of shape (N, N)
-        Exactly one of them; the method continues from this stage. Only a similarity allows
-        refinement of the map.
+        Exactly one must be given; the method continues from this stage. Only a map from a
+        similarity can be refined.
     method, options, drop
         See `reconstruct`.
     dimensions : int or "auto"
-        See `reconstruct`. ``"auto"`` needs a correlation, a dissimilarity or a metric, or takes
-        the number of coordinates of `start`.
+        See `reconstruct`. ``"auto"`` requires a correlation, a dissimilarity or a metric; if
+        `start` is given, its number of coordinates is used.
     noise : array_like of shape (N, N), optional
         Sampling variance of each similarity; by default the reciprocal of
         `MethodOptions.independent_frames`.
@@ -361,8 +361,7 @@ def _map(task: Task, stack_level: int) -> tuple[SensorMap, _Placed]:
 def _placed(task: Task) -> _Placed:
     """Choose the number of dimensions, and scale and refine the metric.
 
-    A number that was chosen is confirmed or rejected by the map in the other one, which is returned
-    as well.
+    A chosen number is confirmed or rejected by the map in the other number, also returned.
     """
     choice = _choice(task)
     found = configure(task, choice.dimensions)
@@ -393,11 +392,11 @@ def _choice(task: Task) -> DimensionChoice:
     return plan_dimensions(dimensions, None)
 
 
-_MAX_SINGLE = 1e15  # squares of numbers up to this, and down to its inverse, fit into float32
+_MAX_SINGLE = 1e15  # float32 represents squares of numbers from its inverse to it
 
 
 def _only_stage(given: Mapping[str, ArrayLike | None]) -> tuple[str, Reals]:
-    """Return the name and the matrix, shape (N, N), of the only stage that is given."""
+    """Return the name and the matrix, shape (N, N), of the given stage; raise unless it is one."""
     stages = [name for name, matrix in given.items() if matrix is not None]
     if len(stages) != 1:
         raise InputError(
@@ -407,7 +406,7 @@ def _only_stage(given: Mapping[str, ArrayLike | None]) -> tuple[str, Reals]:
 
 
 def _as_matrix(matrix: ArrayLike | None, name: str, n_sensors: int | None = None) -> Reals:
-    """Convert a matrix of all pairs to the precision that is used for its size."""
+    """Convert a matrix of all pairs to the float type for its size."""
     try:
         values = np.asarray(matrix)
     except ValueError:

@@ -1,7 +1,7 @@
-"""The refinement of a map: the covariogram's map, averaged with one of path lengths.
+"""The refinement of a map: the map of the covariogram, averaged with a map of path lengths.
 
-The covariogram's map assumes that one function of distance explains all correlations. Where it
-leaves some of them unexplained, path lengths have a share in the map.
+The map of the covariogram assumes that one function of distance explains all correlations. The
+larger the unexplained share of the correlations, the larger the weight of path lengths.
 """
 
 from __future__ import annotations
@@ -25,27 +25,26 @@ from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, sm
 logger = logging.getLogger(__name__)
 
 MIN_SENSORS = 8
-"""Sensors of a refined map: fewer have hardly more pairs than coordinates."""
+"""Minimum number of sensors of a refined map: fewer have hardly more pairs than coordinates."""
 
 DIFFERENT = 0.04
-"""Share of the variance of the correlations that distances on a map leave unexplained, from which
-contacts differ from place to place: at least .045 where they did, and at most .02 elsewhere.
+"""Unexplained share of the variance of the correlations from which contacts differ between places:
+it was at least .045 on skins on which contacts differed, and at most .02 on other skins.
 """
 
 _PATHS_UNEXPLAINED = 0.05
-"""Unexplained share that the errors of path lengths themselves, from noise and bends, amount to;
-.02 to .1 give about equal maps (``python -m benchmarks.accuracy.steps``).
-"""
+"""Unexplained share that is due to errors of path lengths, by noise and bends; .02 to .1 result in
+similar maps (``python -m benchmarks.accuracy.steps``)."""
 
 _METRIC_SHARE, _LARGE = 2.5e-4, 500
 """Weight of the metric per sensor, times the variance of its ratios, and the number of sensors from
-which it grows with their square: there, residuals are not whitened, and count as independent. Below
-it, 1e-4 to 4e-4 make about equal maps; spheres of 1,000 gain from up to 16 times the weight."""
+which the weight grows with its square: residuals are then not whitened, and count as independent.
+Below it, 1e-4 to 4e-4 result in similar maps; spheres of 1,000 gain from up to 16 times the weight.
+"""
+_LEAST_VARIANCE = 1e-4  # of ratios: the relative error of a metric is at least 1 %
+_ROUGH = 1e-4  # tolerance of the first fit, which gives the unit of the metric
 
-_LEAST_VARIANCE = 1e-4  # of ratios: no metric is known to 1 %
-_ROUGH = 1e-4  # tolerance of the fit that the metric is compared with
-
-_AFTER_ROUGH, _AFTER_FITS = 1.5, 0.3  # time still taken, over that taken; with 2,000 sensors
+_AFTER_ROUGH, _AFTER_FITS = 1.5, 0.3  # remaining time relative to elapsed; with 2,000 sensors
 _NEAR_MINIMUM = SmacofOptions(tolerance=1e-6)
 
 
@@ -66,7 +65,7 @@ class Refinement:
 
     @property
     def distorted(self) -> bool:
-        """Whether contacts differ from place to place, which distorts lengths alike in all maps."""
+        """Whether contacts differ between places, which distorts all maps in the same way."""
         return self.unexplained > DIFFERENT
 
 
@@ -106,8 +105,8 @@ def refine(
         seconds = _AFTER_FITS * (monotonic() - begun)
         log_stage("scaling paths between neighbours", len(positions), seconds)
     proposed = _by_paths(evidence, found.positions)
-    # The variance of each map is taken to be proportional to the share that it leaves unexplained,
-    # to which paths add their own; a mean weighted by precisions has the smallest variance.
+    # The variance of each map is assumed to be proportional to its unexplained share, plus a
+    # constant for paths; a mean weighted by precisions has the smallest variance.
     precision = share / (max(share, evidence.unexplained(proposed)) + _PATHS_UNEXPLAINED)
     weight = precision / (1 + precision)
     mean = (1 - weight) * found.positions + weight * proposed
@@ -118,7 +117,7 @@ def _in_unit_of(positions: Reals, metric: Reals) -> tuple[Reals, float]:
     """Return a metric, (n, n), in the unit of a map, (n, k), and its weight in a fit of the map.
 
     The weight is inversely proportional to the variance of the ratios of distances on the map to
-    the metric. It grows with the sensors, as errors of near distances add up over a large map.
+    the metric. It grows with the number of sensors: errors of short distances add up over a map.
     """
     ratios = pdist(positions) / squareform(metric, checks=False)
     mean = float(ratios.mean())
@@ -128,9 +127,9 @@ def _in_unit_of(positions: Reals, metric: Reals) -> tuple[Reals, float]:
 
 
 def _by_paths(evidence: Evidence, positions: Reals) -> Reals:
-    """Scale path lengths from near a map, in its frame. positions (n, k) -> (n, k).
+    """Scale path lengths, starting near a map, in its frame. positions (n, k) -> (n, k).
 
-    The covariogram compresses regions of wide contacts. Paths follow bends, but assume nothing
+    The covariogram compresses regions of wide contacts. Paths follow bends, but make no assumption
     about distant regions.
     """
     paths = _normalised_paths(evidence.similarity)
@@ -139,7 +138,7 @@ def _by_paths(evidence: Evidence, positions: Reals) -> Reals:
     dimensions = positions.shape[1]
     distances = squareform(pdist(positions))
     lengths = distances.sum() / (len(paths) * (len(paths) - 1)) * paths
-    # Started from the scaling of the mean of both, which folds neither.
+    # The start is the scaling of the mean of both, in which neither map is folded.
     given = scaled = np.asarray(positions, dtype=np.float64)
     for target in ((distances + lengths) / 2, lengths):
         found = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR_MINIMUM)
