@@ -1,4 +1,4 @@
-"""The readings of single sensors: complete, centred or ranked."""
+"""Operations on the readings of each sensor: iterate, transpose, rank, centre and fill gaps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _SENSORS_AT_ONCE = 64
-_FRAMES_AT_ONCE = 256  # of a transposition; two such blocks stay in the cache
+_FRAMES_AT_ONCE = 256  # frames transposed at a time; two such blocks stay in the cache
 _CENTRED_AT_ONCE = 32  # sensors whose intermediate arrays stay in the cache
 
 
@@ -22,7 +22,7 @@ def columns(readings: NDArray[Any]) -> Iterator[NDArray[Any]]:
 def transposed(readings: NDArray[Any], buffer: NDArray[Any] | None = None) -> NDArray[Any]:
     """Transpose readings, contiguous by sensor. readings (T, N) -> (N, T).
 
-    buffer (n, T): Of N sensors or more, which is filled: new memory takes longer than the rest.
+    buffer (n, T): Output for n >= N sensors, since allocation takes longer than transposition.
     """
     if readings.flags.f_contiguous:
         return readings.T
@@ -40,7 +40,7 @@ def ranks_from_counts(counts: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
 
 
 def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
-    """Rank the readings of one sensor, (T,), as `scipy.stats.rankdata`, in a third of its time."""
+    """Rank the readings of one sensor, (T,), three times as fast as `scipy.stats.rankdata`."""
     order = column.argsort()
     ordered = column[order]
     ends = np.append(np.flatnonzero(ordered[1:] != ordered[:-1]), column.size - 1)
@@ -54,7 +54,7 @@ def mean_ranks(column: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def ranked(readings: ArrayLike) -> NDArray[np.float64]:
-    """Rank the readings of each sensor, (T, N), contiguous by column; ties share their mean."""
+    """Rank the readings of each sensor, (T, N), contiguous by column; ties take the mean rank."""
     values = np.asarray(readings)
     ranks = np.empty(values.shape[::-1])
     for row, column in zip(ranks, columns(values), strict=True):
@@ -71,7 +71,7 @@ def centred_rows(readings: NDArray[Any]) -> NDArray[np.float32]:
     buffer = np.empty((_CENTRED_AT_ONCE, len(readings)), readings.dtype)
     for begin in range(0, len(rows), _CENTRED_AT_ONCE):
         part = transposed(readings[:, begin : begin + _CENTRED_AT_ONCE], buffer)
-        # A difference of numbers in float32 is rounded relative to itself.
+        # The relative rounding error of a difference of float32 numbers is small.
         part = part if part.dtype == np.float32 else part.astype(np.float64)
         part = part - part[:, :1]  # exactly 0 for constant sensors
         part -= part.mean(axis=1)[:, None]
@@ -85,8 +85,8 @@ def centred_rows(readings: NDArray[Any]) -> NDArray[np.float32]:
 def fill_gaps(readings: NDArray[Any]) -> NDArray[Any]:
     """Interpolate missing readings of each sensor linearly in time. readings (T, N) -> (T, N).
 
-    Those before the first or after the last known reading take its value; all are 0 if none is
-    known.
+    Gaps before the first or after the last known reading take the value of this reading. All
+    readings of a sensor without known readings become 0.
     """
     if readings.dtype.kind != "f":
         return readings

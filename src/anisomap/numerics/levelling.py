@@ -1,7 +1,7 @@
-"""Levels at rest that differ between recordings of one skin, or step within one.
+"""Levels at rest that differ between recordings of one skin, or step within a recording.
 
-A session has its own zero: pooled as they are, sensors whose zeros differ look related. Levels are
-compared with the noise at rest of both sides, and changed only where most sensors differ.
+Each session has its own zero. If sessions are pooled unchanged, sensors whose zeros differ appear
+to be related. Levels are compared with the noise at rest, and corrected if most sensors differ.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from anisomap.numerics.precision import Floats
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 MIN_FRAMES = 50
-"""Frames that tell the level at rest of a recording; of fewer, sensors may be touched in most."""
-
-# Chosen by hand: a contact moves fewer sensors, and all to one side of rest.
+"""Minimum number of frames for a level at rest: in fewer, sensors may be touched most of the time.
+"""
+# Chosen by hand: a contact changes fewer sensors, and all of them to one side of rest.
 _MOST, _EACH_SIDE = 0.5, 0.1  # of the sensors
-_N_COMPARED = 200  # frames at each end, to see whether there is a step
+_N_COMPARED = 200  # frames at each end, compared to detect a step
 _WINDOW = 25  # frames
 _SIDE = 10  # frames before and behind a step
 _CERTAIN = 4.0  # standard deviations of a difference
 _NEARLY_ALL = 0.8  # of the sensors
-_NOISE = 6.0  # standard deviations that a level must differ by
+_NOISE = 6.0  # minimum difference of levels, in standard deviations
 _AT_REST = 0.5  # of the frames between steps
-# Frames that may be at the level of the other side of a step, by chance and by contacts.
+# Shares of frames that may be at the level beyond a step, by chance and by contacts.
 _BEYOND, _TOUCHED = 0.02, 0.3
 
 
 def offsets(
     parts: Sequence[NDArray[np.floating]], sensors: Sequence[NDArray[np.intp]]
 ) -> list[Floats | None]:
-    """Return by how much the rest of each part is above that of the first with the same sensor.
+    """Return the rest of each part minus the rest of the first part with the same sensor.
 
-    parts: Readings, (T, n), of the sensors with the given numbers. None for a part that is too
-    short, or of which less than half of the sensors differ by more than noise.
+    parts: Readings, (T, n), of the sensors with the given numbers. The offset is None for a part
+    that is too short, or in which less than half of the sensors differ by more than noise.
     """
     n_all = 1 + max(int(own.max(initial=-1)) for own in sensors)
     level, noise = np.full((2, n_all), np.nan)
@@ -68,10 +68,10 @@ def _rest(readings: NDArray[np.floating]) -> Rest:
 
 
 def steps_of_rest(readings: NDArray[np.floating]) -> list[int]:
-    """Return the frames from which most sensors rest at another level than before; most have none.
+    """Return the frames at which the rest level of most sensors changes; usually there are none.
 
-    Levels step to both sides, and each level is left for contacts only: a hold ends at a level that
-    was there before.
+    At a step, some sensors rise and others fall. Between steps, readings leave the level only
+    during contacts. After a long contact, by contrast, readings return to an earlier level.
     """
     n_frames = len(readings)
     if n_frames < 2 * MIN_FRAMES or readings.shape[1] < 1 / _EACH_SIDE:
@@ -103,7 +103,7 @@ def _confirmed(readings: NDArray[np.floating], candidates: NDArray[np.intp]) -> 
 
 
 def _largest_step(readings: NDArray[np.floating]) -> int:
-    """Return the frame that divides frames at the first level from those at the last."""
+    """Return the frame that separates frames at the first level from frames at the last level."""
     values = readings.astype(np.float64)
     low, high = (
         np.median(part, axis=0) for part in (values[: 2 * _WINDOW], values[-2 * _WINDOW :])
@@ -115,9 +115,9 @@ def _largest_step(readings: NDArray[np.floating]) -> int:
 
 
 def _at_once(readings: NDArray[np.floating], frame: int) -> bool:
-    """Return whether nearly all sensors change at a frame, and between it and the one before.
+    """Return whether nearly all sensors change between the preceding frame and a frame.
 
-    Contacts that begin and end together reach fewer sensors, or take several frames.
+    Contacts that begin and end together change fewer sensors, or take several frames.
     """
     near = readings[frame - _SIDE : frame + _SIDE].astype(np.float64)
     before, after = np.split(near, 2)
@@ -135,15 +135,15 @@ def _level(readings: NDArray[np.floating]) -> tuple[Floats, Floats]:
 
 
 def _apart(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> bool:
-    """Return whether most sensors differ by more than noise, some to either side."""
+    """Return whether most sensors differ by more than noise, and some differ to each side."""
     step, noise = after[0] - before[0], np.maximum(before[1], after[1])
     up, down = (float(np.mean(sign * step > _NOISE * noise)) for sign in (1, -1))
     return up + down > _MOST and min(up, down) > _EACH_SIDE
 
 
 def _is_step(before: NDArray[np.floating], after: NDArray[np.floating]) -> bool:
-    """Return whether two parts rest at levels of their own."""
-    after = after[: 4 * MIN_FRAMES]  # up to the next step, perhaps
+    """Return whether two parts rest at different levels."""
+    after = after[: 4 * MIN_FRAMES]  # a later step may follow
     levels = _level(before), _level(after)
     if not _apart(*levels):
         return False
@@ -151,7 +151,7 @@ def _is_step(before: NDArray[np.floating], after: NDArray[np.floating]) -> bool:
     step, noise = high - low, np.maximum(noise, levels[1][1])
     moved = np.abs(step) > _NOISE * noise
     middle, sign = (low + high) / 2, np.sign(step)
-    # A contact moves readings to one side; the other side of a level is not visited.
+    # A contact moves readings to one side; readings do not reach the level on the other side.
     visits = (
         (sign * (before - middle) > 0).mean(axis=0),
         (sign * (after - middle) < 0).mean(axis=0),

@@ -19,7 +19,7 @@ def nearest_others(
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Find the nearest neighbours of points, all by default: distances and indices, (n, count).
 
-    A point is no neighbour of itself, even if others coincide with it. There may be fewer columns.
+    A point is not its own neighbour, even if other points coincide. Few points give fewer columns.
     """
     rows = np.arange(len(points)) if rows is None else rows
     count = min(count, len(points) - 1)
@@ -27,7 +27,7 @@ def nearest_others(
         return np.empty((len(rows), 0)), np.empty((len(rows), 0), dtype=np.intp)
     distances, found = KDTree(points).query(points[rows], k=count + 1)
     itself = found == rows[:, None]
-    itself[~itself.any(axis=1), -1] = True  # crowded out by coincident points: drop the last
+    itself[~itself.any(axis=1), -1] = True  # absent because of coincident points: drop the last
     shape = (len(rows), count)
     return np.asarray(distances)[~itself].reshape(shape), np.asarray(found)[~itself].reshape(shape)
 
@@ -43,10 +43,10 @@ def padded(points: NDArray[np.float64], dimensions: int) -> NDArray[np.float64]:
 
 
 def tree_edges(weights: NDArray[np.floating[Any]]) -> Iterator[tuple[int, int]]:
-    """Yield each node of the maximum spanning tree, in order, and the earlier one that it joins.
+    """Yield each node of the maximum spanning tree in order, and the earlier node that it joins.
 
     Prim (1957), Bell System Technical Journal 36: 1389-1401, in O(N^2). scipy sorts all edges, and
-    its sparse graphs have none of weight 0.
+    its sparse graphs cannot represent edges of weight 0.
     """
     # Weight and end of the strongest edge from the tree to each node. Nodes of the tree are never
     # chosen from `strongest`, and no edge exceeds their `bound`.
@@ -64,7 +64,7 @@ def tree_edges(weights: NDArray[np.floating[Any]]) -> Iterator[tuple[int, int]]:
 
 
 def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-    """Join the nodes of the minimum spanning tree of a complete graph. lengths (N, N)."""
+    """Return the links of the minimum spanning tree of a complete graph. lengths (N, N)."""
     joined = np.zeros(lengths.shape, dtype=bool)
     for node, end in tree_edges(-lengths):
         joined[node, end] = joined[end, node] = True
@@ -74,22 +74,22 @@ def spanning_tree(lengths: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
 def components(dissimilarity: ArrayLike) -> NDArray[np.intp]:
     """Label the components connected by finite dissimilarities, (N, N) -> (N,).
 
-    0 is the largest, ties by the first object.
+    0 is the largest. Components of equal size are ordered by their first objects.
     """
     joined = np.isfinite(dissimilarity)
-    if joined.all():  # the most frequent case, without a slow search
+    if joined.all():  # the most frequent case needs no slow search
         return np.zeros(len(joined), dtype=np.intp)
     return labels_by_size(linked_labels(joined))
 
 
 def linked_labels(joined: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Label the components of a symmetric graph, (N, N) -> (N,)."""
-    graph: Any = csr_array(joined)  # scipy masks a dense one first, which takes longer
+    graph: Any = csr_array(joined)  # scipy first masks a dense graph, which takes longer
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
 def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Renumber components by decreasing size, ties by the first object."""
+    """Renumber components by decreasing size; equal sizes are ordered by the first object."""
     _, first_seen, member, count = np.unique(
         labels, return_index=True, return_inverse=True, return_counts=True
     )
@@ -98,7 +98,7 @@ def labels_by_size(labels: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 
 @dataclass(frozen=True)
 class Kernel:
-    """Covariance of a field of unit variance: its reach, in units of the points, and its noise."""
+    """Covariance of a field of unit variance. reach: In units of the points. noise: A variance."""
 
     reach: float
     noise: float

@@ -44,7 +44,7 @@ def row_blocks(n_rows: int) -> Iterator[slice]:
 
 
 def symmetric_from_upper(matrix: NDArray[Any]) -> NDArray[Any]:
-    """Return a symmetric matrix with the upper triangle of another. matrix (N, N) -> (N, N)."""
+    """Mirror the upper triangle of a matrix, (N, N) -> (N, N)."""
     return np.asarray(np.triu(matrix) + np.triu(matrix, 1).T)
 
 

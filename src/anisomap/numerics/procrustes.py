@@ -89,22 +89,22 @@ def extent(points: Floats) -> float:
 
 
 def noise_scale(residuals: Floats, dimensions: int) -> float:
-    """Estimate the standard deviation per coordinate from lengths of residuals, robustly.
+    """Robustly estimate the standard deviation per coordinate from lengths of residuals.
 
-    The median length over that of a standard normal vector (the median of the chi distribution).
+    It is the median length divided by the median of the chi distribution.
     """
     return float(np.median(residuals) / np.sqrt(2 * gammaincinv(dimensions / 2, 0.5)))
 
 
 def fit_similarity_robustly(source: Floats, target: Floats) -> Similarity:
-    """Fit a similarity that points far from their target do not bend. source, target (n, k).
+    """Fit a similarity that is robust to points far from their target. source, target (n, k).
 
     Iteratively reweighted least squares: first least absolute distances, then the weights of Geman
     & McClure (1987), which vanish for large residuals. Fewer than half of the points may be far
-    off.
+    from their targets.
     """
     fits = []
-    # Residuals of an exact fit are rounding errors, of which the ratios mean nothing.
+    # Residuals of an exact fit are rounding errors, whose ratios are meaningless.
     least = max(float(np.finfo(float).eps * np.ptp(target)), float(np.finfo(float).tiny))
     for hand in (False, True):
         fit = fit_similarity(source, target, reflection=hand)
@@ -132,7 +132,7 @@ def rotations(angles: Floats) -> Floats:
 
 
 def similarity_derivatives(points: Floats) -> Floats:
-    """Return derivatives of points by shift, rotation and scale, which is last, (n, k, p)."""
+    """Return derivatives of points by shift, rotation and scale, in this order, (n, k, p)."""
     n, k = points.shape
     columns = [np.tile(np.eye(k), (n, 1, 1))]
     for i in range(k):
@@ -144,9 +144,9 @@ def similarity_derivatives(points: Floats) -> Floats:
 
 
 def leverage(fitted: Floats, points: Floats) -> Floats:
-    """Return variances that a similarity fitted to (n, k) gives to points (m, k), shape (m,).
+    """Return the variances of points (m, k) under a similarity fitted to points (n, k), (m,).
 
-    Sums over coordinates, for independent errors of variance 1 of a coordinate.
+    Each is a sum over coordinates; errors of coordinates are independent and of variance 1.
     """
     centre, size = fitted.mean(axis=0), extent(fitted)
     here, there = (similarity_derivatives((one - centre) / size) for one in (fitted, points))

@@ -13,9 +13,9 @@ _ROWS_AT_ONCE = 4096  # moved forward together
 
 
 class EvenSample:
-    """Every k-th frame of those added; k doubles when more readings are held than allowed.
+    """Every k-th frame of the frames added; k doubles when the sample exceeds its limit.
 
-    The memory grows in place, so that adding frames never needs twice of it.
+    The memory grows in place, so adding frames never requires twice the memory.
 
     n_frames: Number of frames added.
     every: k, a power of 2.
@@ -29,7 +29,7 @@ class EvenSample:
 
     @property
     def next_kept(self) -> slice:
-        """Those of the next frames that are kept, unless k doubles."""
+        """Slice of the next frames to keep, unless k doubles."""
         return slice(-self.n_frames % self.every, None, self.every)
 
     def add(self, frames: NDArray[Any]) -> None:
@@ -54,7 +54,7 @@ class EvenSample:
         return self._rows[: self._n_rows].copy()
 
     def take(self) -> NDArray[Any]:
-        """Hand over the frames that are held, shape (n, N), without a copy; none may follow."""
+        """Return the frames held, shape (n, N), without a copy; no frame may be added later."""
         self._resize(self._n_rows)
         self._rows.setflags(write=False)
         return self._rows
@@ -73,9 +73,9 @@ class EvenSample:
 
 
 MAX_FRAMES = 16384
-"""Number of frames in a sample that follows a recording while it grows."""
+"""Maximum number of frames in a sample of a growing recording."""
 
-_MAX_READINGS, _MIN_FRAMES = 1 << 23, 256  # of many sensors, fewer frames: 32 MiB
+_MAX_READINGS, _MIN_FRAMES = 1 << 23, 256  # limit of 32 MiB: fewer frames of many sensors
 
 
 def sample_of(n_sensors: int) -> EvenSample:

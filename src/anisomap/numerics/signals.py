@@ -1,4 +1,4 @@
-"""Statistics of complete readings that several analyses use, each computed once; excerpts."""
+"""Statistics of complete readings, computed once for several analyses; excerpts of readings."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from anisomap.numerics.precision import Floats, Reals
 from anisomap.numerics.similarity.rest import Rest, estimate_rest
 
 MAX_FRAMES = 4096
-"""Consecutive frames of an excerpt; chosen by hand: statistics change little beyond."""
+"""Consecutive frames of an excerpt; chosen by hand: statistics of more frames hardly differ."""
 
 MAX_SENSORS = 256
 """Sensors of an excerpt; chosen by hand: matrices of all pairs then take milliseconds."""
 
 _N_DIFFERING, _SENSORS_AT_ONCE = 128, 64  # frames and sensors
 MAX_PAIRED = 2048
-"""Sensors up to which statistics of all pairs are kept."""
+"""Maximum number of sensors for which statistics of all pairs are stored."""
 
 _FRAMES_AT_ONCE = 256  # whose intermediate arrays stay in the cache
 _EXCEEDED = 0.01  # probability with which a normal maximum is exceeded
 _HALF_IN_COMMON = 0.5**0.5  # r of sensors that have half of their variance in common
-_MAX_PARTS, _N_LOOKED_AT = 17, 512  # parts of a recording, and frames of each, that are looked at
+_MAX_PARTS, _N_LOOKED_AT = 17, 512  # parts of a recording, and frames of each, that are examined
 _N_LISTENED = 64  # sensors whose spectra are computed
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Levels, rest and contacts of N sensors, computed when they are first asked for.
+    """Levels, rest and contacts of N sensors, computed at first use.
 
     readings (T, N): Finite.
     """
@@ -45,9 +45,9 @@ class Signals:
         return estimate_rest(self.readings)
 
     def differ_by_less(self, limits: Floats) -> NDArray[np.bool_]:
-        """Return whether two readings of each sensor differ, by less than a limit, shape (N,)."""
+        """Return whether readings of each sensor differ, and by less than a limit, shape (N,)."""
         found = np.zeros(len(limits), dtype=bool)
-        for some in (slice(_N_DIFFERING), slice(None)):  # mostly, few frames are enough
+        for some in (slice(_N_DIFFERING), slice(None)):  # few frames usually suffice
             for begin in range(0, len(left := np.flatnonzero(~found)), _SENSORS_AT_ONCE):
                 part = left[begin : begin + _SENSORS_AT_ONCE]
                 steps = np.diff(np.sort(transposed(self.readings[some, part]), axis=1), axis=1)
@@ -56,7 +56,7 @@ class Signals:
 
     @property
     def never_at_rest(self) -> NDArray[np.intp]:
-        """Sensors that no value occurs often in: a signal that is always there leaves none."""
+        """Sensors without a frequent value, such as sensors with a permanent signal."""
         return np.flatnonzero(~self.rest.frequent)
 
     @cached_property
@@ -81,8 +81,8 @@ class Signals:
     def touched(self) -> NDArray[np.bool_]:
         """Whether readings are clearly beyond rest, at twice the threshold, shape (T, N).
 
-        Sensors without a rest are always touched, or show noise alone. Among others that have a
-        rest, they are if they resemble some of them.
+        A sensor without rest is always touched, or contains only noise. It counts as touched if it
+        exceeds noise or, where most sensors have a rest, if it resembles other sensors.
         """
         rest = self.rest
         restless = np.flatnonzero(~rest.known)
@@ -120,13 +120,13 @@ class Signals:
 
     @cached_property
     def contacts(self) -> NDArray[np.intp]:
-        """Separate contacts of each sensor: runs of frames clearly beyond rest."""
+        """Number of contacts of each sensor: runs of frames clearly beyond rest."""
         return count_contacts(self.touched)
 
     @cached_property
     def spectra(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
         """Some sensors, and the power of their readings at each frequency, (F, n), Hann window."""
-        # Processes that read files need no spectra, and start in a third of the time without them.
+        # Processes that read files compute no spectra, and start three times as fast without scipy.
         from scipy.fft import rfft  # noqa: PLC0415
 
         chosen = some_sensors(self.readings.shape[1], _N_LISTENED)
@@ -168,7 +168,7 @@ def squares_and_lagged(
 def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Return whether sensors correlate with themselves a frame later, or with others, (n,).
 
-    Noise alone does so in 1 % of the recordings.
+    The probability for noise alone is 1 % per recording.
     """
     rows = unit_rows(readings[excerpt_frames(readings)][:, sensors])
     some = some_sensors(sensors.size)
@@ -180,7 +180,7 @@ def _exceed_noise(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[
 
 
 def _resemble_others(readings: NDArray[Any], sensors: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return whether sensors share half of their variance with one of some others, (n,)."""
+    """Return whether sensors share half of their variance with any of a sample of sensors, (n,)."""
     some = some_sensors(readings.shape[1])
     part = readings[excerpt_frames(readings)]
     r = np.abs(unit_rows(part[:, sensors]) @ unit_rows(part[:, some]).T)
@@ -225,10 +225,10 @@ def standardised(readings: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def excerpt_frames(readings: NDArray[Any], most: int = MAX_FRAMES) -> slice:
-    """Return consecutive frames for an excerpt: the middle ones, unless the skin rests there.
+    """Return consecutive frames for an excerpt: the middle frames, unless the skin rests there.
 
-    It rests where fewer than half as many sensors change as in the busiest part of that length. A
-    sensor changes in a part if its readings there span half of those of all parts. readings (T, N).
+    The skin rests in a part if fewer than half as many sensors change as in the busiest part of the
+    same length. A sensor changes if its readings span half of its range over all parts. (T, N).
     """
     if len(readings) <= most:
         return slice(0, most)
@@ -258,7 +258,7 @@ def deviation_from_median(values: Floats) -> Floats:
 
 def medians(values: NDArray[Any]) -> NDArray[Any]:
     """Return the median of each column, shape (N,); many times faster than `numpy.median`."""
-    # Sorting contiguous rows is vectorised, partitioning is not.
+    # Sorting of contiguous rows is vectorised, unlike partitioning.
     ordered = np.sort(np.ascontiguousarray(values.T), axis=1)
     middle = len(values) // 2
     if len(values) % 2:

@@ -54,11 +54,11 @@ def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray
 
     positions (N, 2 or 3) -> normals (N, 3), reliable (N,).
 
-    Normals are unit vectors. In 2D the z axis. In 3D perpendicular to the plane fitted to each
-    point and its `NEIGHBOURS` nearest points. Neighbouring normals are oriented consistently, and
-    the outermost normal of each connected component points away from the component's centroid
-    (Hoppe et al. 1992, doi:10.1145/133994.134011). Where the neighbours are collinear or fewer than
-    2, no plane is defined: the normal points away from the centroid of all points.
+    Normals are unit vectors. In 2D, each is the z axis. In 3D, each is perpendicular to the plane
+    fitted to a point and its `NEIGHBOURS` nearest points. Neighbouring normals are oriented
+    consistently, and the outermost normal of each connected component points away from the centroid
+    of the component (Hoppe et al. 1992, doi:10.1145/133994.134011). If the neighbours are collinear
+    or fewer than 2, the normal points away from the centroid of all points.
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
@@ -90,10 +90,10 @@ def _orient(
     n_points, count = nearest.shape
     start, end = np.repeat(np.arange(n_points), count), nearest.ravel()
     cost = 1 - np.abs(np.einsum("ed,ed->e", normals[start], normals[end]))
-    # scipy sorts costs with an unstable sort: of equal ones, as on flat skins, the first are taken.
+    # scipy's sort of costs is unstable: ranks resolve equal costs, as on flat skins, by order.
     rank = np.empty(len(cost))
     rank[np.argsort(cost, kind="stable")] = np.arange(1, len(cost) + 1)
-    ends = start.astype(np.int32), end.astype(np.int32)  # scipy 1.14 takes no others
+    ends = start.astype(np.int32), end.astype(np.int32)  # scipy 1.14 requires int32
     tree = minimum_spanning_tree(coo_array((rank, ends), shape=(n_points, n_points)).tocsr())
     oriented = normals.copy()
     labels = connected_components(tree, directed=False)[1]
@@ -128,10 +128,10 @@ _MAX_SPLITS = 50  # edges are not split below this fraction of the extent of the
 
 
 class TriangleSearch:
-    """Exact search for the nearest of many triangles, at least one.
+    """Exact search for the nearest of one or more triangles.
 
-    Each lies in a ball about its centroid: one whose centroid is further than the nearest vertex
-    plus the largest such radius cannot be the nearest. Large triangles are split.
+    Each triangle lies in a ball about its centroid. A triangle whose centroid is further than the
+    nearest vertex plus the largest radius cannot be the nearest. Large triangles are split.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -177,10 +177,10 @@ class TriangleSearch:
     def _candidates(
         self, points: Points
     ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], Points, Points]]:
-        """Yield blocks of points, and the pairs of one of them and a triangle that may be nearest.
+        """Yield, for each block of points, candidate pairs of a point and its nearest triangle.
 
-        These are the rows of the points; of each pair, the point in the block, the triangle, the
-        nearest point on it, and the offset from there.
+        Yields the rows of the block; for each pair, the index of the point in the block, the
+        triangle, the nearest point on the triangle, and the offset from this nearest point.
         """
         # The margin, far above rounding errors, keeps at least one candidate for every point.
         bound = (np.asarray(self._vertices.query(points)[0]) + self._largest) * (1 + _ROUNDING)
@@ -197,7 +197,7 @@ class TriangleSearch:
 
 
 def doubled_normals(corners: Points) -> Points:
-    """Return the normals of triangles with the length of twice their areas, (n, 3, 3) -> (n, 3)."""
+    """Return normals of triangles, with lengths of twice the areas, (n, 3, 3) -> (n, 3)."""
     return np.asarray(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
@@ -241,7 +241,7 @@ def _split_large(corners: Points) -> Points:
 
 
 def nearest_on_triangles(points: Points, corners: NDArray[np.float64]) -> Points:
-    """Find the nearest point on each of n triangles to one point each.
+    """Find, for each pair of a point and a triangle, the nearest point on the triangle.
 
     points (n, 3), corners (n, 3, 3) -> (n, 3).
     """

@@ -43,7 +43,7 @@ def exponential(x: Any) -> Any:
 
 @loop(fastmath=_IN_ORDER, error_model="numpy")
 def logarithm(x: Any) -> Any:
-    """Return log x within 1e-7 of its value and within 1e-7, for normal numbers.
+    """Return log x for normal numbers, with an absolute and a relative error of up to 1e-7.
 
     ``log x = e log 2 + log m`` for a whole number e and m from sqrt(1/2) to sqrt(2); log m is the
     series of ``2 artanh u`` up to u^9, with ``u = (m - 1) / (m + 1)``.

@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 from anisomap.numerics.compiled.parallel import loop
 
 Reals = NDArray[np.floating[Any]]
-Range = tuple[int, int]  # from the first to before the last
+Range = tuple[int, int]  # first, and last (exclusive)
 
 SIDE = 64
 """Nodes per tile. A tile of float64, 32 KiB, fits into the first-level cache.
 
-A constant: with a number known to the compiler, loops take three quarters of the time.
+It is a constant, since loops of a length known to the compiler take three quarters of the time.
 """
 
 
 @loop()
 def tile_number(row: int, column: int, n_blocks: int) -> int:
-    """Return the place of a tile, row by row; `row` must not exceed `column`."""
+    """Return the index of a tile in row-major order; `row` must not exceed `column`."""
     return row * (2 * n_blocks - row - 1) // 2 + column
 
 
 @loop()
 def close_tile(tile: Reals) -> None:
-    """Replace lengths within a block by those of shortest paths (Floyd-Warshall)."""
+    """Replace lengths within a block by lengths of shortest paths (Floyd-Warshall)."""
     for k in range(SIDE):
         through = tile[k].copy()
         for i in range(SIDE):
@@ -40,7 +40,7 @@ def close_tile(tile: Reals) -> None:
 def lower_tile(tile: Reals, left: Reals, right: Reals) -> None:
     """Lower ``tile[i, j]`` to the least ``left[i, k] + right[k, j]``, a (min, +) product.
 
-    Two rows and four middles at a time give eight sums for six loads.
+    Two rows and four middle nodes at a time give eight sums for six loads.
     """
     for i in range(0, SIDE, 2):
         for k in range(0, SIDE, 4):
@@ -55,9 +55,9 @@ def lower_tile(tile: Reals, left: Reals, right: Reals) -> None:
 
 @loop()
 def reach_blocks(tiles: Reals, middle: int, outwards: Reals, inwards: Reals) -> None:
-    """Compute the paths from a block of nodes, whose tile is closed, to all blocks J.
+    """Compute the path lengths from a block of nodes, whose tile is closed, to all blocks J.
 
-    They are set in ``outwards[J]``, and their transposes in ``inwards[J]``.
+    They are stored in ``outwards[J]``, and their transposes in ``inwards[J]``.
     """
     n_blocks = len(outwards)
     within = tiles[tile_number(middle, middle, n_blocks)]

@@ -22,14 +22,14 @@ Loop = TypeVar("Loop", bound=Callable[..., Any])
 MIN_COMPILED_ROWS = 500
 """Minimum rows of a matrix that require compiled loops."""
 
-_MIN_FASTER_ROWS = 400  # from which they save more time than importing numba takes
+_MIN_FASTER_ROWS = 400  # for which loops save more time than importing numba takes
 
 MIN_PARALLEL_ROWS = 1500
-"""Minimum rows of a matrix for threads; below, starting them takes longer than they save."""
+"""Minimum rows of a matrix for threads; for fewer, starting threads takes longer than they save."""
 
 
 def loop(**flags: Any) -> Callable[[Loop], Loop]:
-    """Compile a function on its first call, without the global interpreter lock, and cache it."""
+    """Compile a function on its first call, and cache it; it releases the interpreter lock."""
     njit = _numba().njit
 
     def compiled(function: Loop) -> Loop:
@@ -49,19 +49,19 @@ def load_loops(name: str) -> Any:
 
 @lru_cache
 def has_loops() -> bool:
-    """Return whether loops can be compiled, for what is merely faster by them."""
+    """Return whether loops can be compiled."""
     return find_spec("numba") is not None
 
 
 def uses_loops(n_rows: int) -> bool:
-    """Return whether matrices of so many rows are processed by compiled loops."""
+    """Return whether matrices with `n_rows` rows are processed by compiled loops."""
     return n_rows >= (_MIN_FASTER_ROWS if has_loops() else MIN_COMPILED_ROWS)
 
 
 def thread_count() -> int:
     """Return the number of threads for compiled loops.
 
-    The environment variable ``NUMBA_NUM_THREADS`` sets it; joblib sets it for its workers.
+    The environment variable ``NUMBA_NUM_THREADS`` sets this number; joblib sets it for its workers.
     """
     return int(_numba().config.NUMBA_NUM_THREADS)
 
@@ -76,7 +76,7 @@ def parallel_map(
     """Apply a function to every item, in threads if the matrix has enough rows.
 
     Numba's own thread pools are not used: they abort the process when two threads call them at
-    once, or after a fork. Tasks must not depend on the number of threads, so that results do not.
+    once, or after a fork. Items must not depend on the number of threads; then results do not.
     """
     if n_rows < MIN_PARALLEL_ROWS or not has_loops() or thread_count() == 1:
         return [task(item) for item in items]
@@ -88,10 +88,10 @@ def parallel_map(
 def limited_blas(n_rows: int) -> Iterator[None]:
     """Limit BLAS to one thread within the block if matrices have too few rows for threads.
 
-    BLAS threads busy-wait for each other: on a loaded machine, small products take ten times the
+    BLAS threads busy-wait for each other. On a loaded machine, small products take ten times the
     CPU time with several threads.
     """
-    # An import of scipy.linalg that is under way in another thread may not have loaded its BLAS.
+    # Another thread may be importing scipy.linalg, and not yet have loaded its BLAS.
     with _controller(hasattr(modules.get("scipy.linalg"), "blas")).limit(
         limits=1 if n_rows < MIN_PARALLEL_ROWS else None, user_api="blas"
     ):
@@ -100,5 +100,5 @@ def limited_blas(n_rows: int) -> Iterator[None]:
 
 @lru_cache(maxsize=2)
 def _controller(_with_scipy: bool) -> ThreadpoolController:
-    """Find the BLAS libraries in memory once: scipy loads its own beside that of numpy."""
+    """Find the loaded BLAS libraries once; numpy and scipy each load their own."""
     return ThreadpoolController()

@@ -11,10 +11,10 @@ from anisomap.numerics.compiled.parallel import loop
 
 Reals = NDArray[np.floating[Any]]
 Singles = NDArray[np.float32]
-Range = tuple[int, int]  # from the first to before the last
+Range = tuple[int, int]  # first, and last (exclusive)
 
 WIDTH = 512  # columns at a time, which fit into the first-level cache
-# Allows sums in any order, for vectorisation; infinities keep their meaning.
+# Vectorisation requires sums in any order; infinities are still treated correctly.
 REORDERED = {"reassoc", "contract", "nsz", "arcp"}
 
 
@@ -69,7 +69,7 @@ def add_spatial_stress(
     """Return the raw stress as `add_stress` does, for three coordinates, in half the time.
 
     The first of `rows` must be even, and the last (exclusive) must be even or N. Two rows at a time
-    share loads and stores. The second is also paired with itself: its target is 0.
+    share loads and stores. The second row is also paired with itself, with a target of 0.
     """
     n_points = points.shape[1]
     tiny, one = np.finfo(points.dtype).tiny, points.dtype.type(1)

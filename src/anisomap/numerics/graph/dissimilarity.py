@@ -17,9 +17,9 @@ _ROUNDING = {np.float64: 1e-7, np.float32: 1e-5}  # relative asymmetry that is a
 # Tuned on simulated skins, seeds 101-105.
 _INDIRECT_SHARE = 0.1  # weight of the correlation relative to the partial correlation
 _NOISE_FACTOR = 5.0  # weight of the sampling variance
-# Least A in standard errors: smaller similarities
-# say no more of a length, which would be their power of -2.5. With .15, sensors without evidence
-# were 44 median radii away; 1 lost .02 of Mantel r.
+# Minimum of A in standard errors. Smaller similarities do not determine a length, which would be
+# proportional to their power of -2.5. With .15, sensors without evidence were at 44 median radii;
+# 1 lowered Mantel r by .02.
 _LEAST_DIRECT = 0.3
 
 
@@ -48,7 +48,7 @@ def regularised_reciprocal(similarity: ArrayLike, mu: float = 1.0) -> Reals:
     """Return the regularised reciprocal of a similarity, (N, N) -> (N, N).
 
     Negative similarities count as 0; the diagonal is ignored. mu: Weight of the regularisation, at
-    least 0. With 0, unrelated pairs are infinitely far apart; all are if no similarity is positive.
+    least 0. With 0, unrelated pairs are infinitely far apart; so are all if none is positive.
 
     McGregor et al. (2011), section "r-ANISOMAP and I-ANISOMAP":
     ``M_ij = 1 / (max(s_ij, 0) + mu s_min)``, where s_min is the smallest positive element. The
@@ -80,11 +80,11 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
     its smallest positive element, and at least .3 s. Q are the partial correlations of ``S + I``
     (a ridge), which are high only between neighbours. The second factor lengthens pairs with
     correlations within the noise, so that shortest paths do not prefer coincidental correlations.
-    Each variance is at least the median variance, since those of rarely touched sensors are
+    Each variance is at least the median variance, since variances of rarely touched sensors are
     underestimated.
 
-    Partial correlations add the noise of all correlations up, and noise alone leaves no link
-    that is surely direct. Both therefore have the weight ``w = 1 - (1 - p)^2``, where p is the
+    Partial correlations accumulate the noise of all correlations, and noise alone leaves no link
+    certainly direct. Both terms therefore have the weight ``w = 1 - (1 - p)^2``, where p is the
     share of the variance of the correlations that is not sampling noise.
     """
     values = as_symmetric(similarity, "similarity")
@@ -157,7 +157,7 @@ def invert_definite(matrix: Reals) -> Reals | None:
     """Invert a symmetric matrix (n, n), which is overwritten; None if it is not definite."""
     double = matrix.dtype == np.float64
     factorise, invert = (dpotrf, dpotri) if double else (spotrf, spotri)
-    # LAPACK takes the upper triangle of a C-contiguous matrix for the lower one of its transpose.
+    # For LAPACK, the upper triangle of a C-contiguous matrix is the lower one of its transpose.
     if factorise(matrix.T, lower=True, overwrite_a=True, clean=False)[1]:
         return None
     invert(matrix.T, lower=True, overwrite_c=True)

@@ -13,15 +13,15 @@ from anisomap.numerics.precision import Floats, Reals, slices_of, symmetric_from
 
 _TILE_ROWS = 4  # rows of tiles per task; few enough for many threads
 _TILE_MIDDLES = 2  # blocks of nodes through which a tile is lowered while it is in the cache
-_EXTENT = 0.9  # quantile of lengths: the longest are outliers themselves
+_EXTENT = 0.9  # quantile of lengths: the longest lengths may be outliers
 
 
 def with_bounded_stems(lengths: Reals, hidden: NDArray[np.intp]) -> Reals:
     """Bound the lengths to nodes whose links are hidden by noise. lengths (N, N), hidden (H,).
 
-    Their links are long, but their lengths are unknown. If the shortest path from such a node to
-    another one exceeds the extent of the others, all its paths are shortened by the excess. Nothing
-    changes where the others are a minority, whose extent is not that of the skin.
+    The links are long, but their lengths are unknown. If the shortest path from a hidden node to
+    another node exceeds the extent of the other nodes, all paths from it are shortened by the
+    excess. Nothing changes if the other nodes are a minority, too few to show the skin's extent.
     """
     n_nodes = len(lengths)
     if not 0 < 2 * hidden.size < n_nodes:
@@ -41,8 +41,8 @@ def shortest_paths(lengths: Reals) -> Reals:
     """Find the shortest paths between all nodes, (N, N), by a tiled Floyd-Warshall algorithm.
 
     Venkataraman, Sahni & Mukhopadhyaya (2003), ACM Journal of Experimental Algorithmics 8: 2.2.
-    Only tiles on and above the diagonal are computed. They are copied to consecutive memory, as in
-    products of matrices (Goto & van de Geijn 2008, doi:10.1145/1356052.1356053).
+    Only tiles on and above the diagonal are computed. They are copied to contiguous memory, as for
+    matrix products (Goto & van de Geijn 2008, doi:10.1145/1356052.1356053).
     """
     loops = load_loops("graphs")
     n_nodes, side = len(lengths), loops.SIDE
@@ -59,7 +59,7 @@ def shortest_paths(lengths: Reals) -> Reals:
     for group in slices_of(len(blocks), _TILE_MIDDLES):
         middles = range(group.start, group.stop)
         for done, middle in enumerate(middles):
-            # Other tiles wait until the end of the group.
+            # Other tiles are lowered at the end of the group.
             loops.lower_block(tiles, inwards[:done], outwards[:done], middle)
             loops.close_tile(tiles[loops.tile_number(middle, middle, len(blocks))])
             loops.reach_blocks(tiles, middle, outwards[done], inwards[done])
@@ -98,7 +98,7 @@ def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
 def metricise(dissimilarity: ArrayLike) -> Reals:
     """Replace every dissimilarity by the length of the shortest path between its objects.
 
-    A semi-metric (N, N) -> the greatest metric that nowhere exceeds it; exactly symmetric, infinite
+    A semi-metric (N, N) -> the greatest metric that does not exceed it; exactly symmetric, infinite
     between connected components. A metric is returned unchanged.
 
     McGregor et al. (2011), section "ANISOMAP", step 2, and Text S3; Floyd (1962), Warshall (1962).
@@ -116,11 +116,11 @@ def metricise(dissimilarity: ArrayLike) -> Reals:
 
 
 def minimax_paths(dissimilarity: ArrayLike) -> Floats:
-    """Return the least possible longest edge between two objects, (N, N).
+    """Return the minimax path length of every pair of objects, (N, N): the least longest edge.
 
-    `tree_edges` adds one object after another to a minimum spanning tree. The longest edge between
-    two objects is the longest one by which the later one and those between were added (Gower & Ross
-    1969, Applied Statistics 18: 54-64).
+    `tree_edges` adds one object after another to a minimum spanning tree. The minimax length of two
+    objects is the longest edge by which any object after the first one, up to the second, was added
+    (Gower & Ross 1969, Applied Statistics 18: 54-64).
     """
     lengths = check_semi_metric(dissimilarity)
     if not np.isfinite(lengths).all():

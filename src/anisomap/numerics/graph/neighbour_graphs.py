@@ -1,9 +1,4 @@
-"""Neighbour graphs.
-
-Distances along paths of neighbours, from correlations.
-
-Search for the most similar sensors by inner products, in blocks.
-"""
+"""Neighbour graphs, path lengths along them, and search for the most similar sensors."""
 
 from __future__ import annotations
 
@@ -27,7 +22,7 @@ def neighbour_graph(similarity: ArrayLike, n_neighbours: int) -> NDArray[np.bool
 
 
 def _joined(values: Reals, n_neighbours: int) -> NDArray[np.bool_]:
-    """Link every object to those of greatest values, which are -inf on the diagonal."""
+    """Link every object to the objects with the greatest values; the diagonal is -inf."""
     if n_neighbours >= len(values) - 1:
         return ~np.eye(len(values), dtype=bool)
     chosen = greatest_of_rows(values, n_neighbours)
@@ -35,7 +30,7 @@ def _joined(values: Reals, n_neighbours: int) -> NDArray[np.bool_]:
 
 
 def greatest_of_rows(values: NDArray[np.floating[Any]], count: int) -> NDArray[np.bool_]:
-    """Mark the greatest values of each row; of equal ones, the first. values (n, m)."""
+    """Mark the greatest values of each row, the first among equals. values (n, m)."""
     # Sorting takes ten times as long.
     limit = np.partition(values, values.shape[1] - count, axis=1)[:, -count, None]
     chosen = values >= limit
@@ -63,7 +58,7 @@ def smallest_connected_neighbour_graph(similarity: ArrayLike) -> tuple[NDArray[n
     return _joined(values, enough), enough
 
 
-_N_NEIGHBOURS = 8  # of each sensor; on real skins, 6 to 20 give about equal maps
+_N_NEIGHBOURS = 8  # of each sensor; on real skins, 6 to 20 result in similar maps
 _CORRELATIONS = (1e-3, 1 - 1e-6)  # bounds that keep lengths finite and above 0
 
 
@@ -77,9 +72,9 @@ def local_path_lengths(similarity: ArrayLike, n_neighbours: int = _N_NEIGHBOURS)
     np.fill_diagonal(correlation, 1.0)
     lengths = np.sqrt(-np.log(np.clip(correlation, *_CORRELATIONS)))
     linked = neighbour_graph(correlation, n_neighbours)
-    # Weak links are bounded, hence equally long; the tree distinguishes them by the similarity.
+    # Clipped weak links have equal lengths; the tree distinguishes them by similarity.
     linked |= spanning_tree(2.0 - correlation)
-    # Correlations have errors of far more than 1e-6; paths in float32 take half the time.
+    # The errors of correlations exceed 1e-6 by far; paths in float32 take half the time.
     lengths = np.where(linked, lengths, np.inf).astype(np.float32)
     np.fill_diagonal(lengths, 0.0)
     return metricise(lengths).astype(np.float64)
@@ -88,15 +83,15 @@ def local_path_lengths(similarity: ArrayLike, n_neighbours: int = _N_NEIGHBOURS)
 _ROWS = 512  # of a block of inner products
 
 MAX_WHOLE = 2048
-"""Sensors up to which all inner products are computed at once; 16 MiB."""
+"""Maximum number of sensors for which all inner products are computed at once; 16 MiB."""
 
 
 def most_similar(
     rows: NDArray[np.float32], count: int, *, whole: NDArray[np.float32] | None = None
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Find, for each of N sensors, the others with the greatest inner products of rows, (N, count).
+    """Find, for each of N sensors, the sensors with the greatest inner products, (N, count).
 
-    Of equal ones, the first. whole (N, N): The products of all rows, if they are known.
+    Of equal products, the first are taken. whole (N, N): The products of all rows, if known.
     """
     n_sensors = len(rows)
     found = np.empty((n_sensors, count), dtype=np.intp)
@@ -119,5 +114,5 @@ def most_similar(
 
 
 def all_products(rows: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Multiply all rows; numpy computes half of a product of a matrix with its transpose."""
+    """Multiply all pairs of rows; numpy computes half of a matrix times its own transpose."""
     return np.asarray(rows @ rows.T)

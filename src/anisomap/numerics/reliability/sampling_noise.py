@@ -1,6 +1,6 @@
-"""Sampling variance of correlations of autocorrelated readings, and what exceeds it.
+"""Sampling variance of correlations of autocorrelated readings, and significant correlations.
 
-Split-half reliability of correlations, and linear and rank correlation blended by it.
+Split-half reliability of correlations, and linear and rank correlation blended by reliability.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from anisomap.numerics.similarity.rest import Rest, ranks_of_depths
 
 _MAX_LAG_SHARE = 4  # maximum lag T / 4: longer lags average too few products
 _MAX_LAG = 4096  # frames; longer than a contact
-_FIRST_LAGS = (20, 256)  # lags examined first, which saves most of the maximum lags
-_FEW_LAGS = 20  # up to which sums of products take less time than transforms
+_FIRST_LAGS = (20, 256)  # lags examined first, which usually suffice
+_FEW_LAGS = 20  # for fewer lags, sums of products take less time than transforms
 _MIN_WINDOW = 10  # frames
 _FADED = 0.1  # autocorrelation below which readings count as uncorrelated
 _WINDOW_FACTOR = 2  # window / lag at which the autocorrelation has faded
-_MIN_THINNED = 2048  # frames left in thinned readings: more change no map by its ellipses
+_MIN_THINNED = 2048  # frames of thinned readings: with more, maps change by less than their errors
 _MAX_VARIANCE = 1.1  # of a correlation of thinned frames, relative to that of all
 _SENSORS_AT_ONCE = 16  # sensors transformed at a time, which stay in the cache
 _SAMPLED_SENSORS = 64  # whose autocorrelations give the window
@@ -82,10 +82,10 @@ def correlation_time(readings: ArrayLike) -> int:
 
 
 def thinning(readings: ArrayLike) -> int:
-    """Return the largest step between frames whose correlations vary hardly more than those of all.
+    """Return the largest step between frames that hardly increases the variance of correlations.
 
     The variance of correlations of every s-th frame is proportional to ``s sum_l rho(s l)^2``, with
-    the autocorrelations rho at all lags l, for two sensors with the same ones.
+    the autocorrelations rho at all lags l, for two sensors with equal autocorrelations.
     """
     values = np.asarray(readings)
     if len(values) < 2 * _MIN_THINNED:
@@ -139,25 +139,25 @@ def _autocorrelation(
 
 
 MAX_BLOCKS = 100
-"""Maximum number of blocks: more estimate a variance hardly better and take more time."""
+"""Maximum number of blocks: with more, variances are hardly more precise and take more time."""
 
 MIN_BLOCKS = 8
-"""Minimum number of blocks: fewer have hardly different resamples; chosen by hand."""
+"""Minimum number of blocks: resamples of fewer blocks hardly differ; chosen by hand."""
 
 BLOCK_FACTOR = 4
 """Length of a block, relative to the lag at which autocorrelations fade; see `block_edges`."""
 
 
 def block_length(readings: ArrayLike) -> int:
-    """Return frames of a block that is long against the autocorrelation of readings (T, N)."""
+    """Return the frames per block: several times the autocorrelation of readings (T, N)."""
     return BLOCK_FACTOR * max(1, correlation_time(readings))
 
 
 def block_edges(readings: ArrayLike) -> NDArray[np.intp]:
-    """Split readings (T, N) into blocks that are long against their autocorrelation.
+    """Split readings (T, N) into blocks that are longer than their autocorrelation.
 
-    Kuensch (1989), doi:10.1214/aos/1176347265: blocks must be long against the autocorrelation and
-    few against the recording to estimate variances.
+    Kuensch (1989), doi:10.1214/aos/1176347265: for estimates of variances, blocks must be long
+    relative to the autocorrelation and short relative to the recording.
     """
     values = np.asarray(readings)
     count = len(values) // block_length(values)
@@ -178,19 +178,19 @@ def balanced_weights(n_blocks: int, n_resamples: int, rng: np.random.Generator) 
 _MIN_BRIDGE = 1.2
 """Minimum strength of a link between groups, relative to the strongest unrelated link.
 
-On skins of 500 frames and more, the weakest link that was needed was at least 1.22 times as
-strong; the strongest between skins touched independently mostly .8 to 1.2 times.
+On skins of 500 frames and more, the weakest necessary link was at least 1.22 times as strong. The
+strongest link between skins touched independently was mostly .8 to 1.2 times as strong.
 """
 
 _MISSED = 2.33  # standard deviations; a link that is stronger by them is missed in 1 % of cases
-_WEAK_LINKS = 0.05  # share of the links of a group that may be weaker than what is expected of it
+_WEAK_LINKS = 0.05  # share of the links of a group that may be weaker than expected
 
 _MIN_FILTERED_SENSORS = 500  # above which insignificant links of a component are removed; by hand
 _MIN_LINK = 1.5  # strength of a significant link, relative to the strongest unrelated one; by hand
-_GREATEST_R = 1 - 1e-6  # correlations of more than this are equal to it; float32 resolves 6e-8
+_GREATEST_R = 1 - 1e-6  # greater correlations are replaced by it; float32 resolves 6e-8
 _MIN_COVERED = 0.95  # share of the sensors that significant links connect; chosen by hand
-_N_STRONGEST = 5  # with 4 to 6, strips and spheres have about equal maps; 8 bridge strips
-_MIN_SHARED = 0.1  # share of common neighbours; near sensors have 1/3 in a plane; chosen by hand
+_N_STRONGEST = 5  # 4 to 6 result in similar maps of strips and spheres; with 8, strips are bridged
+_MIN_SHARED = 0.1  # share of common neighbours; it is 1/3 for near sensors in a plane; by hand
 
 
 def remove_insignificant_links(
@@ -233,19 +233,19 @@ class Groups:
 
 
 def group_sensors(similarity: Reals, variance: ArrayLike) -> Groups:
-    """Group sensors by statistically significant links, and by what these show.
+    """Group sensors by statistically significant links, and by the absence of expected links.
 
     similarity (N, N), variance (N, N).
 
     Groups grow along the strongest links, as in single linkage. The strength of a link is
     ``artanh r`` (Fisher 1921, Metron 1: 3-32) in standard deviations of unrelated sensors. The
-    strongest of m independent links between these is about ``sqrt(2 log m)``, and a group of n
-    sensors has m = n (N - n) links to the others. Links are significant from 1.2 times this on.
+    strongest of m independent links between unrelated sensors is about ``sqrt(2 log m)``. A group
+    of n sensors has m = n (N - n) links to other sensors. Links of 1.2 times this are significant.
 
-    Two groups without a significant link between them are shown to be unrelated if one as strong as
-    19 in 20 of those that hold either group together would have been found, with a probability of
-    99 %. Where noise hides links, they are not. No group is held to more than the largest one,
-    whose weak links are known best, and a single sensor to as much.
+    Two groups without a significant link between them are unrelated if a link of the 5 % quantile
+    of strengths within either group would have been found with a probability of 99 %. They are
+    related if noise could hide it. Quantiles are at most that of the largest group, whose weak
+    links are known best; single sensors take this quantile, too.
     """
     links = standardised_correlation(similarity, variance, by_z=True)
     n_sensors = len(links)
@@ -282,9 +282,9 @@ def significant_links(similarity: Reals, variance: ArrayLike) -> NDArray[np.bool
 
     A link is significant if it is 1.5 times as strong as the strongest of P unrelated pairs,
     ``sqrt(2 log P)`` standard deviations, and if its sensors share neighbours. The 5 strongest
-    links of each sensor are kept, those of the maximum spanning tree that join components, and all
-    links if significant ones connect too few sensors: contacts are then too small, or the recording
-    is too short, to distinguish links.
+    links of each sensor and links of the maximum spanning tree between components are kept. All
+    links are kept if significant links connect too few sensors: contacts are then too small, or the
+    recording is too short, to distinguish links.
     """
     links = standardised_correlation(similarity, variance)
     n_sensors = len(links)
@@ -313,7 +313,7 @@ def standardised_correlation(
 ) -> Reals:
     """Divide correlations, or their Fisher's z, by their standard deviations, shape (N, N).
 
-    Each variance is at least the median variance: that of sensors with few contacts is too small.
+    Each variance is at least the median: estimates for sensors with few contacts are too small.
     """
     links, noise = similarity.copy(order="C"), np.asarray(variance)
     least = typical_variance(noise)
@@ -332,16 +332,16 @@ def _strongest_first(links: Reals) -> list[tuple[int, int]]:
 
 
 FALSE_ALARMS = 0.05
-"""Expected number of healthy sensors of a recording that are outlying, and at most one in 1,000."""
+"""Expected number of healthy sensors of a recording that are outlying; at most one in 1,000 is."""
 
 _LEAST_P = 1e-3
 _LEAST_SPREAD = 0.4  # of the logarithms of levels: sensors of one skin differ by a factor of 1.5
-_MIN_COMPARED = 8  # from which a distribution is fitted
+_MIN_COMPARED = 8  # minimum number of levels for a fit of their distribution
 _NORMAL_MAD = 0.6745  # median absolute deviation of a normal distribution
 
 
 def outlying(levels: Floats, variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
-    """Return whether each of n positive levels is too high among the others, (n,).
+    """Return whether each of n positive levels is too high compared to all others, (n,).
 
     variance: Sampling variance of the logarithm of each level. Logarithms are taken to be normal.
     """
@@ -393,16 +393,16 @@ def correlation_and_reliability(
 
 
 _MIN_REPEATED = 0.5  # correlation of the correlations of two halves; chosen by hand
-_GAIN = 0.25  # by which innovations must repeat better, above chance in short recordings; by hand
+_GAIN = 0.25  # minimum gain of innovations, above chance in short recordings; chosen by hand
 
 
 def without_slow_changes(readings: NDArray[Any]) -> NDArray[Any]:
-    """Return the innovations of readings, (T, N), if slow changes hide what repeats, else readings.
+    """Return the innovations of readings, (T, N), if they repeat better; otherwise the readings.
 
-    Levels that wander for minutes are few events, whose correlations in the first half of the
-    frames differ from those in the second. Innovations are what a random walk with white noise
-    leaves unpredicted (Muth 1960, doi:10.1080/01621459.1960.10482064): ``y_t = x_t - x_(t-1) +
-    theta y_(t-1)``, where the autocorrelation of differences at lag 1 is ``-theta/(1 + theta^2)``.
+    Slow drifts of levels are few events, so their correlations differ between the halves of a
+    recording. Innovations are the unpredicted parts of a random walk with white noise (Muth 1960,
+    doi:10.1080/01621459.1960.10482064): ``y_t = x_t - x_(t-1) + theta y_(t-1)``, where the
+    autocorrelation of differences at lag 1 is ``-theta/(1 + theta^2)``.
     """
     step = -(-readings.shape[1] // _SAMPLED_SENSORS)
     repeated = correlation_and_reliability(readings[:, ::step], 2)[1]
@@ -418,7 +418,7 @@ def without_slow_changes(readings: NDArray[Any]) -> NDArray[Any]:
     return left if gained >= _GAIN else readings
 
 
-# Tuned on simulated skins, seeds 101-105; 3 to 10 in place of 5 give about equal maps.
+# Tuned on simulated skins, seeds 101-105; 3 to 10 result in similar maps.
 _POWER_OF_RELIABILITY = 5.0
 _POWER_OF_RATIO = 10.0
 
@@ -429,18 +429,18 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     readings (T, N) -> ``w r + (1 - w) rho``, (N, N): in [-1, 1], exactly symmetric, ones on the
     diagonal. Invariant under changes of the unit and the zero of a sensor.
 
-    On tactile data a few deep contacts dominate Pearson's r, which makes it noisy in short
-    recordings; ranks are less noisy but distort distances. Ranks are of depths beyond rest
+    A few deep contacts dominate Pearson's r of tactile readings, so r is noisy in short recordings.
+    Ranks are less noisy but distort distances. Ranks are of depths beyond rest
     (`anisomap.numerics.similarity.rest.estimate_rest`), since ranks of readings at rest are noise.
-    With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: rho has
-    weight if r is unreliable, unless rho is even less reliable.
+    With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: the weight
+    of rho is large if r is unreliable, unless rho is even less reliable.
     """
     return Blend.of(readings).similarity
 
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """A blended correlation, and what it was blended from.
+    """A blended correlation, and the correlations and readings from which it was computed.
 
     similarity (N, N): See `blended_correlation`.
     weight: Weight of Pearson's r, in [0, 1].

@@ -38,7 +38,7 @@ _SPATIAL = 3  # coordinates of the faster loop; missing ones are 0
 class Problem:
     """Distances to fit, and their weights, (N, N) each; 0 where unknown.
 
-    weights: One row of ones if all weights are equal.
+    weights: A single row of ones if all weights are equal.
     compiled: Whether to use compiled loops.
     """
 
@@ -65,7 +65,7 @@ def objective(problem: Problem) -> Objective:
     Borg & Groenen (2005), section 8.6: for point i ``2 sum_j w_ij (1 - D_ij / d_ij) (x_i - x_j)``.
     """
     if not problem.compiled:
-        # New matrices would take longer to allocate than to compute.
+        # Allocating new matrices would take longer than computing them.
         workspace = np.empty((3, *problem.targets.shape))
         return lambda positions: plain_stress(problem, positions, workspace)
     n_points = len(problem.targets)
@@ -89,7 +89,7 @@ def objective(problem: Problem) -> Objective:
         raw = sum(parallel_map(add, range(_N_PARTS), n_points))
         slope = np.zeros((n_points, n_axes))
         for first, part in zip(edges[:-1], slopes, strict=True):
-            slope[first:] += part[:n_axes, first:].T  # earlier points are in earlier parts
+            slope[first:] += part[:n_axes, first:].T  # parts add to later points only
         return raw, 2 * slope
 
     return compiled_stress
@@ -118,7 +118,7 @@ def plain_stress(
     return raw, 2 * (sums[:, k:] * positions - sums[:, :k])
 
 
-_CONVERGENCE_STEPS = 3  # over which the decrease is tested, since single steps may be short
+_CONVERGENCE_STEPS = 3  # the decrease is tested over several steps, since one may be short
 _NEGLIGIBLE = 1e-30  # share of the squared distances below which raw stress is rounding, (1e-15)^2
 
 
@@ -141,8 +141,8 @@ def minimise_lbfgs(
 ) -> SolverResult:
     """Minimise a stress function by L-BFGS, with a diagonal first Hessian. start, scale (N, k | 1).
 
-    In coordinates that are multiplied by the root of the Hessian, it is the identity. Their unit is
-    the length of the first step, which L-BFGS-B sets to 1, and the slope there is 1 as well.
+    Coordinates are multiplied by the root of the Hessian, which makes the Hessian the identity. The
+    unit is the length of the first step. L-BFGS-B sets this length to 1, and the slope is 1, too.
     """
     raw, gradient = stress(start)
     trace = [raw]
@@ -171,7 +171,7 @@ def minimise_lbfgs(
         jac=True,
         method="L-BFGS-B",
         callback=check,
-        # Iterations end in `check`: the tolerances of scipy are those of a single step.
+        # Iterations end in `check`, since the tolerances of scipy apply to single steps.
         options={"maxiter": max_iterations, "maxfun": 20 * max_iterations, "ftol": 0, "gtol": 0},
     )
     # A search that ends early cannot decrease the stress any further.
@@ -183,7 +183,7 @@ MIN_LARGE = 1000
 """Number of points from which L-BFGS stops at `LARGE_TOLERANCE`."""
 
 LARGE_TOLERANCE = 1e-5
-"""Minimum tolerance for large problems: Stress-1 is within .02 % of that with 1e-7."""
+"""Minimum tolerance for large problems: Stress-1 differs by less than .02 % from that with 1e-7."""
 
 
 def lbfgs(problem: Problem, start: Floats, tolerance: float, max_iterations: int) -> SolverResult:
@@ -207,7 +207,7 @@ def majorise(
 ) -> SolverResult:
     """Minimise by Guttman transforms, ``X <- V^+ B(X) X`` (Borg & Groenen 2005, eq. 8.28).
 
-    Half the gradient is ``V X - B(X) X``, so that a transform subtracts ``V^+`` times it.
+    Half the gradient is ``V X - B(X) X``; a transform subtracts ``V^+`` times this.
     """
     solve = _laplacian_solver(problem)
     negligible = _NEGLIGIBLE * problem.squares()
@@ -230,7 +230,7 @@ def _laplacian_solver(problem: Problem) -> Callable[[Floats], Floats]:
     n_points = len(problem.targets)
     if len(problem.weights) == 1:
         return lambda product: product / n_points
-    # 11'/N fills the null space of V, common translations, to which B(X) X is orthogonal.
+    # 11'/N fills the null space of V (common translations); B(X) X is orthogonal to it.
     laplacian = np.diag(problem.weights.sum(axis=1)) - problem.weights
     factor = cho_factor(laplacian + problem.weights.mean())
     return lambda product: np.asarray(cho_solve(factor, product))
@@ -245,20 +245,20 @@ SOLVERS = {AUTO_SOLVER: lbfgs, "lbfgs": lbfgs, "majorization": majorise}
 
 
 DENSE_LIMIT = 200
-"""Maximum number of points for which a full eigendecomposition is faster than an iterative one."""
+"""Maximum number of points for which full eigendecomposition is faster than iterative methods."""
 
 Eigen: TypeAlias = tuple[Floats, Floats]
 Product: TypeAlias = Callable[[Floats], Reals]
 
-_NEARLY_GREATEST = 1 - 1e-6  # magnitudes above this share differ by rounding only
+_NEARLY_GREATEST = 1 - 1e-6  # larger relative magnitudes differ from the greatest by rounding only
 
 
 def torgerson(distances: ArrayLike, dimensions: int) -> Floats:
     """Classical scaling: positions from the leading eigenvectors of the inner products.
 
-    distances (N, N) -> (N, k), centred; columns are orthogonal, by decreasing spread. The entry of
-    greatest magnitude of each column is positive, so that runs agree; of equal ones, as on
-    symmetric skins, the first. Columns with eigenvalues of 0 or less are 0.
+    distances (N, N) -> (N, k), centred; columns are orthogonal, by decreasing spread. For
+    reproducibility, the entry of greatest magnitude of each column is positive; among equal entries
+    (on symmetric skins), the first. Columns with eigenvalues of 0 or less are 0.
 
     Torgerson (1952), Psychometrika 17: 401-419; Borg & Groenen (2005), chapter 12. For many points
     double centring is applied as a linear operator, and eigenvectors are computed iteratively.
@@ -273,7 +273,7 @@ def torgerson(distances: ArrayLike, dimensions: int) -> Floats:
         found = _leading_dense(squares, min(dimensions, n_points))
         return _principal_coordinates(found, dimensions)
     double = squares.dtype == np.float64
-    # symv reads only one triangle; reading the matrix takes most of the time.
+    # symv reads one triangle only, and reading the matrix takes most of the time.
     multiply = partial(dsymv if double else ssymv, 1.0, squares.T)
     leading = leading_eigenvectors(multiply, n_points, dimensions, single=not double)
     return _principal_coordinates(leading or _leading_dense(squares, dimensions), dimensions)
@@ -320,7 +320,7 @@ def leading_eigenvectors(
         return np.asarray((product - product.mean()) / -2)
 
     operator = LinearOperator((n_points, n_points), matvec=double_centred, dtype=np.float64)
-    # A fixed start, since ARPACK's own is random.
+    # The start is fixed, since ARPACK's default start is random.
     start = np.random.default_rng(0).standard_normal(n_points)
     try:
         # Machine precision, or the precision of products in float32.
@@ -400,8 +400,8 @@ def smacof(
 ) -> Scaling:
     """Find a configuration with minimal raw stress.
 
-    distances (N, N): Symmetric, non-negative, zero diagonal; infinite where unknown. The known ones
-        must connect all points.
+    distances (N, N): Symmetric, non-negative, zero diagonal; infinite where unknown. The known
+        distances must connect all points.
     dimensions: Number of coordinates, k >= 1; ignored if `start` is given.
     start (N, k): By default classical scaling, with shortest paths in place of unknown distances.
     weights (N, N): Symmetric, non-negative; 0 where unknown. The diagonal is ignored. 1 by default.
@@ -443,7 +443,7 @@ def smacof(
 
 
 def _connected_targets(targets: Reals, weights: Reals) -> Reals:
-    """Return the distances, infinite where unknown; raise unless they connect all points."""
+    """Return the distances, infinite where unknown; raise unless known ones connect all points."""
     known = targets.copy()
     known[weights <= 0] = np.inf
     np.fill_diagonal(known, 0)
@@ -469,7 +469,7 @@ def _check_weights(weights: ArrayLike | None, targets: Reals) -> Reals:
     return checked
 
 
-_STEPS = 10  # of SMACOF between two monotone regressions
+_STEPS = 10  # SMACOF steps between two monotone regressions
 
 
 def ordinal_smacof(
@@ -482,10 +482,10 @@ def ordinal_smacof(
 ) -> tuple[Scaling, Floats]:
     """Find a configuration whose distances have the order of dissimilarities.
 
-    Arguments are those of `smacof`; iterations are those between the monotone regressions,
-    together. The stress of the scaling is Kruskal's non-metric Stress-1, and its trace the square
-    of that. Disparities, (N, N), are the non-decreasing function of the dissimilarities that is
-    nearest to the distances; infinite where unknown.
+    Arguments are as in `smacof`. Iterations are the SMACOF steps between all monotone regressions.
+    The stress of the scaling is Kruskal's non-metric Stress-1, and the trace contains its squares.
+    Disparities, (N, N), are the non-decreasing function of the dissimilarities that is nearest to
+    the distances; infinite where unknown.
 
     Kruskal (1964), Psychometrika 29: 1-27 and 115-129; Borg & Groenen (2005), chapter 9. Monotone
     regressions and steps of SMACOF alternate; neither increases the stress.
@@ -505,7 +505,7 @@ def ordinal_smacof(
     np.fill_diagonal(disparities, 0)
     while True:
         distances = cdist(scaling.positions, scaling.positions)[first, second]
-        # Ties of dissimilarity are ordered by distance: Kruskal's primary approach.
+        # Tied dissimilarities are ordered by distance: Kruskal's primary approach.
         order = np.lexsort((distances, known))
         fitted = isotonic_regression(distances[order], weights=share[order]).x
         spread = float(share @ distances**2)
@@ -514,7 +514,7 @@ def ordinal_smacof(
         converged = len(trace) > 1 and trace[-2] - trace[-1] <= chosen.tolerance * trace[-2]
         if converged or not missed or len(trace) * _STEPS > chosen.max_iterations:
             break
-        # The size of the disparities is fixed, or the configuration would shrink.
+        # The size of the disparities is fixed, since the configuration would shrink otherwise.
         rescaled = fitted * np.sqrt(size / (share[order] @ fitted**2))
         disparities[first[order], second[order]] = rescaled
         disparities[second[order], first[order]] = rescaled
@@ -540,15 +540,15 @@ def _by_values(values: ArrayLike, **settings: Any) -> tuple[Scaling, Floats]:
 SCALINGS: Mapping[str, Callable[..., tuple[Scaling, Floats]]] = MappingProxyType(
     {"anisomap": _by_paths, "mds": _by_values, "ordinal": ordinal_smacof}
 )
-"""How dissimilarities are scaled: by the lengths of shortest paths, as they are, or by their order.
+"""Scalings of dissimilarities: by lengths of shortest paths, by the values, or by their order.
 
-Each takes the arguments of `ordinal_smacof`, and returns a scaling and the distances (N, N) that it
-approximates.
+Each function takes the arguments of `ordinal_smacof`. It returns a scaling and the distances (N, N)
+that the scaling approximates.
 """
 
 
 def find_scaling(name: str) -> Callable[..., tuple[Scaling, Floats]]:
-    """Return the function of a name in `SCALINGS`."""
+    """Look up a function by its name, a key of `SCALINGS`."""
     if name not in SCALINGS:
         raise InputError(
             f"there is no scaling of dissimilarities {name!r}; choose from {', '.join(SCALINGS)}"

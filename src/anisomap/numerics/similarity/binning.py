@@ -1,10 +1,10 @@
 """Maximum-entropy binning that respects ties.
 
-Counts of the distinct values of each sensor, from which bins, rest and ranks are computed.
+Bins, rest and ranks are computed from counts of the distinct values of each sensor.
 
 Counts of chunks of frames can be merged in any order. A sensor with continuous readings has as many
-values as frames; above a limit, values are rounded by as many bits as needed. The result does not
-depend on the chunks or their order.
+values as frames; above a limit, values are rounded by the least sufficient number of bits. The
+result does not depend on the chunks or their order.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from anisomap.numerics.precision import Floats
 DEFAULT_BINS = 4
 """Number of bins in the paper, which reports similar results for 6 and 8."""
 
-_MAX_BINS = 1024  # the joint counts of more need over a million frames
+_MAX_BINS = 1024  # joint counts of more bins require over a million frames
 _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit in int64
 
 
 def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray[np.intp]:
-    """Divide m ordered distinct values into the bins of greatest entropy.
+    """Divide m ordered distinct values into bins of maximum entropy.
 
     McGregor et al. (2011), section "Information Distance". The division is optimal among all
     divisions into intervals: it has the least sum of ``n log n`` over the counts n of its bins
@@ -47,7 +47,7 @@ def _checked(bins: int) -> int:
 
 
 def _divide(mass: NDArray[np.int64], bins: int) -> NDArray[np.intp]:
-    """Divide values as `maximum_entropy_bins`."""
+    """Divide values; see `maximum_entropy_bins`."""
     if mass.size <= bins:
         return np.arange(mass.size)
     ends = np.concatenate([[0], np.cumsum(mass)])
@@ -68,9 +68,9 @@ def _divide(mass: NDArray[np.int64], bins: int) -> NDArray[np.intp]:
 
 
 def _possible_ends(ends: NDArray[np.int64], greatest: int, k: int, bins: int) -> tuple[int, int]:
-    """Bound the number of values in the first k bins of the best division: first and last.
+    """Return bounds of the number of values in the first k bins of the best division.
 
-    Adjacent bins differ by at most the greatest count of a value, which would be moved otherwise.
+    Adjacent bins differ by at most the greatest count of a value; otherwise, moving it is better.
     """
     slack = greatest * k * (bins - k)
     first = np.searchsorted(2 * bins * ends, 2 * k * ends[-1] - slack * bins, side="left")
@@ -86,11 +86,11 @@ def _with_another_bin(
     after: tuple[int, int],
     unit: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Find the best division of beginnings of the values into one more bin.
+    """Find the best divisions of the first j values, for each j, into one more bin.
 
-    The cost is Monge, since n log n is convex, so that the best cut never decreases with j (Knuth
-    1971, Acta Informatica 1: 14-25). Every second j is solved first, recursively; its neighbours
-    bound the cuts of the others.
+    The cost is Monge, since n log n is convex, so the best cut never decreases with j (Knuth 1971,
+    Acta Informatica 1: 14-25). Every second j is solved first, recursively; its solutions bound the
+    cuts of all other j.
     """
     first, last = after
     cut = np.zeros(len(ends), dtype=np.intp)
@@ -113,12 +113,12 @@ def _with_another_bin(
 
 
 def _unit(n_frames: int) -> float:
-    """Return the unit of costs with which their sums fit in int64."""
+    """Return a unit of costs for which sums of costs fit in int64."""
     return float(_MAX_COST / (n_frames * np.log(n_frames)))
 
 
 def _cost(counts: NDArray[np.int64], unit: float) -> NDArray[np.int64]:
-    """Return n log n in units of 1 / `unit`: integers, so that equal divisions have equal costs."""
+    """Return n log n in units of 1 / `unit`, as integers: equal divisions have equal costs."""
     return np.asarray(np.rint(unit * counts * np.log(np.maximum(counts, 1))), dtype=np.int64)
 
 
@@ -135,7 +135,7 @@ def _codes_of(column: NDArray[Any], bins: int) -> NDArray[np.uint16]:
     """Return the codes of one sensor, shape (T,)."""
     distinct, counts = np.unique(column, return_counts=True)
     found = _divide(counts, bins).astype(np.uint16)
-    # Searching the few values at which the bin changes is faster than searching all values.
+    # Searching only the values at which the bin changes is faster than searching all values.
     changes = np.flatnonzero(np.diff(found)) + 1
     runs = found[np.concatenate([[0], changes])]
     return np.asarray(runs[np.searchsorted(distinct[changes], column, side="right")])
@@ -144,7 +144,7 @@ def _codes_of(column: NDArray[Any], bins: int) -> NDArray[np.uint16]:
 MAX_VALUES = 1 << 24
 """Maximum number of values of all sensors together: 256 MiB of values and counts."""
 
-_MIN_VALUES = 256  # minimum of the limit per sensor, for any number of sensors
+_MIN_VALUES = 256  # least limit per sensor, for any number of sensors
 _MAGNITUDE = np.int64(np.iinfo(np.int64).max)  # mask of all bits but the sign
 
 
@@ -199,13 +199,13 @@ class ValueCounts:
         return not self.n_rounded_bits.any()
 
     def varying(self) -> NDArray[np.bool_]:
-        """Return which sensors vary, shape (N,)."""
+        """Return whether each sensor varies, shape (N,)."""
         return np.array([values.size > 1 for values in self.values])
 
 
 @dataclass(frozen=True, eq=False)
 class Recoding:
-    """Step function of the readings of each sensor: outcomes, and readings where the next begin."""
+    """Step function of the readings of each sensor: outcomes, and readings where each begins."""
 
     starts: tuple[Floats, ...]
     outcomes: tuple[NDArray[Any], ...]
@@ -214,7 +214,7 @@ class Recoding:
     def of(
         cls, values: Iterable[Floats], outcomes: Iterable[NDArray[Any]], dtype: type
     ) -> Recoding:
-        """Assign outcomes to increasing values; readings between two values take the lower's."""
+        """Assign outcomes to increasing values; between two values, the lower's outcome holds."""
         starts, kept = [], []
         for levels, results in zip(values, outcomes, strict=True):
             changes = np.flatnonzero(np.diff(results)) + 1

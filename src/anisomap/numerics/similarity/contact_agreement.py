@@ -12,16 +12,16 @@ from anisomap.numerics.precision import Floats, Reals, symmetric_from_upper
 from anisomap.numerics.similarity.correlation import pearson
 
 MIN_CONTACTS = 50
-"""Minimum number of distinct contacts for an agreement; fewer leave a variance above 1 / 50."""
+"""Minimum number of distinct contacts for an agreement; with fewer, its variance exceeds 1 / 50."""
 
 MIN_SINGLE = 0.8
 """Minimum share of the frames with a single contact for an agreement.
 
-At least .87 where one body touches the skin (iCub, Nao, rolling, rubbing and pressing); at most .54
-where several do (bombardment, steps).
+It is at least .87 if one body touches the skin (iCub, Nao, rolling, rubbing and pressing), and at
+most .54 if several bodies do (bombardment, steps).
 """
 
-_N_NEIGHBOURS = 8  # of the graph on which a contact is connected; 6 gives the same decisions
+_N_NEIGHBOURS = 8  # of the graph in which a contact is connected; 6 gives the same decisions
 _SAMPLED_CONTACTS = 600  # regularly sampled; the standard error of their share is below .02
 _CONTACTS_AT_ONCE = 4096  # contacts multiplied at a time; bounds the memory
 
@@ -37,7 +37,7 @@ def is_on_off(readings: ArrayLike) -> bool:
 
 
 def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
-    """Find the different sets of at least two sensors that were active together.
+    """Find the distinct sets of at least two sensors that were active simultaneously.
 
     readings (T, N).
     """
@@ -46,8 +46,8 @@ def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
 
 def _contacts_and_frames(values: NDArray[np.generic]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
     """Return distinct contacts, and the first frame of each."""
-    # All sensors rest while nothing touches the skin. Only without such frames does the majority
-    # decide: contacts may cover most of the skin.
+    # All sensors rest while nothing touches the skin. Contacts may cover most of the skin, so the
+    # majority of the sensors decides only without such frames.
     sides = values > values.min(axis=0), values < values.max(axis=0)
     active = max(sides, key=lambda on: (np.count_nonzero(~on.any(axis=1)), -np.count_nonzero(on)))
     frames = np.flatnonzero(np.count_nonzero(active, axis=1) > 1)
@@ -138,21 +138,21 @@ def contact_agreement(readings: ArrayLike) -> Reals:
     readings (T, N), on or off -> Cohen's kappa, (N, N), in [-1, 1]; exactly symmetric, ones on the
     diagonal. 0 for sensors without contacts and for sensors that are part of all contacts.
 
-    Cohen (1960), doi:10.1177/001316446002000104. With p_i the weighted share of contacts in which
-    sensor i is active, and p_ij that in which i and j are::
+    Cohen (1960), doi:10.1177/001316446002000104. p_i is the weighted share of contacts in which
+    sensor i is active, and p_ij is the share in which both i and j are active::
 
         kappa_ij = 2 (p_ij - p_i p_j) / (p_i + p_j - 2 p_i p_j)
 
-    The correlation of readings that are on or off depends on how long contacts last and on touches
-    of single sensors, and wide contacts dominate it. Here every set of active sensors counts once,
-    however long it lasts; a contact of m sensors has weight 1 / m; and frames with a single active
-    sensor, which are evidence of no pair, do not count.
+    The correlation of readings that are on or off depends on the durations of contacts and on
+    touches of single sensors, and is dominated by wide contacts. Here, every set of active sensors
+    counts once, whatever its duration. A contact of m sensors has weight 1 / m. Frames with a
+    single active sensor do not count, since they are no evidence about pairs.
     """
     return Contacts.of(readings).similarity
 
 
 def _weighted_products(contacts: NDArray[np.bool_]) -> tuple[Floats, float]:
-    """Sum the weights of contacts with both sensors of each pair, and of all. contacts (C, N)."""
+    """Sum the weights of the contacts of both sensors of each pair, and of all. contacts (C, N)."""
     active = contacts.astype(np.float64)
     size = active.sum(axis=1)
     weights = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)

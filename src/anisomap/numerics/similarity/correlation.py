@@ -39,11 +39,11 @@ class PairSums:
         values, parts = np.asarray(readings), []
         for frames in slices_of(len(values), CHUNK_FRAMES):
             first = values[frames.start]
-            # Differences from the first frame leave no rounding error for constant sensors.
+            # Differences from the first frame have no rounding error if a sensor is constant.
             deviations = np.subtract(values[frames], first, dtype=np.float64)
             mean = deviations.mean(axis=0)
             deviations -= mean
-            # In units of each sensor, so that squares of float32 neither overflow nor vanish.
+            # A unit for each sensor prevents overflow and underflow of squares in float32.
             unit = np.maximum(np.abs(deviations).max(axis=0), np.finfo(np.float64).tiny)
             deviations /= unit
             scaled = deviations.astype(np.float32 if unit.size >= _MIN_SINGLE else np.float64)
@@ -138,24 +138,24 @@ def resampled_correlation(
     return np.asarray(np.clip(found, -1, 1, out=found))
 
 
-_MIN_SENSORS = 8  # of fewer, the mean is mostly each sensor's own reading; chosen by hand
-_APART = 0.25  # share of the pairs that are taken for distant
-_MAX_FRAMES, _MAX_SAMPLED = 4000, 250  # evenly spaced, that show the common signal
+_MIN_SENSORS = 8  # with fewer, each sensor makes up much of the mean; chosen by hand
+_APART = 0.25  # share of the pairs that count as distant
+_MAX_FRAMES, _MAX_SAMPLED = 4000, 250  # evenly spaced frames and sensors for the common signal
 
 
 def without_common_signal(readings: NDArray[Any]) -> tuple[NDArray[Any], float]:
     """Return readings less the signal that all sensors share, shape (T, N), and its share s.
 
-    s, in [0, 1], is the share of the variance of the mean over sensors: ``c / mean(r)``, over all
-    pairs. If all standardised sensors share a signal of variance c, and others are local, distant
-    pairs have the correlation c, which the lower quartile of r estimates: contacts as wide as half
-    of the skin leave a quarter of the pairs apart.
+    s, in [0, 1], is the signal's share of the variance of the mean over sensors: ``c / mean(r)``,
+    over all pairs. If all standardised sensors share a signal of variance c, and other signals are
+    local, distant pairs have the correlation c. The lower quartile of r estimates c, since contacts
+    as wide as half of the skin do not reach both sensors of a quarter of the pairs.
 
-    The mean over sensors estimates the signal, and is subtracted with the weight ``sqrt(s)``, the
-    share of its amplitude; with 1, it is the average reference of electroencephalography (Offner
-    1950; Bertrand, Perrin & Pernier 1985, Electroencephalography and Clinical Neurophysiology 62:
-    462-464). From a sensor that contains less of the mean than others, only what it contains is
-    subtracted: otherwise all such sensors would share its negative.
+    The mean over sensors estimates the signal. It is subtracted with the weight ``sqrt(s)``, the
+    signal's share of its amplitude. A weight of 1 gives the average reference of EEG (Offner 1950;
+    Bertrand, Perrin & Pernier 1985, Electroencephalography and Clinical Neurophysiology 62:
+    462-464). If a sensor contains less of the mean than other sensors, only this part is
+    subtracted; otherwise, all such sensors would share the negative of the signal.
     """
     n_frames, n_sensors = readings.shape
     some = readings[:: -(-n_frames // _MAX_FRAMES), :: -(-n_sensors // _MAX_SAMPLED)]

@@ -33,7 +33,7 @@ def information_from_codes(codes: ArrayLike) -> Reals:
     def count(first: int, second: int) -> Floats:
         counts = np.zeros((n_sensors, n_sensors))
         for frames in slices_of(n_frames, CHUNK_FRAMES):
-            # Products of float32 are fastest, and exact for counts of up to 2^24.
+            # float32 products are fastest, and exact for counts of up to 2^24.
             left = (values[frames] == first).astype(np.float32)
             right = left if first == second else (values[frames] == second).astype(np.float32)
             counts += left.T @ right
@@ -45,8 +45,8 @@ def information_from_codes(codes: ArrayLike) -> Reals:
 def joint_logarithms(count: Callable[[int, int], Floats], n_codes: int) -> Floats:
     """Sum n log n over the joint counts of every pair of sensors, (N, N).
 
-    count: ``count(a, b)`` returns the frames in which sensor i has code a and sensor j code b,
-        (N, N); memory does not grow with the number of codes.
+    count: ``count(a, b)`` returns the number of frames in which sensor i has code a and sensor j
+        has code b, (N, N); memory does not grow with the number of codes.
     """
     joint: Floats = np.zeros(())
     for a in range(n_codes):

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from anisomap.numerics.columns import ranked, transposed
 from anisomap.numerics.precision import Floats, slices_of
 
-_MIN_REST_SHARE = 0.1  # of the frames at one value for this value to be the rest; chosen by hand
-_NOISE_QUANTILE = 0.99  # of deviations opposite to contact that count as noise; 2.6 sigma if normal
+_MIN_REST_SHARE = 0.1  # minimum share of frames at a rest value; chosen by hand
+_NOISE_QUANTILE = 0.99  # of deviations opposite to contact, i.e. noise; 2.6 sigma if normal
 _MIN_CONTACT_RATIO = 2.0  # of deviations on the side of contact to noise; chosen by hand
-_MAX_EXACT_FRAMES = 2**23  # halves up to it are exact in float32
+_MAX_EXACT_FRAMES = 2**23  # float32 represents half-integers up to it exactly
 _CHUNK_FRAMES = 256  # frames processed at a time; intermediate arrays stay in the cache
-_SENSORS_AT_ONCE = 32  # whose readings are sorted
-_RANKED_AT_ONCE = 1 << 15  # readings, which stay in the cache
+_SENSORS_AT_ONCE = 32  # sensors sorted at a time
+_RANKED_AT_ONCE = 1 << 15  # readings ranked at a time, which stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Rest:
 
     value: Most frequent reading; the median of continuous readings.
     lean: 1 where the mean reading is above rest, -1 where it is below.
-    noise: Largest deviation from rest to the other side.
+    noise: Largest deviation from rest to the side opposite to `lean`.
     known: Whether there is a rest: see `estimate_rest`.
-    frequent: Whether one value holds `_MIN_REST_SHARE` of the frames, and at least two frames.
+    frequent: Whether one value occurs in `_MIN_REST_SHARE` of the frames, and in at least two.
     distinct: Number of distinct readings.
     """
 
@@ -75,13 +75,13 @@ class Rest:
 def estimate_rest(readings: ArrayLike) -> Rest:
     """Estimate the rest of each sensor. readings (T, N).
 
-    Under a change of the unit or the zero of a sensor's readings, `active` is invariant and `depth`
-    only scales.
+    If the unit or the zero of a sensor's readings changes, `active` is invariant and `depth` is
+    only scaled.
 
-    Noise deviates to both sides of rest, contact only to one. Contact is therefore on the side of
-    the mean, and deviations to the other side measure noise. Continuous readings with about equal
-    deviations to both sides, such as pixels of a camera, have no rest: readings above the median
-    count as active.
+    Noise deviates to both sides of rest, contact only to one side. Contact is therefore on the side
+    of the mean, and deviations to the opposite side measure noise. Continuous readings with about
+    equal deviations to both sides, such as pixels of a camera, have no rest. Their readings above
+    the median count as active.
     """
     values = np.asarray(readings)
     n_frames, n_sensors = values.shape
@@ -146,7 +146,7 @@ def _quantile(
     step: int = 1,
     origin: Floats,
 ) -> Floats:
-    """Return a quantile of `counts` readings of each sensor, from `first` on, less an origin.
+    """Return a quantile of `counts` readings of each sensor, from `first` on, minus an origin.
 
     ordered (n, T), counts, origin (n,) -> (n,).
     """
@@ -165,14 +165,14 @@ def _least_frequent(n_frames: int) -> float:
 def ranks_of_depths(
     readings: ArrayLike, rest: Rest | None = None, *, single: bool = False, alike: bool = True
 ) -> NDArray[Any]:
-    """Rank the readings of each sensor by their depth beyond rest; all at rest share a rank.
+    """Rank the readings of each sensor by depth beyond rest; readings at rest share a rank.
 
     readings (T, N) -> (T, N), of float32 if `single` and the frames are few enough.
 
-    If `alike`, a rest counts for all sensors if most have one, and for none otherwise: near the
-    noise at which rest is no longer recognised, ranks of some sensors would be of deep contacts
-    alone, and those of others of noise, too, and the map would show that difference. The ranks
-    increase with the reading, so that they have the sign of Pearson's r.
+    If `alike`, rest is used for all sensors if most have a rest, and for none otherwise. Near the
+    level of noise at which rest is no longer recognised, some sensors would otherwise have ranks of
+    deep contacts only, and others also of noise; the map would show this difference. Ranks increase
+    with readings, so that rank correlations have the sign of Pearson's r.
     """
     values = np.asarray(readings)
     rest = estimate_rest(values) if rest is None else rest
@@ -190,7 +190,7 @@ def ranks_of_depths(
         n_active, raised = np.count_nonzero(active, axis=1), side[:, 0] > 0
         n_resting, before = len(values) - n_active, np.cumsum(n_active) - n_active
         ranks[some] = ((n_resting + 1) / 2 + np.where(raised, 0, n_active))[:, None]
-        # Sorted by the readings, and then by the sensors, of which there are few.
+        # Sort by readings first, then by sensors, of which there are few.
         place = np.flatnonzero(active)
         reached = rows.ravel()[place]
         sensor = np.repeat(np.arange(len(rows), dtype=np.int16), n_active)
