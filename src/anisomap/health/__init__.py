@@ -1,4 +1,4 @@
-"""Summary of a recording, the health of its sensors, and the faults of the whole."""
+"""Summary of a recording, health of the sensors, and faults of the recording as a whole."""
 
 from anisomap.health.faults import CHECKS, Repair, find_faults, repair
 from anisomap.health.findings import Finding, spoiling

@@ -1,6 +1,6 @@
-"""Faults of a recording as a whole: which there are, and their repair.
+"""Detection and repair of faults of a recording as a whole.
 
-To add a fault, write a function that yields what it found, one line in `CHECKS`, and its words in
+To add a fault, write a function that yields `Found`, one line in `CHECKS`, and texts in
 `anisomap.health.findings`.
 """
 
@@ -41,17 +41,17 @@ CHECKS: Mapping[str, Callable[[Recording], Iterator[Found]]] = MappingProxyType(
         "separate-regions": find_regions,
     }
 )
-"""Checks in the order in which they are made, on complete recordings but for the first.
+"""Checks in the order in which they are run. All but the first require complete recordings.
 
-Each fault that can be mended is mended before the next is searched, since one fault can hide
-another or look like it: the order is opposite to that in which faults arise, from contact to file.
+Each mendable fault is mended before the next check, since a fault can hide or resemble another one.
+The order is the reverse of the order in which faults arise, from contact to file.
 """
 
-# A leak shows the channel before wherever a sensor is not touched itself, which may be for a part
-# of the recording: of 40 skins with a leak, 5 seemed to have changed, and none without it. Noise of
-# all sensors jumps in single frames, as spikes do.
+# With a leak, an untouched sensor contains readings of the preceding channel, perhaps in a part of
+# the recording only: 5 of 40 skins with a leak seemed to have changed, and none without it. Noise
+# of all sensors jumps in single frames, as spikes do.
 _HIDES = {"changed": "leak", "spikes": "common-noise"}
-_BEFORE_COMPLETION = ("gaps",)  # these look at missing readings
+_BEFORE_COMPLETION = ("gaps",)  # checks of missing readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Repair:
     recording : Recording
         With all mendable faults mended.
     findings : tuple of Finding
-        All faults that were found, mendable or not.
+        All faults found, whether mendable or not.
     """
 
     recording: Recording
@@ -71,26 +71,26 @@ class Repair:
 
     @property
     def done(self) -> tuple[str, ...]:
-        """What was done, one sentence for each mended fault."""
+        """One sentence about the repair of each mended fault."""
         return tuple(
             f"{finding.what}: {finding.mended}" for finding in self.findings if finding.mendable
         )
 
 
 def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
-    """Find the faults of a recording, and mend those that can be undone.
+    """Find the faults of a recording, and mend the mendable ones.
 
     Parameters
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
-        Columns in the order in which channels are read, on which leaks depend. Several recordings
-        that lack sensors are mended one by one.
+        Columns in the order in which channels are read, since leaks depend on it. If any of several
+        recordings lacks sensors, each recording is mended separately.
 
     Returns
     -------
     Repair
-        If nothing was mended, its recording is the given one; else it lacks sensors that were
-        copies, and frames that repeat the one before.
+        If nothing was mended, it contains the given recording. Otherwise, copies of sensors and
+        frames that repeat the preceding frame are removed.
 
     Raises
     ------
@@ -99,14 +99,14 @@ def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
 
     Notes
     -----
-    Copies, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. In a gap,
-    readings of similar sensors replace interpolation where they predict known readings better.
-    Leaks, steps, limited ranges, spikes and noise of all sensors are only reported: subtracting
-    estimates of them harmed more maps than it improved.
+    Copies, inverted sensors, hum, noise of boards, gaps and frozen frames are mended. Gaps are
+    filled from similar sensors if these predict known readings better than interpolation. Leaks,
+    steps, limited ranges, spikes and noise of all sensors are only reported, since subtracting
+    estimates of them impaired more maps than it improved.
 
     Examples
     --------
-    A skin of 60 sensors, of which one is wired twice:
+    A skin of 60 sensors, one of which is wired twice:
 
     >>> import numpy as np
     >>> places = np.random.default_rng(0).uniform(0, 5, (60, 2))
@@ -127,12 +127,12 @@ def repair(recording: Recording | ArrayLike | Sequence[Recording]) -> Repair:
 
 
 def find_faults(recording: Recording | ArrayLike | Sequence[Recording]) -> tuple[Finding, ...]:
-    """Find the faults of a recording that spoil a map of it.
+    """Find the faults of a recording that impair its map.
 
     Parameters
     ----------
     recording : Recording, array_like of shape (T, N), or sequence of Recording
-        Several recordings that lack sensors are examined one by one.
+        If any of several recordings lacks sensors, each recording is examined separately.
 
     Returns
     -------

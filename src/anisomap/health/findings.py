@@ -1,4 +1,4 @@
-"""Faults of a recording as data, and the words for each kind."""
+"""Faults of a recording as data, and texts for each kind of fault."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from anisomap.base.wording import join_items
 
 @dataclass(frozen=True, eq=False)
 class Finding(Value):
-    """A fault of the read-out or of the stimulation that spoils maps.
+    """A fault of the read-out or of the stimulation that impairs maps.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Finding(Value):
     size : float
         Size of the fault, in `unit`.
     values : mapping
-        What else was measured, by name.
+        Further measured quantities, by name.
     mendable : bool
         Whether `repair` mends it.
     """
@@ -37,7 +37,7 @@ class Finding(Value):
 
     @property
     def what(self) -> str:
-        """Description with the size, without sensors."""
+        """Description of the fault with its size, without sensors."""
         return _WORDS[self.kind].what(self)
 
     @property
@@ -47,12 +47,12 @@ class Finding(Value):
 
     @property
     def consequence(self) -> str:
-        """What a map of the recording suffers."""
+        """Effect of the fault on a map of the recording."""
         return _WORDS[self.kind].consequence
 
     @property
     def mended(self) -> str:
-        """What `repair` does or did; empty if it does not mend the fault."""
+        """Description of the repair; empty if `repair` does not mend the fault."""
         return _WORDS[self.kind].mended(self) if self.mendable else ""
 
     @property
@@ -68,7 +68,7 @@ class Finding(Value):
 
 
 def spoiling(findings: Sequence[Finding]) -> tuple[str, ...]:
-    """List what spoils a map among the faults of its recording."""
+    """List descriptions of the faults of a recording that impair its map."""
     return tuple(
         f"{finding}" + ("; repair the recording" if finding.mendable else "")
         for finding in findings

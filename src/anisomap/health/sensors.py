@@ -32,45 +32,45 @@ from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import FEW_CONTACTS, SILENT
 
 MIN_CONTACTS = 5
-"""Contacts below which statistics of a sensor are unreliable; chosen by hand."""
+"""Minimum number of contacts for reliable statistics of a sensor; chosen by hand."""
 
 STATUSES = (
     *("ok", SILENT, "stuck", "intermittent", "noisy", "saturating", "isolated"),
     FEW_CONTACTS,
 )
-"""All statuses; a sensor with several faults has the first of them."""
+"""All statuses; of several faults of a sensor, the first in this order is its status."""
 
-_MAX_COMPARED = 4096  # sensors with which others are compared after shifts
-_N_SHIFTS = 19  # circular shifts that a related sensor exceeds
+_MAX_COMPARED = 4096  # sensors compared with all sensors after shifts
+_N_SHIFTS = 19  # circular shifts, whose highest r related sensors exceed
 _FRAMES_AT_ONCE = 256  # whose differences stay in the cache
 _ROWS_AT_ONCE = 64  # of a product; a single row would take as long
-_HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
-_MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
+_HARMFUL_MATCH = 0.75  # relative to the typical highest r; below, the position is less certain
+_MIN_AT_EXTREME = 10  # frames of a saturating sensor
 _LEAST_R = 1e-3
-# Levels of a sensor that noise may move a step from rest, and share of the sensors with more than
-# two levels, below which the skin is on or off; by hand.
+# Maximum number of levels of a sensor that noise may move a step from rest. A skin is on or off if
+# a smaller share of the sensors has more than two levels; by hand.
 _FEW_LEVELS, _SEVERAL = 8, 0.05
 _HARMFUL_NOISE = 0.15  # share of the variance: r is 8 % lower
 _NEGLIGIBLE = 0.01  # noise, in standard deviations of the typical sensor
 _OF_WHITE_NOISE = 0.6745 * 6**0.5  # median of the second differences of white noise
-_OF_MEDIAN = 2.0  # relative variance of that median times their number, which overlap; simulated
+_OF_MEDIAN = 2.0  # relative variance of the median of n overlapping differences, times n; simulated
 _FLOAT32_RANGE = 1e15  # of readings whose differences are squared in float32
-_MIN_AT_REST = 20  # of them; chosen by hand
-_N_PARTNERS = 8  # most similar sensors that explain readings: the neighbours on a square lattice
-# Share of the readings of the typical sensor that repeat the one before: in more, noise is hidden.
+_MIN_AT_REST = 20  # differences for an estimate of noise; chosen by hand
+_N_PARTNERS = 8  # most similar sensors, by number the neighbours on a square lattice
+# Maximum share of readings of the typical sensor that repeat the preceding one; more hide noise.
 _MAX_STILL = 1 / 3
-_N_NEAR, _MIN_SPELLS = 4, 5  # sensors that show whether there is contact; spells; by hand
-_MIN_HELD, _MIN_STAY = 0.05, 0.8  # share of the frames; chance that a spell lasts a frame more
-# Least ratios for spells without a part of contact: of their frames without contact to those of
-# others, and of the jump at either end to the distance of other readings at rest. By hand.
+_N_NEAR, _MIN_SPELLS = 4, 5  # similar sensors that indicate contact; number of spells; by hand
+_MIN_HELD, _MIN_STAY = 0.05, 0.8  # share of frames; probability that a spell lasts a frame more
+# Minimum ratios for spells unrelated to contact: the share of frames without contact in spells to
+# that in other frames, and the jump at the ends to the distance of other readings at rest. By hand.
 _MIN_INDEPENDENT, _MIN_JUMP = 0.5, 0.7
 
 
 @dataclass(frozen=True, eq=False)
 class Behaviour:
-    """Statistics of n varying sensors; arrays of shape (n,), computed when they are asked for.
+    """Statistics of n varying sensors; arrays of shape (n,), computed at first use.
 
-    best_match: Highest Pearson r with another sensor; NaN if there is none.
+    best_match: Highest Pearson r with another sensor; NaN for a single sensor.
     """
 
     signals: Signals
@@ -83,7 +83,7 @@ class Behaviour:
 
     @cached_property
     def _excerpt(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
-        """Standard deviations, (n,), second differences, and where there is no contact, (t, n)."""
+        """Standard deviations, (n,), second differences, and mask of frames at rest, (t, n)."""
         signals = self.signals
         frames = excerpt_frames(signals.readings)
         readings = signals.readings[frames]
@@ -99,10 +99,10 @@ class Behaviour:
         return np.sqrt(squares / len(readings)), changes, quiet
 
     def noise(self, sensors: NDArray[Any] | slice = slice(None)) -> NDArray[np.float64]:
-        """Return deviations of white noise, their relative variances, those of readings, (3, n).
+        """Return deviations of white noise, relative variances, deviations of readings, (3, n).
 
-        From second differences of frames without contact: contacts that last a frame change
-        readings, too. With few of these frames nothing can be told: the relative variance is inf.
+        White noise is estimated from second differences of frames without contact, since contacts
+        of one frame change readings, too. With few such frames, the relative variance is inf.
         """
         deviation, changes, quiet = (one[..., sensors] for one in self._excerpt)
         rows = transposed(np.where(quiet, changes, changes.dtype.type(np.inf)))
@@ -115,7 +115,7 @@ class Behaviour:
         return np.stack([white, variance, deviation])
 
     def shared(self, sensor: int) -> float:
-        """Return the share of a sensor's variance that those most similar to it explain."""
+        """Return the share of a sensor's variance that the most similar sensors explain."""
         rows = self.signals.excerpt_rows
         similar = np.abs(rows @ rows[sensor])
         similar[sensor] = -1
@@ -127,9 +127,9 @@ class Behaviour:
 
     @cached_property
     def _dithers(self) -> NDArray[np.bool_]:
-        """Sensors of few levels that are mostly one step from rest where they are not at rest.
+        """Sensors of few levels that are mostly one step from rest when they are not at rest.
 
-        Noise moves them there where their rest lies between two levels, as contact does others.
+        If rest lies between two levels, noise alone moves a sensor by one step.
         """
         readings, rest = self.signals.readings, self.signals.rest
         found = rest.distinct <= _FEW_LEVELS
@@ -143,7 +143,7 @@ class Behaviour:
 
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
-        """Sensors with contacts that resemble no other sensor as similar ones with contacts do."""
+        """Sensors with contacts that resemble others clearly less than typical sensors do."""
         found = (self.contacts >= MIN_CONTACTS) & ~self._dithers
         if found.any():
             best = np.nan_to_num(self.best_match[found])
@@ -151,7 +151,7 @@ class Behaviour:
             low = np.flatnonzero(best < _HARMFUL_MATCH * typical)
             if not low.size:
                 return np.zeros_like(found)
-            # Where sensors are far apart, all of them resemble others less.
+            # Distant sensors all resemble each other less.
             rows = self.signals.excerpt_rows[found]
             similar = np.abs(rows[low] @ rows.T)
             similar[np.arange(low.size), low] = -1
@@ -159,14 +159,14 @@ class Behaviour:
             weights = np.maximum(np.take_along_axis(similar, partners, axis=1), _LEAST_R)
             around = np.average(best[partners], axis=1, weights=weights)
             typical[low] = np.minimum(typical[low], around)
-            # Weak contacts hardly exceed the noise of a sensor, which lowers its r.
+            # If contacts are weak, the noise of a sensor lowers r.
             share = noise_share(self.noise(np.flatnonzero(found)[low]))
             r = best.copy()
             r[low] /= np.sqrt(np.maximum(1 - share, 0.1))
-            # One contact that differs would be seen: n of them resolve no r closer to 1.
+            # A single different contact lowers r, so n contacts resolve no r closer to 1.
             most = 1 - 0.5 / self.contacts[found]
             r, typical = (np.clip(one, _LEAST_R, most) for one in (r, typical))
-            # Variance that is not explained, over that which is; Fisher's z has the variance 1 / n.
+            # Ratio of unexplained to explained variance; Fisher's z has the variance 1 / n.
             levels = (r**-2 - 1) / (typical**-2 - 1)
             unlikely = outlying(levels, 4 / typical**2 / self.contacts[found])
             found[found] = unlikely & (r < _HARMFUL_MATCH * typical)
@@ -259,13 +259,12 @@ def assess(recording: Recording | Sequence[Recording]) -> tuple[SensorHealth, ..
 
     Notes
     -----
-    Sensors that are constant at rest are ``"silent"``: readings of dead sensors and of sensors that
-    were never touched are the same. ``"few contacts"`` means fewer than 5, too few for other tests.
-    The other statuses are faults: a sensor has far more white noise than the others, for example,
-    or resembles none of them. Each test flags 0.05 healthy sensors of a recording on average, and
-    at most one in 1,000: see `anisomap.numerics.reliability.sampling_noise`. The paper leaves out
-    sensors that never vary, and keeps one that saturates intermittently (section "Prototyping
-    Issues").
+    Sensors that are constant at rest are ``"silent"``: dead and untouched sensors have the same
+    readings. ``"few contacts"`` means fewer than 5, too few for other tests. The other statuses are
+    faults, such as far more white noise than that of other sensors, or no similarity to any of
+    them. Each test flags 0.05 healthy sensors of a recording on average, and at most one in 1,000:
+    see `anisomap.numerics.reliability.sampling_noise`. The paper omits sensors that never vary, and
+    keeps one that saturates intermittently (section "Prototyping Issues").
     """
     parts = join_runs(recording).parts
     with limited_blas(parts[0].n_sensors):
@@ -314,7 +313,7 @@ def _assess(recording: Recording) -> tuple[SensorHealth, ...]:
 
 
 def _best_match(signals: Signals) -> NDArray[np.float64]:
-    """Return the highest Pearson r of each sensor with another, (N,); NaN of a single one."""
+    """Return the highest Pearson r of each sensor with another, (N,); NaN for a single sensor."""
     n_sensors = signals.readings.shape[1]
     if n_sensors > MAX_PAIRED:
         return most_similar(unit_rows(signals.readings), 1)[1][:, 0].astype(np.float64)
@@ -362,7 +361,7 @@ def _noisy(b: Behaviour) -> dict[int, str]:
     found[told] = outlying(np.maximum(seen, floor)[told], variance[told])
     found &= share >= _HARMFUL_NOISE
     reason = f"{{:.0%}} of the variance is white noise (typical: {np.median(share):.0%})"
-    # What other sensors explain is no noise, but contacts that last a frame: half of it at least.
+    # Contacts of one frame are no noise: other sensors explain more than half of their variance.
     return {
         i: reason.format(share[i])
         for i in np.flatnonzero(found).tolist()
@@ -371,10 +370,10 @@ def _noisy(b: Behaviour) -> dict[int, str]:
 
 
 def _intermittent(b: Behaviour) -> dict[int, str]:
-    """Find sensors that hold one value in spells, though noise moves them between the spells.
+    """Find sensors that hold one value in spells, while noise changes them between spells.
 
-    Readings that are cut off at the end of a range are held as well, but while there is no contact,
-    and they come near this end by degrees.
+    Readings at the end of a range are held as well, but only while there is no contact, and they
+    approach this end gradually.
     """
     readings = b.signals.readings
     repeats = readings[1:] == readings[:-1]

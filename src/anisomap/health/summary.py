@@ -15,10 +15,10 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import FEW_CONTACTS, SILENT, is_faulty
 
 MIN_FRAMES = 500
-"""Frames below which a recording is short: about half of the paper's shortest run (1,054)."""
+"""Minimum number of frames; about half of the shortest run in the paper (1,054)."""
 
 
-_CLEAR_R = 0.6  # median of the highest correlations, above which none is due to chance; by hand
+_CLEAR_R = 0.6  # median of the highest correlations that excludes chance; chosen by hand
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
@@ -28,7 +28,7 @@ _MEANINGS: dict[str, tuple[str, ...]] = {
     "stuck sensors, which carry no information": ("stuck",),
     "faulty sensors, whose positions are unreliable": _FAULTY,
 }
-"""What follows from each status but "ok"."""
+"""Meanings of all statuses except "ok"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class RecordingSummary(Value):
 
     @property
     def facts(self) -> dict[str, str]:
-        """The summary in words, for commands and reports."""
+        """Texts of the summary, for commands and reports."""
         duration = "" if self.duration is None else f", {number(self.duration)} s"
         return {
             "frames": f"{self.n_frames}{duration}",
@@ -116,7 +116,7 @@ def summarise(
 
 
 def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str]:
-    """Say if most sensors correlate with no other more than by chance."""
+    """Return a warning if most sensors correlate with no other sensor more than by chance."""
     best = np.array([sensor.best_match for sensor in health])
     varying = recording.indices([s.name for s in health if np.isfinite(s.best_match)])
     best = best[np.isfinite(best)]

@@ -1,4 +1,4 @@
-"""How the skin was touched, by place on the map, and where to touch it next."""
+"""Contacts of the skin by place on the map, and the places to touch next."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from anisomap.recording import Recording, join_runs
 from anisomap.sensor_map import UNPLACED, SensorMap
 
 ENOUGH_CONTACTS = 12
-"""Contacts of a sensor, or of two neighbours together, above which more gain little.
+"""Contacts of a sensor, or of two neighbours together, that suffice: more improve a map little.
 
 Tuned on six simulated recordings (rubbing and bombardment, seeds 11 to 16, 125 to 2000 frames): the
 median error of sensors falls from 0.9 spacings at 2 joint contacts with neighbours to 0.33 at 12 to
@@ -26,18 +26,18 @@ median error of sensors falls from 0.9 spacings at 2 joint contacts with neighbo
 """
 
 N_PLACES = 5
-"""Default number of places to touch next: what a person remembers while touching."""
+"""Default number of places to touch next: as many as a person can remember."""
 
 NEIGHBOUR_RADIUS = 1.5
-"""Neighbours lie within this factor of the distance to the nearest sensor, of either sensor.
+"""Maximum distance of neighbours, relative to the distance of either one to its nearest sensor.
 
-It includes the diagonals of a square lattice (1.41) and no second neighbours in a row (2).
+Neighbours thus include diagonals of a square lattice (1.41), but no second neighbours in a row (2).
 """
 
 _MAX_NEIGHBOURS = 8  # of a sensor on a square lattice, diagonals included
 _PLACE_RADIUS = 2.0  # spacings: one stroke of a finger; includes 18 sensors of a triangular lattice
 _MAX_IN_PLACE = 18
-_MIN_NEED = 0.5  # sensors; less is not worth a stroke
+_MIN_NEED = 0.5  # sensors; for less, a stroke is not worthwhile
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +47,13 @@ class Place:
     Attributes
     ----------
     sensors : tuple of int
-        Sensors that lack contacts, the neediest first.
+        Sensors that lack contacts, in decreasing order of need.
     centre : ndarray of shape (k,)
         Centre of these sensors, in units of the map.
     radius : float
         Greatest distance of these sensors from the centre, in units of the map.
     need : float
-        Missing evidence, in sensors: 1 is one sensor without any.
+        Missing evidence, in sensors: 1 is one sensor without any evidence.
     component : int
         Component of the map on which the place is.
     """
@@ -71,7 +71,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class TouchCoverage:
-    """How the N sensors of a map were touched.
+    """Contacts of the N sensors of a map.
 
     Attributes
     ----------
@@ -80,11 +80,11 @@ class TouchCoverage:
     pairs : ndarray of int, shape (P, 2)
         Pairs of neighbours on the map; see `neighbouring_sensors`.
     together : ndarray of int, shape (P,)
-        Separate contacts of both sensors of a pair at the same time.
+        Separate simultaneous contacts of both sensors of a pair.
     need : ndarray of shape (N,)
         See `needed_evidence`.
     places : tuple of Place
-        Where to touch the skin next, the most urgent first; empty if nothing is lacking.
+        Places to touch next, the most urgent first; empty if no contacts are lacking.
     """
 
     contacts: NDArray[np.intp]
@@ -95,7 +95,7 @@ class TouchCoverage:
 
     @property
     def untouched(self) -> NDArray[np.intp]:
-        """Sensors that were never touched, in any order of places: their places are unknown."""
+        """Sensors that were never touched; their positions are unknown."""
         return np.flatnonzero(self.contacts == 0)
 
     @property
@@ -168,7 +168,7 @@ def neighbouring_sensors(
 def needed_evidence(
     contacts: ArrayLike, pairs: ArrayLike, together: ArrayLike, component: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Compute the share of the evidence on each sensor's place that is lacking. Returns (N,)."""
+    """Compute the missing share of the evidence for each sensor's position. Returns (N,)."""
     number = np.asarray(contacts, dtype=np.float64)
     own = np.maximum(0, 1 - number / ENOUGH_CONTACTS)
     both = np.asarray(pairs, dtype=np.intp).reshape(-1, 2)
@@ -188,7 +188,7 @@ def next_places(
     component: ArrayLike | None = None,
     n_places: int = N_PLACES,
 ) -> tuple[Place, ...]:
-    """Find the places on a map that lack most contacts.
+    """Find the places on a map that lack the most contacts.
 
     Parameters
     ----------
@@ -204,13 +204,13 @@ def next_places(
     Returns
     -------
     tuple of Place
-        The most urgent first. They share no sensor. Empty if no place lacks the evidence of half a
-        sensor.
+        The most urgent first. No two places share a sensor. Empty if no place lacks the evidence of
+        half a sensor.
 
     Notes
     -----
-    Places are chosen one after the other: first the sensor with most `need` within two spacings;
-    the sensors there count as touched when the next place is chosen.
+    Each place surrounds the sensor with the most `need` within two spacings. Sensors of a place
+    count as touched when the next place is chosen.
     """
     points = np.asarray(positions, dtype=np.float64)
     lacking = np.array(need, dtype=np.float64)
@@ -248,7 +248,7 @@ def _components(points: NDArray[np.float64], component: ArrayLike | None) -> lis
 
 
 def _areas(points: NDArray[np.float64], component: ArrayLike | None) -> csr_array:
-    """Mark placed sensors within two spacings of each, itself included: ones, shape (N, N)."""
+    """Mark placed sensors within two spacings of each sensor, including itself, shape (N, N)."""
     pairs = []
     for members in _components(points, component):
         distances, near = nearest_others(points[members], _MAX_IN_PLACE)

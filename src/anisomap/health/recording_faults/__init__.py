@@ -1,7 +1,7 @@
-"""Faults of the read-out that concern several sensors, and courses that no map can be made of.
+"""Faults of the read-out of several sensors, and stimulation from which no map can be made.
 
-Each module finds one fault in a complete recording, or a few alike, and mends it where it knows the
-inverse. Faults are searched in an excerpt of some thousand frames and some hundred
+Each module finds one fault, or a few similar ones, in a complete recording. Faults with a known
+inverse are mended. Faults are searched for in an excerpt of a few thousand frames and a few hundred
 sensors; see `anisomap.numerics.signals`.
 """
 
@@ -23,10 +23,10 @@ from anisomap.recording import Recording
 class Found:
     """One fault of a recording.
 
-    sensors: Their indices.
+    sensors: Indices of the affected sensors.
     size, values: See `anisomap.health.Finding`.
     mend: Mends the fault in the recording; None if it cannot be mended.
-    kind: If it differs from the key of the check.
+    kind: Kind of the fault if it differs from the key of the check.
     """
 
     sensors: NDArray[np.intp] | Sequence[int]
@@ -39,7 +39,7 @@ class Found:
 def with_readings(
     change: Callable[[NDArray[Any]], NDArray[Any]],
 ) -> Callable[[Recording], Recording]:
-    """Return a repair that changes the readings alone, shape (T, N)."""
+    """Return a repair that changes only the readings, shape (T, N)."""
     return lambda recording: replace(recording, readings=change(recording.readings))
 
 
@@ -49,12 +49,12 @@ def halves_of(n_frames: int) -> tuple[slice, slice]:
 
 
 def agree_more(before: NDArray[Any], after: NDArray[Any], group: NDArray[np.intp]) -> bool:
-    """Return whether a group of sensors resembles other sensors more after a mend.
+    """Return whether a group of sensors resembles other sensors more after a repair.
 
-    before, after (T, N): Readings, which do not differ in other sensors.
+    before, after (T, N): Readings, which differ only in the group.
 
-    Others have no part in a fault of the group, but in the contacts that might be taken for one.
-    The sensor with which each is compared in either half is chosen in the other half.
+    Other sensors do not share a fault of the group, but they share contacts that resemble a fault.
+    The sensor with which each is compared in one half of the frames is chosen in the other half.
     """
     others = np.setdiff1d(np.arange(before.shape[1]), group)
     others = others[some_sensors(others.size)]
@@ -69,27 +69,26 @@ def agree_more(before: NDArray[Any], after: NDArray[Any], group: NDArray[np.intp
     return True
 
 
-# Patterns of contact that a surface needs: place in two dimensions, and height.
+# Minimum number of patterns of contact on a surface: position in two dimensions, and height.
 _MIN_PATTERNS = 3
-_N_NEAR = 32  # sensors whose patterns are counted: more may be touched at other places; by hand
+_N_NEAR = 32  # sensors whose patterns are counted; further ones have other contacts; by hand
 _MIN_ALONE = 3  # frames in which a sensor is touched and another rests; fewer may be noise
 _MIN_TURNING = 1 / 3  # share of the frames
 _N_SHIFTED = 19  # shifts, of which the largest is exceeded by chance with probability 1 / 20
 
 
 def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
-    """Return whether a group of sensors is in contacts of several kinds.
+    """Return whether a group of sensors has contacts of several kinds.
 
-    Else what they share may be the contact that touches all of them.
+    Otherwise, their common signal may be a contact that touches all of them.
 
-    recording: From which noise or spikes that they share are removed.
+    recording: Recording without the common noise or spikes of the group.
 
     Patterns of contact of the member with most contacts and the sensors most similar to it are
-    counted by parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447): the
-    eigenvalues of their correlations, down to the first one that chance explains. Chance is what
-    the same readings give if each sensor is shifted in time, by its own number of frames. Sensors
-    that are similar but not in the group must also be touched at several places, unless most of
-    them always vary.
+    counted by parallel analysis (Horn 1965, Psychometrika 30: 179-185, doi:10.1007/BF02289447). The
+    number of patterns is the number of leading eigenvalues of the correlations that exceed chance,
+    which is estimated by shifting each sensor in time by a different number of frames. Similar
+    sensors outside the group must also be touched at several places, unless most always vary.
     """
     signals = recording.signals
     rows = signals.excerpt_rows
@@ -112,11 +111,11 @@ def has_contacts(recording: Recording, members: NDArray[np.intp]) -> bool:
 
 
 def _at_several_places(touched: NDArray[np.bool_], active: NDArray[np.bool_]) -> bool:
-    """Return whether each of three sensors is touched while each of the others rests.
+    """Return whether each of three sensors is touched while each of the other two rests.
 
-    touched, active (T, n): Clearly beyond rest, and beyond rest at all.
+    touched, active (T, n): Clearly beyond rest, and beyond rest.
 
-    Contacts at one place reach the same sensors first, whatever their force.
+    Contacts at one place reach the same sensors first, independently of force.
     """
     alone = touched.T.astype(np.float32) @ ~active
     apart = np.minimum(alone, alone.T) >= _MIN_ALONE
@@ -124,10 +123,10 @@ def _at_several_places(touched: NDArray[np.bool_], active: NDArray[np.bool_]) ->
 
 
 def turns_like_noise(course: NDArray[np.floating]) -> bool:
-    """Return whether a signal, (T,), has half as many turning points as white noise, or more.
+    """Return whether a signal, (T,), has at least half as many turning points as white noise.
 
-    Two thirds of the frames of white noise are turning points (Bienayme 1874); contacts that are
-    sampled well have few of them.
+    Two thirds of the frames of white noise are turning points (Bienayme 1874). Well-sampled
+    contacts have few turning points.
     """
     rises = np.diff(course) > 0
     return bool(np.mean(rises[1:] != rises[:-1]) >= _MIN_TURNING)
@@ -136,7 +135,7 @@ def turns_like_noise(course: NDArray[np.floating]) -> bool:
 def linked_groups(
     rows: NDArray[np.float32], least: float, size: int
 ) -> Iterator[NDArray[np.bool_]]:
-    """Mark each group of `size` rows or more, of norm 1, that correlations above `least` link."""
+    """Mark each group of at least `size` rows, of norm 1, linked by correlations above `least`."""
     group = linked_labels(rows @ rows.T > least)
     for number in np.flatnonzero(np.bincount(group) >= size):
         yield group == number

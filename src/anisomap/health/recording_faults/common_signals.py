@@ -1,4 +1,4 @@
-"""Signals of the electronics that sensors share: hum, and noise of a supply or board."""
+"""Common signals of the electronics in several sensors: hum, and noise of a supply or board."""
 
 from __future__ import annotations
 
@@ -29,45 +29,45 @@ from anisomap.numerics.signals import (
 from anisomap.recording import Recording
 
 _MIN_LINE = 20.0  # power of a line over the median power on either side; noise: p = 1e-6 for each
-_GAP, _BESIDE = 2, 8  # frequencies on each side that a line reaches, and for comparison
+_GAP, _BESIDE = 2, 8  # frequencies on each side that belong to a line, and that are compared
 _MIN_COHERENCE = 0.95  # of the phases of a hum over sensors; chosen by hand
 _MIN_SENSORS = 0.8  # share of the sensors that hum; chosen by hand
 _SAME_FREQUENCY = 1e-4  # of a step between frequencies
 _N_PHASES = 8  # parts of a period, for quantiles
-_MIN_EVEN = 0.6  # shift of low over that of high readings; pulses have 0.2 at most; by hand
+_MIN_EVEN = 0.6  # shift of low readings relative to high ones; at most 0.2 for pulses; by hand
 _MIN_GROUP = 3  # sensors of a board
-# In fewer frames, one or two strokes over the sensors look like a signal that they share: of such
-# recordings of 100 and 200 frames, 5 % were flagged (measured).
+# In fewer frames, one or two strokes over the sensors resemble a common signal: 5 % of such
+# recordings of 100 and 200 frames were flagged (measured).
 _MIN_FRAMES = 256
 _MIN_LINK = 0.3  # correlation of the fast noise of two sensors of a board; chosen by hand
-# Variance of the second component of the fast noise over that of the first. On simulated skins,
-# common noise has .04 at most, and sources that each reach a part of the sensors .4 or more.
+# Ratio of the variances of the second and the first component of the fast noise. On simulated
+# skins, it is at most .04 for common noise, and at least .4 for sources that reach a part each.
 _MAX_SECOND = 0.2
 _CLIP = 3.0  # median absolute deviations; larger changes are contacts
 _MIN_WEIGHTED = 30  # sensors; fewer are not weighted, since one could dominate; by hand
-_LEAST_WIDTH = 1e-3  # of the median sensor's, so that no sensor decides alone
-_LOW = 0.35  # quantile of readings that are at rest
+_LEAST_WIDTH = 1e-3  # relative to the median sensor, so that no sensor dominates
+_LOW = 0.35  # quantile over sensors that is at rest
 _MAX_ROUNDS, _MAX_FRAMES = 12, 8192  # of the fit of gains
 _SCREENED = 1024, 32  # frames and sensors in which the noise of a group is fitted first
-_SAME_GAIN = 1e-4  # relative change at which they have converged
-_MIN_NOISE = 1e-3  # standard deviations of the readings; less changes no correlation
+_SAME_GAIN = 1e-4  # relative change of gains at convergence
+_MIN_NOISE = 1e-3  # standard deviations of the readings; less does not change correlations
 _MAX_GAIN_RATIO = 20.0  # of the sensors of a group; chosen by hand
-# Minimum share of common noise in the fast noise of the median sensor, and of the hum in its
-# standard deviation; less changes r by 1 % at most.
+# Minimum share of common noise in the fast noise of the median sensor, and of hum in the standard
+# deviation of the median sensor; less changes r by 1 % at most.
 _MIN_SHARE = 0.1
 _MAX_WHITE = -0.5  # autocorrelation of second differences at lag 1: -2/3 for white noise
 _MAX_APART = 0.1  # relative difference of the gains of a hum in both halves; chosen by hand
-_MIN_SMOOTH = 0.2  # autocorrelation of the other part of the readings; chosen by hand
+_MIN_SMOOTH = 0.2  # autocorrelation of the readings without the noise; chosen by hand
 _ALL = 0.9  # share of the sensors above which noise concerns the whole skin
 
 
 def find_hum(recording: Recording) -> Iterator[Found]:
-    """Find a sine that sensors share: one period and phase, and a gain for each sensor.
+    """Find a sine common to sensors: one period and phase, and a gain for each sensor.
 
-    The period is that of the clearest line in the median of the sensors' spectra. It is a finding
-    if the power of the line is 20 times that on either side, and if its phase is the same in all
-    sensors. A body that rolls or walks at an even pace also gives lines, but the phase differs from
-    place to place.
+    The period is that of the clearest line in the median of the sensors' spectra. A hum is found if
+    the power of the line is 20 times the power on either side, and if all sensors have the same
+    phase. Rolling or walking at a constant pace also causes lines, but phases then differ between
+    places.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = readings.shape
@@ -75,7 +75,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
         return
     sensors, spectra = recording.signals.spectra
     power = np.median(spectra[:, np.isin(sensors, free)], axis=1)
-    # The power of slow changes falls steeply: it is above that on one side of it, without a line.
+    # Without a line, the steep power of slow changes also exceeds the power on one side.
     beside = medians(np.lib.stride_tricks.sliding_window_view(power, _BESIDE).T)
     apart = _BESIDE + 2 * _GAP - 1
     clear = power[_BESIDE + _GAP - 1 :][: beside.size - apart]
@@ -85,7 +85,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     rows = unit_rows(readings[:, sensors[np.isin(sensors, free)]])
     total, times = rows.sum(axis=0, dtype=np.float64), np.arange(n_frames)
     frequency, width = (int(clear.argmax()) + _BESIDE + _GAP - 1) / n_frames, 1 / n_frames
-    if _coherence(rows, frequency)[0] < _MIN_COHERENCE / 2:  # half a step off, it is hardly less
+    if _coherence(rows, frequency)[0] < _MIN_COHERENCE / 2:  # hardly less at half a step
         return
     frequency = minimize_scalar(
         lambda trial: -abs(total @ np.exp(-2j * np.pi * trial * times)),
@@ -118,14 +118,14 @@ def _coherence(rows: NDArray[np.float32], frequency: float) -> tuple[float, floa
 def find_common_noise(recording: Recording) -> Iterator[Found]:
     """Find white noise that groups of sensors share.
 
-    Contacts are slow compared to the frames, so second differences show noise. Sensors are grouped
-    by the correlation of their second differences, limited to 3 median absolute deviations. One
-    component must dominate a group; sources at several places, as in an EEG, give several. The
-    noise of a group is the mean of its readings, each divided by the gain of its sensor, over the
-    sensors that are not in contact. It is a finding if it is white, the rest of the readings is
-    not, and it is at least 10 % of the fast noise. A group that is not the whole skin must also be
-    touched by contacts of several kinds; otherwise, what it shares may be a single contact. Noise
-    of a group is mended only if that raises its agreement with other sensors: see `agree_more`.
+    Contacts are slow compared to the frame rate, so second differences show noise. Sensors are
+    grouped by the correlation of their second differences, limited to 3 median absolute deviations.
+    One component must dominate a group; sources at several places, as in EEG, cause several. The
+    noise of a group is the mean of its readings over sensors not in contact, each divided by the
+    gain of the sensor. Noise is found if it is white, the remaining readings are not, and it is at
+    least 10 % of the fast noise. A group smaller than the skin must also have contacts of several
+    kinds; otherwise, its common signal may be a single contact. Noise of a group is mended only if
+    the agreement with other sensors then increases: see `agree_more`.
     """
     readings, free = recording.readings, recording.signals.never_at_rest
     n_frames, n_sensors = _SCREENED
@@ -151,7 +151,7 @@ def find_common_noise(recording: Recording) -> Iterator[Found]:
 
 
 def _held_out(readings: NDArray[Any], group: NDArray[np.intp]) -> NDArray[Any] | None:
-    """Subtract the noise of a group from either half of a recording by the gains of the other."""
+    """Subtract the noise of a group from each half of a recording by gains of the other half."""
     halves = halves_of(len(readings))
     found = [_noise_of(readings[half][:, group]) for half in halves]
     one, other = found
@@ -182,9 +182,9 @@ def _median_share(sizes: NDArray[np.float64], readings: NDArray[Any]) -> float:
 
 
 def _is_added(rows: NDArray[np.float32], frequency: float, phase: float) -> bool:
-    """Return whether a line shifts low and high readings, rows (n, T), alike, as an added sine.
+    """Return whether a line shifts low and high readings, rows (n, T), equally, as an added sine.
 
-    A stimulus that comes in time with the line shifts high readings more than low ones.
+    A periodic stimulus shifts high readings more than low ones.
     """
     turns = (frequency * np.arange(rows.shape[1]) + phase / (2 * np.pi)) % 1
     bins = (turns * _N_PHASES).astype(np.intp)
@@ -197,7 +197,7 @@ def _is_added(rows: NDArray[np.float32], frequency: float, phase: float) -> bool
 
 
 def _sine_gains(readings: NDArray[Any], course: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the amplitude of a sine in each sensor, with contacts limited."""
+    """Return the amplitude of a sine in each sensor; contacts are clipped."""
     if len(readings) > _MAX_FRAMES:
         # Frames at equal steps could all have the same phase.
         frames = np.random.default_rng(0).choice(len(readings), _MAX_FRAMES, replace=False)
@@ -235,7 +235,7 @@ def _groups(readings: NDArray[Any], free: NDArray[np.intp]) -> Iterator[NDArray[
 
 
 def _noise_of(readings: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the course of the noise of a group, (T,), and its gains, (n,); None without any."""
+    """Return the common noise of a group, (T,), and its gains, (n,); None without noise."""
     values = readings.astype(np.float64)
     gains, course = _common_course(values)
     if (gains <= 0).any() or gains.max() > _MAX_GAIN_RATIO * gains.min():
@@ -249,19 +249,19 @@ def _noise_of(readings: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.f
     white = np.sum(fast[1:] * fast[:-1]) / max(np.sum(fast**2), 1e-300)
     squares, lagged = squares_and_lagged(left, left.mean(axis=0))
     smooth = np.median(lagged / np.maximum(squares, 1e-300))
-    # By chance, the mean of n sensors takes 1 / n of the noise of each.
+    # By chance, the mean of n sensors contains 1 / n of the noise of each.
     if share < max(_MIN_SHARE, 3 / gains.size) or white > _MAX_WHITE or smooth < _MIN_SMOOTH:
         return None
     return course, gains
 
 
 def _common_course(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit one course with gains to sensors, without those in contact.
+    """Fit a common signal with gains to the sensors that are not in contact.
 
-    The course starts as a low quantile over sensors, which is at rest even if contacts cover half
-    of the skin. It then becomes the mean of the sensors within 3 deviations of it. From 30 sensors
-    on, they are weighted by the reciprocals of their variances, so that sensors that are often in
-    contact count less.
+    The signal is initially a low quantile over sensors, which is at rest even if contacts cover
+    half of the skin. In each round, it is the mean of the sensors within 3 deviations of it. Of 30
+    sensors or more, each is weighted by the reciprocal variance, so that sensors that are often in
+    contact have less weight.
     """
     low = _LOW if np.median(((values - values.mean(axis=0)) ** 3).sum(axis=0)) >= 0 else 1 - _LOW
     side = 1.0 if low < 0.5 else -1.0

@@ -1,4 +1,4 @@
-"""Copies: channels that read one wire, exactly or with another gain and noise."""
+"""Copies: channels that read the same wire, exactly or with a different gain and noise."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ _FALSE_ALARMS = 0.01  # expected number of false findings in a recording
 _MANY_SENSORS = 512  # above, fewer frames are compared, for speed
 _MAX_CONFIRMED = 1 << 15  # frames in which copies are confirmed
 _N_PARTNERS = 2  # most similar sensors that are tested
-_MIN_CORRELATION = 0.5  # of a copy: with noise as strong as the signal, r is 0.7
-_MIN_CHANGES = 10  # of a sensor's value, 5 contacts: fewer agree by chance; chosen by hand
+_MIN_CORRELATION = 0.5  # of a copy; r is 0.7 if noise is as strong as the signal
+_MIN_CHANGES = 10  # of a sensor's value, in 5 contacts: fewer may agree by chance; chosen by hand
 _ROUNDING = 1e-5  # share of the range of a sensor, about 100 steps of float32
-_SCREENED = 512  # frames of which the agreement of pairs is examined first; chosen by hand
+_SCREENED = 512  # frames in which the agreement of pairs is examined first; chosen by hand
 _PAIRS_AT_ONCE = 64  # whose misfits are computed; arrays of 2,048 frames stay in the cache
 _MIN_LEVELS = 32  # distinct values of noise
-_NOISIER, _LEAST_NOISE = 2.0, 0.003  # by which copies are noisier than their source
-# Limits by which a tenth of the pairs may fail at least; simulated and real: 3 to 9.
+_NOISIER, _LEAST_NOISE = 2.0, 0.003  # noise of copies relative to their source
+# Minimum misfit of the best tenth of the failed pairs, in limits; simulated and real: 3 to 9.
 _MIN_POWER = 2.0
 _MIN_FAILED = 5  # pairs from which the distances of sensors are estimated
-_MAX_BEST_SHARE = 0.9  # a neighbour that is noisy disagrees at least so rarely; chosen by hand
+_MAX_BEST_SHARE = 0.9  # maximum share of disagreements of a noisy neighbour; chosen by hand
 _EXACT = 1e-3  # share of noise in the variance below which copies are exact
 
 
 @dataclass(frozen=True)
 class Copies:
-    """Sensors that read one wire.
+    """Sensors that read the same wire.
 
     sensors: In increasing order.
-    kept: The sensor whose wire it is, which has less noise; None if nothing tells them apart.
+    kept: The sensor that belongs to the wire, which has less noise; None if it is not known.
     noise: Greatest share of noise in the variance of a sensor; 0 if they agree in every frame.
     """
 
@@ -59,11 +59,11 @@ class Copies:
 
 
 def copied_groups(recording: Recording) -> list[Copies]:
-    """List the groups of sensors that read one wire.
+    """List the groups of sensors that read the same wire.
 
-    Noisy sensors that always differ from rest and agree in every frame have their noise in common.
-    Others must have been in contact, and in contacts of several kinds: sensors that one place of
-    contact touches alike read the same, too.
+    Noisy sensors that are never at rest and agree in every frame have common noise. All other
+    sensors must have contacts of several kinds, since contacts at a single place also cause equal
+    readings.
     """
     signals = recording.signals
     return [
@@ -82,7 +82,7 @@ def copied_groups(recording: Recording) -> list[Copies]:
 
 
 def find_copied(recording: Recording) -> Iterator[Found]:
-    """Find groups of sensors that read one wire: see `copied_groups`."""
+    """Find groups of sensors that read the same wire: see `copied_groups`."""
     names, groups = recording.names, copied_groups(recording)
     left_out = sum(len(copies.sensors) - (copies.kept is not None) for copies in groups)
     some_left = left_out < np.count_nonzero(recording.varying())
@@ -105,21 +105,20 @@ def _leave_out(names: frozenset[str]) -> Callable[[Recording], Recording]:
 def _alike(
     readings: NDArray[Any], lowest: NDArray[np.floating], highest: NDArray[np.floating]
 ) -> tuple[Copies, ...]:
-    """Find groups of sensors that read the same.
+    """Find groups of sensors with equal readings, up to gain and noise.
 
     readings (T, N), lowest, highest (N,).
 
-    Neighbours on a skin are similar, too, but each is closer to other sensors, so their difference
-    correlates with a third sensor. If x_j = g x_i + noise, then the covariances of j with all
-    third sensors are g times those of i, and x_j - g x_i is white, independent of third sensors and
-    of the height of the contact. Each of these is tested so that 1 % of the recordings with copies
-    fail. Where sensors are placed at random, two of them at nearly one place pass as well: a pair
-    is no copy if one that is so close is to be expected on this skin (`_closer_than_chance`).
-    Recordings in which many pairs fail by little are not judged.
+    Neighbours on a skin are similar, too, but their difference correlates with third sensors, which
+    are closer to one of the two. If x_j = g x_i + noise, then the covariances of j with all third
+    sensors are g times those of i, and x_j - g x_i is white, and independent of third sensors and
+    of contact depth. In each test, 1 % of the recordings with copies fail. If sensors are placed at
+    random, two sensors may be close enough to pass: a pair is no copy if such a close pair is to be
+    expected on this skin (`_closer_than_chance`). If many pairs fail narrowly, none is judged.
 
-    Readings that agree in every frame are copies if they change often enough. The most similar of
-    the pairs that disagree gives the smallest probability p of a disagreement at a change; n
-    changes agree by chance with probability (1 - p)^n.
+    Sensors that agree in every frame are copies if they change often enough. The most similar pair
+    that disagrees gives the least probability p of disagreement at a change; n changes agree by
+    chance with probability (1 - p)^n.
     """
     varying = np.flatnonzero(highest > lowest)
     if len(readings) < 3 or varying.size < 3:
@@ -144,7 +143,7 @@ def _alike(
 
 
 def _group(sensors: NDArray[np.intp], noise: NDArray[np.float64]) -> Copies:
-    """Return a group of copies, and the sensor whose wire it is if it has clearly less noise."""
+    """Return a group of copies, with the sensor to keep if it has clearly less noise."""
     quietest = int(noise.argmin())
     others = np.delete(noise, quietest)
     clear = (others > _NOISIER * noise[quietest] + _LEAST_NOISE).all()
@@ -153,7 +152,7 @@ def _group(sensors: NDArray[np.intp], noise: NDArray[np.float64]) -> Copies:
 
 
 class _Excerpt:
-    """Standardised readings of n sensors in some frames, and their covariances with some."""
+    """Standardised readings of n sensors in some frames, and covariances with K sensors."""
 
     def __init__(self, readings: NDArray[Any], sensors: NDArray[np.intp], most: int) -> None:
         part = readings[excerpt_frames(readings, most)]
@@ -163,7 +162,7 @@ class _Excerpt:
 
     @cached_property
     def covariance(self) -> NDArray[np.float32]:
-        """Covariances of all sensors with the others, (n, K)."""
+        """Covariances of all sensors with the K sensors `others`, (n, K)."""
         found = (
             self.rows @ self.rows[self.others].T
             if self.whole is None
@@ -182,10 +181,10 @@ class _Excerpt:
     def related(
         self, pairs: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64], NDArray[np.intp]]:
-        """Return covariances of both sensors of pairs with third ones, (P, K), 0 with themselves.
+        """Return covariances of both sensors of pairs with third sensors, (P, K); 0 within a pair.
 
-        Also the ratio of those of the second and the first, (P,): noise of the first would lower
-        its slope; and the numbers of third sensors.
+        Also return the ratio of the covariances of the second and the first sensor, (P,), which
+        noise does not bias, unlike a slope of readings; and the numbers of third sensors, (P,).
         """
         third = (self.others != pairs[:, :1]) & (self.others != pairs[:, 1:])
         first, second = (np.where(third, self.covariance[k], 0) for k in pairs.T)
@@ -195,9 +194,9 @@ class _Excerpt:
         return first, second, gain, np.count_nonzero(third, axis=1)
 
     def distances(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return how far covariances with third sensors differ, relative to their size, (P,).
+        """Return the relative difference of the covariances with third sensors, (P,).
 
-        For near sensors proportional to their distance; noise of single sensors does not matter.
+        It is proportional to the distance of near sensors, and independent of their own noise.
         """
         first, second, gain, _ = self.related(pairs)
         size = np.linalg.norm(second, axis=1)
@@ -205,9 +204,9 @@ class _Excerpt:
         return np.asarray(np.divide(apart, size, out=np.full(len(pairs), np.inf), where=size > 0))
 
     def misfits(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return by how much j differs from i times a gain plus noise, in units of the limits.
+        """Return the deviation of j from i times a gain plus noise, relative to limits.
 
-        Shape (P,); inf where nothing speaks for a copy.
+        Shape (P,); inf where there is no evidence of a copy.
         """
         starts = range(0, len(pairs), _PAIRS_AT_ONCE)
         parts = [self._misfits(pairs[begin : begin + _PAIRS_AT_ONCE]) for begin in starts]
@@ -227,7 +226,7 @@ class _Excerpt:
             (gain > 0)
             & (size > _ROUNDING)
             & (levels >= _MIN_LEVELS)  # sensors with few values have no noise of their own
-            # Without a signal in common with others, nothing speaks for a copy.
+            # There is no evidence of a copy without a signal in common with other sensors.
             & (related * deviations >= 2 * limit)
         )
         found = np.full(len(pairs), math.inf)
@@ -238,7 +237,7 @@ class _Excerpt:
         white = np.abs(products).max(axis=0) / n_frames / size**2
         strength = np.abs(rest)
         strength -= strength.mean(axis=1, keepdims=True)
-        # The height of contact, without the noise of the pair.
+        # The contact depth in a third sensor does not contain the noise of the pair.
         height = np.abs(self.rows[self.others[nearest[possible]]])
         height -= height.mean(axis=1, keepdims=True)
         spread = strength.std(axis=1).astype(np.float64) * height.std(axis=1) * n_frames
@@ -249,7 +248,7 @@ class _Excerpt:
         return found
 
     def noise_shares(self, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the shares of the variances of pairs that they do not have in common, (P, 2)."""
+        """Return the share of each variance that the sensors of pairs do not share, (P, 2)."""
         gain = self.related(pairs)[2]
         r = np.einsum("pt,pt->p", *self.rows[pairs.T]) / self.rows.shape[1]
         shares = 1 - np.column_stack([r / np.where(gain > 0, gain, 1), r * gain])
@@ -275,7 +274,7 @@ def _identical(
     for k, (i, j) in enumerate(pairs):
         alike = not count(scaled(i, step) - scaled(j, step))
         agree[k] = alike and not count(scaled(i) - scaled(j))
-    if not agree.any():  # then it does not matter how rarely others disagree
+    if not agree.any():
         return agree
     first, pair = np.unique(pairs[:, 0], return_inverse=True)
     changes = np.array([count(np.diff(scaled(i))) for i in first])[pair]
@@ -289,7 +288,7 @@ def _identical(
 def _noisy(
     readings: NDArray[Any], varying: NDArray[np.intp], excerpt: _Excerpt, pairs: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Mark pairs of which one is the other times a gain, plus white noise."""
+    """Mark pairs in which one sensor equals the other times a gain, plus white noise."""
     misfits = excerpt.misfits(pairs)
     passed = misfits <= 1
     failed = ~passed & np.isfinite(misfits)
@@ -308,14 +307,14 @@ def _noisy(
 def _closer_than_chance(
     distances: NDArray[np.float64], apart: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Mark pairs that are closer than the closest pairs of different sensors are by chance, (P,).
+    """Mark pairs that are closer than the closest pairs of different sensors by chance, (P,).
 
     distances (P,), apart (Q,): Distances of possible copies, and of different sensors.
 
-    Small distances follow a power law: of sensors at random places on a surface, d^2 pairs are
-    closer than d, on regular ones fewer. Its exponent is that of the closer half of the pairs (Hill
-    1975, Annals of Statistics 3: 1163-1174). The pairs that are closer than d are a Poisson number;
-    the m closest pairs are marked, for the largest m that chance reaches with probability .01.
+    Small distances follow a power law: the number of pairs closer than d is proportional to d^2 for
+    random places on a surface, and smaller for regular ones. The exponent is estimated from the
+    closer half of the pairs (Hill 1975, Annals of Statistics 3: 1163-1174). The number is Poisson
+    distributed. The m closest pairs are marked, for the largest m of probability .01.
     """
     middle = float(np.median(apart))
     closer = apart[(apart > 0) & (apart < middle)]

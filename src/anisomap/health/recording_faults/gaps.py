@@ -1,4 +1,4 @@
-"""Gaps: readings that are lost, or that repeat the ones before."""
+"""Gaps: readings that are missing, or that repeat the preceding readings."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from anisomap.numerics.signals import standardised
 from anisomap.numerics.similarity.rest import estimate_rest
 from anisomap.recording import Recording
 
-_MIN_MISSING = 0.02  # share of a sensor's readings; fewer change no correlation; chosen by hand
-_FALSE_ALARMS = 0.01  # expected number of spans that are found by chance
-_MIN_SPAN = 8  # frames of which all repeat the one before; chosen by hand
+_MIN_MISSING = 0.02  # share of a sensor's readings; fewer hardly change correlations; by hand
+_FALSE_ALARMS = 0.01  # expected number of spans found by chance
+_MIN_SPAN = 8  # successive frames that repeat the preceding frame; chosen by hand
 _N_PARTNERS = 8  # most similar sensors from which readings are estimated; chosen by hand
-_MAX_FITTED = 20_000  # of a fit
-_MIN_PRESENT = 0.5  # share of the weight of similar sensors that have readings
-# Largest share of the other readings that repeat, since noise shows nothing of still contacts; also
-# of those of the typical sensor, if all must repeat. By hand.
+_MAX_FITTED = 20_000  # frames of a fit
+_MIN_PRESENT = 0.5  # minimum share of the weight of similar sensors that have readings
+# Maximum share of the other readings that repeat: with more, noise does not reveal still contacts.
+# The second applies to the typical sensor, if all sensors must repeat. By hand.
 _MAX_STILL, _MAX_STILL_EACH = 0.05, 1 / 3
-_MAX_FROZEN = 0.5  # of the frames; more are a rest
+_MAX_FROZEN = 0.5  # share of the frames; a larger share is rest
 
 
 def find_gaps(recording: Recording) -> Iterator[Found]:
-    """Find readings that are missing; the recording is not complete."""
+    """Find missing readings of an incomplete recording."""
     if np.isfinite(recording.extremes).all():
         return
     missing = ~np.isfinite(recording.readings)
@@ -45,10 +45,10 @@ def find_gaps(recording: Recording) -> Iterator[Found]:
 
 
 def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
-    """Estimate missing readings of sensors from similar ones where that is better than lines.
+    """Estimate missing readings from similar sensors where this is better than interpolation.
 
-    Whether it is better is seen from known readings: those of other frames, as many and as long in
-    a row. Where most of the similar sensors miss readings as well, lines are kept.
+    Both estimates are compared on known readings, in gaps of equal number and length in other
+    frames. Interpolation is kept where most of the similar sensors lack readings as well.
     """
     completed = fill_gaps(np.where(missing, np.nan, readings))
     rest = estimate_rest(completed)
@@ -67,7 +67,7 @@ def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
         weights, _ = nnls(depth[np.ix_(fitted, partners)], depth[fitted, i])
         present = ~missing[:, partners] @ weights > _MIN_PRESENT * weights.sum()
         estimate = depth[:, partners] @ weights
-        # Scaled to the highest known depth: clipping would leave many equal readings.
+        # Estimates are scaled to the highest known depth: clipping would cause many equal readings.
         highest = estimate[gap & present].max(initial=1e-300)
         estimate *= min(1.0, depth[fitted, i].max() / highest)
         noise = rest.threshold[i] * (estimate > 0)
@@ -81,12 +81,12 @@ def _filled(readings: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
 
 
 def find_frozen(recording: Recording) -> Iterator[Found]:
-    """Find frames in which all sensors, or else some, repeat their readings.
+    """Find frames in which all sensors, or else some sensors, repeat their readings.
 
-    If a share p of the other readings repeats the one before, n in succession do so with
-    probability N T p^n at most, in T frames of N sensors. Where readings often repeat, no noise
-    shows that time passes: a still contact looks the same, and nothing is found. Nor are readings
-    at rest, or at an end of the range.
+    If a share p of the other readings repeats the preceding reading, n successive repetitions occur
+    with probability N T p^n at most, in T frames of N sensors. Nothing is found if readings often
+    repeat, since a still contact without noise looks the same. Readings at rest or at an end of the
+    range are not found either.
     """
     varying = np.flatnonzero(recording.varying())
     if varying.size < 2 or recording.n_frames < 2 * _MIN_SPAN:
@@ -117,7 +117,7 @@ def find_frozen(recording: Recording) -> Iterator[Found]:
 def _long_spans(
     repeats: NDArray[np.bool_], readings: NDArray[Any], n_tests: int
 ) -> NDArray[np.bool_] | None:
-    """Mark the frames, (T,), in long spans of repeated readings, (T, n); None without any."""
+    """Mark the frames, (T,), in long spans of repeated readings, (T, n); None without spans."""
     start, stop = np.flatnonzero(np.diff(repeats, prepend=False, append=False)).reshape(-1, 2).T
     long = stop - start >= _MIN_SPAN
     if not long.any():

@@ -1,4 +1,4 @@
-"""Leaks: each channel contains a share of the channel read before it."""
+"""Leaks: each channel contains a share of the preceding channel."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from anisomap.numerics.signals import excerpt_frames
 from anisomap.recording import Recording
 
 _LEVEL = 1e-4  # of the sign test: the probability of a false finding
-_QUANTILES = (0.05, 0.25)  # the lower edge of wide contacts, and of brief ones
+_QUANTILES = (0.05, 0.25)  # lowest readings during wide contacts, and during brief ones
 _MIN_FRAMES = 20  # of strong contact; chosen by hand
 _MAX_FRAMES = 2000  # of strong contact that are used, for speed
 _MAX_EXCERPT = 16384  # frames
-_MAX_CHANNELS = 256  # the first ones, in which a leak is searched for
-_MIN_LEVELS = 8  # distinct values, for a share to be visible
-_MAX_SHARE = 0.6  # above, a leak cannot be told from a copy; chosen by hand
+_MAX_CHANNELS = 256  # first channels, in which a leak is searched for
+_MIN_LEVELS = 8  # distinct values, which resolve a share
+_MAX_SHARE = 0.6  # a greater leak cannot be distinguished from a copy; chosen by hand
 _APART = range(6, 26)  # differences of channels between which nothing leaks; chosen by hand
 _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as float32
 
@@ -29,13 +29,13 @@ _TOLERANCE = 1e-4  # of a share computed from readings without noise, stored as 
 def find_leak(recording: Recording) -> Iterator[Found]:
     """Find a leak from each channel to the next.
 
-    Contacts only add to readings. Hence, while channel i - 1 is in contact, the lowest readings of
-    channel i in units of i - 1 estimate the share that leaks. Neighbours on the skin raise this
-    share in both directions alike, and a leak in one direction: a sign test of the differences
-    tells them apart. If the order of channels follows the skin, contacts raise even the lowest
-    readings, and a leak is not found. Differences of adjacent pairs then also depend on each other,
-    since one contact reaches several of them: those of channels that are further apart, between
-    which nothing leaks, show by how much more their sum varies than that of independent ones.
+    Contacts only add to readings. While channel i - 1 is in contact, the lowest ratio of channel i
+    to channel i - 1 therefore estimates the share that leaks. Neighbours on the skin increase this
+    share in both directions, a leak in one direction only: a sign test of the differences
+    distinguishes them. If the order of channels follows the skin, contacts raise even the lowest
+    readings, and a leak is not found. Differences of adjacent pairs are then also dependent, since
+    one contact reaches several pairs. The excess variance of their sum is estimated from channels
+    that are further apart, between which nothing leaks.
     """
     readings = recording.readings[excerpt_frames(recording.readings, _MAX_EXCERPT), :_MAX_CHANNELS]
     rest = recording.signals.rest
@@ -56,7 +56,7 @@ def find_leak(recording: Recording) -> Iterator[Found]:
 
 
 class _Channel(NamedTuple):
-    """Readings above rest, (T,), frames of strong contact, depths there, and frames of rest."""
+    """Readings above rest, (T,), frames of strong contact, their depths, and frames at rest."""
 
     above: NDArray[Any]
     deep: NDArray[np.intp]
@@ -64,7 +64,7 @@ class _Channel(NamedTuple):
     quiet: NDArray[np.intp]
 
     def lowest(self, source: _Channel, quantile: float) -> float:
-        """Return a low quantile in units of the source, while that is in strong contact."""
+        """Return a low quantile relative to the source, while the source is in strong contact."""
         level = _quantile(self.above[source.quiet], quantile)
         return _quantile((self.above[source.deep] - level) / source.depth, quantile)
 
@@ -85,7 +85,7 @@ def _channel(raised: NDArray[Any], rest: float, threshold: float) -> _Channel | 
 def _gains(
     channels: Sequence[_Channel | None], offset: int, quantile: float
 ) -> NDArray[np.float64]:
-    """Return the forward minus the backward gain of channels `offset` apart, (P,)."""
+    """Return forward minus backward gains of channels at a distance of `offset`, (P,)."""
     pairs = zip(channels, channels[offset:], strict=False)
     found = [
         later.lowest(earlier, quantile) - earlier.lowest(later, quantile)
@@ -103,9 +103,9 @@ def _score(gains: NDArray[np.float64]) -> float:
 
 
 def _excess(channels: Sequence[_Channel | None], share: float) -> float:
-    """Return the deviation of the scores of channels between which nothing leaks, at least 1.
+    """Return the standard deviation of scores of channels without leaks between them, at least 1.
 
-    share: A leak of channels with their own leak passes on a share of a share.
+    share: The leak. Since leaks accumulate, channels further apart contain powers of this share.
     """
     scores = [
         min(abs(_score(gains)), abs(_score(gains - share**offset)))

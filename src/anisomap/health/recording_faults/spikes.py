@@ -1,4 +1,4 @@
-"""Spikes: boards that jump for one frame."""
+"""Spikes: simultaneous jumps of all sensors of a board for one frame."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from anisomap.health.recording_faults import Found, has_contacts, linked_groups
 from anisomap.numerics.signals import count_contacts, excerpt_frames, some_sensors, unit_rows
 from anisomap.recording import Recording
 
-_MIN_GROUP = 5  # sensors of a board; three or four may be touched alike by a flat object
-_MIN_LEVELS = 8  # distinct heights of jumps: sensors with two values always jump by the same
+_MIN_GROUP = 5  # sensors of a board; a flat object may touch three or four equally
+_MIN_LEVELS = 8  # distinct heights of jumps: all jumps of sensors with two values are equal
 _MIN_SPIKES = 5  # in a recording
 _MAX_SPIKES = 0.15  # of the frames; white noise jumps up in a third of them
 _MIN_LINK = 0.7  # correlation of the jumps of two sensors of a board; chosen by hand
-_MIN_HEIGHT = 0.1  # standard deviations of the readings; less changes no correlation
+_MIN_HEIGHT = 0.1  # standard deviations of the readings; less hardly changes correlations
 _MIN_EQUAL = 0.5  # share of the common jumps that are spikes; chosen by hand
 _MAX_SPREAD = 0.1  # relative spread of the jumps of the sensors of a board; contacts have 0.3
 _MAX_SENSORS = 1024  # in which spikes are searched for
-_STEEP = 2.0  # height of a spike over the changes beside it; tops of contacts have less; by hand
-_MIN_DURATION = 2.0  # times that of contacts in shuffled frames, which look like spikes; by hand
-_MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump: the others are in contact
+_STEEP = 2.0  # height of a spike relative to adjacent changes; less for peaks of contacts; by hand
+_MIN_DURATION = 2.0  # of contacts, relative to shuffled frames, which resemble spikes; by hand
+_MIN_AT_ONCE = 0.6  # share of the sensors of a board that must jump; the others may be in contact
 
 
 def find_spikes(recording: Recording) -> Iterator[Found]:
-    """Find spikes that groups of sensors share, in an excerpt.
+    """Find common spikes of groups of sensors in an excerpt.
 
-    A contact rises and falls over several frames or is highest in the middle; a spike of a board
-    lasts one frame and is equally high in all of its sensors. Sensors are grouped by the
-    correlation of their jumps, the excess of a reading over both readings beside it. A group is not
-    judged if it has no other contacts, or only contacts of single frames or of one kind.
+    A contact rises and falls over several frames, or is highest in the middle. A spike of a board
+    lasts one frame and has equal height in all sensors of the board. Sensors are grouped by the
+    correlation of jumps, i.e. the excess of a reading over both adjacent readings. A group without
+    contacts, or with contacts of single frames or of one kind only, is not judged.
     """
     excerpt = excerpt_frames(recording.readings)
     readings, chosen = recording.readings[excerpt], some_sensors(recording.n_sensors, _MAX_SENSORS)
@@ -53,7 +53,7 @@ def find_spikes(recording: Recording) -> Iterator[Found]:
 
 
 def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the excess of readings over both readings beside them, shape (t, n); at least 0.
+    """Return the excess of readings over both adjacent readings, shape (t, n); at least 0.
 
     It is 0 in the first and the last frame.
     """
@@ -64,7 +64,7 @@ def _jumps(readings: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _common(jumps: NDArray[np.float32], readings: NDArray[Any]) -> tuple[NDArray[np.intp], float]:
-    """Return frames of the spikes of a group, and their height; none if its jumps are contacts."""
+    """Return frames and height of the spikes of a group; no frames if jumps are contacts."""
     frames = np.flatnonzero(np.count_nonzero(jumps, axis=1) >= _MIN_AT_ONCE * jumps.shape[1])
     changes = np.pad(np.median(np.abs(np.diff(readings, axis=0)), axis=1), 2)
     beside = np.maximum(changes[frames], changes[frames + 3])

@@ -1,4 +1,4 @@
-"""Steps of the reading at rest: a supply or an amplifier that jumps, wires that were moved."""
+"""Steps of readings at rest, by jumps of a supply or an amplifier, or by moved wires."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from anisomap.health.sensors import MIN_CONTACTS
 from anisomap.numerics.signals import excerpt_frames, medians, normal_maximum, unit_rows
 from anisomap.recording import Recording
 
-_WINDOW, _N_WINDOWS = 25, 8  # frames of a level, and levels on either side that are compared
-_NOISE, _FINEST = 4.0, 1e-3  # deviations of the noise of a step, which is this share of the range
-_NEAR = 5  # frames on either side in which most of a step is made
+_WINDOW, _N_WINDOWS = 25, 8  # frames per level, and levels compared on either side
+_NOISE, _FINEST = 4.0, 1e-3  # least step in deviations of the noise; least noise relative to range
+_NEAR = 5  # frames on either side that contain most of a step
 _N_SIMILAR = 3
-_MAX_MOMENTS = 40  # that are examined
-# Share of the sensors similar to one that a contact moves that it does not move to the same side,
-# and probability with which more of them do not by chance.
+_MAX_MOMENTS = 40  # maximum number of frames examined
+# If a contact moves a sensor, at most this share of similar sensors does not move to the same side;
+# and probability of a larger share by chance.
 _UNLIKE, _FALSE_ALARMS = 0.2, 0.01
 
 
 def find_steps(recording: Recording) -> Iterator[Found]:
     """Find sensors whose reading at rest steps at one frame, and does not return.
 
-    Contacts move readings to one side of rest, so the least level on the other side, of quartiles
-    of 8 successive windows of 25 frames, is the level at rest unless a contact lasts for all of
-    them. It steps if it differs before and after a frame by 4 deviations of the noise, most of it
-    within 5 frames, and if no level of the recording beyond the step reaches the other one. A
-    contact that begins and stays, or was there and ends, moves sensors to one side, and similar
-    ones alike. Sensors that step at one frame are a finding if too few of the most similar ones
-    move to the same side, by a binomial test, and if they step to both sides or none of these moves
-    at all. Sensors with fewer than 5 contacts are not judged.
+    Contacts move readings to one side of rest. The level at rest is therefore the quartile furthest
+    to the other side of 8 successive windows of 25 frames, unless a contact lasts for all windows.
+    A sensor steps if its levels before and after a frame differ by 4 deviations of the noise,
+    mostly within 5 frames, and if no level on one side of the step reaches the level on the other
+    side. A contact that begins and stays, or was present and ends, moves similar sensors to one
+    side. Sensors that step at a frame are found if too few of the most similar sensors move to the
+    same side, by a binomial test, and if they step to both sides or no similar sensor moves.
+    Sensors with fewer than 5 contacts are not judged.
     """
     readings, signals = recording.readings, recording.signals
     n_windows = len(readings) // _WINDOW
@@ -44,7 +44,7 @@ def find_steps(recording: Recording) -> Iterator[Found]:
     changes = np.diff(readings[excerpt_frames(readings)], axis=0)
     size = np.abs(changes)
     noise = medians(size) / 0.954  # of the differences of two normal numbers
-    noise = np.maximum(noise, np.where(size > 0, size, np.inf).min(axis=0) / 2)  # of codes
+    noise = np.maximum(noise, np.where(size > 0, size, np.inf).min(axis=0) / 2)  # quantisation
     noise = np.maximum(noise, _FINEST * np.ptp(readings, axis=0)).astype(np.float64)
     least = _NOISE * noise
     windows = (side * readings[: n_windows * _WINDOW]).reshape(n_windows, _WINDOW, -1)
@@ -56,10 +56,10 @@ def find_steps(recording: Recording) -> Iterator[Found]:
     lowest_before = np.minimum.accumulate(levels, axis=0)[_N_WINDOWS - 1 :][: len(step)]
     lowest_after = np.minimum.accumulate(levels[::-1], axis=0)[::-1][_N_WINDOWS + 1 :][: len(step)]
     beyond = np.where(step > 0, lowest_after - before, lowest_before - after)
-    # Slow noise and drift change levels everywhere: the greatest of so many normal numbers.
+    # The limit is the maximum of as many normal numbers, since slow noise and drift change levels.
     usual = medians(np.abs(step)) / 0.6745 * normal_maximum(step.size)
     stepping = (np.abs(step) > np.maximum(least, usual)) & (beyond > np.abs(step) / 2)
-    stepping &= signals.contacts >= MIN_CONTACTS  # of others, the side of contact is not known
+    stepping &= signals.contacts >= MIN_CONTACTS  # with fewer, the side of contact is unknown
     counts = np.count_nonzero(stepping, axis=1)
     rows = unit_rows(changes) if counts.any() else changes.T
     frames, found = set[int](), np.zeros(len(noise), dtype=bool)
@@ -87,7 +87,7 @@ def find_steps(recording: Recording) -> Iterator[Found]:
 
 
 def _by_contact(some: NDArray[np.intp], sign: NDArray[Any], rows: NDArray[Any]) -> bool:
-    """Return whether a contact may move some sensors; sign (N,): to which side each moves, or 0."""
+    """Return whether a contact may explain the moves of sensors; sign (N,): of each move, or 0."""
     similar = rows[some] @ rows.T
     similar[np.arange(some.size), some] = -np.inf
     nearest = np.argsort(-similar, axis=1, kind="stable")[:, :_N_SIMILAR]

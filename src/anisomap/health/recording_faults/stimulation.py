@@ -1,4 +1,4 @@
-"""Unsuitable stimulation: too strong for the range of sensors, of one region, or of one period."""
+"""Unsuitable stimulation: beyond the range of sensors, of separate regions, or of one period."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from anisomap.numerics.columns import columns
 from anisomap.recording import Recording
 
 _MIN_CLIPPED = 10  # frames at the limit
-_LEVELS = 3  # beside the limit, of which none may be half as frequent
-_MAX_BRIDGES = 3  # sensors touched with both regions: fewer cannot fix their relative place
+_LEVELS = 3  # adjacent to the limit, none of which may be half as frequent
+_MAX_BRIDGES = 3  # sensors touched with both regions; fewer do not determine their arrangement
 _MIN_REGION = 0.1  # share of the sensors in the smaller region
-_MAX_FRAMES = 8192  # in which regions are searched for
-_N_SPLITS = 39  # moments at which a recording may be divided
+_MAX_FRAMES = 8192  # frames in which regions are searched for
+_N_SPLITS = 39  # frames at which a recording may be divided
 _STRAY = 0.02  # share of a sensor's active frames with the other region
 
 
 def find_clipped(recording: Recording) -> Iterator[Found]:
     """Find sensors whose readings are limited by a range that is too small.
 
-    High contacts are rarer than low ones, so the extreme reading of a sensor should not occur twice
-    as often as each of the values next to it. A reading that lasts occurs once.
+    Deep contacts are rarer than shallow ones, so the extreme reading of a sensor should not be
+    twice as frequent as each adjacent value. A repeated reading counts once.
     """
     readings, shares = recording.readings, np.zeros(recording.n_sensors)
     for sign, limit in zip((-1, 1), recording.extremes, strict=True):
@@ -51,7 +51,7 @@ def _at_limit(column: NDArray[Any]) -> float:
 
 
 def find_regions(recording: Recording) -> Iterator[Found]:
-    """Find two regions of the skin that were never touched together."""
+    """Find two regions of the skin that were never touched simultaneously."""
     step = -(-recording.n_frames // _MAX_FRAMES)
     active = recording.signals.active[::step]
     n_frames, n_sensors = active.shape
@@ -79,15 +79,15 @@ def find_regions(recording: Recording) -> Iterator[Found]:
 _MIN_SENSORS = 0.8  # share of the sensors that have one period; chosen by hand
 _MIN_CYCLES = 3  # of a recording that is one sine
 _HALF_LINE = 2  # frequencies on each side that belong to a line
-# At a lower frequency of a sine, or among fewer ones, a line is as wide as the spectrum of
-# contacts, and must hold all variance: of 720 clean recordings of 50 frames, 11 had .7, 2 had .95.
+# At a lower frequency, or among fewer frequencies, a line is as wide as the spectrum of contacts,
+# and must contain all variance: of 720 clean recordings of 50 frames, 11 had .7, and 2 had .95.
 _MIN_NARROW, _MIN_FREQUENCIES = 4 * _HALF_LINE, 10 * (2 * _HALF_LINE + 1)
 _ALL_OF_IT = 0.95
-_MIN_LINE_SHARE = 0.7  # share of the variance in one line; a contact once a turn has less; by hand
+_MIN_LINE_SHARE = 0.7  # share of the variance in one line; less for a contact per turn; by hand
 
 
 def one_period(recording: Recording) -> tuple[float, float] | None:
-    """Return the share of the variance that is one sine, and its period in frames, if most is."""
+    """Return a sine's share of the variance, and its period in frames, if it is most of it."""
     if recording.n_frames < 8 * _MIN_CYCLES:
         return None
     power = recording.signals.spectra[1]

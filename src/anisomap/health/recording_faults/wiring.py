@@ -1,4 +1,4 @@
-"""Wires of opposite polarity, and wires that are exchanged while recording."""
+"""Wires of opposite polarity, and wires that were exchanged during a recording."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from anisomap.numerics.signals import (
 from anisomap.numerics.similarity.rest import ranks_of_depths
 from anisomap.recording import Recording
 
-_MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched now and then; by hand
-_MIN_SKEWED = 0.8  # share of the sensors that must be so skewed; chosen by hand
+_MIN_SKEWNESS = 0.5  # magnitude of the skewness of sensors that are touched occasionally; by hand
+_MIN_SKEWED = 0.8  # share of sensors that must have this skewness; chosen by hand
 _MIN_AGREEMENT = 0.7  # share of the strongest correlations whose sign must be explained; by hand
-_MAX_UNSKEWED = 0.4  # share of the smaller part of sensors that are not skewed; chosen by hand
-_MIN_CROSSING = 0.5  # of the strongest correlations that would join both parts at random; by hand
+_MAX_UNSKEWED = 0.4  # share of the smaller part of sensors without skewness; chosen by hand
+_MIN_CROSSING = 0.5  # strongest correlations between parts, relative to random pairs; by hand
 _N_COUNTED = 4
 _MIN_COUNTED = 0.2  # magnitude of correlations whose sign counts; chosen by hand
 
@@ -41,15 +41,15 @@ _MIN_COUNTED = 0.2  # magnitude of correlations whose sign counts; chosen by han
 def find_inverted(recording: Recording) -> Iterator[Found]:
     """Find sensors on which contact has the opposite sign.
 
-    Sensors are at rest most of the time, so contact skews readings to its own side. Two parts of
-    opposite skewness are a finding only if correlations agree: the strongest correlations must be
+    Sensors are at rest most of the time, so readings are skewed to the side of contact. Two parts
+    of opposite skewness are reported only if correlations agree: the strongest correlations must be
     negative between the parts, and positive within them. If most readings are not skewed or do not
-    rest, such as those of sensors that are often in contact, the signs of the correlations along a
-    maximum spanning tree give the parts, which must then be mixed. Sensors with fewer than 5
-    contacts, or that resemble no other, are not judged, since their signs may be due to chance;
-    but a sensor that rises with one of them, and resembles that one most, is not inverted. Sensors
-    are mirrored only if they have 10 contacts on average, 5 in either half of the recording, and
-    then resemble the others in both halves. Sines of one period have all signs without a fault.
+    rest, as of sensors that are often in contact, the signs of correlations along a maximum
+    spanning tree determine the parts, which must then be mixed. Sensors with fewer than 5 contacts,
+    or that resemble no other sensor, are not judged, since their signs may be due to chance. If the
+    strongest correlation of a suspect is positive and with such a sensor, it is not inverted.
+    Sensors are mirrored only if they have 10 contacts on average, 5 in each half of the recording,
+    and then resemble the others in both halves. Sines of one period can have any sign.
     """
     if one_period(recording):
         return
@@ -114,9 +114,9 @@ def _often_touched(recording: Recording) -> NDArray[np.bool_]:
 def _enough(recording: Recording) -> float:
     """Return how many times an event of probability 1/2 must recur to exclude chance.
 
-    With probability 2^-k, k readings of noise have one sign, and k contacts of a sensor miss all
-    those of a sensor that is touched half of the time. Among N sensors, at most `FALSE_ALARMS` are
-    expected to do so for the number returned.
+    With probability 2^-k, k readings of noise have the same sign, and k contacts of a sensor
+    coincide with no contact of a sensor that is touched half of the time. For the number returned,
+    at most `FALSE_ALARMS` of N sensors are expected to do so.
     """
     return math.log2(recording.n_sensors / FALSE_ALARMS)
 
@@ -129,11 +129,11 @@ def _clear_correlations(
 ) -> NDArray[np.float32]:
     """Correlate sensors, (n, n); 0 where the sign may be chance.
 
-    readings, values (t, n): Readings in some frames, and the same standardised.
+    readings, values (t, n): Readings in some frames, and standardised readings.
 
-    Noise gives correlations of either sign. Few contacts that never meet those of another sensor
-    give negative ones, of not less than - m_i m_j, where m is the mean distance from rest in
-    standard deviations: the mean product of two distances is at least 0.
+    Noise causes correlations of either sign. If few contacts of a sensor never coincide with those
+    of another one, r is negative, but at least - m_i m_j, where m is the mean distance from rest in
+    standard deviations, since the mean product of two distances is at least 0.
     """
     correlation = values.T @ values / np.float32(len(values))
     np.fill_diagonal(correlation, 0)
@@ -148,7 +148,7 @@ def _clear_correlations(
 
 
 def _mirrored(recording: Recording, sensors: NDArray[np.intp]) -> Recording:
-    """Mirror sensors at rest."""
+    """Mirror the readings of sensors about rest."""
     readings = np.array(recording.readings)
     rest = recording.signals.rest.value[sensors].astype(readings.dtype)
     readings[:, sensors] = 2 * rest - readings[:, sensors]
@@ -164,11 +164,11 @@ def _signs_along_tree(correlation: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _mixed(correlation: NDArray[np.float32], lowered: NDArray[np.bool_]) -> bool:
-    """Return whether the strongest correlations join both parts, as if drawn at random.
+    """Return whether the strongest correlations join both parts as often as random pairs do.
 
-    Where a signal changes its sign across the skin, such as bending, or the field of a source, the
-    strongest correlations of a sensor are with its neighbours, of its own part, and the parts are
-    halves: these cannot be told from inverted ones.
+    If a signal changes sign across the skin, such as bending or the field of a source, the parts
+    are halves of the skin, and the strongest correlations are within the parts. Such parts cannot
+    be distinguished from inverted sensors.
     """
     sizes = np.count_nonzero(lowered), np.count_nonzero(~lowered)
     if min(sizes) > _MAX_UNSKEWED * lowered.size:
@@ -179,10 +179,10 @@ def _mixed(correlation: NDArray[np.float32], lowered: NDArray[np.bool_]) -> bool
 
 
 def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark suspects whose strongest correlations have the signs that an inversion gives.
+    """Mark suspects whose strongest correlations have the signs that an inversion causes.
 
-    Only correlations between the parts are evidence: those within may all be positive without an
-    inversion.
+    Only correlations between the parts are evidence: correlations within parts may all be positive
+    without an inversion.
     """
     if not suspects.any() or suspects.size < 3:
         return np.zeros_like(suspects)
